@@ -49,7 +49,7 @@ def measured_for(study: StudyFile, model: Model) -> Measured:
     if given.kind == "frf" and not isinstance(model, StructuralModel):
         raise InputError(
             f"the model {model.name!r} has no matrices, so it has no FRFs", place=study.place("measurement", "kind"),
-            remedy="return a StructuralModel, such as one of StructuralModel.from_matrices",
+            remedy="return a StructuralModel; matrices of other codes make one too",
         )  # fmt: skip
     return study.measurement()
 

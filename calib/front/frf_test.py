@@ -97,7 +97,7 @@ class FRFTest:
         if not isinstance(model, StructuralModel):
             raise InputError(
                 f"the model {model.name} has no matrices", place=f"test {self.name}",
-                remedy="give a StructuralModel, such as one of StructuralModel.from_matrices",
+                remedy="give a StructuralModel; matrices of other codes make one too",
             )  # fmt: skip
         return FRFProblem(model, self.used, concerned(self.nuisances, self.used))
 

@@ -10,7 +10,7 @@ from calib.analyses.answers import NAMED, UNTRIED, listed, of_comparison, of_fit
 
 
 def compared(error, mac=np.nan, noise=np.nan):
-    return SimpleNamespace(comparison=None, mean_freq_error=error, mean_mac=mac, noise_mac=noise)
+    return SimpleNamespace(comparison=None, frfs=None, mean_freq_error=error, mean_mac=mac, noise_mac=noise)
 
 
 def verdicts(*identified):
@@ -64,7 +64,7 @@ def test_each_doubt_has_its_own_next_step_and_the_gravest_comes_first():
 def test_responses_that_agree_call_for_no_calibration():
     rows = [("a", 0.10, 5.0), ("b", -0.30, -1.0), ("c", np.nan, np.nan)]
     table = pd.DataFrame(rows, columns=["response", "error", "error_in_std"])
-    result = SimpleNamespace(comparison=None, table=table, mean_freq_error=0.2)
+    result = SimpleNamespace(comparison=None, frfs=None, table=table, mean_freq_error=0.2)
     off = of_comparison(result)
     assert "20.00 %" in off.found and "-30.00 % (b)" in off.found and "1 of 2" in off.sure
     result.table = table.assign(error_in_std=0.5)

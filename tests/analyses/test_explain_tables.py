@@ -24,7 +24,7 @@ COMMON = {"effects", "errors", "perturbations", "confounding", "pulls", "misfit_
 MODAL = COMMON | {"sensor_misfit", "unpaired", "mesh_points", "mesh_elements", "model_places", "effect_places"}
 GROUND = {"measured", "assumptions", "parameter_space", "repeat_disagreements"}
 """Tables that every analysis writes."""
-OF_MODES = [group for group in GROUPS if group != "held_out_responses"]
+OF_MODES = ["fit", "left_out", "held_out_sensors", "held_out_modes"]
 
 
 def saved(results, name):

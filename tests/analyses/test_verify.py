@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.verify import ERROR_COLUMNS, _scaled, errors_at, modal_errors, scalar_errors
+from calib.analyses.verify import ERROR_COLUMNS, _scaled, errors_at, group_errors, modal_errors
 from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import USUAL, Floors, dof_behind, std_for
 from calib.missing.linearised_fit import fitted
@@ -225,7 +225,7 @@ def linear():
         "held_out_nothing": slice(0, 0),
     }
     held_out = {group: (y[part] - a[part] @ theta, -a[part]) for group, part in parts.items()}
-    table = scalar_errors(y[:N] - a[:N] @ theta, -a[:N], ("a", "b", "c"), s, labels, held_out).set_index("group")
+    table = group_errors(y[:N] - a[:N] @ theta, -a[:N], ("a", "b", "c"), s, labels, held_out).set_index("group")
     return a, y, s, theta, information, table
 
 
@@ -284,7 +284,7 @@ def test_held_out_errors_include_the_uncertainty_of_held_parameters():
 
     def row_of(error, jacobian=g):
         own = {"held_out_responses": (error, jacobian[unseen])}
-        table = scalar_errors(np.zeros(5), jacobian[used], ("a", "b"), s, labels, own)
+        table = group_errors(np.zeros(5), jacobian[used], ("a", "b"), s, labels, own)
         return table.set_index("group").loc["held_out_responses"]
 
     assert row_of(e[0])["expected"] == pytest.approx(math.sqrt(np.mean(e**2)), rel=0.03)
@@ -319,7 +319,7 @@ def test_a_mode_that_depends_on_an_uncertain_held_parameter_does_not_contradict(
 def test_with_as_many_unknowns_as_data_the_fit_is_not_tested():
     rng = np.random.default_rng(5)
     a = rng.standard_normal((3, 3))
-    table = scalar_errors(np.zeros(3), -a, ("a", "b", "c"), np.full(3, 1e6), ["x", "y", "z"], {}).set_index("group")
+    table = group_errors(np.zeros(3), -a, ("a", "b", "c"), np.full(3, 1e6), ["x", "y", "z"], {}).set_index("group")
     assert table.loc["fit", "p"] == 1.0 and table.loc["fit", "expected"] == pytest.approx(0.0, abs=1e-3)
 
 

@@ -82,7 +82,7 @@ def test_the_summary_has_exactly_the_keys_of_a_modal_study_with_a_finer_mesh(guy
         "effects", "chosen", "adequacy_p_family", "adequacy_p_fit",
         "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale",
         "local_perturbations", "local_perturbation", "evaluations", "errors", "begun_anew",
-        "accuracy", "std_assumed", "accuracy_that_explains",
+        "accuracy", "std_assumed", "accuracy_that_explains", "alpha",
         "misfit_at", "measurement_fault", "wrong_datum", "refused",
         "basis_error", "discretisation", "seconds", "evaluations_intervals", "evaluations_recommendation",
     }  # fmt: skip
