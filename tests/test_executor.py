@@ -95,7 +95,7 @@ class Cluster(Executor):
     def submit(self, fn, /, *args, **kwargs):
         future = Future()
         self._waiting.put((future, pickle.dumps((fn, args))))
-        threading.Timer(0.3, self._next).start()
+        threading.Timer(0.05, self._next).start()
         return future
 
     def _next(self):

@@ -55,7 +55,7 @@ def page_of(tmp_path: Path, text: str) -> Path:
         "```toml\n# in studies/bogie\n[calibration]\nindividuals = 3\n```\n",
         "```sh\nmake coffee\n```\n",
         "```sh\ncalib calibrate nowhere\n```\n",
-        "```sh\npython docs/figures.py --colour red\n```\n",
+        pytest.param("```sh\npython docs/figures.py --colour red\n```\n", marks=pytest.mark.slow),
         "```\nno language\n```\n",
         "```yaml\na: 1\n```\n",
         "```python\nopen\n",

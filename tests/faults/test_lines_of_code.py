@@ -247,7 +247,7 @@ def test_mistakes_in_an_effect(plain, changes, act, mistakes):
 @pytest.mark.parametrize(
     ("body", "isolated"),
     [
-        ("return lambda values: {'y1': ⟦values['gone']⟧}", True),
+        pytest.param("return lambda values: {'y1': ⟦values['gone']⟧}", True, marks=pytest.mark.slow),
         ("return lambda values: {'y1': ⟦values['gone']⟧}", False),
         pytest.param("def ⟦bent⟧(values):\n        return {'y1': 0.0}\n    return bent", True, marks=pytest.mark.slow),
         ("def ⟦bent⟧(values):\n        return {'y1': 0.0}\n    return bent", False),

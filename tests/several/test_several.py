@@ -87,7 +87,6 @@ def test_the_run_draws_each_test_by_itself_and_all_together(run, unrendered, tmp
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_report_draws_what_every_folder_holds(frame, tmp_path):
     study, results = shutil.copytree(frame[0], tmp_path / "frame"), shutil.copytree(frame[1], tmp_path / "results")
     shutil.rmtree(results / "frame/frame_extended")
