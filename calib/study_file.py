@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from calib.errors import InputError
-from calib.fingerprint import code_files
+from calib.fingerprint import code_files, digest_of
 from calib.measurement.accuracy import Accuracy, frf_claim
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
@@ -23,6 +23,10 @@ from calib.study_text import find, place_of, read_layers, read_settings
 from calib.toml_places import Mark
 
 Measured = MeasuredModes | MeasuredResponses | MeasuredFRFs
+
+_READ: dict[str, Measured] = {}
+"""Measurements by the digest of their files and settings, the latest last."""
+_KEPT = 8
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,22 @@ class StudyFile:
         return self.file.resolve().parent
 
     def measurement(self) -> Measured:
-        """Everything that was measured in one test; InputError where it cannot be read."""
+        """Everything that was measured in one test; InputError where it cannot be read.
+
+        Files that did not change are read once in a process: every result asks for what it was made from.
+        """
+        given = self.settings.measurement
+        files = (*given.files, *given.shapes, *filter(None, [given.sensors, given.responses]))
+        content = [_digest_of_file(self.folder / file) for file in files]
+        key = digest_of(str(self.folder), given.model_dump(), content)
+        if key not in _READ:
+            found = self._read()
+            while len(_READ) >= _KEPT:
+                del _READ[next(iter(_READ))]
+            _READ[key] = found
+        return _READ[key]
+
+    def _read(self) -> Measured:
         given = self.settings.measurement
         if given.responses:
             responses = read_responses(self.path(given.responses, "measurement", "responses"), given.pooling)
