@@ -80,6 +80,7 @@ class CalibrationMethod(StrEnum):
 
     genetic = "genetic"
     gauss_newton = "gauss-newton"
+    cmcf = "cmcf"
 
 
 @app.command(short_help="Write an annotated example study.")

@@ -260,8 +260,9 @@ class ReductionSettings(_Section):
 class CalibrationSettings(_Section):
     """``[calibration]``: genetic searches from independent populations, and least squares after them."""
 
-    method: Literal["genetic", "gauss-newton"] = "genetic"
-    """Genetic search followed by least squares, or least squares alone from several starts."""
+    method: Literal["genetic", "gauss-newton", "cmcf"] = "genetic"
+    """Genetic search followed by least squares; least squares alone from several starts; or of FRFs the linear
+    cross-model equations alone (Li and Hong 2012), with which least squares on FRFs begin too."""
     refine: bool = True
     """Whether least squares follow a search."""
     starts: int = Field(default=6, ge=1, le=10_000)

@@ -218,6 +218,28 @@ class CaseFinder:
             fit = partial(self.refined, reduction, told=named(self.progress, case.name))
             yield reported(self.study, *least_squares(case, self.study, self.known, self.quick, fit))
 
+    def by_equations(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
+        """The solution of the linear cross-model equations of FRFs, not refined, as the first case.
+
+        Raises
+        ------
+        InputError
+            Where they cannot be posed.
+        """
+        started, study = time.perf_counter(), self.study
+        found = linear_starts(self.exact, study.search_space.values)
+        if not found:
+            raise InputError(
+                "the cross-model equations cannot be posed",
+                place=study.place("calibration", "method"),
+                remedy="measure FRFs with a response at the place of every force, or choose another method",
+            )
+        statistics, steps = statistics_at(self.exact, Terms.of(study), found[0]), Steps()
+        steps(1, 1, sum(criteria(self.exact, found[0])))
+        seconds = time.perf_counter() - started
+        result = CaseResult.fitted(cases[0].name, statistics.values, self.exact.counts, steps.table(), seconds)
+        yield reported(study, result, statistics)
+
     def refined(
         self,
         reduction: Reduction | None,
