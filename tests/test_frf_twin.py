@@ -10,7 +10,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
-from calib.inference.cmcf import CmcfSettings, MeasuredReceptance, cmcf
+from calib.inference.cmcf import cmcf
+from calib.inference.cmcf_equations import CmcfSettings, MeasuredReceptance
 from calib.loading import module_of
 from calib.measurement.frf import MeasuredFRFs, scatter
 from calib.measurement.modal import Sensor

@@ -15,7 +15,8 @@ import scipy.sparse as sp
 
 from calib.correlation.frf_residual import FRFResidual
 from calib.errors import EvaluationError, InputError
-from calib.inference.cmcf import Change, CmcfSettings, InitialModel, Kind, MeasuredReceptance, cmcf
+from calib.inference.cmcf import cmcf
+from calib.inference.cmcf_equations import Change, CmcfSettings, InitialModel, Kind, MeasuredReceptance
 from calib.joint import JointProblem
 from calib.measurement.frf import MeasuredFRFs
 from calib.problem import Problem

@@ -25,7 +25,8 @@ import scipy.linalg as la
 import scipy.sparse as sp
 
 from calib.errors import EvaluationError
-from calib.inference.cmcf import Change, CmcfSettings, InitialModel, MeasuredReceptance, Reduce, cmcf
+from calib.inference.cmcf import cmcf
+from calib.inference.cmcf_equations import Change, CmcfSettings, InitialModel, MeasuredReceptance, Reduce
 from calib.loading import module_of
 from calib.structure.model import StructuralModel
 from calib.structure.static_reduction import levels, static_reduction

@@ -19,7 +19,9 @@ COMMANDS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["example", "screened", *(pytest.param(name, marks=pytest.mark.slow) for name in ("rig", "function"))])
+@pytest.mark.parametrize(
+    "name", ["example", "screened", *(pytest.param(name, marks=pytest.mark.slow) for name in ("rig", "function"))]
+)
 def test_every_column_of_every_table_is_documented(undrawn, tmp_path, name):
     for command in COMMANDS[name]:
         command = [str(tmp_path / "study") if word == "STUDY" else word for word in command]

@@ -9,7 +9,15 @@ import scipy.linalg as la
 import scipy.sparse as sp
 
 from calib.errors import EvaluationError, InputError
-from calib.inference.cmcf import Change, CmcfSettings, Equations, InitialModel, MeasuredReceptance, Reduced, cmcf
+from calib.inference.cmcf import cmcf
+from calib.inference.cmcf_equations import (
+    Change,
+    CmcfSettings,
+    Equations,
+    InitialModel,
+    MeasuredReceptance,
+    Reduced,
+)
 from calib.structure.static_reduction import static_reduction
 from models.solar_panel import GROUPS, MASTERS, solar_panel
 
