@@ -81,10 +81,12 @@ def repeats_of(true, seed=None, repeats=4, share=0.01, floor=2e-3, responses=RES
     return found
 
 
-def measured(seed=None, repeats=4, responses=RESPONSES, references=REFERENCES, values=TRUE, **changed):
-    """Mean of repeats of a test; ``changed`` as of `by_hand`."""
+def measured(
+    seed=None, repeats=4, responses=RESPONSES, references=REFERENCES, values=TRUE, share=0.01, floor=2e-3, **changed
+):
+    """Mean of repeats of a test; ``share`` and ``floor`` as of `repeats_of`, ``changed`` as of `by_hand`."""
     true = truth(values, responses=responses, references=references, **changed)
-    return combine_frfs(repeats_of(true, seed, repeats, responses=responses, references=references), synthetic=True)
+    return combine_frfs(repeats_of(true, seed, repeats, share, floor, responses, references), synthetic=True)
 
 
 def modes(seed, count=4, repeats=6, responses=RESPONSES, values=TRUE):
