@@ -11,7 +11,7 @@ import pandas as pd
 
 from calib.analyses.uncertainty import assumed_frfs, claimed_frf
 from calib.analyses.verify import errors_of
-from calib.correlation.frf_nuisance import AddedMass, ChannelError, Nuisance, Stinger, concerned
+from calib.correlation.frf_nuisance import AddedMass, ChannelError, Channels, Nuisance, Stinger, concerned
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.errors import InputError
 from calib.front.checked import Claimed, band, named
@@ -60,6 +60,7 @@ class FRFTest:
         (frfs,) = objects([self.frfs], MeasuredFRFs, f"{place}, frfs")
         kinds = (ChannelError, AddedMass, Stinger)
         object.__setattr__(self, "nuisances", objects(self.nuisances, kinds, f"{place}, nuisances"))
+        Channels(tuple(n for n in self.nuisances if isinstance(n, ChannelError)), frfs)  # refuses unknown sensors
         try:
             claimed = frfs.accuracy if self.accuracy is None else frf_claim(self.accuracy)
         except (TypeError, ValueError) as fault:

@@ -6,9 +6,13 @@ from dataclasses import dataclass, replace
 
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.frf_lines import in_bands
 
 SENSORS, REFERENCES, BANDS = "held_out_sensors", "held_out_references", "held_out_bands"
 """Groups of held-out FRFs, as tables name them."""
+
+_Names = tuple[str, ...]
+_Bands = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
@@ -43,13 +47,24 @@ class HeldOutFRFs:
         return None
 
     def split(self, whole: MeasuredFRFs) -> tuple[MeasuredFRFs, dict[str, MeasuredFRFs]]:
-        """The FRFs in use, and the held-out ones by their group; an entry held out twice counts in the first group."""
+        """The FRFs in use, and the held-out ones by their group.
+
+        An entry held out twice counts in the first group; a group of which nothing is left is omitted. Check entries
+        with `unknown` first.
+        """
         rest, groups = whole, dict[str, MeasuredFRFs]()
-        if self.sensors:
-            groups[SENSORS], rest = rest.only(self.sensors), rest.without(self.sensors)
-        if self.references:
-            groups[REFERENCES] = rest.only(references=self.references)
-            rest = rest.without(references=self.references)
-        if self.bands:
-            groups[BANDS], rest = rest.only(bands=self.bands), rest.without(bands=self.bands)
+
+        def take(group: str, sensors: _Names = (), references: _Names = (), bands: _Bands = ()) -> None:
+            nonlocal rest
+            left = (
+                tuple(name for name in sensors if name in [s.name for s in rest.responses]),
+                tuple(name for name in references if name in [s.name for s in rest.references]),
+                tuple(one for one in bands if in_bands(rest.freq, [one]).any()),
+            )
+            if any(left):
+                groups[group], rest = rest.only(*left), rest.without(*left)
+
+        take(SENSORS, sensors=self.sensors)
+        take(REFERENCES, references=self.references)
+        take(BANDS, bands=self.bands)
         return rest, groups

@@ -1,6 +1,7 @@
 """The whitened residual of FRFs: rows, derivatives, a fit with right standard deviations, and what is refused."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,66 +10,20 @@ import pytest
 from calib.correlation.frf_residual import UNKNOWN_STD, FRFProblem, FRFResidual
 from calib.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import Prior, fit
+from calib.loading import module_of
 from calib.measurement.accuracy import frf_claim
-from calib.measurement.frf import FRFRepeat, combine_frfs
 from calib.measurement.modal import Sensor
 from calib.problem import Problem
-from calib.space import Parameter
 from calib.structure.model import StructuralModel
 
-N = 4
-FREQ = np.linspace(2.0, 40.0, 60)
-TRUE = {"k": 1.2e4, "c": 12.0, "m": 2.3}
-NODES = {"responses": (1, 3, 4), "references": (1, 4)}
+WORLD = module_of(Path(__file__).parents[1] / "template/frf_chain.py")
+FREQ, TRUE, truth, measured = WORLD.FREQ, WORLD.TRUE, WORLD.truth, WORLD.measured
+NODES = {"responses": WORLD.RESPONSES, "references": WORLD.REFERENCES}
 
 
 @pytest.fixture(scope="module")
 def chain():
-    """Masses in a row; the lowest spring, a damper and the last mass are parameters."""
-    links = np.zeros((N, N, N))
-    for i in range(N):
-        b = np.eye(N)[i] - (np.eye(N)[i - 1] if i else 0)
-        links[i] = np.outer(b, b)
-    return StructuralModel.from_matrices(
-        {"k": links[0], "rest": 2e4 * links[1:].sum(axis=0)},
-        {"m": np.diag(np.eye(N)[-1]), "own": np.eye(N)},
-        {"c": links[1], "rest": 5.0 * links[2:].sum(axis=0)},
-        dofs=pd.DataFrame({"node": range(1, N + 1), "direction": "x"}),
-        parameters=[
-            Parameter("k", 1e4, 5e3, 2e4, "N/m"),
-            Parameter("c", 8.0, 1.0, 50.0, "Ns/m"),
-            Parameter("m", 2.0, 1.0, 5.0, "kg"),
-        ],
-    )
-
-
-def truth(values):
-    """Accelerances of the chain by hand, (n_freq, 3, 2)."""
-    k = np.diag([values["k"] + 2e4, 4e4, 4e4, 2e4]) - 2e4 * (np.eye(N, k=1) + np.eye(N, k=-1))
-    c = (
-        np.diag([values["c"], values["c"] + 5, 10, 5])
-        - np.diag([values["c"], 5, 5], 1)
-        - np.diag([values["c"], 5, 5], -1)
-    )
-    m = np.diag([1.0, 1.0, 1.0, 1.0 + values["m"]])
-    omega = 2 * np.pi * FREQ
-    whole = np.array([-(w**2) * np.linalg.inv(k + 1j * w * c - w**2 * m) for w in omega])
-    return whole[:, [0, 2, 3]][:, :, [0, 3]]
-
-
-def measured(seed=None, repeats=4, share=0.01, floor=2e-3):
-    """Repeats of a test with noise in proportion to the FRF and a floor; without noise for no seed."""
-    true, found = truth(TRUE), []
-    rng = np.random.default_rng(seed)
-    for k in range(repeats):
-        std = 0.0 if seed is None else np.sqrt((share * np.abs(true)) ** 2 + floor**2)
-        values = true + std * (rng.standard_normal(true.shape) + 1j * rng.standard_normal(true.shape))
-        pairs = {
-            ((r, "x"), (q, "x")): values[:, i, j]
-            for i, r in enumerate(NODES["responses"]) for j, q in enumerate(NODES["references"])
-        }  # fmt: skip
-        found.append(FRFRepeat(f"repeat {k}", FREQ, "accelerance", pairs))
-    return combine_frfs(found)
+    return WORLD.chain()
 
 
 @pytest.fixture(scope="module")
