@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 
 from calib.report.explanation import draw_confounding, ranked_effects_figure
+from calib.report.frf import draw_frf_misfit
 from calib.report.mesh import rest_lines
 from calib.report.misfit import draw_pulls, where_it_fails_figure
 from calib.report.responses import draw_response_misfit
@@ -47,7 +48,11 @@ def plan_explanation(folder: Folder, add: Callable[..., None]) -> None:
     more = [] if pulls is None else [m for m in dict.fromkeys(pulls["model"]) if m != "base"]
     name = more[0] if len(more) == 1 else ""
     attempt = any(t is not None and (t["stage"] == "attempt").any() for t in (kinds, errors))
-    if kinds is not None:
+    frfs = read("frf_misfit", ["stage", "function"], ["freq", "re", "im"])
+    if frfs is not None:
+        caption = "residuals of the FRFs after the fit, by function and band"
+        add("frf_misfit", caption, lambda: owner_of(draw_frf_misfit(frfs, name=name)))
+    elif kinds is not None:
         caption = "misfit beyond noise, by mode and kind of response"
         add("where_it_fails_sigma", caption, lambda: where_it_fails_figure(kinds, name=name), "misfit_kinds")
     left = read("response_misfit", ["stage", "response"], ["residual"])

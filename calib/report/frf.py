@@ -8,11 +8,25 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from calib.report.numbers import fixed
-from calib.report.style import AFTER, BEFORE, BLACK, GREY, WITH, legend_above, new_figure, own_axes, stage_words
-from calib.report.svg import hover_points
+from calib.report.style import (
+    AFTER,
+    BEFORE,
+    BLACK,
+    GREY,
+    WITH,
+    added,
+    legend_above,
+    matrix_height,
+    new_figure,
+    own_axes,
+    separate_cells,
+    stage_words,
+)
+from calib.report.svg import hover_cells, hover_points
 
 OVERLAID = 6
 """Functions of which amplitude and phase are drawn."""
@@ -20,6 +34,8 @@ _STAGES = {"before": ("s", BEFORE, "--"), "after": ("o", AFTER, "-"), "added": (
 _LINEAR_BELOW = 1.0
 """Standard deviations up to which an axis of errors is linear: below, they are noise."""
 
+_BANDS = 24
+"""Bands of the matrix of residuals."""
 _GAP = 3.0
 """Distance of two lines, over the usual one, from which no curve joins them."""
 
@@ -174,4 +190,48 @@ def draw_frf_lines(lines: Tables, ax: Axes | None = None, *, effects: str = "") 
     ax.set_ylabel("rms error (standard deviations)")
     ax.grid(axis="y")
     legend_above(ax)
+    return ax
+
+
+def draw_frf_misfit(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") -> Axes:
+    """Draw the residuals after the fit by function and band, of the latest model.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``stage`` (``base``, ``explained`` or ``attempt``), ``function``, ``freq`` (Hz), and ``re, im``, the
+        residuals of real and imaginary part in standard deviations.
+    ax : Axes, optional
+    name : str
+        Effects in the extended model, for the title.
+
+    Returns
+    -------
+    Axes
+        Colours are root mean squares over the lines of a band, 1 for a right model; bands have equal numbers of lines.
+    """
+    stage = str(table["stage"].iloc[-1])
+    own = table[table["stage"] == stage]
+    lines = np.unique(own["freq"].to_numpy(float))
+    bands = np.array_split(lines, min(_BANDS, len(lines)))
+    starts = np.array([band[0] for band in bands])
+    square = 0.5 * (own["re"].to_numpy(float) ** 2 + own["im"].to_numpy(float) ** 2)
+    band_of = np.searchsorted(starts, own["freq"].to_numpy(float), side="right") - 1
+    mean = pd.DataFrame({"function": own["function"], "band": band_of, "square": square})
+    rms = mean.pivot_table(index="function", columns="band", values="square", sort=False) ** 0.5
+    rms = rms.loc[rms.max(axis=1).sort_values(ascending=False, kind="stable").index]
+    values = rms.reindex(columns=range(len(bands))).to_numpy(float)
+    ax = own_axes(ax, matrix_height(*values.shape))
+    ax.imshow(np.ones_like(values), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
+    image = ax.imshow(values, cmap="OrRd", norm=Normalize(0.0, max(3.0, float(np.nanmax(values)))), aspect="auto")
+    ends = [f"{band[0]:.4g} to {band[-1]:.4g} Hz" for band in bands]
+    hover_cells(ax, [[f"{f}, {band}: {fixed(v, 2)}" for band, v in zip(ends, row, strict=True)]
+                     for f, row in zip(rms.index, values, strict=True)])  # fmt: skip
+    ax.set_yticks(range(len(rms)), rms.index.astype(str))
+    every = max(1, len(bands) // 8)
+    ax.set_xticks(range(0, len(bands), every), [f"{starts[k]:.3g}" for k in range(0, len(bands), every)])
+    separate_cells(ax, *values.shape)
+    ax.set_xlabel("first line of the band (Hz)")
+    ax.set_title(added(stage, name).replace(": ", ":\n"))
+    ax.figure.colorbar(image, ax=ax, label="rms residual (standard deviations)", fraction=0.04, pad=0.02, aspect=40)
     return ax

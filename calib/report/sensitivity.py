@@ -32,8 +32,12 @@ RESPONSE_KINDS = {
     "damping_ratio_": "damping ratio",
     "emac_": "EMAC",
     "mac_": "MAC",
+    "frac ": "FRAC",
+    "amplitude ": "amplitude of FRFs",
 }
 """Prefix of a response's name, and the heading of its group of columns."""
+_OF_MODES = "_"
+"""End of the prefixes of a mode's responses."""
 
 
 def draw_sensitivity(
@@ -88,7 +92,8 @@ def draw_sensitivity(
     ax.grid(which="minor", color="#D0D0D0", linewidth=0.6)
     _name_groups(ax, [_kind(r)[0] for r in responses])
     blank = f"blank: |value| ≤ {threshold:g}" + ("; grey: no value" if np.isnan(values).any() else "")
-    ax.set_xlabel(f"response of mode ({blank})")
+    modal = any(r.startswith(prefix) for r in responses for prefix in RESPONSE_KINDS if prefix.endswith(_OF_MODES))
+    ax.set_xlabel(f"{'response of mode' if modal else 'response'} ({blank})")
     ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)
     return ax
 

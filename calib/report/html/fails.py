@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from calib.report.html import limits
+from calib.report.html.frf import misfit_picture
 from calib.report.html.page import Block, Picture, Section, Table, Words
 from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
@@ -20,6 +21,7 @@ def section(results: StudyResults) -> Section | None:
         *_kinds(results),
         *_sensors(results),
         *_responses(results),
+        *misfit_picture(results),
         *_suspects(results),
     ]
     return Section("fails", "Where the model fails", tuple(blocks)) if blocks else None

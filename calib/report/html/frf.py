@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from calib.report.frf import OVERLAID
 from calib.report.frf_tables import read_stages
-from calib.report.html.page import Block, Table, Terms, Words
+from calib.report.html.page import Block, Picture, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, flag, percent, significant, yes
 
@@ -73,3 +73,17 @@ def frf_blocks(results: StudyResults, stage: str) -> list[Block]:
         where += f"{significant(freq, 4)} Hz."
         blocks += results.picture("frf_lines", f"Error of every line, over all functions. {where}", f"Curves. {where}")
     return [*blocks, Table(f"Every function, {words}", heads, rows), Terms(TERMS)]
+
+
+def misfit_picture(results: StudyResults) -> list[Picture]:
+    """Residuals of the FRFs after the fit of an explanation."""
+    table = results.table("frf_misfit", ["stage", "function"], ["freq", "re", "im"])
+    if table is None:
+        return []
+    size = (table["re"] ** 2 + table["im"] ** 2).groupby([table["stage"], table["function"]], sort=False).mean() / 2
+    latest = size[str(table["stage"].iloc[-1])]
+    caption = "Residuals of the FRFs after the fit, by function and band, in standard deviations: 1 for a right model."
+    alt = (
+        f"Matrix. The worst function is {latest.idxmax()}, {fixed(float(latest.max()) ** 0.5, 2)} standard deviations."
+    )
+    return results.picture("frf_misfit", caption, alt)
