@@ -53,7 +53,8 @@ def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[s
     -------
     dict or None
         All parameters; None where the equations cannot be posed: a reference without a response at the same place,
-        sensors that measure the same motion, or a model on a reduced basis.
+        no line on which every function was measured, sensors that measure the same motion, or a model on a reduced
+        basis.
     """
     problem = residual.problem
     model, measured = problem.loaded_model, _near_resonances(problem.measured)
@@ -82,7 +83,10 @@ def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[s
 
 
 def linear_starts(problem: Problem[Any] | JointProblem, values: Mapping[str, float]) -> tuple[dict[str, float], ...]:
-    """Further starts of a least-squares fit: the linear one of all tests of FRFs together; none for other tests."""
+    """Further starts of a least-squares fit: the linear one of tests of FRFs; none for other tests.
+
+    Each test is solved alone; a parameter of several starts from the last of them.
+    """
     parts = problem.parts.values() if isinstance(problem, JointProblem) else (problem,)
     found: dict[str, float] = {}
     for part in parts:
