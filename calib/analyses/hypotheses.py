@@ -247,7 +247,7 @@ class ModelHypotheses(Generic[P]):
         """Values from a linear solution about named ones, from which that model can be fitted; None where none is."""
         fit_problem = self.fit_problem(names)
         found = linear_starts(fit_problem, fit_problem.pair.space.complete(dict(values)))
-        return {**values, **found[0]} if found else None
+        return {**values, **{name: v for name, v in found[0].items() if name in fit_problem.space}} if found else None
 
     @cached_property
     def _known(self) -> dict[str, Effect]:
