@@ -152,6 +152,9 @@ def write_added(
         results.write_table("added_modes", answer.modes)
     end = after.best.answer
     results.write_table("comparison_added", end.table)
+    if end.frfs is not None:
+        results.write_table("frf_added", end.frfs.overlay_table())
+        results.write_table("frf_lines_added", end.frfs.lines_table())
     if end.comparison is not None:
         results.write_table("where_it_fails_added", end.comparison.where_it_fails())
     given = extended.settings

@@ -34,7 +34,7 @@ def _of_stages(*stages: str) -> tuple[str, ...]:
 GEOMETRY = ("mesh_points.csv", "mesh_elements.csv", "model_places.csv")
 """Files of `calib.correlation.mesh.geometry_tables`."""
 ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv", "comparison_added.csv",
-         "where_it_fails_added.csv")  # fmt: skip
+         "frf_added.csv", "frf_lines_added.csv", "where_it_fails_added.csv")  # fmt: skip
 """Files of `calib.analyses.added`, removed with the calibration or the explanation that they rest on."""
 _MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivity_samples", "input_correlation")
 _CALIBRATED = ("parameters", "points", "suspects_calibrated", "verdicts", "posterior_correlation", "confounded",

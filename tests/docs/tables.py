@@ -8,6 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 OF_RESPONSES = {"test", "response", "value", "std", "std_used", "measured", "model", "error", "error_in_std"}
+OF_FRFS = {"reference", "quantity", "lines", "freq_min", "freq_max", "unit", "frac", "amplitude", "in_std"}
 
 
 def documented() -> dict[str, list[str]]:
@@ -21,6 +22,12 @@ def documented() -> dict[str, list[str]]:
             assert file not in out, file
             out[file] = columns
     return out
+
+
+def common(name: str) -> str:
+    """Meaning of a column that several tables have."""
+    registry = tomllib.loads((ROOT / "docs/tables.toml").read_text("utf-8"))
+    return str(registry["common"][name])
 
 
 def found(file: Path) -> list[str]:
@@ -49,10 +56,10 @@ def missing(results: Path) -> dict[str, list[str]]:
 
 
 def stale(results: Path) -> dict[str, list[str]]:
-    """Documented columns that tables of modes do not have; those of scalar responses and of several tests apart."""
+    """Documented columns that tables of modes do not have; those of other measurements and of several tests apart."""
     known, out = documented(), {}
     for file in (file for file in results.rglob("*.csv") if file.name in known):
-        apart = OF_RESPONSES if file.name.startswith(("measured", "comparison")) else {"test"}
+        apart = OF_RESPONSES | OF_FRFS if file.name.startswith(("measured", "comparison")) else {"test"}
         columns = {name for name in known[file.name] if "<" not in name} - apart - set(found(file))
         if columns:
             out[file.name] = sorted(columns)
