@@ -86,7 +86,8 @@ def _cases(results: StudyResults) -> list[Block]:
         )
         for name, c in cases.items()
     )
-    heads = ("case", "seed", "misfit of the search", "misfit reported", "mean error, %", "mean MAC", "requested",
+    criterion = "mean FRAC" if results.kind == "frf" else "mean MAC"
+    heads = ("case", "seed", "misfit of the search", "misfit reported", "mean error, %", criterion, "requested",
              "solved", "infeasible", "failed", "time, s")  # fmt: skip
     return [Table("Calibration cases", heads, rows)] if rows else []
 

@@ -27,8 +27,8 @@ def measured_blocks(results: StudyResults, used: tuple[str, str], repeats: str) 
             str(r["response"]),
             str(r["reference"]),
             fixed(r["lines"], 0),
-            significant(r["freq_min"], 5),
-            significant(r["freq_max"], 5),
+            significant(r["freq_min"], 3),
+            significant(r["freq_max"], 3),
             yes(r["held_out"], used),
         )
         for r in table.to_dict("records")

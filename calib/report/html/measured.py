@@ -129,7 +129,8 @@ def _sensors(results: StudyResults) -> list[Block]:
         for r in table.to_dict("records")
     )
     heads = ("sensor", "direction", "x, m", "y, m", "z, m", "on", "std, % of the largest entry", "")
-    intro = f"Mode shapes were measured by {counted(len(table), 'sensor')}, each one direction at one point."
+    what = "FRFs" if results.kind == "frf" else "Mode shapes"
+    intro = f"{what} were measured by {counted(len(table), 'sensor')}, each one direction at one point."
     return [Words(f"{intro} {_held_out(table, 'sensor', 'sensor')}"), Table("Sensors", heads, rows, (1, 5, 7))]
 
 
