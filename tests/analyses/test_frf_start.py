@@ -179,3 +179,30 @@ def test_it_serves_every_test_of_frfs_of_a_joint_fit():
     assert all(abs(start[n] / TRUE[n] - 1) < 2 * NEAR for n in ("k", "m", "links"))
     fit = problem.calibrate(progress=False)
     assert all(abs(fit.values[n] - true) < 4 * fit.parameters.loc[n, "std"] for n, true in TRUE.items())
+
+
+def test_priors_decide_where_the_equations_say_nothing(frfs):
+    """Two springs side by side: only their sum is seen, and equal priors hold their difference."""
+    k0, c, m = WORLD.by_hand({**WORLD.TRUE, "k": 0.0})
+    k1 = WORLD.by_hand({**WORLD.TRUE, "k": 1.0})[0] - k0
+    model = calib.StructuralModel.from_matrices(
+        {"rest": k0, "one": k1, "two": (k1, "two")}, m, c,
+        dofs=[(n, "x") for n in range(1, WORLD.N + 1)],
+        parameters=[calib.Parameter("one", 5e3, 1e3, 2e4, "N/m"), calib.Parameter("two", 4e3, 1e3, 2e4, "N/m")],
+    )  # fmt: skip
+    problem = problem_of(model, frfs)
+    start = linear_start(problem.posed.pair, problem.space, {"one": 3e3, "two": 7e3})
+    assert abs((start["one"] + start["two"]) / WORLD.TRUE["k"] - 1) < NEAR
+    assert start["one"] - start["two"] == pytest.approx(1e3, abs=20.0)
+
+
+def test_it_linearises_again_where_matrices_are_not_linear(frfs):
+    """The springs as the cube of a thickness, 25 % off: one linearisation leaves the thickness a tenth off."""
+    k0, c, m = WORLD.by_hand(WORLD.TRUE, links=0.0)
+    k1 = WORLD.by_hand(WORLD.TRUE)[0]
+    model = calib.StructuralModel.from_matrices(
+        {"rest": k0, "springs": (k1 - k0, {"h": 3})}, m, c,
+        dofs=[(n, "x") for n in range(1, WORLD.N + 1)],
+        parameters=[calib.Parameter("h", 0.75, 0.5, 2.0, "-")],
+    )  # fmt: skip
+    assert abs(start_of(problem_of(model, frfs))["h"] - 1) < 0.04

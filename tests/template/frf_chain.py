@@ -131,3 +131,51 @@ def effects():
         effect("ground_2", "N/m", 5e3, 1e5, "stiffness", GROUND_AT),
         effect("mass_3", "kg", 0.5, 5.0, "mass", 3),
     )
+
+
+# -- as a study --------------------------------------------------------------------------------------------------------
+
+STUDY = """
+title = "Synthetic chain"
+model = "model.py:chain"
+effects = "model.py:effects"
+
+[[tests]]
+name = "shaker"
+kind = "frf"
+files = ["repeat_1.uff", "repeat_2.uff", "repeat_3.uff", "repeat_4.uff"]
+sensors = "sensors.csv"
+synthetic = true
+held_out = { sensors = ["3x"], references = ["4x"], bands = [[20.0, 26.0]] }
+
+[sensitivity]
+samples = 80
+
+[calibration]
+method = "gauss-newton"
+starts = 1
+"""
+
+
+def write_study(folder, seed=2, **changed):
+    """A study of the chain in a folder, its measurement in universal files; ``changed`` as of `by_hand`."""
+    import shutil
+
+    import pyuff
+
+    folder.mkdir(parents=True)
+    (folder / "study.toml").write_text(STUDY, encoding="utf-8")
+    shutil.copyfile(__file__, folder / "model.py")
+    units = {"type": 164, "units_code": 1, "units_description": "SI", "temp_mode": 1, "length": 1.0, "force": 1.0}
+    for k, repeat in enumerate(repeats_of(truth(TRUE, **changed), seed)):
+        sets = [{**units, "temp": 1.0, "temp_offset": 273.15}]
+        for ((response, _), (reference, _)), values in repeat.functions.items():
+            sets.append({
+                "type": 58, "func_type": 4, "rsp_node": response, "rsp_dir": 1, "ref_node": reference, "ref_dir": 1,
+                "x": FREQ, "data": values, "abscissa_spacing": 0, "abscissa_spec_data_type": 18, "binary": 0,
+                "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 13,
+            })  # fmt: skip
+        pyuff.UFF(str(folder / f"repeat_{k + 1}.uff")).write_sets(sets, "overwrite")
+    places = pd.DataFrame({"node": RESPONSES, "x": np.array(RESPONSES) - 1.0, "y": 0.0, "z": 0.0, "on": ""})
+    places.to_csv(folder / "sensors.csv", index=False)
+    return folder

@@ -1,0 +1,64 @@
+"""The page of a study of FRFs: its sections hold the numbers of the tables."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from calib.loading import module_of
+from calib.report.html.page import Picture, Table
+from calib.report.html.study_results import StudyResults
+from calib.report.html.write import sections
+
+WORLD = module_of(Path(__file__).resolve().parents[2] / "template/frf_chain.py")
+
+
+@pytest.fixture(scope="module")
+def chain(run, tmp_path_factory):
+    """Results of a chain on a spring that its model lacks."""
+    folder = WORLD.write_study(tmp_path_factory.mktemp("frf") / "chain", ground=WORLD.HIDDEN)
+    return run(folder, ["compare"], ["calibrate"])
+
+
+@pytest.fixture
+def blocks(chain, unpainted):
+    return [block for section in sections(StudyResults(chain, "chain", True)) for block in section.blocks]
+
+
+def tables(blocks):
+    return {block.caption: block for block in blocks if isinstance(block, Table)}
+
+
+def number(cell):
+    return float(cell.replace("−", "-"))
+
+
+def test_every_measured_function_is_told_with_its_use(chain, blocks):
+    found = tables(blocks)["Every measured FRF"]
+    expected = pd.read_csv(chain / "measured.csv")
+    assert [row[:2] for row in found.rows] == list(zip(expected["response"], expected["reference"], strict=True))
+    assert [int(row[2]) for row in found.rows] == expected["lines"].tolist()
+    assert [number(row[4]) for row in found.rows] == pytest.approx(expected["freq_max"].tolist(), rel=1e-4)
+    assert [row[5] for row in found.rows] == ["held out" if held else "used" for held in expected["held_out"]]
+
+
+@pytest.mark.parametrize("stage", ["before", "after"])
+def test_every_function_is_compared_as_in_the_table(chain, blocks, stage):
+    expected = pd.read_csv(chain / f"comparison_{stage}.csv").sort_values("frac", kind="stable")
+    (found,) = [own for words, own in tables(blocks).items() if words.startswith("Every function") and
+                ("before" in words) == (stage == "before")]  # fmt: skip
+    assert [row[0] for row in found.rows] == (expected["response"] + "/" + expected["reference"]).tolist()
+    for k, column, factor, tolerance in ((2, "frac", 1, 6e-4), (3, "amplitude", 1, 6e-4), (4, "error", 100, 6e-2)):
+        cells = [number(row[k]) for row in found.rows]
+        assert cells == pytest.approx((factor * expected[column]).tolist(), abs=tolerance)
+    assert [number(row[5]) for row in found.rows] == pytest.approx(expected["in_std"].tolist(), rel=6e-3)
+
+
+def test_its_figures_stand_once_and_their_words_name_the_worst_line(chain, blocks):
+    pictures = [block for block in blocks if isinstance(block, Picture)]
+    for name in ("frf_overlays", "frac", "frf_lines"):
+        assert [picture.name for picture in pictures].count(name) == 1
+    lines = pd.read_csv(chain / "frf_lines_after.csv")
+    worst = lines.loc[lines["in_std"].idxmax()]
+    (caption,) = [picture.caption for picture in pictures if picture.name == "frf_lines"]
+    assert f"{worst['freq']:.4g} Hz" in caption and f"{worst['in_std']:.3g} standard deviations" in caption
