@@ -59,6 +59,7 @@ FIGURES = {
     "vehicle_parameters": Shown("vehicle", "parameters"),
     "vehicle_sensitivity": Shown("vehicle", "sensitivity"),
     "hidden_effect_errors": Shown("hidden_effect", "added_errors"),
+    "solar_panel_study": Shown("solar_panel", "frf_overlays"),
     "solar_panel_reduction": Shown("solar_panel_article", "reduction"),
     "solar_panel_convergence": Shown("solar_panel_article", "convergence"),
     "solar_panel_factors": Shown("solar_panel_article", "factors"),

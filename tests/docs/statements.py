@@ -73,7 +73,7 @@ def of_the_explanation(folder: Path) -> Iterator[Statement]:
     yield "docs/tutorial.md", f"this study has {len(effects)} effects"
     yield "docs/tutorial.md", f"{n_local} local perturbations"
     yield "docs/tutorial.md", f"is {unit['ln_bayes']:.0f}; the next effect has {mass['ln_bayes']:.0f}"
-    yield "docs/decision.md", f"the number of candidates: {threshold:.1f} for {len(effects)}"
+    yield "docs/decision.md", f"| {threshold:.1f} for {len(effects)} effects |"
     yield "docs/decision.md", f"largest score {effects['z'].abs().max():.0f}"
     yield "docs/decision.md", f"Bayes factor of {unit['ln_bayes']:.0f} (needed: {threshold:.1f})"
     yield "docs/decision.md", f"on the crossbars, {mass['ln_bayes']:.0f} and only"
@@ -93,7 +93,14 @@ def of_the_explanation(folder: Path) -> Iterator[Statement]:
         before, (after, expected) = errors["rms"][group, "before"], errors.loc[(group, "after"), ["rms", "expected"]]
         yield "docs/decision.md", words.format(before, after, expected)
 
+    suspects = pd.read_csv(folder / "suspects_explained.csv")
+    (suspect,) = suspects[suspects["explains"]].sort_values("p").to_dict("records")[:1]
+    yield "docs/tutorial.md", f"Without {suspect['what']} the model would fit too"
+
     gains = read(folder / "next_measurement.csv", "measurement", "effect")["gain"]
+    own = re.search(r"computed at (\S+ Hz)", "\n".join(gains.index.get_level_values(0)))
+    assert own is not None
+    yield "docs/tutorial.md", f"a mode of its own at {own[1]}"
     best = gains["mode 9BT, held-out so far"].max()
     yield "docs/tutorial.md", f"{IN_WORDS[int((~effects['visible']).sum())]} other effects"
     yield "docs/tutorial.md", f"Mode 9BT, held out so far, would raise the score of one of them {IN_WORDS[round(best)]}"

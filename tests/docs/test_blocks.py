@@ -32,6 +32,8 @@ def test_every_block_of_a_page_runs(undrawn, tmp_path, monkeypatch, page):
         assert TABLES["missing"](tmp_path / "results") == {} == TABLES["stale"](tmp_path / "results")
     if page.name == "tutorial.md":  # what README and pages state of the studies that the tutorial runs
         assert STATEMENTS["unstated"](tmp_path / "results") == []
+    if page.name == "own_data.md":
+        of_frfs(names)
     if "why" in names:
         assert names["why"].verdict == "effect" and [e.name for e in names["why"].named] == ["brake_unit"]
         fit, better = names["fit"], names["better"]
@@ -39,6 +41,14 @@ def test_every_block_of_a_page_runs(undrawn, tmp_path, monkeypatch, page):
         before, after = (one.errors.set_index("group")["rms"] for one in (fit, better))
         assert after["held_out_sensors"] < before["held_out_sensors"] and after["left_out"] < before["left_out"]
         assert os.path.getsize("report.html") > 100_000
+
+
+def of_frfs(names: dict) -> None:
+    """The fit of FRFs on the page of measurements comes near them; its errors have the groups that the page names."""
+    fit = names["fit"]
+    before, after = (one.table["frac"].mean() for one in (names["problem"].compare(), fit.compare()))
+    assert before < 0.1 and after > 0.8
+    assert set(fit.errors["group"]) == {"fit", "left_out", "held_out_sensors", "held_out_bands"}
 
 
 def page_of(tmp_path: Path, text: str) -> Path:

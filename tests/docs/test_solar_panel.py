@@ -1,11 +1,14 @@
 """The example of Li and Hong (2012) computed anew: its tables, its figures, and the numbers of its page."""
 
+import json
 import runpy
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from calib import cli
 from calib.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -197,4 +200,31 @@ def test_the_numbers_of_the_page_are_those_that_are_computed():
 
 def test_the_page_shows_every_figure():
     text = PAGE.read_text("utf-8")
-    assert all(f"(figures/solar_panel_{name}.png)" in text for name in figures.FIGURES)
+    assert all(f"(figures/solar_panel_{name}.png)" in text for name in (*figures.FIGURES, "study"))
+
+
+def of_the_study(folder):
+    """Words of the page that the study's calibration makes."""
+    summary = json.loads((folder / "summary.json").read_text("utf-8"))
+    yield f"FRAC rises from {summary['mean_mac_before']:.3f} to {summary['mean_mac_after']:.3f}"
+    yield "falls from {:.0f} % to {:.0f} % of".format(
+        *(100 * summary[f"mean_freq_error_{s}"] for s in ("before", "after"))
+    )
+    errors = pd.read_csv(folder / "data_errors.csv").set_index("group")
+    used, sensor, band = errors["rms"][["fit", "held_out_sensors", "held_out_bands"]]
+    expected = set(errors.loc[["fit", "held_out_sensors", "held_out_bands"], "expected"].round(2))
+    yield f"is {used:.2f} standard deviations in the data used, {sensor:.2f} at the held-out response and {band:.2f} in"
+    yield "would show {:.2f}: the verdict is that the model does not fit".format(*expected)
+    truth = json.loads((ROOT / "tests/truth/solar_panel.json").read_text("utf-8"))["parameters"]
+    found = pd.read_csv(folder / "verdicts.csv").set_index("parameter").loc[list(truth)]
+    yield f"off by up to {100 * (found['value'] / pd.Series(truth) - 1).abs().max():.0f} %"
+    share = 100 * (found["std"] / found["value"]).max()
+    yield f"at most {np.ceil(10 * share) / 10:.1f} % of them"
+    assert not found["fits_within_std"].any() and len(expected) == 1
+
+
+@pytest.mark.slow
+def test_the_numbers_of_the_study_are_those_of_its_calibration(undrawn, tmp_path):
+    assert cli.execute(["calibrate", str(STUDY), "--workers", "1", "--results", str(tmp_path)]) == 0
+    plain = " ".join(PAGE.read_text("utf-8").split())
+    assert [words for words in of_the_study(tmp_path / "solar_panel") if words not in plain] == []
