@@ -81,7 +81,8 @@ def overlay_figure(overlays: Tables, functions: Tables, *, effects: str = "") ->
         if k >= len(chosen) - columns:
             phase.set_xlabel("frequency (Hz)")
         if k < columns:
-            amplitude.set_title(" ")  # room for the legend, which would widen its column
+            # Room for the legend, which would widen its column, and which takes two lines for three stages.
+            amplitude.set_title(" " if len(overlays) < 3 else " \n ")
         if k == 0:
             legend_above(amplitude)
             amplitude.get_legend().set_in_layout(False)  # type: ignore[union-attr]
