@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 from calib import cli
+from calib.analyses.compare import comparison_at
 from calib.study import Study
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -95,6 +96,7 @@ def refuse(event, args):
         raise SystemExit(f"the truth was opened: {args[0]}")
 sys.addaudithook(refuse)
 from calib import cli
+from calib.analyses.compare import comparison_at
 assert cli.__file__.startswith(sys.argv[1].removesuffix("studies/bogie")), cli.__file__
 for question in (["compare"], ["calibrate", "--quick", "--case", "GB1", "--workers", "1"]):
     code = cli.execute([question[0], sys.argv[1], "--results", sys.argv[2], *question[1:]])
@@ -166,3 +168,29 @@ def test_least_squares_alone_find_the_bogie_from_several_starts(tmp_path):
     assert len(identified) >= 4
     for row in identified.to_dict("records"):
         assert abs(row["value"] - TRUTH["parameters"][row["parameter"]]) <= 0.10 * (row["upper"] - row["lower"])
+
+
+def test_the_solar_array_starts_far_from_its_measured_functions():
+    """Of 200 lines and 12 functions a band of 33 and one response are held out."""
+    study = Study.load(ROOT / "studies/solar_panel")
+    found = comparison_at(study, study.model.space.values)
+    assert len(found.table) == 11 and (found.table["lines"] == 167).all()
+    assert set(study.unseen) == {"held_out_sensors", "held_out_bands"}
+    assert found.mean_mac < 0.1 and found.mean_freq_error > 1.0
+    assert found.frfs.lines_table()["in_std"].median() > 5
+
+
+@pytest.mark.slow
+def test_the_calibrated_solar_array_is_nearer_its_truth_and_told_to_be_misspecified(undrawn, tmp_path):
+    """The mesh of the model is up to 3 % off in frequency, which no modulus can mend."""
+    assert cli.execute(["calibrate", str(ROOT / "studies/solar_panel"), "--results", str(tmp_path)]) == 0
+    folder = tmp_path / "solar_panel"
+    before, after = (pd.read_csv(folder / f"comparison_{stage}.csv") for stage in ("before", "after"))
+    assert after["frac"].min() > 0.5 > before["frac"].max() and after["error"].mean() < 0.3 * before["error"].mean()
+    truth = json.loads((ROOT / "tests/truth/solar_panel.json").read_text("utf-8"))["parameters"]
+    found = pd.read_csv(folder / "parameters.csv").set_index("parameter")["value"]
+    nominal = Study.load(ROOT / "studies/solar_panel").model.space.values
+    for name, true in truth.items():
+        assert abs(found[name] / true - 1) < 0.15 and abs(found[name] - true) < abs(nominal[name] - true)
+    errors = pd.read_csv(folder / "data_errors.csv").set_index("group")
+    assert (errors.loc[["held_out_sensors", "held_out_bands"], "p"] < 1e-6).all()
