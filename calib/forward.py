@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
-from calib.correlation.frf_nuisance import of_every_channel
+from calib.correlation.frf_nuisance import Nuisance, concerned, of_every_channel
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.problem import FunctionProblem, ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
@@ -25,7 +26,23 @@ from calib.study_file import Measured, StudyFile
 
 ForwardProblem = ModalProblem | FunctionProblem | FRFProblem
 Targets = Mapping[str, tuple[float, float | None]]
-Unseen = Mapping[str, Targets] | Mapping[str, MeasuredFRFs]
+
+
+class UnseenFRFs(NamedTuple):
+    """Held-out FRFs.
+
+    Attributes
+    ----------
+    measured : MeasuredFRFs
+    nuisances : tuple of Nuisance
+        All that concern them, those that no fit determines included.
+    """
+
+    measured: MeasuredFRFs
+    nuisances: tuple[Nuisance, ...]
+
+
+Unseen = Mapping[str, Targets] | Mapping[str, UnseenFRFs]
 """Held-out scalar responses or FRFs, by group."""
 HELD_OUT_RESPONSES = "held_out_responses"
 """Group of held-out responses, as tables name it."""
@@ -92,7 +109,12 @@ def used_targets(study: StudyFile, whole: Targets) -> Targets:
     return targets
 
 
-def used_frfs(study: StudyFile, whole: MeasuredFRFs) -> tuple[MeasuredFRFs, dict[str, MeasuredFRFs]]:
+def unseen_frfs(groups: Mapping[str, MeasuredFRFs], nuisances: Sequence[Nuisance]) -> dict[str, UnseenFRFs]:
+    """Held-out FRFs by group with the nuisances of their test that concern them."""
+    return {group: UnseenFRFs(own, concerned(nuisances, own)) for group, own in groups.items()}
+
+
+def used_frfs(study: StudyFile, whole: MeasuredFRFs) -> tuple[MeasuredFRFs, dict[str, UnseenFRFs]]:
     """The FRFs that are not held out, and those that are, by group."""
     given = study.settings.held_out
     held = HeldOutFRFs(given.sensors, given.references, given.bands)
@@ -100,7 +122,8 @@ def used_frfs(study: StudyFile, whole: MeasuredFRFs) -> tuple[MeasuredFRFs, dict
     if unknown is not None:
         keys, fault = unknown
         raise InputError(fault.problem, place=study.place("held_out", *keys), remedy=fault.remedy)
-    return held.split(whole)
+    used, groups = held.split(whole)
+    return used, unseen_frfs(groups, of_every_channel(whole, **study.settings.measurement.nuisances.model_dump()))
 
 
 def used_modes(study: StudyFile, whole: MeasuredModes) -> MeasuredModes:

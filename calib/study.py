@@ -76,7 +76,7 @@ class Study(StudyFile):
         All scalar responses, held-out ones included, and their repeats; None where modes or FRFs were measured.
     frfs : MeasuredFRFs or None
         All FRFs, held-out ones included; None where modes or scalar responses were measured.
-    unseen : mapping from group to targets or MeasuredFRFs
+    unseen : mapping from group to targets or UnseenFRFs
         Held-out scalar responses or FRFs. For verification only.
     read_files : mapping from path to digest
         Named files and all code as they were when the study was read; see `file_digests`.

@@ -25,7 +25,7 @@ class ScalarAdapter(OneTest):
 
     Attributes
     ----------
-    held_out : mapping from group to targets or MeasuredFRFs
+    held_out : mapping from group to targets or UnseenFRFs
         Held-out responses or FRFs.
     """
 

@@ -9,18 +9,16 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-from calib.correlation.frf_nuisance import concerned
-from calib.correlation.frf_residual import FRFProblem
+from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.held_out import group_table, held_out_errors
 from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
 from calib.degrees_of_freedom import KNOWN, behind, chance, effective_dof
-from calib.forward import ForwardProblem, Targets, Unseen, pair_of
+from calib.forward import ForwardProblem, Targets, Unseen, UnseenFRFs, pair_of
 from calib.inference.identify import posterior, with_held
 from calib.inference.leave_one_out import leave_one_out
 from calib.joint import spread
-from calib.measurement.frf import MeasuredFRFs
 from calib.problem import Pair
 from calib.space import ParameterSpace
 from calib.study import Study
@@ -51,7 +49,7 @@ def errors_of(
         The problem with the fitted data.
     whole : ModalProblem or None
         The same model with all modes and sensors; None where nothing is held out.
-    unseen : mapping from group to targets or MeasuredFRFs
+    unseen : mapping from group to targets or UnseenFRFs
         Held-out scalar responses or FRFs.
     space : ParameterSpace
         Free are the fitted parameters.
@@ -75,11 +73,11 @@ def errors_of(
     return group_errors(e, g, names, prior_sd, [row.sensor for row in pair.rows], held_out, std_behind(pair))
 
 
-def measuring(problem: FunctionProblem | FRFProblem, own: Targets | MeasuredFRFs) -> Pair:
+def measuring(problem: FunctionProblem | FRFProblem, own: Targets | UnseenFRFs) -> Pair:
     """The pair of a problem's model and other measured data of the same kind."""
-    if isinstance(own, MeasuredFRFs):
+    if isinstance(own, UnseenFRFs):
         assert isinstance(problem, FRFProblem)
-        return pair_of(replace(problem, measured=own, nuisances=concerned(problem.nuisances, own)))
+        return pair_of(replace(problem, measured=own.measured, nuisances=own.nuisances))
     assert isinstance(problem, FunctionProblem)
     return pair_of(replace(problem, targets=own))
 
@@ -87,16 +85,23 @@ def measuring(problem: FunctionProblem | FRFProblem, own: Targets | MeasuredFRFs
 def whitened(
     pair: Pair, values: Mapping[str, float], names: Sequence[str], held_sd: Mapping[str, float] = _NONE
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened residual (n_rows,) of a pair, and its derivative (n_rows, n_params + n_held).
+    """Whitened residual (n_rows,) of a pair, and its derivative (n_rows, n_params + n_held + n_own).
 
-    The last columns are its changes by one standard deviation of each held parameter. Parameters that the pair lacks,
-    such as the gain of a channel that is not in its data, change nothing.
+    The columns of held parameters are its changes by one standard deviation of each. Parameters that the pair lacks,
+    such as the gain of a channel that is not in its data, change nothing. The last columns are for nuisances that are
+    not among the values, such as the gain of a held-out channel: changes by one standard deviation of their priors.
     """
     wanted = (*names, *held_sd)
     own = [name for name in wanted if name in pair.space]
     point = {name: value for name, value in values.items() if name in pair.space}
     unit = np.array([*np.ones(len(names)), *held_sd.values()])
-    return pair.of(pair.solve(point)), spread(pair.slope(point, own, pair.solve), own, wanted) * unit
+    found = spread(pair.slope(point, own, pair.solve), own, wanted) * unit
+    nuisances = pair.problem.nuisances if isinstance(pair, FRFResidual) else ()
+    unfitted = [n.parameter.name for n in nuisances if n.parameter.name not in values]
+    if unfitted:
+        sd = np.array([pair.space[name].prior_width for name in unfitted])
+        found = np.hstack([found, pair.slope(point, unfitted, pair.solve) * sd])
+    return pair.of(pair.solve(point)), found
 
 
 def std_behind(pair: Pair) -> float:
@@ -207,7 +212,8 @@ def group_errors(
     labels : sequence of str, length n_rows
         Name of the response or FRF of every row.
     held_out : mapping from group to (residual, jacobian)
-        Whitened residuals of held-out data with derivatives of the same columns; empty groups are left out.
+        Whitened residuals of held-out data with derivatives of the same columns, then changes by one standard
+        deviation of what no fit determines; empty groups are left out.
     std : float
         Degrees of freedom behind the standard deviations; see `std_behind`.
     """
@@ -223,7 +229,7 @@ def group_errors(
     for group, (e, g) in held_out.items():
         if len(e):
             # Covariance I + U U^T, by Woodbury's identity: FRFs have thousands of rows and few parameters.
-            u = g @ _root(known)
+            u = np.hstack([g[:, : len(known)] @ _root(known), g[:, len(known) :]])
             chi2 = float(e @ e - (u.T @ e) @ np.linalg.solve(np.eye(u.shape[1]) + u.T @ u, u.T @ e))
             expected = float(np.sqrt(1 + np.sum(u**2) / len(e)))
             rows.append((group, len(e), _rms(e), expected, float(chance(chi2, len(e), std)), 0))

@@ -14,6 +14,7 @@ from calib.analyses.verify import errors_of
 from calib.correlation.frf_nuisance import AddedMass, ChannelError, Channels, Nuisance, Stinger, concerned
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.errors import InputError
+from calib.forward import UnseenFRFs, unseen_frfs
 from calib.front.checked import Claimed, band, named
 from calib.given import names, objects
 from calib.measurement.accuracy import frf_claim
@@ -38,7 +39,8 @@ class FRFTest:
     held_out_bands : sequence of (float, float)
         Likewise bands of lines, Hz.
     nuisances : sequence of Nuisance
-        Errors of the test itself that a fit may find, each with its prior; see `calib.correlation.frf_nuisance`.
+        Errors of the test itself that a fit may find, each with its prior; see `calib.correlation.frf_nuisance`. Those
+        of the same name in several tests are one parameter: the same channel.
     name, condition
         As in `calib.ModalTest`.
     accuracy : str, float or mapping, optional
@@ -89,9 +91,9 @@ class FRFTest:
         return self._parts[0]
 
     @property
-    def unseen(self) -> dict[str, MeasuredFRFs]:
-        """Held-out FRFs, by their group."""
-        return self._parts[1]
+    def unseen(self) -> dict[str, UnseenFRFs]:
+        """Held-out FRFs, by their group, with the nuisances that concern them."""
+        return unseen_frfs(self._parts[1], self.nuisances)
 
     def problem(self, model: Any) -> FRFProblem:
         """The forward problem of a model, without held-out FRFs."""

@@ -36,7 +36,7 @@ from calib.report.scene import (
 from calib.report.style import AFTER, BLACK, DENSE, GREY, REST, WIDTH, WITH, YELLOW, legend_above, own_axes
 from calib.report.svg import hover, hover_points
 
-SHAPE, PRIOR = "shape", "prior"
+MANY, PRIOR = ("shape", "frf"), "prior"
 """Kinds of rows that have no bars: of shapes there are many, and priors are no data."""
 RESPONSES = "responses"
 """Heading of the bars of scalar responses, whatever their kinds."""
@@ -277,7 +277,8 @@ def why_figure(
             _draw_kinds(figure, cells["bars"], own[own.index.isin(bars.index)], attempt)
         if "shapes" in cells:
             rows = own[_of_shapes(own)]
-            draw_shapes(rows, figure.add_subplot(cells["shapes"]), attempt=attempt).set_title(_explained(rows, SHAPE))
+            kind = str(rows["kind"].iloc[0])
+            draw_shapes(rows, figure.add_subplot(cells["shapes"]), attempt=attempt).set_title(_explained(rows, kind))
         if places is not None and rest is not None:
             draw_alike(places, rest, figure.add_subplot(cells["structure"], projection="3d"), effect=name, acts=acts)
     height = float(figure.get_size_inches()[1])
@@ -401,5 +402,5 @@ def _draw_kinds(figure: Figure, spec: SubplotSpec, table: pd.DataFrame, attempt:
 
 
 def _of_shapes(table: pd.DataFrame) -> pd.Series:
-    """Whether a row is one of a mode shape."""
-    return (table["kind"] == SHAPE) & table["mode"].astype(bool)
+    """Whether a row is one of a mode shape or an FRF, of which there are too many for bars."""
+    return table["kind"].isin(MANY) & table["mode"].astype(bool)

@@ -109,7 +109,7 @@ def test_held_out_data_enter_no_fit(right):
     spoilt[(frfs.freq >= 20.0) & (frfs.freq <= 26.0)] *= 3.0
     other = calib.FRFTest(replace(frfs, values=spoilt), **HELD_OUT)
     assert other.used.fingerprint == test.used.fingerprint
-    assert all(other.unseen[group].fingerprint != own.fingerprint for group, own in test.unseen.items())
+    assert all(other.unseen[group].measured.fingerprint != own.measured.fingerprint for group, own in test.unseen.items())
     assert problem_of(other.frfs, **HELD_OUT).calibrate(progress=False).values == right.calibrate(progress=False).values
 
 
@@ -216,3 +216,20 @@ def test_only_a_model_with_matrices_has_frfs():
         calib.Problem(modal, calib.FRFTest(WORLD.measured(1))).calibrate(progress=False)
     with pytest.raises(InputError, match="frfs"):
         calib.FRFTest(WORLD.modes(1))
+
+
+def test_the_prior_of_a_held_out_channel_widens_what_is_expected_there():
+    """Its gain is off by twice its prior: no fit can know, and the data do not contradict the model."""
+    data = WORLD.measured(3)
+    at = [sensor.name for sensor in data.responses].index("3x")
+    values = data.values.copy()
+    values[:, at] *= 1.02
+    off = replace(data, values=values)
+    freed = calib.FRFTest(off, held_out=["3x"], nuisances=[ChannelError("gain", "3x", prior_sd=2.0)])
+    blamed = calib.FRFTest(off, held_out=["3x"])
+    rows = {}
+    for name, test in (("freed", freed), ("blamed", blamed)):
+        errors = calib.Problem(WORLD.chain(), test).calibrate(progress=False).errors.set_index("group")
+        rows[name] = errors.loc["held_out_sensors"]
+    assert rows["blamed"]["p"] < 1e-3 < 0.05 < rows["freed"]["p"]
+    assert rows["freed"]["rms"] == pytest.approx(rows["blamed"]["rms"]) and rows["freed"]["expected"] > 1.3
