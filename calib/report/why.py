@@ -277,7 +277,7 @@ def why_figure(
             _draw_kinds(figure, cells["bars"], own[own.index.isin(bars.index)], attempt)
         if "shapes" in cells:
             rows = own[_of_shapes(own)]
-            kind = str(rows["kind"].iloc[0])
+            kind = {"frf": "FRFs"}.get(kind := str(rows["kind"].iloc[0]), kind)
             draw_shapes(rows, figure.add_subplot(cells["shapes"]), attempt=attempt).set_title(_explained(rows, kind))
         if places is not None and rest is not None:
             draw_alike(places, rest, figure.add_subplot(cells["structure"], projection="3d"), effect=name, acts=acts)
