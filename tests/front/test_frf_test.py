@@ -109,7 +109,9 @@ def test_held_out_data_enter_no_fit(right):
     spoilt[(frfs.freq >= 20.0) & (frfs.freq <= 26.0)] *= 3.0
     other = calib.FRFTest(replace(frfs, values=spoilt), **HELD_OUT)
     assert other.used.fingerprint == test.used.fingerprint
-    assert all(other.unseen[group].measured.fingerprint != own.measured.fingerprint for group, own in test.unseen.items())
+    assert all(
+        other.unseen[group].measured.fingerprint != own.measured.fingerprint for group, own in test.unseen.items()
+    )
     assert problem_of(other.frfs, **HELD_OUT).calibrate(progress=False).values == right.calibrate(progress=False).values
 
 
