@@ -120,8 +120,8 @@ def plan(folder: Folder) -> dict[str, Drawing]:
         add("modes", "damped frequencies of all measured modes", lambda every=every: owner_of(draw_frequencies(every)))  # type: ignore[misc]
     if effects and (every := _every_mode(folder / "added_modes.csv")) is not None:
         caption = f"damped frequencies of all measured modes, without and with {effects}"
-        looks = stages_of_added(effects)
-        add("added_modes", caption, lambda every=every: owner_of(draw_frequencies(every, looks=looks)))  # type: ignore[misc]
+        stages_then = stages_of_added(effects)
+        add("added_modes", caption, lambda every=every: owner_of(draw_frequencies(every, looks=stages_then)))  # type: ignore[misc]
     worst = {stage: _failing(folder / f"where_it_fails_{stage}.csv") for stage in stages}
     if any(worst[stage] is not None for stage in _STAGES):
         add(

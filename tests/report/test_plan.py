@@ -1,0 +1,27 @@
+"""Figures that a folder plans are those of its tables, whatever other tables stand beside them."""
+
+import json
+
+import pandas as pd
+import pytest
+
+from calib.report.draw import plan
+from calib.report.shown import Shown
+
+
+@pytest.mark.parametrize("others", [(), ("sensitivity", "partial", "variance_share")])
+def test_modes_with_an_added_effect_are_drawn_beside_a_sensitivity_analysis(tmp_path, others):
+    stages = ("initial", "before", "after")
+    errors = dict(zip(stages, (0.06, 0.01, -0.002), strict=True))
+    columns = {"mode": ["m1", "m2"], "held_out": [False, True], "damped_freq_measured": [10.0, 20.0]}
+    for stage, error in errors.items():
+        columns |= {f"damped_freq_{stage}": [10.0 * (1 + error), 20.0 * (1 - error)]}
+        columns |= {f"error_{stage}": [error, -error], f"mac_{stage}": [0.9, 0.95]}
+    pd.DataFrame(columns).to_csv(tmp_path / "added_modes.csv", index=False)
+    (tmp_path / "added.json").write_text(json.dumps({"effects": [{"name": "prop"}]}))
+    for name in others:
+        table = pd.DataFrame({"parameter": ["k", "m"], "natural_freq_m1": [0.9, -0.4]})
+        table.to_csv(tmp_path / f"{name}.csv", index=False)
+    (axes,) = plan(Shown(tmp_path, ()))["added_modes"].draw().axes
+    drawn = {line.get_gid(): line.get_xdata().tolist() for line in axes.lines if line.get_gid() in stages}
+    assert drawn == {stage: pytest.approx([100 * error, -100 * error]) for stage, error in errors.items()}
