@@ -33,6 +33,31 @@ _RANGE = 30.0
 
 
 @dataclass(frozen=True, eq=False)
+class MeasuredFunction:
+    """One function of `MeasuredFRFs`.
+
+    Attributes
+    ----------
+    i, j : int
+        Its response and its reference, as indices of the arrays.
+    response, reference : Sensor
+    lines : ndarray (n_lines,), int
+        Where it was measured, as indices of the frequencies; at least one.
+    """
+
+    i: int
+    j: int
+    response: Sensor
+    reference: Sensor
+    lines: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """Label such as ``12z/3z``: response over reference."""
+        return f"{self.response.name}/{self.reference.name}"
+
+
+@dataclass(frozen=True, eq=False)
 class MeasuredFRFs:
     """Frequency response functions of one structure.
 
@@ -97,6 +122,8 @@ class MeasuredFRFs:
             raise InputError("its frequencies do not ascend from 0 or more", place=place, remedy="give them in Hz")
         if not np.iscomplexobj(self.values):
             raise InputError("its values are real", place=place, remedy=NO_PHASE)
+        if np.isinf(self.values).any():
+            raise InputError("values hold an infinity", place=place, remedy="give NaN where nothing was measured")
         if np.any(self.std < 0):
             raise InputError("std has a negative value", place=place, remedy="give NaN where it is unknown")
         for kind, sensors in (("response", self.responses), ("reference", self.references)):
@@ -108,6 +135,17 @@ class MeasuredFRFs:
     def sensors(self) -> tuple[Sensor, ...]:
         """Responses and references, each once."""
         return tuple(dict.fromkeys((*self.responses, *self.references)))
+
+    @cached_property
+    def functions(self) -> tuple[MeasuredFunction, ...]:
+        """Functions that were measured on at least one line, reference by reference."""
+        known = np.isfinite(self.values)
+        return tuple(
+            MeasuredFunction(i, j, response, reference, np.flatnonzero(known[:, i, j]))
+            for j, reference in enumerate(self.references)
+            for i, response in enumerate(self.responses)
+            if known[:, i, j].any()
+        )
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:

@@ -49,7 +49,7 @@ def write_uff_frfs(path: Path, frfs: MeasuredFRFs, title: str = "FRFs", form: Fo
     InputError
         For what the format cannot hold or no reader would take, or a path that cannot be written.
     """
-    keys = _functions(path, frfs)
+    _check_writable(path, frfs)
     even = _evenly_spaced(frfs.freq)
     if not even and form != "binary" and np.any(np.diff(_six_digits(frfs.freq)) <= 0):
         raise InputError("two lines are the same in six digits", place=path, remedy="write it binary")
@@ -61,14 +61,15 @@ def write_uff_frfs(path: Path, frfs: MeasuredFRFs, title: str = "FRFs", form: Fo
         {**units, "length": 1.0, "force": 1.0, "temp": 1.0, "temp_offset": 273.15},
         *_places(path, (*frfs.responses, *frfs.references)),
     ]
-    for number, (i, j) in enumerate(keys, start=1):
-        response, reference = frfs.responses[i], frfs.references[j]
+    for number, function in enumerate(frfs.functions, start=1):
+        response, reference = function.response, function.reference
         sets.append({
             "type": 58, "func_type": _FRF, "func_id": number, "binary": int(form == "binary"),
-            "id1": f"{label}{frfs.quantity} {response.name}/{reference.name}", "id2": name[:80],
+            "id1": f"{label}{frfs.quantity} {function.name}", "id2": name[:80],
             "rsp_node": response.node, "rsp_dir": DIRECTIONS.index(response.direction) + 1,
             "ref_node": reference.node, "ref_dir": DIRECTIONS.index(reference.direction) + 1,
-            "x": frfs.freq, "data": frfs.values[:, i, j], "ord_data_type": 5 if form == "single" else 6,
+            "x": frfs.freq, "data": frfs.values[:, function.i, function.j],
+            "ord_data_type": 5 if form == "single" else 6,
             "abscissa_spacing": int(even), "abscissa_spec_data_type": _FREQUENCY, "abscissa_axis_units_lab": "Hz",
             "ordinate_spec_data_type": _NUMERATOR[frfs.quantity], "orddenom_spec_data_type": _FORCE,
         })  # fmt: skip
@@ -102,33 +103,25 @@ def _places(path: Path, sensors: Sequence[Sensor]) -> list[dict[str, Any]]:
     return [{"type": 15, "node_nums": list(points)} | {c: [p[k] for p in points.values()] for k, c in enumerate("xyz")}]
 
 
-def _functions(path: Path, frfs: MeasuredFRFs) -> list[tuple[int, int]]:
-    """Index of response and reference of every measured function, checked."""
-    for what, sensors in (("response", frfs.responses), ("reference", frfs.references)):
-        if len({sensor.name for sensor in sensors}) != len(sensors):
-            raise InputError(f"a {what} is given twice", place=path, remedy="give each once")
-        for sensor in sensors:
-            if not 0 <= sensor.node < _LARGEST_NODE:
-                raise InputError(f"node {sensor.node} does not fit ten digits", place=path, remedy="number it anew")
-    found = []
-    for j, reference in enumerate(frfs.references):
-        for i, response in enumerate(frfs.responses):
-            values, name = frfs.values[:, i, j], f"{response.name}/{reference.name}"
-            if np.all(np.isnan(values)):
-                continue
-            if not np.all(np.abs(values) <= VALUE_LIMIT):  # NaN fails the comparison too
-                raise InputError(
-                    f"the function {name} holds a value that is not a finite number, for which the format has no mark",
-                    place=path, remedy="give it on every line, or leave out the line or the function",
-                )  # fmt: skip
-            if not values.any():
-                raise InputError(
-                    f"the function {name} is zero on every line: a dead channel", place=path, remedy="leave it out"
-                )
-            found.append((i, j))
-    if not found:
+def _check_writable(path: Path, frfs: MeasuredFRFs) -> None:
+    """InputError for nodes and values that the format cannot hold, and where nothing was measured."""
+    for sensor in frfs.sensors:
+        if not 0 <= sensor.node < _LARGEST_NODE:
+            raise InputError(f"node {sensor.node} does not fit ten digits", place=path, remedy="number it anew")
+    if not frfs.functions:
         raise InputError("no function was measured", place=path, remedy="give at least one")
-    return found
+    for function in frfs.functions:
+        values = frfs.values[:, function.i, function.j]
+        if not np.all(np.abs(values) <= VALUE_LIMIT):  # NaN fails the comparison too
+            raise InputError(
+                f"the function {function.name} holds a value that is not a finite number, for which the format has no "
+                "mark",
+                place=path, remedy="give it on every line, or leave out the line or the function",
+            )  # fmt: skip
+        if not values.any():
+            raise InputError(
+                f"the function {function.name} is zero on every line: a dead channel", place=path, remedy="leave it out"
+            )
 
 
 def _evenly_spaced(freq: np.ndarray) -> bool:

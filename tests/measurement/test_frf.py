@@ -176,6 +176,18 @@ def test_repeats_that_do_not_match_are_refused(changed, words):
         combine_frfs([FRFRepeat(**given), FRFRepeat(**{**given, "source": "b", **changed})])
 
 
+def test_measured_functions_are_listed_reference_by_reference_with_their_lines():
+    responses, references = (Sensor(2, "z"), Sensor(3, "rx")), (Sensor(1, "z"), Sensor(3, "rx"))
+    values = np.ones((4, 2, 2), dtype=complex)
+    values[:, 1, 0] = values[1:3, 0, 1] = values[0, 1, 1] = np.nan
+    frfs = MeasuredFRFs(np.arange(4.0), responses, references, "receptance", values, np.ones(values.shape))
+    assert [f.name for f in frfs.functions] == ["2z/1z", "2z/3rx", "3rx/3rx"]
+    assert [(responses[f.i], references[f.j]) for f in frfs.functions] == [
+        (f.response, f.reference) for f in frfs.functions
+    ]
+    assert [f.lines.tolist() for f in frfs.functions] == [[0, 1, 2, 3], [0, 3], [1, 2, 3]]
+
+
 def test_units_follow_the_directions():
     z, rz = Sensor(1, "z"), Sensor(1, "rz")
     ones = np.ones((2, 2, 2))
@@ -209,6 +221,7 @@ def test_a_fingerprint_covers_all_that_an_evaluation_may_depend_on():
     ("changed", "words"),
     [
         ({"values": np.zeros((2, 1, 1))}, "amplitude and phase"),
+        ({"values": np.array([1.0, np.inf + 0j]).reshape(2, 1, 1)}, "infinity"),
         ({"std": np.zeros((1, 1, 1))}, "lines, responses, references"),
         ({"quantity": "compliance"}, "receptance"),
         ({"freq": np.array([2.0, 1.0])}, "ascend"),

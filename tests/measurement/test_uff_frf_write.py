@@ -121,7 +121,7 @@ def changed(at, value):
     ("changes", "words"),
     [
         (changed((3, 0, 0), np.nan), "10x/10x holds a value that is not a finite number"),
-        (changed((3, 1, 0), np.inf), "11y/10x holds"),
+        (changed((3, 1, 0), 2e100), "11y/10x holds"),
         (changed(np.s_[:, 3, 1], 0.0), "13rx/99rz is zero on every line"),
         (changed(np.s_[:], np.nan), "no function was measured"),
         ({"references": (Sensor(10, "x"), Sensor(10, "x"))}, "a reference is given twice"),
