@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import re
 import tempfile
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +12,7 @@ from typing import Any
 import pyuff
 
 from calib.errors import InputError
+from calib.measurement.uff_sets import pyuff_faults
 from calib.place import Place
 
 _MARKER = b"    -1"
@@ -212,29 +210,18 @@ def extract_sets(path: Path, blocks: Sequence[Block]) -> list[dict[str, Any]]:
         f"{-1:6d}\n{abs(b.kind):6d}\n" + "".join(line + "\n" for line in b.lines) + f"{-1:6d}\n" for b in blocks
     )
     sets: list[dict[str, Any]] = []
-    at = 0
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+
+    def fault(words: str) -> InputError:
+        block = blocks[len(sets)]
+        what = f"the dataset {abs(block.kind)} that starts here cannot be read ({words})"
+        return block.error(path, what, "export it again")
+
+    with tempfile.TemporaryDirectory() as folder, pyuff_faults(fault):
         copy = Path(folder) / "copy.uff"
         copy.write_text(text, encoding="utf-8", newline="\n")
-        quiet = io.StringIO()
-        # pyuff signals damage by exceptions of any kind (Exception, IndexError, TypeError, OverflowError, ...), so
-        # nothing narrower can be caught here
-        try:
-            with contextlib.redirect_stdout(quiet), contextlib.redirect_stderr(quiet):
-                reader = pyuff.UFF(str(copy))
-                kinds = [int(kind) for kind in reader.get_set_types()]
-                if kinds != [abs(block.kind) for block in blocks]:
-                    raise ValueError("a line inside ends in -1")
-                for at in range(len(blocks)):
-                    sets.append(dict(reader.read_sets(at)))
-        except Exception as err:
-            words = f"the dataset {abs(blocks[at].kind)} that starts here cannot be read ({first_line(err)})"
-            raise blocks[at].error(path, words, "export it again") from None
+        reader = pyuff.UFF(str(copy))
+        if [int(kind) for kind in reader.get_set_types()] != [abs(block.kind) for block in blocks]:
+            raise ValueError("a line inside ends in -1")
+        for at in range(len(blocks)):
+            sets.append(dict(reader.read_sets(at)))
     return sets
-
-
-def first_line(err: Exception) -> str:
-    """First line of a message without its full stop, or the kind of the exception."""
-    lines = str(err).strip().splitlines()
-    return lines[0].rstrip(".") if lines else type(err).__name__

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +16,8 @@ from calib.measurement.frf import AXIS, NO_PHASE, FRFRepeat, Key, Quantity, repe
 from calib.measurement.frf_units import GRAVITY, FRFUnits, parse_unit
 from calib.measurement.modal import DIRECTIONS
 from calib.measurement.uff import points_of
-from calib.measurement.uff_blocks import first_line, read_blocks
+from calib.measurement.uff_blocks import read_blocks
+from calib.measurement.uff_sets import pyuff_faults
 
 _FRF, _COHERENCE = 4, 6
 _MOTIONS: Mapping[int, Quantity] = {8: "receptance", 11: "mobility", 12: "accelerance"}
@@ -125,18 +123,10 @@ def read_uff_frfs(path: Path, quantity: Quantity | None = None, unit: str | None
 
 
 def _sets(path: Path) -> list[dict[str, Any]]:
-    quiet = io.StringIO()
-    # pyuff signals damage by exceptions of any kind, so nothing narrower can be caught here
-    try:
-        with warnings.catch_warnings(), contextlib.redirect_stdout(quiet), contextlib.redirect_stderr(quiet):
-            warnings.simplefilter("ignore")
-            reader = pyuff.UFF(str(path))
-            used = [k for k, kind in enumerate(reader.get_set_types()) if int(kind) in (58, 164)]
-            return [dict(reader.read_sets(k)) for k in used]
-    except Exception as fault:
-        raise InputError(
-            f"its functions cannot be read ({first_line(fault)})", place=path, remedy="export it again"
-        ) from None
+    remedy = "export it again"
+    with pyuff_faults(lambda words: InputError(f"its functions cannot be read ({words})", place=path, remedy=remedy)):
+        reader = pyuff.UFF(str(path))
+        return [dict(reader.read_sets(k)) for k, kind in enumerate(reader.get_set_types()) if int(kind) in (58, 164)]
 
 
 def _units(path: Path, sets: list[dict[str, Any]], stated: bool) -> tuple[FRFUnits | None, list[str]]:

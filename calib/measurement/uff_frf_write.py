@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import pyuff
 
 from calib.errors import InputError
 from calib.measurement.csv_format import VALUE_LIMIT
 from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.modal import DIRECTIONS, Sensor
-from calib.measurement.places import Point
-from calib.measurement.uff_blocks import first_line
-from calib.written import whole
+from calib.measurement.modal import DIRECTIONS
+from calib.measurement.uff_sets import SI_UNITS, header, nodes, points_of_nodes, write_sets
 
 Form = Literal["double", "single", "binary"]
 _NUMERATOR: Mapping[str, int] = {"receptance": 8, "mobility": 11, "accelerance": 12}
 _FORCE, _FREQUENCY, _FRF = 13, 18, 4
 _BINARY_HEAD = re.compile(rb"(?m)^( {4}58b[ \d]{6}[ \d]{6} {10}11)[ \d]{12}(?=[ \d]{36}$)")
 """The first line of a binary function, up to its number of bytes."""
-_LARGEST_NODE = 10**10
 
 
 def write_uff_frfs(path: Path, frfs: MeasuredFRFs, title: str = "FRFs", form: Form = "double") -> None:
@@ -55,12 +52,10 @@ def write_uff_frfs(path: Path, frfs: MeasuredFRFs, title: str = "FRFs", form: Fo
         raise InputError("two lines are the same in six digits", place=path, remedy="write it binary")
     label = "SYNTHETIC " if frfs.synthetic else ""
     name = " ".join(title.split())
-    units = {"type": 164, "units_code": 1, "units_description": "SI", "temp_mode": 1}
-    sets: list[dict[str, Any]] = [
-        _header(f"{label}{name}"[:80]),
-        {**units, "length": 1.0, "force": 1.0, "temp": 1.0, "temp_offset": 273.15},
-        *_places(path, (*frfs.responses, *frfs.references)),
-    ]
+    points = points_of_nodes(path, frfs.sensors)
+    sets: list[Mapping[str, Any]] = [header(f"{label}{name}", "frequency response functions"), SI_UNITS]
+    if all(sensor.point is not None for sensor in frfs.sensors):
+        sets.append(nodes(points))
     for number, function in enumerate(frfs.functions, start=1):
         response, reference = function.response, function.reference
         sets.append({
@@ -73,41 +68,12 @@ def write_uff_frfs(path: Path, frfs: MeasuredFRFs, title: str = "FRFs", form: Fo
             "abscissa_spacing": int(even), "abscissa_spec_data_type": _FREQUENCY, "abscissa_axis_units_lab": "Hz",
             "ordinate_spec_data_type": _NUMERATOR[frfs.quantity], "orddenom_spec_data_type": _FORCE,
         })  # fmt: skip
-    try:
-        with whole(path) as draft:
-            pyuff.UFF(str(draft)).write_sets(sets, mode="overwrite", force_double=form != "single")
-            if form == "binary":
-                draft.write_bytes(_counted(draft.read_bytes(), len(frfs.freq) * (16 if even else 24)))
-    # pyuff wraps every failure, a full disk included, in a bare Exception
-    except Exception as err:
-        problem = f"it cannot be written ({first_line(err)})"
-        raise InputError(problem, place=path, remedy="check folder and disk") from None
-
-
-def _header(title: str) -> dict[str, Any]:
-    """Dataset 151 without dates, so that the same functions give the same bytes."""
-    dates = ("date_db_created", "time_db_created", "date_db_saved", "time_db_saved", "date_file_written")
-    empty = {key: "" for key in (*dates, "time_file_written")}
-    own = {"type": 151, "model_name": title, "description": "frequency response functions", "db_app": "calib"}
-    return {**own, **empty, "program": "calib"}
-
-
-def _places(path: Path, sensors: Sequence[Sensor]) -> list[dict[str, Any]]:
-    """Dataset 15; none where a place is unknown. InputError for a node at two places."""
-    points: dict[int, Point] = {}
-    for sensor in sensors:
-        if sensor.point is None:
-            return []
-        if points.setdefault(sensor.node, sensor.point) != sensor.point:
-            raise InputError(f"node {sensor.node} has two places", place=path, remedy="give it one")
-    return [{"type": 15, "node_nums": list(points)} | {c: [p[k] for p in points.values()] for k, c in enumerate("xyz")}]
+    count = len(frfs.freq) * (16 if even else 24)
+    write_sets(path, sets, form != "single", partial(_count_bytes, count) if form == "binary" else None)
 
 
 def _check_writable(path: Path, frfs: MeasuredFRFs) -> None:
-    """InputError for nodes and values that the format cannot hold, and where nothing was measured."""
-    for sensor in frfs.sensors:
-        if not 0 <= sensor.node < _LARGEST_NODE:
-            raise InputError(f"node {sensor.node} does not fit ten digits", place=path, remedy="number it anew")
+    """InputError for values that the format cannot hold, and where nothing was measured."""
     if not frfs.functions:
         raise InputError("no function was measured", place=path, remedy="give at least one")
     for function in frfs.functions:
@@ -134,6 +100,6 @@ def _six_digits(values: np.ndarray) -> np.ndarray:
     return np.array([float(f"{value:.5e}") for value in values])
 
 
-def _counted(data: bytes, count: int) -> bytes:
-    """The file with the number of bytes of each function, of which pyuff counts those of the real parts alone."""
-    return _BINARY_HEAD.sub(rb"\g<1>%12d" % count, data)
+def _count_bytes(count: int, draft: Path) -> None:
+    """State the number of bytes of each binary function; pyuff counts those of the real parts alone."""
+    draft.write_bytes(_BINARY_HEAD.sub(rb"\g<1>%12d" % count, draft.read_bytes()))

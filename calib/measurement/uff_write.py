@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyuff
 
 from calib.errors import InputError
 from calib.measurement.csv_format import FREQ_LIMIT, VALUE_LIMIT
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.measurement.places import Point
-from calib.measurement.uff_blocks import Block, first_line, read_blocks
+from calib.measurement.uff_blocks import read_blocks
+from calib.measurement.uff_sets import SI_UNITS, header, nodes, points_of_nodes, write_sets
 
 
 def write_uff(
@@ -55,49 +53,29 @@ def write_uff(
     values = np.asarray(shapes, dtype=complex)
     freq, damping = np.asarray(natural_freq, dtype=float), np.asarray(damping_ratio, dtype=float)
     points = _check_writable(path, names, freq, damping, sensors, values)
-    nodes = list(points)
-    position = {node: k for k, node in enumerate(nodes)}
+    order = list(points)
+    position = {node: k for k, node in enumerate(order)}
     six = any(sensor.direction.startswith("r") for sensor in sensors)
     omega = 2 * np.pi * freq
     eigenvalues = omega * (-damping + 1j * np.sqrt(1 - damping**2))
-    # fixed dates, so that the same modes give the same bytes
-    dates = {key: "" for key in ("date_db_created", "time_db_created", "date_db_saved", "time_db_saved")}
-    header = {"type": 151, "model_name": title[:80], "description": "measured modes", "db_app": "calib", **dates}
-    datasets: list[dict[str, Any]] = [
-        {**header, "program": "calib", "date_file_written": "", "time_file_written": ""},
-        {"type": 164, "units_code": 1, "units_description": "SI", "temp_mode": 1}
-        | {"length": 1.0, "force": 1.0, "temp": 1.0, "temp_offset": 273.15},
-        {"type": 15, "node_nums": nodes} | {c: [points[n][k] for n in nodes] for k, c in enumerate("xyz")},
-    ]
+    datasets: list[Mapping[str, Any]] = [header(title, "measured modes"), SI_UNITS, nodes(points)]
     for m, name in enumerate(names):
-        table = np.full((len(nodes), 6), complex(np.nan, np.nan))
+        table = np.full((len(order), 6), complex(np.nan, np.nan))
         for k, sensor in enumerate(sensors):
             table[position[sensor.node], DIRECTIONS.index(sensor.direction)] = values[k, m]
         present = np.flatnonzero(np.isfinite(table).any(axis=1))
         table = np.nan_to_num(table[present])
         common = {"type": 55, "id1": f"mode {name}", "model_type": 1, "analysis_type": 3, "data_ch": 2}
         common |= {"spec_data_type": 8, "load_case": 1, "mode_n": m + 1, "eig": complex(eigenvalues[m])}
-        common["node_nums"] = [nodes[k] for k in present]
+        common["node_nums"] = [order[k] for k in present]
         for first in (0, 3) if six else (0,):
             datasets.append(common | {f"r{k + 1}": table[:, first + k] for k in range(3)})
-    temporary = path.parent / f".{path.name}.{os.getpid()}.tmp"
-    try:
-        pyuff.UFF(str(temporary)).write_sets(datasets, mode="overwrite")
-        if six:
-            lines = _with_complex_rotations(read_blocks(temporary), temporary.read_text(encoding="utf-8").splitlines())
-            temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
-        os.replace(temporary, path)
-    except Exception as err:
-        # pyuff wraps every failure, a full disk included, in a bare Exception
-        problem = f"it cannot be written ({first_line(err)})"
-        raise InputError(problem, place=path, remedy="check folder and disk") from None
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+    write_sets(path, datasets, mend=_with_complex_rotations if six else None)
 
 
-def _with_complex_rotations(blocks: Sequence[Block], lines: Sequence[str]) -> list[str]:
+def _with_complex_rotations(draft: Path) -> None:
     """Join every pair of datasets 55 (translations, rotations) into one of six components, which pyuff cannot write."""
+    blocks, lines = read_blocks(draft), draft.read_text(encoding="utf-8").splitlines()
     modes = [block for block in blocks if block.kind == 55]
     out = list(lines[: modes[0].line - 1])
     for one, two in zip(modes[::2], modes[1::2], strict=True):
@@ -107,7 +85,7 @@ def _with_complex_rotations(blocks: Sequence[Block], lines: Sequence[str]) -> li
         for k in range(8, len(one.lines), 2):
             out += [one.lines[k], one.lines[k + 1], two.lines[k + 1]]
         out.append(f"{-1:6d}")
-    return out
+    draft.write_text("\n".join(out) + "\n", encoding="utf-8", newline="\n")
 
 
 def _check_writable(
@@ -132,12 +110,9 @@ def _check_writable(
         )
     if len({sensor.name for sensor in sensors}) != len(sensors):
         raise InputError("a sensor is given twice", place=path)
-    points: dict[int, Point] = {}
-    for sensor in sensors:
-        if sensor.point is None or points.setdefault(sensor.node, sensor.point) != sensor.point:
-            raise InputError(f"sensor {sensor.name} has no single place", place=path, remedy="give its node one point")
-        if not 0 <= sensor.node < 10**10:
-            raise InputError(f"node {sensor.node} does not fit ten digits", place=path)
+    points = points_of_nodes(path, sensors)
+    if unplaced := next((sensor for sensor in sensors if sensor.point is None), None):
+        raise InputError(f"sensor {unplaced.name} has no place", place=path, remedy="give its point in m")
     known = np.isfinite(values)
     if np.any(np.isinf(values)) or np.any(np.abs(values[known]) > VALUE_LIMIT):
         raise InputError("a shape value is not a finite number", place=path)

@@ -100,7 +100,7 @@ def test_the_writer_refuses_what_the_format_cannot_hold(tmp_path):
         ({"names": ["a", "a", "d"]}, "share a name"),
         ({"damping_ratio": np.full(3, np.nan)}, "damping ratio"),
         ({"shapes": good["shapes"][:-1]}, "do not fit together"),
-        ({"sensors": [Sensor(s.node, s.direction) for s in good["sensors"]]}, "no single place"),
+        ({"sensors": [Sensor(s.node, s.direction) for s in good["sensors"]]}, "has no place"),
         ({"shapes": good["shapes"] * np.inf}, "finite"),
     ]:
         with pytest.raises(InputError, match=message), np.errstate(invalid="ignore"):
