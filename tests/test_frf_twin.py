@@ -13,7 +13,8 @@ from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.inference.cmcf import cmcf
 from calib.inference.cmcf_equations import CmcfSettings, MeasuredReceptance
 from calib.loading import module_of
-from calib.measurement.frf import MeasuredFRFs, scatter
+from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.frf_repeats import scatter
 from calib.measurement.modal import Sensor
 from calib.measurement.uff_frf import read_uff_frfs
 from calib.structure.frf import frf

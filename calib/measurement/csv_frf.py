@@ -10,7 +10,8 @@ import numpy as np
 
 from calib.errors import InputError
 from calib.measurement.csv_format import FREQ_LIMIT, VALUE_LIMIT, parse_direction
-from calib.measurement.frf import AXIS, NO_PHASE, QUANTITIES, FRFRepeat, Key, Quantity, repeat_of
+from calib.measurement.frf import NO_PHASE, QUANTITIES, Quantity
+from calib.measurement.frf_repeats import FRFRepeat, Key, function_name, off_axis, repeat_of
 from calib.measurement.frf_units import FRFUnits, parse_unit
 from calib.measurement.modal import DIRECTIONS
 from calib.place import Place
@@ -154,13 +155,11 @@ def _require_phase(path: Path, entries: Mapping[Key, Mapping[float, tuple[comple
 def _require_axis(path: Path, key: Key, own: Mapping[float, tuple[complex, float, Row]], axis: np.ndarray) -> None:
     """InputError where the frequencies of a function are not those of the first one."""
     freq = np.array(sorted(own))
-    name = f"{key[0][0]}{key[0][1]} over {key[1][0]}{key[1][1]}"
     remedy = "export all on common frequencies"
     if len(freq) != len(axis):
-        raise InputError(
-            f"the function {name} has not the {len(axis)} lines of the first function", place=path, remedy=remedy
-        )
-    apart = np.abs(freq - axis) > AXIS * axis[-1]
-    if apart.any():
-        row = own[float(freq[np.argmax(apart)])][2]
+        words = f"the function {function_name(key)} has {len(freq)} lines, the first one {len(axis)}"
+        raise InputError(words, place=path, remedy=remedy)
+    off = off_axis(freq, axis)
+    if off.any():
+        row = own[float(freq[np.argmax(off)])][2]
         raise row.error("freq", f"the first function has no line at {row.number('freq'):g} Hz", remedy)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.errors import InputError
-from calib.measurement.frf import Key, Quantity
+from calib.measurement.frf import Quantity
+from calib.measurement.frf_repeats import Key
 from calib.place import Place
 
 GRAVITY = 9.80665

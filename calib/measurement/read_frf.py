@@ -10,7 +10,8 @@ from calib.given import integer
 from calib.given import path as path_of
 from calib.measurement.csv_format import read_sensor_table
 from calib.measurement.csv_frf import read_frfs_csv
-from calib.measurement.frf import QUANTITIES, MeasuredFRFs, Quantity, combine_frfs
+from calib.measurement.frf import QUANTITIES, MeasuredFRFs, Quantity
+from calib.measurement.frf_repeats import combine_frfs
 from calib.measurement.places import common_points
 from calib.measurement.read import Named, found_files, require_files
 from calib.measurement.sensors import place_sensors

@@ -74,7 +74,7 @@ def read_uff(path: Path) -> UniversalFile:
             remedy="export the identified modes as dataset 55",
         )
     sets = extract_sets(path, parts)
-    per_metre = _length_factor(path, parts, sets, notes)
+    per_metre = length_factor(path, parts, sets, notes)
     with np.errstate(all="ignore"):  # what overflows is refused as not finite
         points = _points(path, parts, sets, per_metre, notes)
         repeat = _modes(path, parts, sets, per_metre, notes)
@@ -112,7 +112,7 @@ def _analysis_type(block: Block) -> int:
     return int(text) if text.isdecimal() and text.isascii() else _DAMAGED
 
 
-def _length_factor(path: Path, blocks: Sequence[Block], sets: Sequence[Mapping[str, Any]], notes: list[str]) -> float:
+def length_factor(path: Path, blocks: Sequence[Block], sets: Sequence[Mapping[str, Any]], notes: list[str]) -> float:
     """Length units of the file per metre; dividing by the factor of dataset 164 gives SI."""
     factors = set()
     for block, data in zip(blocks, sets, strict=True):
@@ -135,12 +135,12 @@ def _length_factor(path: Path, blocks: Sequence[Block], sets: Sequence[Mapping[s
     return factors.pop() if factors else 1.0
 
 
-def points_of(path: Path, blocks: Sequence[Block], notes: list[str]) -> dict[int, Point]:
-    """Places of the nodes of a file in metres; metres are assumed where it states no units."""
-    used = [block for block in blocks if block.kind in (15, 164, 2411)]
+def points_of(path: Path, blocks: Sequence[Block], per_metre: float, notes: list[str]) -> dict[int, Point]:
+    """Places of the nodes of a file in metres, from its units of length per metre."""
+    used = [block for block in blocks if block.kind in (15, 2411)]
     sets = extract_sets(path, used)
     with np.errstate(all="ignore"):  # what overflows is refused as not finite
-        return _points(path, used, sets, _length_factor(path, used, sets, []), notes)
+        return _points(path, used, sets, per_metre, notes)
 
 
 def _points(

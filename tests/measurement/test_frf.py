@@ -8,7 +8,8 @@ import pyuff
 
 from calib.errors import InputError
 from calib.measurement.accuracy import Claim
-from calib.measurement.frf import FRFRepeat, MeasuredFRFs, combine_frfs, scatter
+from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.frf_repeats import FRFRepeat, combine_frfs, scatter
 from calib.measurement.modal import Sensor
 from calib.measurement.uff_frf import read_uff_frfs
 
@@ -101,7 +102,10 @@ def test_coherence_is_kept_and_other_functions_are_noted(written):
         ([dataset(np.ones(len(FREQ)), func_type=2)], "no frequency response"),
         ([dataset(np.full(len(FREQ), np.inf + 0j))], "not finite"),
         ([dataset(0 * receptance())], "dead channel"),
-        ([dataset(receptance()), UNITS, {**UNITS, "length": 1e3}], "different units"),
+        ([dataset(receptance()), UNITS, {**UNITS, "units_code": 5, "length": 1e3}], "different units"),
+        ([dataset(receptance()), UNITS, {**UNITS, "force": 1e3}], "different units"),
+        ([dataset(receptance()), {**UNITS, "length": 1e3}], "unit code 1"),
+        ([dataset(receptance()), {**UNITS, "force": 0.0}], "force factor"),
     ],
 )
 def test_what_is_no_set_of_functions_is_refused(written, sets, words):
@@ -167,7 +171,7 @@ def test_functions_that_were_not_measured_stay_unknown():
     [
         ({"freq": FREQ + 0.01}, "common lines"),
         ({"quantity": "mobility"}, "same quantity"),
-        ({"functions": {((3, "z"), (1, "z")): receptance()}}, "2z over 1z"),
+        ({"functions": {((3, "z"), (1, "z")): receptance()}}, "2z/1z"),
     ],
 )
 def test_repeats_that_do_not_match_are_refused(changed, words):

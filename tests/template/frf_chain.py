@@ -8,7 +8,7 @@ import pandas as pd
 import scipy.sparse as sp
 
 import calib
-from calib.measurement.frf import FRFRepeat, combine_frfs
+from calib.measurement.frf_repeats import FRFRepeat, combine_frfs
 from calib.measurement.modal import Sensor
 from calib.structure.affine import Monomial, Term
 from calib.structure.extend import Addition
