@@ -87,10 +87,16 @@ def cmcf(
     Raises
     ------
     InputError
-        When there are fewer equations than unknowns, or the equations do not determine some changes.
+        When there are fewer equations than unknowns, the equations do not determine some changes, or a prior is given
+        with another weighting.
     EvaluationError
         When a dynamic stiffness is inverted too close to a resonance, or a stiffness or mass would not stay positive.
     """
+    if prior_sd is not None and settings.weighting != "white":
+        raise InputError(
+            f"a prior is given with the weighting {settings.weighting!r}", place="cross-model equations",
+            remedy="weight them 'white', so that their errors have a known size",
+        )  # fmt: skip
     n_changes = len(model.changes)
     theta, path = np.zeros(n_changes), [np.zeros(n_changes)]
     mean = np.zeros(n_changes) if prior_mean is None else prior_mean
