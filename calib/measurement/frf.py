@@ -109,8 +109,8 @@ class MeasuredFRFs:
             raise InputError(
                 f"the quantity is {self.quantity!r}", place=place, remedy=f"one of {', '.join(QUANTITIES)}"
             )
-        if not len(self.freq):
-            raise InputError("it has no line", place=place, remedy="give at least one frequency in Hz")
+        if not np.any(self.freq > 0):
+            raise InputError("it has no line above 0 Hz", place=place, remedy="give at least one frequency in Hz")
         if not np.all(np.diff(self.freq) > 0) or not 0 <= self.freq[0] <= self.freq[-1] < np.inf:
             raise InputError("its frequencies do not ascend from 0 or more", place=place, remedy="give them in Hz")
         if not np.iscomplexobj(self.values):

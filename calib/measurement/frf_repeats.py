@@ -105,21 +105,7 @@ def combine_frfs(repeats: Sequence[FRFRepeat], averages: int | None = None, synt
         raise InputError("there are none", place="FRFs", remedy="name at least one file")
     first, *others = repeats
     for other in others:
-        if off_axis(other.freq, first.freq).any():
-            raise InputError(
-                f"its frequencies are not those of {first.source}", place=other.source, remedy="measure on common lines"
-            )
-        if other.quantity != first.quantity:
-            raise InputError(
-                f"it holds {other.quantity}, but {first.source} {first.quantity}", place=other.source,
-                remedy="export the same quantity",
-            )  # fmt: skip
-        if set(other.functions) != set(first.functions):
-            odd = set(other.functions) ^ set(first.functions)
-            raise InputError(
-                f"the function {function_name(sorted(odd)[0])} is not in both it and {first.source}",
-                place=other.source, remedy="export the same functions in every repeat",
-            )  # fmt: skip
+        _require_alike(first, other)
     responses = list(dict.fromkeys(response for response, _ in first.functions))
     references = list(dict.fromkeys(reference for _, reference in first.functions))
     values = np.full((len(first.freq), len(responses), len(references)), complex(np.nan, np.nan))
@@ -137,6 +123,23 @@ def combine_frfs(repeats: Sequence[FRFRepeat], averages: int | None = None, synt
         first.freq, tuple(Sensor(*s) for s in responses), tuple(Sensor(*s) for s in references), first.quantity, values,
         std, len(repeats), synthetic, ", ".join(r.source for r in repeats), tuple(n for r in repeats for n in r.notes),
     )  # fmt: skip
+
+
+def _require_alike(first: FRFRepeat, other: FRFRepeat) -> None:
+    if off_axis(other.freq, first.freq).any():
+        raise InputError(
+            f"its frequencies are not those of {first.source}", place=other.source, remedy="measure on common lines"
+        )
+    if other.quantity != first.quantity:
+        raise InputError(
+            f"it holds {other.quantity}, but {first.source} {first.quantity}", place=other.source,
+            remedy="export the same quantity",
+        )  # fmt: skip
+    if odd := sorted(set(other.functions) ^ set(first.functions)):
+        raise InputError(
+            f"the function {function_name(odd[0])} is not in both it and {first.source}", place=other.source,
+            remedy="export the same functions in every repeat",
+        )  # fmt: skip
 
 
 def scatter(every: np.ndarray) -> np.ndarray:

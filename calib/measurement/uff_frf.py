@@ -23,7 +23,8 @@ from calib.measurement.uff_sets import pyuff_faults
 _FRF, _COHERENCE = 4, 6
 _MOTIONS: Mapping[int, Quantity] = {8: "receptance", 11: "mobility", 12: "accelerance"}
 """Quantity by the data type of the numerator."""
-_FORCES = (13,)
+_FORCE = (0, 13)
+"""Data types of the denominator: unknown, excitation force."""
 _COMPLEX = (5, 6)
 _FREQUENCY = (0, 18)
 """Data types of the abscissa: unknown, frequency."""
@@ -179,7 +180,7 @@ def _key(where: str, data: Mapping[str, Any]) -> tuple[Key, float]:
 def _quantity(one: _Dataset, stated: Quantity | None) -> Quantity:
     moved, under = (int(one.data[f"{axis}_spec_data_type"]) for axis in ("ordinate", "orddenom"))
     own = _MOTIONS.get(moved)
-    if under not in (0, *_FORCES):
+    if under not in _FORCE:
         raise InputError(
             f"its denominator is of data type {under}, no force (13)", place=one.where,
             remedy="export motion over force",

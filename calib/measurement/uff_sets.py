@@ -30,7 +30,7 @@ _DATES = (
 
 @contextlib.contextmanager
 def pyuff_faults(error: Callable[[str], InputError]) -> Iterator[None]:
-    """Run pyuff without its output and raise ``error(words)`` for whatever it raises; an InputError passes.
+    """Run pyuff without its output and raise ``error(words)`` for whatever it raises.
 
     pyuff signals damage and a full disk alike by exceptions of any kind (Exception, IndexError, TypeError,
     OverflowError, ...), so that nothing narrower can be caught.
@@ -40,8 +40,6 @@ def pyuff_faults(error: Callable[[str], InputError]) -> Iterator[None]:
         with warnings.catch_warnings(), contextlib.redirect_stdout(quiet), contextlib.redirect_stderr(quiet):
             warnings.simplefilter("ignore")
             yield
-    except InputError:
-        raise
     except Exception as fault:
         lines = str(fault).strip().splitlines()
         raise error(lines[0].rstrip(".") if lines else type(fault).__name__) from None

@@ -37,7 +37,8 @@ class Load:
 def loaded(model: StructuralModel | ReducedModel, loads: Sequence[Load]) -> StructuralModel | ReducedModel:
     """The model with loads, whose parameters follow its own.
 
-    A reduced model keeps its basis: a load changes shapes in first order, frequencies by that in second.
+    A reduced model keeps its basis: the change of a shape by a load is of first order in the load, and the error of a
+    frequency by leaving it out of the basis of second order.
 
     Raises
     ------

@@ -69,6 +69,18 @@ def test_one_parameter_in_stiffness_damping_and_mass_is_one_unknown():
     np.testing.assert_allclose(found.changes[1], [both, single], atol=1e-9)
 
 
+def test_the_reduction_is_that_of_all_changed_matrices():
+    array = CASES.Array()
+    beam, theta = array.changes[2].matrix, np.array([0.3])
+    model = replace(array.initial, changes=(Change("both", "stiffness", beam, (("mass", 0.2 * array.m),)),))
+    k, m = array.k + 0.3 * beam, 1.06 * array.m
+    t = array.reduce(sp.csc_array(k), sp.csc_array(m))
+    found = Reduced.of(model, theta)
+    for own, matrix in (("stiffness", k), ("mass", m)):
+        expected = t.T @ matrix @ t
+        np.testing.assert_allclose(found.total(own), expected, atol=1e-9 * np.abs(expected).max())
+
+
 def test_only_factors_must_stay_positive():
     """A change by 1.5 times the first spring in the other direction: no factor, but a stiffness that still holds."""
     model, _, _ = CASES.damped("structural")

@@ -67,11 +67,12 @@ def test_negative_directions_reverse_the_sign_and_millimetres_and_g_are_converte
         dataset(1e3 * values, (3, -2), (1, -3), 12),
         dataset(values / 9.80665, (4, 1), (1, 3), 12, ordinate_axis_units_lab="g/N"),
         dataset(values, (5, 4), (1, 3), 12),
+        dataset(values / 9.80665, (6, 1), (1, 3), 12, ordinate_axis_units_lab="gn"),
     )
     found = read_uff_frfs(path)
     for key, expected in {
         ((2, "z"), (1, "z")): -values, ((3, "y"), (1, "z")): values, ((4, "x"), (1, "z")): values,
-        ((5, "rx"), (1, "z")): values,
+        ((5, "rx"), (1, "z")): values, ((6, "x"), (1, "z")): values,
     }.items():  # fmt: skip
         np.testing.assert_allclose(found.functions[key], expected[1:], rtol=1e-9)
 
@@ -87,6 +88,27 @@ def test_coherence_is_kept_and_other_functions_are_noted(written):
     expected = np.abs(receptance()) * np.sqrt((1 - 0.9) / (2 * 16 * 0.9))
     np.testing.assert_allclose(one.std[:, 0, 0], expected, rtol=1e-9)
     assert np.isnan(combine_frfs([found]).std).all()
+
+
+def test_unknown_data_types_are_taken_for_frequency_and_force(written):
+    path = written(UNITS, dataset(receptance(), abscissa_spec_data_type=0, orddenom_spec_data_type=0))
+    np.testing.assert_allclose(read_uff_frfs(path).functions[(2, "z"), (1, "z")], receptance(), rtol=1e-10)
+
+
+def test_a_line_without_coherence_has_a_finite_standard_deviation():
+    key = ((2, "z"), (1, "z"))
+    repeat = FRFRepeat("a", FREQ, "receptance", {key: receptance()}, {key: np.where(FREQ > 10, 0.9, 0.0)})
+    std = combine_frfs([repeat], averages=16).std[:, 0, 0] / np.abs(receptance())
+    assert np.all(np.isfinite(std)) and std[FREQ <= 10].min() > 100 and std[FREQ > 10].max() < 0.1
+
+
+def test_lines_are_the_same_to_the_rounding_of_single_precision():
+    single = FREQ.astype(np.float32).astype(float) * (1 + 6e-8)
+    functions = {((2, "z"), (1, "z")): receptance()}
+    found = combine_frfs(
+        [FRFRepeat(name, freq, "receptance", functions) for name, freq in (("a", FREQ), ("b", single))]
+    )
+    np.testing.assert_array_equal(found.freq, FREQ)
 
 
 @pytest.mark.parametrize(
@@ -231,6 +253,7 @@ def test_a_fingerprint_covers_all_that_an_evaluation_may_depend_on():
         ({"freq": np.array([2.0, 1.0])}, "ascend"),
         ({"freq": np.array([1.0, np.nan])}, "ascend"),
         ({"freq": np.array([-1.0, 1.0])}, "ascend"),
+        ({"freq": np.zeros(1), "values": np.ones((1, 1, 1)) + 0j, "std": np.ones((1, 1, 1))}, "no line above 0 Hz"),
         ({"std": -np.ones((2, 1, 1))}, "negative"),
         ({**shaped(2, 2), "responses": (Sensor(1, "z"),) * 2}, "a response is given twice"),
         ({**shaped(0, 1), "freq": np.zeros(0)}, "no line"),
