@@ -34,8 +34,10 @@ THICKNESS = 6e-3
 PLATE_POISSON, PLATE_DENSITY = 0.30, 8000.0
 SIDE = 10e-3
 """Of the beams' square section, m: the area of 1 cm^2 is published."""
+TORSION = 0.1406
+"""Torsion constant of a square over the fourth power of its side (Timoshenko and Goodier 1970)."""
 BEAM = Section(
-    area=SIDE**2, i_y=SIDE**4 / 12, i_z=SIDE**4 / 12, torsion=0.1406 * SIDE**4, young_modulus=1.0, poisson_ratio=0.33,
+    area=SIDE**2, i_y=SIDE**4 / 12, i_z=SIDE**4 / 12, torsion=TORSION * SIDE**4, young_modulus=1.0, poisson_ratio=0.33,
     density=2700.0, shear_coefficient=math.inf,
 )  # fmt: skip
 E_PLATE, E_BEAM = 193.0, 70.0

@@ -129,8 +129,7 @@ def functions(
 def _carried(structure: StructuralModel, mounted: Sequence[Sensor]) -> sp.csr_array:
     """Mass matrix of 1 kg at each node with a sensor; motions that the model suppresses take no part."""
     at = {sensor.node: sensor for sensor in mounted}
-    rows = [structure.locator.row(s.point, k, s.on)[0] for s in at.values() if s.point for k in range(3)]
-    moved = sp.csr_array(np.array(rows))
+    moved = sp.csr_array(np.vstack([structure.translations(sensor) for sensor in at.values()]))
     return sp.csr_array(moved.T @ moved)
 
 
