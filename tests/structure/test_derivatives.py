@@ -10,7 +10,7 @@ from calib.errors import InputError
 from calib.space import Parameter, ParameterSpace
 from calib.structure import derivatives
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
-from calib.structure.derivatives import eigen_derivatives, eigenvalues, mode_derivatives
+from calib.structure.derivatives import beside_roots, eigen_derivatives, eigenvalues, mode_derivatives
 from calib.structure.modes import Modes
 from calib.structure.solve import solve_modes
 from models.railway import bogie_on_rig
@@ -261,3 +261,12 @@ def test_unknown_names_are_refused():
         mode_derivatives(model, {}, modes, ("zeta",))
     with pytest.raises(InputError, match=r"outside 0\.\.2"):
         mode_derivatives(model, {}, modes, ("k",), [3])
+
+
+def test_only_parameters_at_a_root_are_moved_and_within_their_limits():
+    space = ParameterSpace(
+        tuple(Parameter(n, 0.0, low, high) for n, low, high in (("a", 0, 4), ("b", -2, 0), ("c", 0, 1)))
+    )
+    roots, names = frozenset({"a", "b"}), ("a", "b", "c")
+    assert beside_roots(space, roots, {}, names) == pytest.approx({"a": 4e-6, "b": -2e-6, "c": 0.0}, rel=1e-9)
+    assert beside_roots(space, roots, {"a": 1.0}, ("a", "c")) == {"a": 1.0, "b": 0.0, "c": 0.0}
