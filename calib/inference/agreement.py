@@ -48,7 +48,8 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
     """Compare the parameters of cases that fit equally well; where they differ, the data do not determine them.
 
     Two cases fit equally well when both misfits are below the level that the measurement uncertainty allows, or within
-    5 % of the best one. They are different solutions when a parameter differs by more than 10 % of its range.
+    `Rules.nearly_equal` of the best one. They are different solutions when a parameter differs by more than
+    `Rules.stable` of its range.
 
     Parameters
     ----------
@@ -63,18 +64,11 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
     good = [k for k in order if results[k].misfit <= limit]
     worse = tuple(results[k].name for k in order if k not in good)
     position = ratios(results, space)
-    groups: list[list[int]] = []
-    for k in good:
-        for group in groups:
-            if np.all(np.abs(position[group] - position[k]) <= RULES.stable):
-                group.append(k)
-                break
-        else:
-            groups.append([k])
+    groups = _solutions(position, good)
     solutions = tuple(tuple(results[k].name for k in group) for group in groups)
     spread = np.ptp(position[good], axis=0)
     apart = sorted(np.flatnonzero(spread > RULES.stable).tolist(), key=lambda j: -spread[j])
-    differing = {space.free_names[j]: float(spread[j]) for j in apart} if len(groups) > 1 else {}
+    differing = {space.free_names[j]: float(spread[j]) for j in apart}
 
     def described(group: Sequence[int]) -> str:
         names = ", ".join(results[k].name for k in group)
@@ -106,6 +100,19 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
         verdict = "not settled"
         sentence = f"Only {described(good)} reaches the lowest misfit.{left}"
     return Agreement(verdict, solutions, worse, differing, sentence)
+
+
+def _solutions(position: np.ndarray, good: Sequence[int]) -> list[list[int]]:
+    """Cases in the order given, grouped so that no two of a group differ by more than the rule allows."""
+    groups: list[list[int]] = []
+    for k in good:
+        for group in groups:
+            if np.all(np.abs(position[group] - position[k]) <= RULES.stable):
+                group.append(k)
+                break
+        else:
+            groups.append([k])
+    return groups
 
 
 def _at_most(share: float) -> str:

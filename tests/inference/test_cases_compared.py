@@ -82,3 +82,11 @@ def test_one_case_and_unsettled_cases(search):
     assert agreement([result("A")], search.space).verdict == "one case"
     found = agreement([result("A", 0.1), result("B", 0.3), result("C", 0.2)], search.space)
     assert found.verdict == "not settled" and found.worse == ("C", "B") and "more generations" in found.remedy
+
+
+def test_the_thresholds_of_equal_fits_and_of_different_solutions(search):
+    for misfit, verdict in ((0.1049, "several solutions"), (0.1051, "not settled")):
+        assert agreement([result("A", 0.1), result("B", misfit, k=3.5)], search.space).verdict == verdict
+    for k, verdict in ((2.29, "one solution"), (2.31, "several solutions")):
+        found = agreement([result("A"), result("B", k=k)], search.space)
+        assert found.verdict == verdict and bool(found.differing) == (verdict == "several solutions")
