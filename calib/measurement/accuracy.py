@@ -22,9 +22,10 @@ class Claim:
     Attributes
     ----------
     share : float
-        Relative to the value; for a shape, to its largest entry.
+        Relative to the value; for a shape, to its largest entry; for an FRF, to its modulus.
     own : float
-        In the value's own unit: Hz, a damping ratio, parts of a shape's largest entry, the unit of a scalar response.
+        In the value's own unit: Hz, a damping ratio, parts of a shape's largest entry, the unit of a scalar response or
+        of an FRF.
     """
 
     share: float = 0.0

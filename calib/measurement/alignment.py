@@ -19,7 +19,14 @@ def aligned_repeats(stack: np.ndarray, trusted: np.ndarray | None = None) -> np.
     """Shapes (n_repeats, n_sensors, n_modes) of every mode in a common scale and phase, largest entry of the median 1.
 
     The factor of a repeat minimises the sum of absolute differences from the median of all, so that a wrong channel
-    does not rotate the others; it is fitted to the ``trusted`` entries only.
+    does not rotate the others. A mode that fewer than two repeats hold, or that does not move, stays as it is.
+
+    Parameters
+    ----------
+    stack : ndarray (n_repeats, n_sensors, n_modes), complex
+        Shapes of any scale and phase; NaN where unknown.
+    trusted : ndarray (n_repeats, n_sensors, n_modes), bool, optional
+        Entries to which the factors are fitted; all by default.
     """
     fitted = np.isfinite(stack) if trusted is None else trusted & np.isfinite(stack)
     out = stack.copy()
