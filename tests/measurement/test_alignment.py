@@ -31,7 +31,8 @@ def test_a_channel_that_is_turned_round_does_not_rotate_the_others():
     others = np.arange(N_SENSORS) != 3
     phase = np.angle(found[0, others] * found[1, others].conj())
     assert np.abs(phase).max() < 0.01
-    np.testing.assert_allclose(np.abs(found[1:]), np.abs(right[1:]), rtol=0.02)
+    # least squares would shrink the repeat by half or more
+    np.testing.assert_allclose(np.abs(found[:, others]), np.abs(right[:, others]), rtol=0.02)
 
 
 def test_the_factors_are_those_of_the_trusted_entries():
