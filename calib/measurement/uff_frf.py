@@ -203,12 +203,8 @@ def _in_g(data: Mapping[str, Any]) -> bool:
 
 def _in_file(where: str, in_g: bool, own: FRFUnits | None, stated: tuple[Quantity, FRFUnits] | None) -> FRFUnits:
     """Units of one function: of the file, or else as stated, with accelerations in g or not."""
-    if own is None:
-        units = FRFUnits() if stated is None else stated[1]
-        if stated is None or not in_g or units.motion == GRAVITY:
-            return replace(units, motion=GRAVITY) if in_g else units
-    else:
-        units = replace(own, motion=GRAVITY) if in_g else own
-        if stated is None or units.agrees(stated[1]):
-            return units
-    raise InputError("its unit is not the stated one", place=where, remedy="correct one of them")
+    given = own or (FRFUnits() if stated is None else stated[1])
+    units = replace(given, motion=GRAVITY) if in_g else given
+    if stated is not None and not units.agrees(stated[1]):
+        raise InputError("its unit is not the stated one", place=where, remedy="correct one of them")
+    return units
