@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 from calib.correlation.frf_nuisance import Nuisance, concerned, of_every_channel
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
@@ -19,6 +20,7 @@ from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_parts import HeldOutFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import MeasuredResponses
+from calib.problem import Pair
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.modal_model import ModalModel
 from calib.structure.model import StructuralModel
@@ -28,7 +30,38 @@ ForwardProblem = ModalProblem | FunctionProblem | FRFProblem
 Targets = Mapping[str, tuple[float, float | None]]
 
 
-class UnseenFRFs(NamedTuple):
+class UnseenData(Protocol):
+    """Held-out data that are compared entry by entry: scalar responses or FRFs."""
+
+    def pair(self, problem: Any) -> Pair:
+        """Their whitened residual for the model of the fitted problem."""
+
+    def unfitted(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Prior standard deviations of parameters of the data themselves that have no fitted value."""
+
+
+@dataclass(frozen=True, eq=False)
+class UnseenResponses:
+    """Held-out scalar responses.
+
+    Attributes
+    ----------
+    targets : mapping from response name to (value, standard deviation or None)
+    """
+
+    targets: Targets
+
+    def pair(self, problem: FunctionProblem) -> ResponseResidual:
+        """See `UnseenData`."""
+        return ResponseResidual(replace(problem, targets=self.targets))
+
+    def unfitted(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Empty: they have no parameters of their own."""
+        return {}
+
+
+@dataclass(frozen=True, eq=False)
+class UnseenFRFs:
     """Held-out FRFs.
 
     Attributes
@@ -41,9 +74,18 @@ class UnseenFRFs(NamedTuple):
     measured: MeasuredFRFs
     nuisances: tuple[Nuisance, ...]
 
+    def pair(self, problem: FRFProblem) -> FRFResidual:
+        """See `UnseenData`."""
+        return FRFResidual(replace(problem, measured=self.measured, nuisances=self.nuisances))
 
-Unseen = Mapping[str, Targets] | Mapping[str, UnseenFRFs]
-"""Held-out scalar responses or FRFs, by group."""
+    def unfitted(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Such as the gain of a held-out channel; see `UnseenData`."""
+        own = (nuisance.parameter for nuisance in self.nuisances)
+        return {p.name: p.prior_width for p in own if p.name not in values}
+
+
+Unseen = Mapping[str, UnseenData]
+"""Held-out scalar responses or FRFs, by group; only groups that hold something."""
 HELD_OUT_RESPONSES = "held_out_responses"
 """Group of held-out responses, as tables name it."""
 
@@ -91,6 +133,11 @@ def require_own(study: StudyFile, given: Measured) -> None:
             )
 
 
+def unseen_responses(whole: Targets, names: Sequence[str]) -> dict[str, UnseenResponses]:
+    """The named scalar responses as a group of held-out data; empty for none."""
+    return {HELD_OUT_RESPONSES: UnseenResponses({name: whole[name] for name in names})} if names else {}
+
+
 def used_targets(study: StudyFile, whole: Targets) -> Targets:
     """The scalar responses that are not held out."""
     names = study.settings.held_out.responses
@@ -114,16 +161,25 @@ def unseen_frfs(groups: Mapping[str, MeasuredFRFs], nuisances: Sequence[Nuisance
     return {group: UnseenFRFs(own, concerned(nuisances, own)) for group, own in groups.items()}
 
 
-def used_frfs(study: StudyFile, whole: MeasuredFRFs) -> tuple[MeasuredFRFs, dict[str, UnseenFRFs]]:
-    """The FRFs that are not held out, and those that are, by group."""
+def held_out_frfs(study: StudyFile) -> HeldOutFRFs:
+    """What a study of FRFs holds out."""
     given = study.settings.held_out
-    held = HeldOutFRFs(given.sensors, given.references, given.bands)
+    return HeldOutFRFs(given.sensors, given.references, given.bands)
+
+
+def used_frfs(study: StudyFile, whole: MeasuredFRFs) -> MeasuredFRFs:
+    """The FRFs that are not held out."""
+    held = held_out_frfs(study)
     unknown = held.unknown(whole)
     if unknown is not None:
         keys, fault = unknown
         raise InputError(fault.problem, place=study.place("held_out", *keys), remedy=fault.remedy)
-    used, groups = held.split(whole)
-    return used, unseen_frfs(groups, of_every_channel(whole, **study.settings.measurement.nuisances.model_dump()))
+    return held.split(whole)[0]
+
+
+def nuisances_of(study: StudyFile, whole: MeasuredFRFs) -> tuple[Nuisance, ...]:
+    """The nuisances that a study names, of all channels and transducers of the test, held-out ones included."""
+    return of_every_channel(whole, **study.settings.measurement.nuisances.model_dump())
 
 
 def used_modes(study: StudyFile, whole: MeasuredModes) -> MeasuredModes:
@@ -149,11 +205,11 @@ def used_modes(study: StudyFile, whole: MeasuredModes) -> MeasuredModes:
     return used
 
 
-def frf_problem(study: StudyFile, model: StructuralModel, measured: MeasuredFRFs) -> FRFProblem:
-    """The problem over the FRFs in use, with the nuisances that the study names."""
+def frf_problem(study: StudyFile, model: StructuralModel, whole: MeasuredFRFs) -> FRFProblem:
+    """The problem over the FRFs in use; transducers load the structure at held-out sensors too."""
+    used = used_frfs(study, whole)
     try:
-        nuisances = of_every_channel(measured, **study.settings.measurement.nuisances.model_dump())
-        return FRFProblem(model, measured, nuisances)
+        return FRFProblem(model, used, concerned(nuisances_of(study, whole), used))
     except InputError as fault:
         raise misfit(study, model, fault) from None
 

@@ -4,25 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 
+from calib.correlation.frf_nuisance import Nuisance
 from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.fingerprint import digest_of, digest_of_files
 from calib.forward import (
-    HELD_OUT_RESPONSES,
     ForwardProblem,
     Targets,
     Unseen,
     frf_problem,
     function_problem,
+    held_out_frfs,
     measured_for,
     misfit,
     modal_problem,
+    nuisances_of,
     require_own,
-    used_frfs,
+    unseen_frfs,
+    unseen_responses,
     used_modes,
     used_targets,
 )
@@ -52,18 +56,12 @@ class Study(StudyFile):
     ----------
     model : StructuralModel, ModalFunctionModel or FunctionModel
         With the study's effects, parameter values, limits and constraints.
-    measured : MeasuredModes or None
-        Modes in use; None where scalar responses or FRFs were measured.
-    targets : mapping from response name to (value, standard deviation or None)
-        Measured scalar responses in use; empty where modes or FRFs were measured.
+    given : MeasuredModes, MeasuredResponses or MeasuredFRFs
+        Everything that was measured, held-out data included. For verification only: never given to a fit.
     problem : ModalProblem, FunctionProblem or FRFProblem
-        Named parameters in, named responses out.
+        Named parameters in, named responses out; with the data in use.
     sensitivity_space, search_space : ParameterSpace
         All free parameters within their limits; the selected ones within the limits of the search.
-    whole : MeasuredModes or None
-        The measurement with held-out data. For verification only: never given to a fit.
-    whole_targets : mapping from response name to (value, standard deviation or None)
-        Likewise for scalar responses.
     library : tuple of Effect
         Every effect of the study's library, in its model or not.
     adopted, adopted_sd : mapping from parameter name to value
@@ -72,12 +70,6 @@ class Study(StudyFile):
         All values before any calibration; adopted parameters have the model's own value.
     hints : tuple of str
         Warnings of values that may be in another unit than the model's parameter.
-    responses : MeasuredResponses or None
-        All scalar responses, held-out ones included, and their repeats; None where modes or FRFs were measured.
-    frfs : MeasuredFRFs or None
-        All FRFs, held-out ones included; None where modes or scalar responses were measured.
-    unseen : mapping from group to targets or UnseenFRFs
-        Held-out scalar responses or FRFs. For verification only.
     read_files : mapping from path to digest
         Named files and all code as they were when the study was read; see `file_digests`.
     library_digest : str
@@ -85,21 +77,15 @@ class Study(StudyFile):
     """
 
     model: Model
-    measured: MeasuredModes | None
-    targets: Targets
+    given: Measured
     problem: ForwardProblem
     sensitivity_space: ParameterSpace
     search_space: ParameterSpace
-    whole: MeasuredModes | None = None
-    whole_targets: Targets = field(default_factory=dict)
     library: tuple[Effect, ...] = ()
     adopted: Mapping[str, float] = field(default_factory=dict)
     adopted_sd: Mapping[str, float] = field(default_factory=dict)
     initial: Mapping[str, float] = field(default_factory=dict)
     hints: tuple[str, ...] = ()
-    responses: MeasuredResponses | None = None
-    frfs: MeasuredFRFs | None = None
-    unseen: Unseen = field(default_factory=dict)
     read_files: Mapping[str, str] = field(default_factory=dict)
     library_digest: str = ""
 
@@ -119,19 +105,56 @@ class Study(StudyFile):
 
     def measurement(self) -> Measured:
         """Everything that was measured, as it was when the study was read."""
-        given = self.whole or self.responses or self.frfs
-        assert given is not None
-        return given
+        return self.given
+
+    @property
+    def whole(self) -> MeasuredModes | None:
+        """All modes; None where scalar responses or FRFs were measured."""
+        return self.given if isinstance(self.given, MeasuredModes) else None
+
+    @property
+    def responses(self) -> MeasuredResponses | None:
+        """All scalar responses and their repeats; None where modes or FRFs were measured."""
+        return self.given if isinstance(self.given, MeasuredResponses) else None
+
+    @property
+    def frfs(self) -> MeasuredFRFs | None:
+        """All FRFs; None where modes or scalar responses were measured."""
+        return self.given if isinstance(self.given, MeasuredFRFs) else None
+
+    @property
+    def measured(self) -> MeasuredModes | None:
+        """Modes in use; None where scalar responses or FRFs were measured."""
+        return self.problem.measured if isinstance(self.problem, ModalProblem) else None
+
+    @property
+    def targets(self) -> Targets:
+        """Scalar responses in use; empty where modes or FRFs were measured."""
+        return self.problem.targets if isinstance(self.problem, FunctionProblem) else {}
+
+    @cached_property
+    def nuisances(self) -> tuple[Nuisance, ...]:
+        """Errors of the test of FRFs that a fit may find, those of held-out channels included."""
+        return () if self.frfs is None else nuisances_of(self, self.frfs)
+
+    @cached_property
+    def unseen(self) -> Unseen:
+        """Held-out scalar responses or FRFs, by group; empty where modes were measured. For verification only."""
+        if self.frfs is not None:
+            return unseen_frfs(held_out_frfs(self).split(self.frfs)[1], self.nuisances)
+        if self.responses is not None:
+            return unseen_responses(self.responses.targets, self.settings.held_out.responses)
+        return {}
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:
         """Where one repeat of the measurement disagrees with the others."""
-        return self.measurement().disagreements
+        return self.given.disagreements
 
     @property
     def measurement_notes(self) -> tuple[str, ...]:
         """Notes on how the measurement was read."""
-        return self.measurement().notes
+        return self.given.notes
 
     @property
     def repeats(self) -> int | None:
@@ -221,39 +244,28 @@ def _study(
         file.path(name, "depends_on", k)
     given = measured_for(file, model)
     require_own(file, given)
-    measured: MeasuredModes | None = None
-    targets: Targets = {}
-    unseen: Unseen = {}
     problem: ForwardProblem
     if isinstance(given, MeasuredResponses):
         assert isinstance(base, FunctionModel) and isinstance(model, FunctionModel)
         mark = _fingerprint(file, fingerprint_of(base, included, model))
-        targets = used_targets(file, given.targets)
-        unseen = {HELD_OUT_RESPONSES: {n: given.targets[n] for n in file.settings.held_out.responses}}
-        problem = function_problem(file, model, mark, targets, given)
+        problem = function_problem(file, model, mark, used_targets(file, given.targets), given)
     elif isinstance(given, MeasuredFRFs):
         assert isinstance(model, StructuralModel)
-        used, unseen = used_frfs(file, given)
-        problem = frf_problem(file, model, used)
+        problem = frf_problem(file, model, given)
     else:
         assert not isinstance(base, FunctionModel) and not isinstance(model, FunctionModel)
-        measured = used_modes(file, given)
+        used = used_modes(file, given)
         if isinstance(model, ModalFunctionModel):
             assert isinstance(base, ModalFunctionModel)
             model = replace(model, identity=_fingerprint(file, fingerprint_of(base, included, model)))
-        problem = modal_problem(file, model, measured, model.n_modes - base.n_modes)
+        problem = modal_problem(file, model, used, model.n_modes - base.n_modes)
     selected = with_nuisances(search_space(space, file.settings, file.place, elsewhere=elsewhere), problem)
     if not file.settings.calibration.weight_freq + file.settings.calibration.weight_mac > 0:
         place = file.place("calibration", "weight_freq")
         raise InputError("both weights are zero", place=place, remedy="give one of them weight")
-    whole = given if isinstance(given, MeasuredModes) else None
-    responses = given if isinstance(given, MeasuredResponses) else None
-    frfs = given if isinstance(given, MeasuredFRFs) else None
     return Study(
-        file.name, file.file, file.settings, model, measured, targets, problem, space, selected,
-        whole, {} if responses is None else responses.targets, library, dict(adopted),
-        {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial, hints, responses, frfs, unseen, read, digest,
-        part=file.part,
+        file.name, file.file, file.settings, model, given, problem, space, selected, library, dict(adopted),
+        {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial, hints, read, digest, part=file.part,
     )  # fmt: skip
 
 

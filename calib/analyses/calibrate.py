@@ -375,8 +375,6 @@ def _summary(
         "accuracy": accuracy_words(study) or "none",
         **{key: sum(getattr(case.result, name) for case in found) for key, name in counts.items()},
         "seconds": seconds,
-        "held_out_modes": list(study.settings.held_out.modes),
-        "held_out_sensors": list(study.settings.held_out.sensors),
-        "held_out_responses": list(study.settings.held_out.responses),
+        **{f"held_out_{kind}": list(names) for kind, names in study.settings.held_out.model_dump().items()},
         "cases": {case.name: figures(case) for case in found},
     }

@@ -72,9 +72,10 @@ def every_response(study: Study, before: Mapping[str, float], after: Mapping[str
     EvaluationError
         When the model cannot be evaluated at either point.
     """
-    assert isinstance(study.problem, FunctionProblem)
-    whole = replace(study.problem, targets=study.whole_targets)
-    measured = pd.Series({name: value for name, (value, _) in study.whole_targets.items()})
+    assert isinstance(study.problem, FunctionProblem) and study.responses is not None
+    targets = study.responses.targets
+    whole = replace(study.problem, targets=targets)
+    measured = pd.Series({name: value for name, (value, _) in targets.items()})
     table = pd.DataFrame({"held_out": measured.index.isin(study.settings.held_out.responses), "measured": measured})
     for stage, values in {"before": before, "after": after}.items():
         table[stage] = pd.Series(answered(whole.evaluate, values))

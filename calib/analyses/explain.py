@@ -17,13 +17,12 @@ from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts, summary
 from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.function_hypotheses import function_hypotheses
-from calib.analyses.hypotheses import ModelHypotheses
+from calib.analyses.group_adapter import FRFAdapter, ScalarAdapter
 from calib.analyses.joint_adapter import JointAdapter, together
 from calib.analyses.library import local_perturbations, modal_hypotheses
 from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.reduction import worthwhile
-from calib.analyses.scalar_adapter import FRFAdapter, ScalarAdapter
 from calib.analyses.state import ADDED
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.problem import FunctionProblem
@@ -66,7 +65,6 @@ from calib.stage import Progress, unheard
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
-from calib.structure.variants import Variants
 from calib.study import Study
 
 
@@ -127,9 +125,8 @@ def adapter_of(study: Study, home: Results, progress: Progress, local: tuple[Per
         scalar, own = function_hypotheses(study.model, pair, study.candidates, space, study.test)
         return ScalarAdapter(scalar, own, facts, study.unseen)
     if isinstance(problem, FRFProblem):
-        assert local is not None and isinstance(study.model, StructuralModel)
-        variants = Variants(study.model, study.candidates, tuple(a.effect for a in local), None)
-        return FRFAdapter(ModelHypotheses(FRFResidual(problem), variants, space), local, facts, study.unseen)
+        assert local is not None
+        return FRFAdapter.of(FRFResidual(problem), study.candidates, local, space, facts, study.unseen)
     if isinstance(problem.model, ModalFunctionModel):  # which may be behind a ledger
         modal, own = function_hypotheses(problem.model, ModalResidual(problem), study.candidates, space, study.test)
     else:

@@ -26,6 +26,7 @@ from calib.loading import Model
 from calib.measurement.disagreements import COLUMNS, Disagreement
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
+from calib.measurement.responses import MeasuredResponses
 from calib.missing import rules as missing
 from calib.named_values import ANY, read_json
 from calib.results import Results
@@ -160,16 +161,13 @@ def measured_table(study: Study) -> pd.DataFrame:
     accuracy. Those ``used`` are the weights of calibration and explanation: pooled, with accuracy and floors, and
     assumed where nothing is known.
     """
-    held, whole = study.settings.held_out, study.whole
-    if study.frfs is not None:
-        return _frf_table(study.frfs, held)
-    if whole is None:
-        held_out = set(held.responses)
-        counts = {} if study.responses is None else study.responses.counts
-        used = response_std(study.whole_targets)
+    held, whole = study.settings.held_out, study.given
+    if isinstance(whole, MeasuredFRFs):
+        return _frf_table(whole, held)
+    if isinstance(whole, MeasuredResponses):
         rows = [
-            (name, name in held_out, value, np.nan if std is None else std, counts.get(name, np.nan), taken)
-            for (name, (value, std)), taken in zip(study.whole_targets.items(), used, strict=True)
+            (name, name in held.responses, value, np.nan if std is None else std, whole.counts.get(name, np.nan), taken)
+            for (name, (value, std)), taken in zip(whole.targets.items(), response_std(whole.targets), strict=True)
         ]
         return pd.DataFrame(rows, columns=["response", "held_out", "value", "std", "repeats", "std_used"])
     freq_std, damping_std = _std_used(study, whole)
@@ -187,13 +185,10 @@ def measured_table(study: Study) -> pd.DataFrame:
 def _frf_table(whole: MeasuredFRFs, held: HeldOutSettings) -> pd.DataFrame:
     """One row per function; bands that are held out are in the record."""
     rows = []
-    for j, reference in enumerate(whole.references):
-        for i, response in enumerate(whole.responses):
-            freq = whole.freq[np.isfinite(whole.values[:, i, j])]
-            if len(freq):
-                held_out = response.name in held.sensors or reference.name in held.references
-                ends = (response.name, reference.name, held_out, whole.quantity)
-                rows.append((*ends, len(freq), freq[0], freq[-1], whole.n_repeats))
+    for function in whole.functions:
+        response, reference, freq = function.response.name, function.reference.name, whole.freq[function.lines]
+        held_out = response in held.sensors or reference in held.references
+        rows.append((response, reference, held_out, whole.quantity, len(freq), freq[0], freq[-1], whole.n_repeats))
     columns = ["response", "reference", "held_out", "quantity", "lines", "freq_min", "freq_max", "repeats"]
     return pd.DataFrame(rows, columns=columns)
 

@@ -9,13 +9,13 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_residual import FRFProblem
 from calib.correlation.held_out import group_table, held_out_errors
 from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
 from calib.degrees_of_freedom import KNOWN, behind, chance, effective_dof
-from calib.forward import ForwardProblem, Targets, Unseen, UnseenFRFs, pair_of
+from calib.forward import ForwardProblem, Unseen, pair_of
 from calib.inference.identify import posterior, with_held
 from calib.inference.leave_one_out import leave_one_out
 from calib.joint import spread
@@ -49,7 +49,7 @@ def errors_of(
         The problem with the fitted data.
     whole : ModalProblem or None
         The same model with all modes and sensors; None where nothing is held out.
-    unseen : mapping from group to targets or UnseenFRFs
+    unseen : mapping from group to UnseenData
         Held-out scalar responses or FRFs.
     space : ParameterSpace
         Free are the fitted parameters.
@@ -65,43 +65,43 @@ def errors_of(
         return modal_errors(problem, whole, values, names, prior_sd, Floors(), dof, held_sd=held_sd)
     if isinstance(problem, FunctionProblem):
         problem = replace(problem, space=space)
-    held_out = {
-        group: whitened(measuring(problem, own), values, names, held_sd) for group, own in unseen.items() if own
-    }
+    held_out = held_out_rows(problem, unseen, values, names, held_sd)
     pair = pair_of(problem)
     e, g = whitened(pair, values, names, held_sd)
     return group_errors(e, g, names, prior_sd, [row.sensor for row in pair.rows], held_out, std_behind(pair))
 
 
-def measuring(problem: FunctionProblem | FRFProblem, own: Targets | UnseenFRFs) -> Pair:
-    """The pair of a problem's model and other measured data of the same kind."""
-    if isinstance(own, UnseenFRFs):
-        assert isinstance(problem, FRFProblem)
-        return pair_of(replace(problem, measured=own.measured, nuisances=own.nuisances))
-    assert isinstance(problem, FunctionProblem)
-    return pair_of(replace(problem, targets=own))
+def held_out_rows(
+    problem: FunctionProblem | FRFProblem,
+    unseen: Unseen,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    held_sd: Mapping[str, float] = _NONE,
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Held-out scalar responses or FRFs as in `whitened`, by group, for the model of the fitted problem.
+
+    The last columns are changes by one standard deviation of what no fit determines, such as the gain of a held-out
+    channel.
+    """
+    return {
+        group: whitened(own.pair(problem), values, names, {**held_sd, **own.unfitted(values)})
+        for group, own in unseen.items()
+    }
 
 
 def whitened(
     pair: Pair, values: Mapping[str, float], names: Sequence[str], held_sd: Mapping[str, float] = _NONE
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Whitened residual (n_rows,) of a pair, and its derivative (n_rows, n_params + n_held + n_own).
+    """Whitened residual (n_rows,) of a pair, and its derivative (n_rows, n_params + n_held).
 
     The columns of held parameters are its changes by one standard deviation of each. Parameters that the pair lacks,
-    such as the gain of a channel that is not in its data, change nothing. The last columns are for nuisances that are
-    not among the values, such as the gain of a held-out channel: changes by one standard deviation of their priors.
+    such as the gain of a channel that is not in its data, change nothing.
     """
     wanted = (*names, *held_sd)
     own = [name for name in wanted if name in pair.space]
     point = {name: value for name, value in values.items() if name in pair.space}
     unit = np.array([*np.ones(len(names)), *held_sd.values()])
-    found = spread(pair.slope(point, own, pair.solve), own, wanted) * unit
-    nuisances = pair.problem.nuisances if isinstance(pair, FRFResidual) else ()
-    unfitted = [n.parameter.name for n in nuisances if n.parameter.name not in values]
-    if unfitted:
-        sd = np.array([pair.space[name].prior_width for name in unfitted])
-        found = np.hstack([found, pair.slope(point, unfitted, pair.solve) * sd])
-    return pair.of(pair.solve(point)), found
+    return pair.of(pair.solve(point)), spread(pair.slope(point, own, pair.solve), own, wanted) * unit
 
 
 def std_behind(pair: Pair) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.frf import MeasuredFRFs, MeasuredFunction
 
 
 def assurance(measured: np.ndarray, model: np.ndarray) -> float:
@@ -19,6 +19,16 @@ def assurance(measured: np.ndarray, model: np.ndarray) -> float:
     """
     size = float(np.vdot(measured, measured).real * np.vdot(model, model).real)
     return float(np.abs(np.vdot(measured, model)) ** 2 / size) if size > 0 else 0.0
+
+
+def frac_and_amplitude(measured: MeasuredFRFs, model: np.ndarray) -> np.ndarray:
+    """FRAC of every measured function, and the norm of the model's over that of the measured one, (2, n_functions).
+
+    ``model`` is (n_freq, n_responses, n_references), complex.
+    """
+    pairs = [(measured.values[function.index], model[function.index]) for function in measured.functions]
+    amplitudes = [np.linalg.norm(own) / np.linalg.norm(test) for test, own in pairs]
+    return np.array([[assurance(test, own) for test, own in pairs], amplitudes])
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +55,13 @@ class FRFComparison:
         square of the difference in standard deviations, 1 for a right model.
         """
         rows = []
-        for response, reference, known, i, j in self._functions():
-            test, model = self.measured.values[known, i, j], self.model[known, i, j]
-            size = np.linalg.norm(test)
-            in_std = _rms((test - model) / self.std[known, i, j])
-            amplitude, error = float(np.linalg.norm(model) / size), float(np.linalg.norm(test - model) / size)
-            unit = self.measured.unit(self.measured.responses[i], self.measured.references[j])
-            rows.append((response, reference, unit, len(test), assurance(test, model), amplitude, error, in_std))
+        criteria = zip(self.measured.functions, *frac_and_amplitude(self.measured, self.model), strict=True)
+        for function, frac, amplitude in criteria:
+            test, model, std = self._at(function)
+            error, in_std = float(np.linalg.norm(test - model) / np.linalg.norm(test)), _rms((test - model) / std)
+            unit = self.measured.unit(function.response, function.reference)
+            ends = (function.response.name, function.reference.name, unit, len(test))
+            rows.append((*ends, frac, amplitude, error, in_std))
         return pd.DataFrame(
             rows, columns=["response", "reference", "unit", "lines", "frac", "amplitude", "error", "in_std"]
         )
@@ -76,30 +86,25 @@ class FRFComparison:
     def overlay_table(self) -> pd.DataFrame:
         """One row per measured entry: ``response, reference, freq``, both functions (``_re, _im``) and ``std``."""
         parts = []
-        for response, reference, known, i, j in self._functions():
-            test, model = self.measured.values[known, i, j], self.model[known, i, j]
+        for function in self.measured.functions:
+            test, model, std = self._at(function)
             columns = {
-                "response": response,
-                "reference": reference,
-                "freq": self.measured.freq[known],
+                "response": function.response.name,
+                "reference": function.reference.name,
+                "freq": self.measured.freq[function.lines],
                 "measured_re": test.real,
                 "measured_im": test.imag,
                 "model_re": model.real,
                 "model_im": model.imag,
-                "std": self.std[known, i, j],
+                "std": std,
             }
             parts.append(pd.DataFrame(columns))
         return pd.concat(parts, ignore_index=True)
 
-    def _functions(self) -> list[tuple[str, str, np.ndarray, int, int]]:
-        """Names of every measured function, its lines as a mask, and its place."""
-        found = []
-        for j, reference in enumerate(self.measured.references):
-            for i, response in enumerate(self.measured.responses):
-                known = np.isfinite(self.measured.values[:, i, j])
-                if known.any():
-                    found.append((response.name, reference.name, known, i, j))
-        return found
+    def _at(self, function: MeasuredFunction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Measured and model values of one function, and the standard deviation, (n_lines,) each."""
+        at = function.index
+        return self.measured.values[at], self.model[at], self.std[at]
 
 
 def _rms(scaled: np.ndarray) -> float:

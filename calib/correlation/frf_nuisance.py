@@ -241,6 +241,16 @@ def concerned(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> tuple[Nu
     return tuple(n for n in nuisances if not isinstance(n, ChannelError) or n.sensor in _names(measured, n.side))
 
 
+def require_channels(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> None:
+    """InputError for the error of a channel that was not measured."""
+    for error in nuisances:
+        if isinstance(error, ChannelError) and error.sensor not in (names := _names(measured, error.side)):
+            raise InputError(
+                f"{error.side} {error.sensor!r} was not measured", place=f"error of channel {error.sensor}",
+                remedy=f"the {error.side}s are {', '.join(names)}",
+            )  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Channels:
     """Channel errors of measured FRFs.
@@ -248,25 +258,12 @@ class Channels:
     Attributes
     ----------
     errors : tuple of ChannelError
+        Of sensors that were measured; see `require_channels`.
     measured : MeasuredFRFs
-
-    Raises
-    ------
-    InputError
-        For a sensor that was not measured.
     """
 
     errors: tuple[ChannelError, ...]
     measured: MeasuredFRFs
-
-    def __post_init__(self) -> None:
-        for error in self.errors:
-            names = _names(self.measured, error.side)
-            if error.sensor not in names:
-                raise InputError(
-                    f"{error.side} {error.sensor!r} was not measured", place=f"error of channel {error.sensor}",
-                    remedy=f"the {error.side}s are {', '.join(names)}",
-                )  # fmt: skip
 
     def factors(self, si: Mapping[str, float]) -> np.ndarray:
         """Factors of all functions at values in SI, (n_freq, n_responses, n_references), complex."""

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.correlation.frf_comparison import FRFComparison
-from calib.correlation.frf_nuisance import ChannelError, Channels, Nuisance
+from calib.correlation.frf_comparison import FRFComparison, frac_and_amplitude
+from calib.correlation.frf_nuisance import ChannelError, Channels, Nuisance, require_channels
 from calib.degrees_of_freedom import KNOWN, beside_known
 from calib.errors import InputError
 from calib.fingerprint import digest_of
@@ -27,7 +27,7 @@ UNKNOWN_STD = 0.02
 """Assumed standard deviation of real and imaginary part each, relative to the modulus, where none is known: that of 12
 averages at a coherence of 0.99 (Bendat and Piersol 2010)."""
 
-_DEFINITION = "FRF residual 1"
+_DEFINITION = "FRF residual 2"
 """Part of the fingerprint; increment it whenever the same FRFs would give another residual or derivative."""
 
 
@@ -87,6 +87,7 @@ class FRFProblem:
         for name in names:
             if names.count(name) > 1 or name in self.model.space:
                 raise InputError(f"{name!r} is a parameter twice", place="nuisances of FRFs", remedy="keep one")
+        require_channels(self.nuisances, self.measured)
         whole = self.model.model if isinstance(self.model, ReducedModel) else self.model
         loads = [n.load(whole) for n in self.nuisances if not isinstance(n, ChannelError)]
         errors = tuple(n for n in self.nuisances if isinstance(n, ChannelError))
@@ -121,22 +122,15 @@ class FRFProblem:
     @cached_property
     def response_names(self) -> tuple[str, ...]:
         """Names of the responses: ``frac RESPONSE/REFERENCE`` of every measured function, then ``amplitude ...``."""
-        measured = np.isfinite(self.measured.values).any(axis=0)
-        names = [
-            f"{response.name}/{reference.name}"
-            for j, reference in enumerate(self.measured.references)
-            for i, response in enumerate(self.measured.responses)
-            if measured[i, j]
-        ]
-        return tuple(f"{kind} {name}" for kind in ("frac", "amplitude") for name in names)
+        return tuple(f"{kind} {own.name}" for kind in ("frac", "amplitude") for own in self.measured.functions)
 
     def responses(self, functions: np.ndarray) -> dict[str, float]:
         """Responses of FRFs (n_freq, n_responses, n_references), each 1 for a right model.
 
-        See `calib.correlation.frf_comparison.FRFComparison.functions_table`.
+        See `calib.correlation.frf_comparison.frac_and_amplitude`.
         """
-        table = FRFComparison(self.measured, functions, self.measured.std).functions_table()
-        return dict(zip(self.response_names, [*table["frac"], *table["amplitude"]], strict=True))
+        found = frac_and_amplitude(self.measured, functions)
+        return dict(zip(self.response_names, found.ravel().tolist(), strict=True))
 
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
         """The responses at named values; EvaluationError where the model has no FRFs."""
@@ -170,9 +164,9 @@ class FRFProblem:
 class FRFResidual:
     """Whitened differences between measured and model FRFs.
 
-    Rows are (measured - model)/std of the real and of the imaginary part of every measured entry, response by response,
-    then line by line. The standard deviation joins repeatability and claimed accuracy, or is `UNKNOWN_STD` of the
-    modulus where neither is known; rows count as independent.
+    Rows are (measured - model)/std of the real, then of the imaginary part of every measured entry: reference by
+    reference, response by response, line by line. The standard deviation joins repeatability and claimed accuracy, or
+    is `UNKNOWN_STD` of the modulus where neither is known; rows count as independent.
 
     Attributes
     ----------
@@ -216,16 +210,15 @@ class FRFResidual:
         """Labels of the rows, length n_rows."""
         measured = self.problem.measured
         return tuple(
-            FRFRow("", "frf", f"{response.name}/{reference.name}", part, float(measured.freq[k]))
+            FRFRow("", "frf", function.name, part, freq)
             for part in ("re", "im")
-            for i, response in enumerate(measured.responses)
-            for j, reference in enumerate(measured.references)
-            for k in np.flatnonzero(self._known[:, i, j])
+            for function in measured.functions
+            for freq in measured.freq[function.lines].tolist()
         )
 
     def _stacked(self, functions: np.ndarray) -> np.ndarray:
         """Entries (..., n_freq, n_responses, n_references) as real rows (..., n_rows), in the order of `rows`."""
-        turned = np.moveaxis(functions, -3, -1)[..., np.moveaxis(self._known, 0, -1)]
+        turned = np.swapaxes(functions, -3, -1)[..., np.swapaxes(self._known, 0, -1)]
         return np.concatenate([turned.real, turned.imag], axis=-1)
 
     @cached_property
@@ -257,8 +250,7 @@ class FRFResidual:
         measured = self.problem.measured
         if measured.n_repeats < 2:
             return {"frf": np.inf}
-        functions = int(self._known.any(axis=0).sum())
-        estimated = 2.0 * (measured.n_repeats - 1) * int(self._known.sum()) - 2 * functions
+        estimated = 2.0 * (measured.n_repeats - 1) * int(self._known.sum()) - 2 * len(measured.functions)
         shares = np.nan_to_num(measured.std[self._known] / self._std[self._known]) ** 2
         return {"frf": min(beside_known(estimated, shares), KNOWN)}
 

@@ -14,13 +14,13 @@ from calib.analyses.adapter import Adapter
 from calib.analyses.explain import answered, decided, require_usable
 from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
 from calib.analyses.function_hypotheses import function_hypotheses
+from calib.analyses.group_adapter import FRFAdapter, ScalarAdapter
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.joint_adapter import together
 from calib.analyses.library import local_perturbations
 from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.record import check_repeats, disagreements_table
 from calib.analyses.reduction import WORTHWHILE_DOFS, Wanted
-from calib.analyses.scalar_adapter import FRFAdapter, ScalarAdapter
 from calib.analyses.uncertainty import in_words, notes_on
 from calib.correlation.problem import ModalProblem
 from calib.effect import Effect
@@ -161,16 +161,14 @@ def _adapter(
 ) -> Adapter:
     """Adapter of one test; perturbations of this test alone bear its name where there are several tests."""
     held, facts = under(model, test.name, test.condition), _facts(test, seed)
-    space, name = held.space.without(dict(test.condition)), test.name if several else ""
+    space, name = held.space.without(test.condition), test.name if several else ""
     if isinstance(test, ResponseTest):
         assert isinstance(held, FunctionModel)
         scalar, tested = function_hypotheses(held, test.pair(held), effects, space, name)
         return ScalarAdapter(scalar, tested, facts, test.unseen)
     if isinstance(test, FRFTest):
-        assert isinstance(held, StructuralModel)
-        changed, frfs = Variants(held, effects, tuple(a.effect for a in local), None), test.pair(held)
-        space = frfs.space.without(dict(test.condition))
-        return FRFAdapter(ModelHypotheses(frfs, changed, space), local, facts, test.unseen)
+        frfs = test.pair(held)
+        return FRFAdapter.of(frfs, effects, local, frfs.space.without(test.condition), facts, test.unseen)
     pair, whole = test.pair(held), test.whole_problem(held)
     if isinstance(held, ModalFunctionModel):
         modal, tested = function_hypotheses(held, pair, effects, space, name)

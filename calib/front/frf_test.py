@@ -11,10 +11,10 @@ import pandas as pd
 
 from calib.analyses.uncertainty import assumed_frfs, claimed_frf
 from calib.analyses.verify import errors_of
-from calib.correlation.frf_nuisance import AddedMass, ChannelError, Channels, Nuisance, Stinger, concerned
+from calib.correlation.frf_nuisance import AddedMass, ChannelError, Nuisance, Stinger, concerned, require_channels
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.errors import InputError
-from calib.forward import UnseenFRFs, unseen_frfs
+from calib.forward import Unseen, unseen_frfs
 from calib.front.checked import Claimed, band, named
 from calib.given import names, objects
 from calib.measurement.accuracy import frf_claim
@@ -62,7 +62,7 @@ class FRFTest:
         (frfs,) = objects([self.frfs], MeasuredFRFs, f"{place}, frfs")
         kinds = (ChannelError, AddedMass, Stinger)
         object.__setattr__(self, "nuisances", objects(self.nuisances, kinds, f"{place}, nuisances"))
-        Channels(tuple(n for n in self.nuisances if isinstance(n, ChannelError)), frfs)  # refuses unknown sensors
+        require_channels(self.nuisances, frfs)
         try:
             claimed = frfs.accuracy if self.accuracy is None else frf_claim(self.accuracy)
         except (TypeError, ValueError) as fault:
@@ -91,7 +91,7 @@ class FRFTest:
         return self._parts[0]
 
     @property
-    def unseen(self) -> dict[str, UnseenFRFs]:
+    def unseen(self) -> Unseen:
         """Held-out FRFs, by their group, with the nuisances that concern them."""
         return unseen_frfs(self._parts[1], self.nuisances)
 
@@ -110,7 +110,8 @@ class FRFTest:
 
     def errors(self, model: Any, values: Mapping[str, float]) -> pd.DataFrame:
         """Errors on fitted, left-one-out and held-out FRFs; see `calib.analyses.verify.errors_of`."""
-        return errors_of(self.problem(model), None, self.unseen, self.problem(model).space, values)
+        problem = self.problem(model)
+        return errors_of(problem, None, self.unseen, problem.space, values)
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:

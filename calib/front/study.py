@@ -27,7 +27,7 @@ from calib.front.drawn import draw, draw_anew
 from calib.front.listener import Listener, Showing
 from calib.front.problem import Problem
 from calib.front.shown import AnalysisResult, Compared
-from calib.front.test import test_of
+from calib.front.test import model_of, test_of
 from calib.given import path as path_of
 from calib.joint import said, stacked
 from calib.missing.explanation import Explanation
@@ -161,9 +161,7 @@ class Study:
     @property
     def problem(self) -> Problem:
         """The study's models and tests as a `Problem` in memory, the selected parameters free; nothing is stored."""
-        first, *others = (
-            Problem(replace(one.model, space=one.search_space), test_of(one)) for one in self.loaded.studies
-        )
+        first, *others = (Problem(model_of(one), test_of(one)) for one in self.loaded.studies)
         return replace(first, beside=tuple(others))
 
     # -- analyses ------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
 from calib.correlation.standard_deviations import assumptions
 from calib.errors import InputError
-from calib.forward import HELD_OUT_RESPONSES
+from calib.forward import Unseen, unseen_responses
 from calib.front.checked import Claimed, band, named
 from calib.front.frf_test import FRFTest
 from calib.function import FunctionModel
@@ -218,9 +218,9 @@ class ResponseTest:
         return ResponseResidual(self.problem(model))
 
     @property
-    def unseen(self) -> dict[str, dict[str, tuple[float, float | None]]]:
+    def unseen(self) -> Unseen:
         """Held-out responses, by their group."""
-        return {HELD_OUT_RESPONSES: {name: self.measured.targets[name] for name in self.held_out}}
+        return unseen_responses(self.measured.targets, self.held_out)
 
     def errors(self, model: Model, values: Mapping[str, float]) -> pd.DataFrame:
         """Errors on fitted, left-one-out and held-out data; see `calib.analyses.verify.errors_of`."""
@@ -249,6 +249,9 @@ Test = ModalTest | ResponseTest | FRFTest
 def test_of(study: Study) -> Test:
     """The only test of a study."""
     given, name, condition = study.settings, study.test or "test", study.condition
+    if study.frfs is not None:
+        held = given.held_out
+        return FRFTest(study.frfs, held.sensors, held.references, held.bands, study.nuisances, name, condition)
     if study.whole is not None:
         pairing = given.pairing
         return ModalTest(
@@ -265,6 +268,13 @@ def test_of(study: Study) -> Test:
     data = given.measurement
     read = read_responses(study.folder / str(data.responses), data.pooling)
     return ResponseTest(read, given.held_out.responses, name, condition, data.accuracy)
+
+
+def model_of(study: Study) -> Model:
+    """The model of a study's only test with the selected parameters free; those of nuisances belong to the test."""
+    space = study.search_space
+    own = {name: value for name, value in space.values.items() if name not in study.model.space}
+    return replace(study.model, space=space.without(own))
 
 
 def space_of(model: Model, test: Test) -> ParameterSpace:

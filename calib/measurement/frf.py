@@ -45,6 +45,11 @@ class MeasuredFunction:
     lines: np.ndarray
 
     @property
+    def index(self) -> tuple[np.ndarray, int, int]:
+        """Of its entries in arrays (n_freq, n_responses, n_references)."""
+        return self.lines, self.i, self.j
+
+    @property
     def name(self) -> str:
         """Label such as ``12z/3z``: response over reference."""
         return f"{self.response.name}/{self.reference.name}"

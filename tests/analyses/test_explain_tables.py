@@ -92,7 +92,10 @@ def test_held_out_responses_of_a_function_enter_no_fit_and_verify_it(chain_folde
     effect = answer.explanation.chosen.effects[0]
     function = effect.build(study.model) or study.model.function
     model = function(values)
-    e = [(study.whole_targets[n][0] - model[n]) / study.whole_targets[n][1] for n in study.settings.held_out.responses]
+    e = [
+        (study.responses.targets[n][0] - model[n]) / study.responses.targets[n][1]
+        for n in study.settings.held_out.responses
+    ]
     assert table.loc[("held_out_responses", "after"), "rms"] == pytest.approx(np.sqrt(np.mean(np.square(e))), rel=1e-6)
     assert table.loc[("held_out_responses", "after"), "p"] > 0.01
 

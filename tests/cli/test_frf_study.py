@@ -163,3 +163,25 @@ def test_a_study_that_cannot_be_read_is_told_the_line(here, edit, capsys, one_se
         marked = (here / "chain/study.toml").read_text().splitlines()[int(found[1]) - 1]
         assert key in marked, said
     assert not list(Path("results").rglob("*.csv"))
+
+
+def test_python_poses_the_problem_of_the_folder(ran):
+    """The test in memory holds out the same data and has the same nuisances as the study."""
+    study = calib.Study(ran[0] / "chain")
+    problem = study.problem
+    one = study.loaded
+    assert problem.posed.pair.problem.measured.fingerprint == one.problem.measured.fingerprint
+    assert set(problem.tests.unseen) == set(one.unseen) and problem.tests.unseen
+    assert problem.space.free_names == one.search_space.free_names
+
+
+def test_a_transducer_loads_the_structure_though_its_function_is_held_out(tmp_path):
+    file = WORLD.write_study(tmp_path / "chain") / "study.toml"
+    own = 'kind = "frf"\nnuisances = { accelerometer = 0.02, gain = 1.0 }'
+    file.write_text(file.read_text().replace('kind = "frf"', own))
+    study = calib.Study(file.parent).loaded
+    fitted, held_out = study.problem, study.unseen["held_out_sensors"]
+    masses = {"mass_1", "mass_3", "mass_4"}
+    assert masses <= set(fitted.space.names) and masses <= set(study.search_space.free_names)
+    assert "gain_3x" not in fitted.space and set(held_out.unfitted(fitted.space.values)) == {"gain_3x", "gain_force_4x"}
+    assert set(calib.Study(file.parent).problem.space.names) == set(study.search_space.names)

@@ -68,7 +68,7 @@ def test_the_problem_of_a_study_is_fitted_as_the_study_is(rig):
 def test_the_problem_of_scalar_responses_is_that_of_the_study():
     study = calib.Study.load(STUDIES / "five_mass_chain")
     problem = study.problem
-    assert dict(problem.tests.measured.targets) == dict(study.loaded.whole_targets)
+    assert dict(problem.tests.measured.targets) == dict(study.loaded.responses.targets)
     assert len(problem.posed.rows) == len(study.loaded.targets)
     np.testing.assert_allclose(
         problem.posed.residual({}), calib.Problem(problem.model, problem.tests).posed.residual({})

@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
+from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.one_test import OneTest
-from calib.analyses.verify import group_errors, measuring, std_behind, whitened
+from calib.analyses.verify import group_errors, held_out_rows, std_behind, whitened
 from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.mesh import geometry_tables
 from calib.correlation.response_residual import ResponseResidual
+from calib.effect import Effect
 from calib.forward import Unseen
 from calib.missing.explanation import CandidateFit
-from calib.problem import Pair
+from calib.space import ParameterSpace
+from calib.structure.model import StructuralModel
+from calib.structure.perturbations import Perturbation
+from calib.structure.variants import Variants
 
 
 @dataclass(frozen=True, eq=False)
-class ScalarAdapter(OneTest):
-    """Measured scalar responses against a function, or FRFs against a model with matrices.
+class GroupAdapter(OneTest):
+    """Data that are compared entry by entry, and held out by group.
 
     Attributes
     ----------
-    held_out : mapping from group to targets or UnseenFRFs
-        Held-out responses or FRFs.
+    held_out : mapping from group to UnseenData
     """
 
     hypotheses: ModelHypotheses[ResponseResidual] | ModelHypotheses[FRFResidual]
@@ -34,19 +38,23 @@ class ScalarAdapter(OneTest):
 
     def errors_of(self, candidate_fit: CandidateFit, scale: float) -> pd.DataFrame:
         """See `calib.analyses.verify.group_errors`."""
-        s, used = candidate_fit.fit, self.hypotheses.pair
-        problem = self.hypotheses.fit_problem(candidate_fit.names).pair.problem
-
-        def at(pair: Pair, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-            residual, jacobian = whitened(pair, s.values, names, self.facts.held_sd)
-            return residual / scale, jacobian / scale
-
-        held_out = {group: at(measuring(problem, own), s.names) for group, own in self.held_out.items() if own}
+        s, held_sd = candidate_fit.fit, self.facts.held_sd
+        pair = self.hypotheses.fit_problem(candidate_fit.names).pair
+        unseen = held_out_rows(pair.problem, self.held_out, s.values, s.names, held_sd)
+        held_out = {group: (residual / scale, jacobian / scale) for group, (residual, jacobian) in unseen.items()}
         slope = -s.slope
-        if self.facts.held_sd:  # held parameters are not fitted, so their columns are not in its slope
-            slope = np.hstack([slope, at(self.hypotheses.fit_problem(candidate_fit.names).pair, ())[1]])
+        if held_sd:  # held parameters are not fitted, so their columns are not in its slope
+            slope = np.hstack([slope, whitened(pair, s.values, (), held_sd)[1] / scale])
         labels = [row.sensor for row in self.hypotheses.rows]
-        return group_errors(s.residual, slope, s.names, s.prior_sd, labels, held_out, std_behind(used))
+        std = std_behind(self.hypotheses.pair)
+        return group_errors(s.residual, slope, s.names, s.prior_sd, labels, held_out, std)
+
+
+@dataclass(frozen=True, eq=False)
+class ScalarAdapter(GroupAdapter):
+    """Measured scalar responses against a function."""
+
+    hypotheses: ModelHypotheses[ResponseResidual]
 
     def tables(self, stages: Mapping[str, CandidateFit]) -> dict[str, pd.DataFrame]:
         """``response_misfit``: whitened residual of every response by stage."""
@@ -59,10 +67,25 @@ class ScalarAdapter(OneTest):
 
 
 @dataclass(frozen=True, eq=False)
-class FRFAdapter(ScalarAdapter):
+class FRFAdapter(GroupAdapter):
     """Measured FRFs against a model with matrices."""
 
     hypotheses: ModelHypotheses[FRFResidual]
+
+    @staticmethod
+    def of(
+        pair: FRFResidual,
+        effects: tuple[Effect, ...],
+        local: tuple[Perturbation, ...],
+        space: ParameterSpace,
+        facts: MeasurementFacts,
+        held_out: Unseen,
+    ) -> FRFAdapter:
+        """The adapter of a model at full order; ``space`` holds the parameters of its fits."""
+        model = pair.problem.model
+        assert isinstance(model, StructuralModel)
+        variants = Variants(model, effects, tuple(perturbation.effect for perturbation in local), None)
+        return FRFAdapter(ModelHypotheses(pair, variants, space), local, facts, held_out)
 
     def labels(self) -> pd.DataFrame:
         """Labels of the rows of data; ``mode`` is the line, such as ``12.5 Hz``, and ``part`` is ``re`` or ``im``."""
