@@ -73,9 +73,9 @@ def test_a_mark_behind_the_line():
 
 
 @given(
-    st.text(st.characters(codec="utf-8", exclude_characters="\r\n"), max_size=300),
-    st.integers(1, 320),
-    st.integers(1, 320),
+    st.text(st.characters(codec="utf-8", exclude_characters="\r\n"), max_size=150),
+    st.integers(1, 170),
+    st.integers(1, 170),
     st.integers(40, 120),
 )
 def test_whatever_the_line_it_is_cut_around_the_mark(text, column, length, widest):

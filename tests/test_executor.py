@@ -154,7 +154,7 @@ def table(outcomes):
 # -- the same table ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", EXECUTORS)
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=[pytest.mark.slow] * (k == "cluster")) for k in EXECUTORS])
 def test_the_table_is_that_of_a_serial_evaluation(source, kind, monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")  # of new processes
     batch, heard = points(*np.linspace(0.1, 0.9, 9), -1, -2, 0.3), []

@@ -182,6 +182,7 @@ def test_its_results_there_are_those_in_this_process(own):
     assert there.problem.fingerprint == here.problem.fingerprint
 
 
+@pytest.mark.slow
 def test_a_point_that_ends_the_process_is_a_failed_row(own, tmp_path):
     folder, _ = own
     edit(
@@ -287,6 +288,7 @@ def test_without_locations_the_model_is_not_drawn(own, tmp_path):
     assert {"comparison.png", "mac_before.png"} <= {p.name for p in Figures(results.path, "cantilever", True).save()}
 
 
+@pytest.mark.slow
 def test_with_locations_the_motion_of_its_sensors_is_drawn(own, tmp_path):
     folder, _ = own
     study, results = Study.load(folder), Results.at(tmp_path / "results", "study")

@@ -161,6 +161,7 @@ def test_the_line_comes_from_a_given_executor(plain, mistakes):
     mistakes.check(outcome.at, expected)
 
 
+@pytest.mark.slow
 def test_a_model_that_cannot_be_built_in_a_worker(plain, mistakes):
     folder = plain(SOUND)
     study = Study.load(folder)
@@ -252,7 +253,11 @@ def test_mistakes_in_an_effect(plain, changes, act, mistakes):
         pytest.param("def ⟦bent⟧(values):\n        return {'y1': 0.0}\n    return bent", True, marks=pytest.mark.slow),
         ("def ⟦bent⟧(values):\n        return {'y1': 0.0}\n    return bent", False),
         ("def ⟦bent⟧(values):\n        return 3.0\n    return bent", False),
-        ("return lambda values: {name: 2 * y for name, y in model.function(values).items()}", True),
+        pytest.param(
+            "return lambda values: {name: 2 * y for name, y in model.function(values).items()}",
+            True,
+            marks=pytest.mark.slow,
+        ),
         ("return lambda values: {name: 2 * y for name, y in model.function(values).items()}", False),
     ],
 )

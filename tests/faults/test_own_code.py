@@ -179,6 +179,7 @@ def fault_of(folder: Path) -> str:
     return f"NameError: name 'y' is not defined (effects.py, line {line_of(folder / 'effects.py', '# here')})"
 
 
+@pytest.mark.slow
 def test_an_exception_in_the_only_effect(bent, told):
     folder = bent(1)
     assert fault_of(folder) in told("explain", str(folder))

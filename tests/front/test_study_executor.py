@@ -82,9 +82,10 @@ def asked_of_rig(root, workers):
     return tables(results.path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make",
-    [lambda: Threads(3), pytest.param(processes, marks=pytest.mark.slow)],
+    [lambda: Threads(3), processes],
     ids=["threads", "another process"],
 )
 def test_a_model_of_matrices_has_the_tables_of_the_own_pool(rig, make, tmp_path):

@@ -36,6 +36,10 @@ def sensors():
     return read_modes([STUDY / "repeat_1.uff"], sensors=STUDY / "sensors.csv").sensors
 
 
+QUICK = {"brake_unit", "crossbar_joint", "gear_case_offset", "damper_mount"}
+"""A hung mass, a soft stretch, a moved mass and a spring in series: those looked at every time."""
+
+
 @pytest.fixture(scope="module")
 def library(effect_checks):
     """On the mesh that is fitted; the eight modes of its nominal values are measured at the study's sensors."""
@@ -100,7 +104,7 @@ def test_matrix_derivatives_agree_with_differences(library, name):
     assert ("c_primary" in gaps) == (name in ("weak_damper", "damper_mount"))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in QUICK else [pytest.mark.slow]) for n in NAMES])
 def test_matrices_stay_semidefinite_and_modes_solvable_at_the_limits(library, coarse, effect_checks, name):
     for values in effect_checks.limits(EFFECTS[name]):
         assert coarse.negative_directions(values) == 0
@@ -109,11 +113,9 @@ def test_matrices_stay_semidefinite_and_modes_solvable_at_the_limits(library, co
         assert np.all(modes.damping_ratio > -1e-12)  # two modes of the axles have none
 
 
-# Those that take longest are rebuilt by hand (test_effects_rebuilt.py) or checked alone (test_effects_alone.py) too.
-LONG = {"actuator_flexibility", "damper_mount", "gear_case_offset", "brake_unit"}
-
-
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if n in LONG else []) for n in NAMES])
+# All effects are rebuilt by hand (test_effects_rebuilt.py) or checked alone (test_effects_alone.py) too.
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
 def test_an_effect_is_the_same_on_the_fine_and_the_fitted_mesh(effect_checks, name):
     # The finer bogie distributes the gear case over 0.24 m of the axle, which its moment of inertia bends.
     share = 0.16 if name == "gear_case_offset" else 0.1

@@ -53,20 +53,21 @@ def test_magnitude_zero_leaves_the_modes_of_the_base_model(library, modes):
     np.testing.assert_allclose(found.damping_ratio, modes.damping_ratio, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_matrix_derivatives_agree_with_differences(library, name):
     gaps = library.slope_gaps(name, {"c_yaw": 350.0, "RMI_base": 180.0})
     assert set(EFFECTS[name].names) <= set(gaps) and max(gaps.values()) <= 1.0
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] if n.startswith("hung") else []) for n in NAMES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
 def test_matrices_stay_semidefinite_at_the_limits(library, effect_checks, name):
     for values in effect_checks.limits(EFFECTS[name]):
         assert library.negative_directions(values) == 0
 
 
+@pytest.mark.slow
 def test_a_joint_loses_no_more_than_a_thinner_floor_has(library):
     thin = {"floor_joint": 0.95, "RMI_base": 50.0, "t_base": 9.2, "E_aluminium": 65.0}
     assert library.negative_directions(thin) == 0
