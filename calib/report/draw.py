@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from matplotlib.figure import Figure
 
 from calib.errors import InputError
 from calib.named_values import read_json
 from calib.report.calibration import draw_convergence, draw_searches
 from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix
 from calib.report.correlation import INDUCED, INPUTS, MOST_IN_MATRIX, POSTERIOR, STRONG, draw_correlation
+from calib.report.drawing import Drawing, bound, existing
 from calib.report.explanation_plan import plan_explanation
 from calib.report.frequencies import draw_frequencies, stages_of_added
 from calib.report.frf import draw_frac, draw_frf_lines, overlay_figure
@@ -30,7 +29,7 @@ from calib.report.scene import PLACE
 from calib.report.sensitivity import MEASURES, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
 from calib.report.shown import Folder
-from calib.report.style import owner_of, stage_words
+from calib.report.style import stage_words
 from calib.report.tables import read_square, read_table
 from calib.report.worst import draw_worst
 
@@ -49,28 +48,6 @@ _ADDED = "added"
 """Stage of the model that is calibrated with added effects."""
 
 
-@dataclass(frozen=True)
-class Drawing:
-    """A figure that can be drawn.
-
-    Attributes
-    ----------
-    name : str
-        Name of its file, without suffix.
-    caption : str
-        Part of its heading.
-    draw : callable
-        Returns it.
-    tables : tuple of str
-        The tables that it shows, CSV files of the folder without suffix.
-    """
-
-    name: str
-    caption: str
-    draw: Callable[[], Figure]
-    tables: tuple[str, ...]
-
-
 def plan(folder: Folder) -> dict[str, Drawing]:
     """Every figure for which a results folder has the tables, by name; all tables are read, nothing is drawn.
 
@@ -79,76 +56,141 @@ def plan(folder: Folder) -> dict[str, Drawing]:
     InputError
         A table is damaged.
     """
-    drawings: dict[str, Drawing] = {}
-
-    def add(name: str, caption: str, draw: Callable[[], Figure], *tables: str) -> None:
-        drawings[name] = Drawing(name, caption, draw, tables or (name,))
-
     effects = added_effects(folder)
     stages = (*_STAGES, *([_ADDED] if effects else []))
     compared = {stage: _comparison(folder / f"comparison_{stage}.csv") for stage in stages}
-    before, after, noise = compared["before"], compared["after"], _noise_mac(folder / "summary.json")
+    parts = (
+        _comparisons(folder, compared, effects),
+        _frfs(folder, stages, effects),
+        _correlations_of_shapes(folder, effects),
+        _shapes_on_mesh(folder, compared, effects),
+        _every_mode(folder, effects),
+        _worst_comparisons(folder, stages, effects),
+        _sensitivities(folder),
+        _calibration(folder),
+        plan_explanation(folder),
+    )
+    return {drawing.name: drawing for part in parts for drawing in part}
+
+
+def _comparisons(folder: Folder, compared: Mapping[str, pd.DataFrame | None], effects: str) -> Iterator[Drawing]:
+    """Modes, and scalar responses, of model and measurement."""
+    before, after = compared["before"], compared["after"]
     if before is not None or after is not None:
-        add(
-            "comparison", "model against measurement",
-            lambda: comparison_figure(before, after, noise, added=compared.get(_ADDED), effects=effects),
-            *_there(folder, "comparison", stages),
-        )  # fmt: skip
+        noise, added = _noise_mac(folder / "summary.json"), compared.get(_ADDED)
+        draw = bound(comparison_figure, before, after, noise, added=added, effects=effects)
+        yield Drawing("comparison", "model against measurement", draw, _there(folder, "comparison", list(compared)))
     for stage in _STAGES:
         if (errors := _scalar_comparison(folder / f"comparison_{stage}.csv")) is not None:
             both = (errors, None) if stage == "before" else (None, errors)
-            add(
-                f"responses_{stage}",
-                f"errors of the responses, {stage_words(stage, effects)}",
-                lambda both=both: owner_of(draw_responses(*both, effects=effects)),  # type: ignore[misc]
-                f"comparison_{stage}",
-            )
-    _plan_frfs(folder, stages, effects, add)
+            caption = f"errors of the responses, {stage_words(stage, effects)}"
+            draw = bound(draw_responses, *both, effects=effects)
+            yield Drawing(f"responses_{stage}", caption, draw, (f"comparison_{stage}",))
+
+
+def _frfs(folder: Folder, stages: Sequence[str], effects: str) -> Iterator[Drawing]:
+    """FRFs of model and measurement."""
+    lines = read_stages(folder, "frf_lines", stages)
+    overlays, functions = read_stages(folder, "frf", stages), read_stages(folder, "comparison", stages)
+    if overlays and functions:
+        caption = "FRFs that agree least, measured and of the model"
+        draw = bound(overlay_figure, overlays, functions, effects=effects)
+        yield Drawing("frf_overlays", caption, draw, _there(folder, "frf", stages))
+        draw = bound(draw_frac, functions, effects=effects)
+        yield Drawing("frac", "FRAC of every function", draw, _there(folder, "comparison", stages))
+    if lines:
+        draw = bound(draw_frf_lines, lines, effects=effects)
+        caption = "errors of the FRFs along the frequency axis"
+        yield Drawing("frf_lines", caption, draw, _there(folder, "frf_lines", stages))
+
+
+def _correlations_of_shapes(folder: Folder, effects: str) -> Iterator[Drawing]:
+    """MAC of all pairs of modes, and CoMAC."""
     for stage in _STAGES:
         path = folder / f"mac_{stage}.csv"
         if path.exists():
             mac = read_table(path, ["mode"], others_are_numbers=True)
-            words = stage_words(stage, effects)
-            add(path.stem, f"MAC, {words}", lambda mac=mac: owner_of(draw_mac_matrix(mac)))  # type: ignore[misc]
-    sensors = {stage: _comac(folder / f"comac_{stage}.csv") for stage in _STAGES}
-    if any(table is not None for table in sensors.values()):
-        add("comac", "CoMAC of the sensors",
-            lambda: owner_of(draw_comac(sensors["before"], sensors["after"], effects=effects)),
-            *_there(folder, "comac", _STAGES))  # fmt: skip
-    _plan_modes(folder, compared, effects, add)
-    if (every := _every_mode(folder / "modes.csv")) is not None:
-        add("modes", "damped frequencies of all measured modes", lambda every=every: owner_of(draw_frequencies(every)))  # type: ignore[misc]
-    if effects and (every := _every_mode(folder / "added_modes.csv")) is not None:
+            yield Drawing(path.stem, f"MAC, {stage_words(stage, effects)}", bound(draw_mac_matrix, mac), (path.stem,))
+    before, after = (_comac(folder / f"comac_{stage}.csv") for stage in _STAGES)
+    if before is not None or after is not None:
+        draw = bound(draw_comac, before, after, effects=effects)
+        yield Drawing("comac", "CoMAC of the sensors", draw, _there(folder, "comac", _STAGES))
+
+
+def _shapes_on_mesh(folder: Folder, compared: Mapping[str, pd.DataFrame | None], effects: str) -> Iterator[Drawing]:
+    """The model, its modes, and measured shapes over them."""
+    mesh = read_mesh(folder)
+    if mesh is None:
+        return
+    shapes = {stage: _shapes(folder / f"shapes_{stage}.csv") for stage in _STAGES}
+    placed = next((table for table in shapes.values() if table is not None), None)
+    sensors = None if placed is None else placed[placed["mode"] == placed["mode"].iloc[0]]
+    if sensors is not None or face_groups(mesh):  # a mesh of lines alone is drawn with its modes
+        yield Drawing("model", "the model", bound(model_figure, mesh, sensors), ("mesh_points", "mesh_elements"))
+    path = folder / "model_places.csv"
+    if path.exists():
+        marks = read_table(
+            path, ["name", "form"], PLACE, complete=PLACE, blank=["kind", "parameters"], may_be_empty=True
+        )
+        if len(marks):
+            caption = "springs, masses and supports of the model, and its parameters"
+            yield Drawing("model_places", caption, bound(places_figure, mesh, marks), ("model_places",))
+    for stage in ("initial", *_STAGES):  # the first is before the calibration of an earlier study too
+        words = "before any calibration" if stage == "initial" else stage_words(stage, effects)
+        moved, listed = folder / f"deflection_{stage}.csv", folder / f"model_modes_{stage}.csv"
+        if not moved.exists() or not listed.exists():
+            continue
+        columns, found = ["point", "u", "v", "w"], ["damped_freq", "damping_ratio"]
+        motion = read_table(moved, ["mode"], columns, complete=columns, may_be_empty=True)
+        modes = read_table(listed, ["mode"], found, complete=["damped_freq"], may_be_empty=True)
+        for page, some in pages(modes).items():
+            caption = f"modes of the model, {words}: damped frequency"
+            draw = bound(model_modes_figure, some, motion, mesh)
+            yield Drawing(f"model_modes_{stage}{page}", caption, draw, (f"model_modes_{stage}",))
+        if (measured := shapes.get(stage)) is not None:
+            draw = bound(mode_shapes_figure, measured, motion, mesh, compared[stage])
+            caption = f"mode shapes, {words}: measured/model"
+            yield Drawing(f"mode_shapes_{stage}", caption, draw, (f"shapes_{stage}",))
+
+
+def _every_mode(folder: Folder, effects: str) -> Iterator[Drawing]:
+    """Damped frequencies of all measured modes, held-out ones too."""
+    if (every := _all_modes(folder / "modes.csv")) is not None:
+        yield Drawing("modes", "damped frequencies of all measured modes", bound(draw_frequencies, every), ("modes",))
+    if effects and (every := _all_modes(folder / "added_modes.csv")) is not None:
         caption = f"damped frequencies of all measured modes, without and with {effects}"
-        stages_then = stages_of_added(effects)
-        add("added_modes", caption, lambda every=every: owner_of(draw_frequencies(every, looks=stages_then)))  # type: ignore[misc]
+        draw = bound(draw_frequencies, every, looks=stages_of_added(effects))
+        yield Drawing("added_modes", caption, draw, ("added_modes",))
+
+
+def _worst_comparisons(folder: Folder, stages: Sequence[str], effects: str) -> Iterator[Drawing]:
+    """Comparisons in standard deviations."""
     worst = {stage: _failing(folder / f"where_it_fails_{stage}.csv") for stage in stages}
     if any(worst[stage] is not None for stage in _STAGES):
-        add(
-            "where_it_fails", "the worst comparisons",
-            lambda: owner_of(draw_worst(worst["before"], worst["after"], added=worst.get(_ADDED), effects=effects)),
-            *_there(folder, "where_it_fails", stages),
-        )  # fmt: skip
+        draw = bound(draw_worst, worst["before"], worst["after"], added=worst.get(_ADDED), effects=effects)
+        yield Drawing("where_it_fails", "the worst comparisons", draw, _there(folder, "where_it_fails", stages))
+
+
+def _sensitivities(folder: Folder) -> Iterator[Drawing]:
+    """Sensitivity of the responses, correlation of the inputs, and selection."""
     for name, (caption, looks) in _MATRICES.items():
         path = folder / f"{name}.csv"
         if path.exists():
             matrix = read_table(path, ["parameter"], others_are_numbers=True)
-            add(name, caption, lambda matrix=matrix, looks=looks: owner_of(draw_sensitivity(matrix, **looks)))  # type: ignore[misc]
+            yield Drawing(name, caption, bound(draw_sensitivity, matrix, **looks), (name,))
     path = folder / "input_correlation.csv"
-    if path.exists():
-        inputs = read_square(path)
-        if len(inputs) > 1:
-            caption = "correlation induced by constraints"
-            add(
-                "input_correlation", caption,
-                lambda: owner_of(draw_correlation(inputs, threshold=INDUCED, label=INPUTS)),
-            )  # fmt: skip
+    if path.exists() and len(inputs := read_square(path)) > 1:
+        draw = bound(draw_correlation, inputs, threshold=INDUCED, label=INPUTS)
+        yield Drawing("input_correlation", "correlation induced by constraints", draw, ("input_correlation",))
     path = folder / "selection.csv"
     if path.exists():
         numbers = [name for measure in MEASURES for name in (f"max_{measure}", f"{measure}_floor")]
-        flags = ["measured", "selected"]
-        chosen = read_table(path, ["parameter"], numbers, flags=flags)
-        add("selection", "selection of parameters", lambda: owner_of(draw_selection(chosen)))
+        chosen = read_table(path, ["parameter"], numbers, flags=["measured", "selected"])
+        yield Drawing("selection", "selection of parameters", bound(draw_selection, chosen), ("selection",))
+
+
+def _calibration(folder: Folder) -> Iterator[Drawing]:
+    """Calibrated parameters, their posterior correlation, and the searches."""
     path = folder / "parameters.csv"
     if path.exists():
         found = read_table(
@@ -162,100 +204,24 @@ def plan(folder: Folder) -> dict[str, Drawing]:
         best = _best_case(folder / "summary.json", list(dict.fromkeys(found["case"])))
         space = folder / "parameter_space.csv"
         known = read_table(space, ["parameter"], ["value", "prior_sd"]) if space.exists() else None
-        add("parameters", "calibrated parameters", lambda: owner_of(draw_parameters(found, None, best, known)))
+        draw = bound(draw_parameters, found, None, best, known)
+        yield Drawing("parameters", "calibrated parameters", draw, ("parameters",))
         if found["case"].nunique() > 1 or ("search_value" in found and found["search_value"].notna().any()):
-            add(
-                "searches", "ends of the searches", lambda: owner_of(draw_searches(found, best_case=best)), "parameters"
-            )
+            draw = bound(draw_searches, found, best_case=best)
+            yield Drawing("searches", "ends of the searches", draw, ("parameters",))
     path = folder / "posterior_correlation.csv"
-    if path.exists():
-        posterior = read_square(path, may_be_empty=True)
-        if len(posterior) > 1:
-            add(
-                "posterior_correlation", "posterior correlation of the parameters",
-                lambda: owner_of(
-                    draw_correlation(posterior, threshold=STRONG, label=POSTERIOR, most_in_matrix=MOST_IN_MATRIX)
-                ),
-            )  # fmt: skip
+    if path.exists() and len(posterior := read_square(path, may_be_empty=True)) > 1:
+        draw = bound(draw_correlation, posterior, threshold=STRONG, label=POSTERIOR, most_in_matrix=MOST_IN_MATRIX)
+        caption = "posterior correlation of the parameters"
+        yield Drawing("posterior_correlation", caption, draw, ("posterior_correlation",))
     path = folder / "convergence.csv"
     if path.exists():
         misfit = ["best", "mean"]
         runs = read_table(path, ["case"], ["generation", *misfit], complete=["generation"], unbounded=misfit)
-        add("convergence", "convergence of the search", lambda: owner_of(draw_convergence(runs)))
-    plan_explanation(folder, add)
-    return drawings
+        yield Drawing("convergence", "convergence of the search", bound(draw_convergence, runs), ("convergence",))
 
 
-def _plan_frfs(folder: Folder, stages: Sequence[str], effects: str, add: Callable[..., None]) -> None:
-    """Figures of FRFs."""
-    lines = read_stages(folder, "frf_lines", stages)
-    overlays, functions = read_stages(folder, "frf", stages), read_stages(folder, "comparison", stages)
-    if overlays and functions:
-        add(
-            "frf_overlays", "FRFs that agree least, measured and of the model",
-            lambda: overlay_figure(overlays, functions, effects=effects), *_there(folder, "frf", stages),
-        )  # fmt: skip
-        add(
-            "frac", "FRAC of every function",
-            lambda: owner_of(draw_frac(functions, effects=effects)), *_there(folder, "comparison", stages),
-        )  # fmt: skip
-    if lines:
-        add(
-            "frf_lines", "errors of the FRFs along the frequency axis",
-            lambda: owner_of(draw_frf_lines(lines, effects=effects)), *_there(folder, "frf_lines", stages),
-        )  # fmt: skip
-
-
-def _plan_modes(
-    folder: Folder, compared: dict[str, pd.DataFrame | None], effects: str, add: Callable[..., None]
-) -> None:
-    """Figures of the mesh: the model, its modes, and measured shapes over them."""
-    mesh = read_mesh(folder)
-    if mesh is None:
-        return
-    shapes = {stage: _shapes(folder / f"shapes_{stage}.csv") for stage in _STAGES}
-    placed = next((table for table in shapes.values() if table is not None), None)
-    sensors = None if placed is None else placed[placed["mode"] == placed["mode"].iloc[0]]
-    if sensors is not None or face_groups(mesh):  # a mesh of lines alone is drawn with its modes
-        add("model", "the model", lambda: model_figure(mesh, sensors), "mesh_points", "mesh_elements")
-    path = folder / "model_places.csv"
-    if path.exists():
-        marks = read_table(
-            path, ["name", "form"], PLACE, complete=PLACE, blank=["kind", "parameters"], may_be_empty=True
-        )
-        if len(marks):
-            add(
-                "model_places", "springs, masses and supports of the model, and its parameters",
-                lambda: places_figure(mesh, marks), "model_places",
-            )  # fmt: skip
-    for stage in ("initial", *_STAGES):  # the first is before the calibration of an earlier study too
-        words = "before any calibration" if stage == "initial" else stage_words(stage, effects)
-        moved, listed = folder / f"deflection_{stage}.csv", folder / f"model_modes_{stage}.csv"
-        if not moved.exists() or not listed.exists():
-            continue
-        columns, found = ["point", "u", "v", "w"], ["damped_freq", "damping_ratio"]
-        motion = read_table(moved, ["mode"], columns, complete=columns, may_be_empty=True)
-        modes = read_table(listed, ["mode"], found, complete=["damped_freq"], may_be_empty=True)
-        for page, some in pages(modes).items():
-            add(
-                f"model_modes_{stage}{page}",
-                f"modes of the model, {words}: damped frequency",
-                lambda some=some, motion=motion: model_modes_figure(some, motion, mesh),
-                f"model_modes_{stage}",
-            )
-        measured = shapes.get(stage)
-        if measured is not None:
-            add(
-                f"mode_shapes_{stage}",
-                f"mode shapes, {words}: measured/model",
-                lambda measured=measured, motion=motion, facts=compared[stage]: mode_shapes_figure(
-                    measured, motion, mesh, facts
-                ),
-                f"shapes_{stage}",
-            )
-
-
-def _every_mode(path: Path) -> pd.DataFrame | None:
+def _all_modes(path: Path) -> pd.DataFrame | None:
     """Table of all measured modes; None without the file or without rows in it."""
     if not path.exists():
         return None
@@ -279,9 +245,9 @@ def _comparison(path: Path) -> pd.DataFrame | None:
     return read_table(path, ["mode"], numbers, complete=["natural_freq_measured"], unique="mode")
 
 
-def _there(folder: Folder, name: str, stages: Sequence[str]) -> list[str]:
+def _there(folder: Folder, name: str, stages: Sequence[str]) -> tuple[str, ...]:
     """Names of the tables of each stage."""
-    return [f"{name}_{stage}" for stage in stages if (folder / f"{name}_{stage}.csv").exists()]
+    return existing(folder, [f"{name}_{stage}" for stage in stages])
 
 
 def _scalar_comparison(path: Path) -> pd.DataFrame | None:

@@ -9,7 +9,8 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from calib.errors import InputError
-from calib.report.draw import Drawing, plan
+from calib.report.draw import plan
+from calib.report.drawing import Drawing
 from calib.report.legible import is_legible, wrap_labels
 from calib.report.shown import Shown
 from calib.report.style import COLUMN, Format, Width, add_heading, save, style, take_dollars_literally
