@@ -47,7 +47,8 @@ class Added:
     sentence : str
         How the errors changed, or why no effect was added.
     conclusion : str
-        Whether the model fits and predicts better with them; empty where the errors are unknown.
+        Whether the model fits and predicts better with them, and which held-out modes it predicts better; empty where
+        the errors are unknown.
     errors : DataFrame
         ``added_errors.csv``: ``group, stage, rows, rms, expected, p, unpaired``, stages ``before`` and ``after``.
     parameters : DataFrame
@@ -140,11 +141,13 @@ def write_added(
     parameters = _parameters(extended, effects, before, after)
     magnitudes = [_magnitude(effect, extended, after) for effect in effects]
     benefit = "" if errors.empty else f"With {'it' if len(effects) == 1 else 'them'} {conclusion(errors)}."
+    modes = _modes(before, after)
+    benefit = f"{benefit} {_held_out_modes(modes)}".strip()
     words = [_sentence(magnitudes, errors, benefit), *_unsettled(magnitudes, found)]
     words += ["Both are quick runs: confirm them with full ones."] if quick else []
     own = _own_modes(study, effects, extended, after)
     told = own_sentence(own)
-    answer = Added(effects, " ".join(words), benefit, told, errors, parameters, _modes(before, after))
+    answer = Added(effects, " ".join(words), benefit, told, errors, parameters, modes)
     begin_analysis(results, "extend")
     results.write_table("added_errors", errors)
     results.write_table("added_parameters", parameters)
@@ -276,7 +279,8 @@ def _with_interval(magnitude: Mapping[str, Any]) -> str:
 def conclusion(errors: pd.DataFrame) -> str:
     """Whether the extended model fits and predicts better, in words.
 
-    Predictions are judged by held-out data or, where nothing is held out, by leave-one-out errors.
+    Predictions are judged by held-out data or, where nothing is held out, by leave-one-out errors. An error that noise
+    explains both before and after tells nothing, whether it falls or not.
 
     Parameters
     ----------
@@ -285,14 +289,15 @@ def conclusion(errors: pd.DataFrame) -> str:
     """
     table = by_group(errors).set_index("group")
     fell = table["rms_after"] < FALLEN * table["rms_before"]
-    quiet = ~fell & (table["p_before"] > WITHIN) & (table["p_after"] > WITHIN)
+    quiet = (table["p_before"] > WITHIN) & (table["p_after"] > WITHIN)
     unseen = [group for group in UNSEEN if group in table.index] or ["left_out"]
-    better = [WORDS[g] for g in unseen if fell[g]]
+    better = [WORDS[g] for g in unseen if fell[g] and not quiet[g]]
     same = [WORDS[g] for g in unseen if not fell[g] and not quiet[g]]
     noise = [WORDS[g] for g in unseen if quiet[g]]
     words = "the model fits better" if fell["fit"] else "the model fits no better"
     if better and not same:
-        words += " and predicts held-out data better" if unseen != ["left_out"] else f" and predicts {better[0]} better"
+        every = unseen != ["left_out"] and not noise
+        words += f" and predicts {'held-out data' if every else ' and '.join(better)} better"
     elif better:
         words += f", predicts {' and '.join(better)} better, {' and '.join(same)} no better"
     else:
@@ -300,6 +305,24 @@ def conclusion(errors: pd.DataFrame) -> str:
     words += f"; {' and '.join(noise)} stay within the noise" if noise else ""
     against = [WORDS[g] for g in contradicting(errors, "after")]
     return words + (f"; not confirmed: {' and '.join(against)} contradict it" if against else "")
+
+
+def _held_out_modes(modes: pd.DataFrame) -> str:
+    """How many held-out modes have a smaller frequency error with the effects, and those whose error grew, in words."""
+    if modes.empty:
+        return ""
+    known = modes[modes["held_out"].astype(bool) & modes[["error_before", "error_after"]].notna().all(axis=1)]
+    if known.empty:
+        return ""
+    before, after = (100 * known[f"error_{stage}"].abs() for stage in ("before", "after"))
+    grew = [
+        f"{mode} ({was:.2f} -> {now:.2f} %)"
+        for mode, was, now in zip(known["mode"], before, after, strict=True)
+        if now > was
+    ]
+    fell, plural = len(known) - len(grew), "s" * (len(known) > 1)
+    words = f"The frequency error of {fell} of {len(known)} held-out mode{plural} falls"
+    return f"{words}; it grows for {', '.join(grew)}." if grew else f"{words}."
 
 
 def by_group(errors: pd.DataFrame) -> pd.DataFrame:

@@ -116,6 +116,7 @@ def write_record(
         "adopted_from": None if given.adopted is None else given.adopted.study,
         "effects_known": len(study.library),
         "effects_in_model": list(given.with_effects),
+        "axes": in_one(study, _axes),
         "tests": [one.test for one in tests if one.test],
         "files": list(dict.fromkeys(f for m in measured for f in (*m.files, *m.shapes, m.responses) if f)),
         "repeats": study.repeats if isinstance(study, Study) else None,
@@ -136,6 +137,12 @@ def write_record(
         },
     }
     results.write_json("record", record)
+
+
+def _axes(study: Study) -> str:
+    """What the axes of the model mean, in words; empty where it does not say."""
+    mesh = getattr(study.model, "mesh", None)  # a function of scalar responses has none
+    return "" if mesh is None else mesh.axes
 
 
 def made_with() -> dict[str, Any]:

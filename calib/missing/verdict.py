@@ -26,6 +26,8 @@ MOST = 99.0
 GROUPS = {"left_out": "data left out in turn", **UNSEEN}
 """Groups of data that a fit has not seen, in words."""
 
+_WORST = "the worst kind of data or mode shape"
+"""What the p-value of a fit is of, corrected for their number; see `calib.missing.goodness.overall`."""
 _OUTSIDE = "An effect outside the library cannot be excluded."
 
 
@@ -131,9 +133,7 @@ def _family(found: Explanation) -> str:
     local = f"{len(set(adequacy.perturbations.owners))} local perturbations"
     tested = sum(len(g.names) for g in found.groups)
     counts = f"{tested} effect{'s' * (tested != 1)} and {local}" if tested else local
-    return (
-        f"{p_words(adequacy.p_family)} for the largest score of {counts}, {p_words(adequacy.p_fit)} for the whole fit"
-    )
+    return f"{p_words(adequacy.p_family)} for the largest score of {counts}, {p_words(adequacy.p_fit)} for {_WORST}"
 
 
 def _with(found: Explanation, them: str = "it") -> str:
@@ -141,8 +141,8 @@ def _with(found: Explanation, them: str = "it") -> str:
     adequacy = found.chosen_adequacy
     assert adequacy is not None
     words = (
-        f"With {them} no other effect or local perturbation stands out ({p_words(adequacy.p_family)}) and the fit "
-        f"has {p_words(adequacy.p_fit)}"
+        f"With {them} no other effect or local perturbation stands out ({p_words(adequacy.p_family)}) and {_WORST} has "
+        f"{p_words(adequacy.p_fit)}"
     )
     if adequacy.p_fit <= found.alpha:
         return (

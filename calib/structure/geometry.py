@@ -26,6 +26,8 @@ class Mesh:
         Node indices of each shell element, in turn.
     face_groups : tuple of str
         Group name of each face.
+    axes : str
+        What they mean on this structure, such as ``x to the front, y up, z to the left``; empty where it is not stated.
     """
 
     points: np.ndarray
@@ -33,6 +35,7 @@ class Mesh:
     groups: tuple[str, ...]
     faces: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), dtype=int))
     face_groups: tuple[str, ...] = ()
+    axes: str = ""
 
     @property
     def placed(self) -> np.ndarray:

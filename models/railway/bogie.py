@@ -35,6 +35,8 @@ BOX_ARM = Section(6.0e-3, 6.0e-5, 6.0e-5, 8.0e-5, density=0.0)
 K_PRIMARY_LATERAL = 300e3
 K_GUIDANCE = 20e6
 
+AXES = "x to the front, y up, z to the left"
+"""What the words of `SIDES` and `ENDS` mean in coordinates."""
 SIDES = (("left", 1.0), ("right", -1.0))
 ENDS = (("front", 1.0), ("rear", -1.0))
 

@@ -6,6 +6,8 @@ elastic blocks of the secondary suspension and is held by a hydraulic actuator, 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -19,7 +21,7 @@ from models.fem.member import Member
 from models.fem.parts import beam_parts, mass_parts, spring_parts
 from models.fem.section import Section
 from models.railway.bogie import ASSUMPTIONS as BOGIE_ASSUMPTIONS
-from models.railway.bogie import GIRDER_Y, SIDES, UY, bogie
+from models.railway.bogie import AXES, GIRDER_Y, SIDES, UY, bogie
 from models.railway.parameters import BOGIE, RIG
 
 BLOCK_Y, BLOCK_Z, BLOCK_HALF = 1.05, 1.17, 0.28
@@ -109,7 +111,7 @@ def bogie_on_rig(element_size: float = 0.075, distributed: bool = False) -> Stru
         stiffness=AffineMatrix(n, tuple(stiffness), supports),
         damping=AffineMatrix(n, damping),
         mass=AffineMatrix(n, tuple(mass)),
-        mesh=frame.mesh(),
+        mesh=replace(frame.mesh(), axes=AXES),
         dofs=dofs,
         clusters=_clusters(frame, dofs),
         locator=FrameLocator(frame, dofs.expansion),

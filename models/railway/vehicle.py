@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -25,6 +25,7 @@ from models.fem.parts import (
 )
 from models.fem.structure import Structure
 from models.railway.bogie import ASSUMPTIONS as BOGIE_ASSUMPTIONS
+from models.railway.bogie import AXES
 from models.railway.bolsters import ASSUMPTIONS as BOLSTER_ASSUMPTIONS
 from models.railway.car_body import ASSUMPTIONS as BODY_ASSUMPTIONS
 from models.railway.car_body import BODY, E_ALUMINIUM, RHO_ALUMINIUM, SECTIONS, SHEETS, car_body
@@ -182,7 +183,7 @@ def vehicle(refine: int = 1, distributed: bool = False, seats: SeatMounting = "s
         stiffness=AffineMatrix(n, tuple(stiffness)),
         damping=AffineMatrix(n, tuple(damping)),
         mass=AffineMatrix(n, tuple(mass)),
-        mesh=structure.mesh(),
+        mesh=replace(structure.mesh(), axes=AXES),
         dofs=dofs,
         clusters=_clusters(structure, dofs),
         locator=FrameLocator(structure, dofs.expansion),

@@ -3,10 +3,11 @@
 import json
 from types import SimpleNamespace
 
+import numpy as np
 import pandas as pd
 import pytest
 
-from calib.analyses.added import by_group, conclusion, to_add, write_nothing_added
+from calib.analyses.added import _held_out_modes, by_group, conclusion, to_add, write_nothing_added
 from calib.analyses.record import analyses_of, write_record
 from calib.analyses.stale import stale_answers
 from calib.analyses.state import ADDED
@@ -38,7 +39,9 @@ def errors(**groups):
         ({"fit": (4, 1), "left_out": (5, 1), "held_out_sensors": (3, 1), "held_out_modes": (3, 4)},
          "the model fits better, predicts held-out sensors better, held-out modes no better"),
         ({"fit": (4, 1), "left_out": (5, 1), "held_out_sensors": (1, 1, 0.5, 0.6), "held_out_modes": (3, 1)},
-         f"{BETTER}; held-out sensors stay within the noise"),
+         "the model fits better and predicts held-out modes better; held-out sensors stay within the noise"),
+        ({"fit": (4, 1), "left_out": (5, 1), "held_out_sensors": (3, 1), "held_out_modes": (0.97, 0.94, 0.59, 0.74)},
+         "the model fits better and predicts held-out sensors better; held-out modes stay within the noise"),
         ({"fit": (4, 1), "left_out": (5, 1), "held_out_sensors": (1, 1, 0.5, 0.6)},
          f"{NO_BETTER}; held-out sensors stay within the noise"),
         ({"fit": (4, 1), "left_out": (5, 1)}, "the model fits better and predicts data left out in turn better"),
@@ -48,6 +51,21 @@ def errors(**groups):
 )  # fmt: skip
 def test_predictions_are_judged_by_held_out_data(groups, words):
     assert conclusion(errors(**groups)) == words
+
+
+def test_a_held_out_mode_that_gets_worse_is_named():
+    modes = pd.DataFrame(
+        {
+            "mode": ["1B", "4B", "5B", "9B"],
+            "held_out": [False, True, True, True],
+            "error_before": [0.001, -0.0003, 0.04, np.nan],
+            "error_after": [0.002, -0.007, -0.01, 0.5],
+        }
+    )
+    words = _held_out_modes(modes)
+    assert words == "The frequency error of 1 of 2 held-out modes falls; it grows for 4B (0.03 -> 0.70 %)."
+    assert _held_out_modes(modes.iloc[[2]]) == "The frequency error of 1 of 1 held-out mode falls."
+    assert _held_out_modes(modes.iloc[[0, 3]]) == _held_out_modes(pd.DataFrame()) == ""
 
 
 def test_groups_are_in_order_with_both_stages():

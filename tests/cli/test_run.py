@@ -1,5 +1,6 @@
 """``calib run`` of a study with a library of effects: explained, extended, calibrated again, and reported."""
 
+import html
 import json
 import re
 import shutil
@@ -89,7 +90,7 @@ def test_the_output_is_in_order_with_its_numbers(within):
     end = within[within.index("before and after  [synthetic") :]
     added = json.loads((FOLDER / "added.json").read_text())
     assert added["sentence"] in end and "Both are quick runs" in end
-    assert "With it the model fits better and predicts held-out data better." in end
+    assert added["conclusion"].startswith("With it the model fits better and predicts ") and added["conclusion"] in end
     errors = pd.read_csv(FOLDER / "added_errors.csv").set_index(["group", "stage"])
     for words, group in {"used data": "fit", "held-out sensors": UNSEEN[0], "held-out modes": UNSEEN[1]}.items():
         before, after = errors.loc[(group, "before")], errors.loc[(group, "after")]
@@ -108,7 +109,8 @@ def test_figures_and_reports_of_both_are_drawn_and_redrawn(within, drawn, monkey
     assert (FOLDER / "added_errors.png").stat().st_size > 5000 and (OWN / "comparison.png").exists()
     page = (FOLDER / "report.html").read_text()
     assert 'id="errors"' in page and "Prediction errors before and after adding the effects" in page
-    assert "predicts held-out data better" in page and ", a quick run." in page
+    conclusion = json.loads((FOLDER / "added.json").read_text())["conclusion"]
+    assert html.escape(conclusion.replace(" -> ", " → "), quote=False) in page and ", a quick run." in page
     assert "mast_extended" in page and (OWN / "report.html").exists()
     for figure in [*Path("results").rglob("*.png"), *Path("results").rglob("report.html")]:
         figure.unlink()

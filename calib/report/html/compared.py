@@ -10,7 +10,7 @@ import pandas as pd
 from calib.report.comparison import STILL
 from calib.report.html.frf import frf_blocks
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Viewer, Words
-from calib.report.html.space import AXES_NOTE, scene
+from calib.report.html.space import scene
 from calib.report.html.study_results import STAGES, StudyResults
 from calib.report.numbers import fixed, percent, significant
 
@@ -110,7 +110,7 @@ def _viewer(results: StudyResults) -> list[Viewer]:
         return []
     caption = (
         "The model in space. Drag to turn it, or focus it and press the arrow keys; the wheel zooms with Ctrl or after "
-        f"a click, double-click or Home resets the view. Point at a dot for its name, or press N and P. {AXES_NOTE} "
+        f"a click, double-click or Home resets the view. Point at a dot for its name, or press N and P. {results.axes} "
     )
     if found["stages"]:
         caption += "Mode shapes are real parts, with one scale for measurement and model."

@@ -7,7 +7,6 @@ import pandas as pd
 
 from calib.report.explanation import COLLINEAR, ranked
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
-from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import counted, fixed, flag, percent, place, places, significant, with_unit
 from calib.report.scene import PLACE
@@ -21,11 +20,17 @@ TERMS = (
     (
         "z",
         "score of an effect, standard normal for a correctly specified model, not corrected for multiple "
-        "testing; negative where the data ask for a negative magnitude",
+        "testing; negative where the data ask for a negative magnitude. Its size alone does not count: whatever is "
+        "missing raises the scores of all effects with a similar signature",
     ),
     ("ln Bayes", "ln Bayes factor of the effect against the base model; a linear estimate where it was not refitted"),
     ("γ", "unabsorbed fraction: part of the effect's signature that the parameters cannot absorb"),
     ("smallest visible", "smallest magnitude at which these data would show the effect"),
+    (
+        "not visible",
+        "the smallest visible magnitude is beyond the plausible one. A large z then asks for an implausible magnitude, "
+        "for which ln Bayes gives no credit",
+    ),
     ("model probability", "posterior probability among the base model and the effects of the library"),
     ("credible set", "the effects that remain possible explanations"),
 )
@@ -90,7 +95,7 @@ def _why(results: StudyResults) -> list[Picture]:
     caption = (
         "Residual of the calibrated base model, signature of the effect at its fitted magnitude, and what is left, in "
         "standard deviations σ, less what the parameters absorb. An effect that is there has the pattern of the "
-        f"residual. {'. '.join(told)}.{star} {AXES_NOTE}"
+        f"residual. {'. '.join(told)}.{star} {results.axes}"
     )
     alike = results.table("why_places", ["effect", "perturbation", "kind"], ["x", "y", "z", "correlation"])
     if alike is not None:
@@ -119,7 +124,7 @@ def _effect_rows(table: pd.DataFrame) -> Table:
             magnitude = f"{with_unit(r['magnitude'], unit)} ({interval})"
         remarks = [
             *(["credible"] if flag(r["credible"]) else []),
-            *([] if flag(r["visible"]) else ["not visible"]),
+            *([] if flag(r["visible"]) else [f"not visible at a plausible {with_unit(r['plausible'], unit)}"]),
             *([str(r["implausible"])] if r["implausible"] else []),
             *([f"confounded with {r['confounded_with']}"] if r["confounded_with"] else []),
             *([f"represents {r['stands_for']} too"] if r["stands_for"] else []),
@@ -144,7 +149,7 @@ def _effect_rows(table: pd.DataFrame) -> Table:
     return Table("Every effect of the library, ranked", heads, tuple(rows), (1, 8), tuple(grey))
 
 
-def _physics(results: StudyResults, table: pd.DataFrame) -> list[Table]:
+def _physics(results: StudyResults, table: pd.DataFrame) -> list[Block]:
     """What the model lacks without each effect, what to inspect on the structure, and where each effect acts.
 
     Nothing where no effect tells what to inspect; no places where the model has none.
@@ -164,7 +169,8 @@ def _physics(results: StudyResults, table: pd.DataFrame) -> list[Table]:
     )
     grey = tuple(k for k, visible in enumerate(table["visible"]) if not flag(visible))
     heads = ("effect", "the model without it", "what to look for", *(["acts at (x, y, z), m"] if at else []))
-    return [Table("Description of the effects", heads, rows, (1, 2, 3), grey)]
+    axes = [Words(results.axes)] if at else []
+    return [*axes, Table("Description of the effects", heads, rows, (1, 2, 3), grey)]
 
 
 def _confounding(results: StudyResults) -> list[Picture]:
@@ -204,7 +210,7 @@ def _local_perturbations(results: StudyResults) -> list[Block]:
     )
     first = ", ".join(f"{r[0]} {r[2]}" for r in rows[:3])
     caption = f"Local perturbations with the largest scores, of {len(table)}: places to inspect, not causes"
-    note = f"Scores of local perturbations at their locations: places to inspect, not causes. {AXES_NOTE}"
+    note = f"Scores of local perturbations at their locations: places to inspect, not causes. {results.axes}"
     alt = f"Scores of {counted(len(table), 'local perturbation')}. The largest: {first}."
     return [
         *results.picture("perturbation_map", note, alt),

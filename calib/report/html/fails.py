@@ -7,7 +7,6 @@ import pandas as pd
 from calib.report.html import limits
 from calib.report.html.frf import misfit_picture
 from calib.report.html.page import Block, Picture, Section, Table, Words
-from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import chance, counted, fixed, flag, significant
 from calib.report.where import sensor_rms
@@ -108,7 +107,7 @@ def _sensors(results: StudyResults) -> list[Picture]:
     words = [f"{r['sensor']}: {fixed(r['rms'], 2)} times its standard deviation" for r in found.to_dict("records")]
     alt = f"Misfit at {counted(len(found), 'sensor')}. The worst: {'; '.join(words[:3])}."
     caption = "Misfit of the shapes at the sensors over all modes, calibrated base model, in standard deviations σ."
-    return results.picture("sensor_misfit", f"{caption} {AXES_NOTE}", alt)
+    return results.picture("sensor_misfit", f"{caption} {results.axes}", alt)
 
 
 def _responses(results: StudyResults) -> list[Picture]:

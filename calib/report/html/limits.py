@@ -11,9 +11,9 @@ from calib.report.numbers import fixed, flag
 
 TESTS = {
     "p_family": "all effects and local perturbations, jointly",
-    "p_fit": "overall fit of the base model",
+    "p_fit": "worst kind of data or mode shape of the base model",
     "adequacy_p_family": "all others jointly, after adding the named or attempted effects",
-    "adequacy_p_fit": "overall fit after adding them",
+    "adequacy_p_fit": "worst kind of data or mode shape after adding them",
 }
 """The tests of an explanation, in words."""
 BEYOND = "beyond measurement uncertainty"
@@ -44,7 +44,9 @@ def _p(results: StudyResults) -> list[tuple[str, ...]]:
     below = [words for words, p in known.items() if p is not None and float(p) <= float(alpha)]
     meaning = (
         "p is the probability that noise alone takes data of a correctly specified model at least this far off; at or "
-        f"below the limit the model is rejected. Held-out data contradict it below {CONTRADICTED:g}"
+        "below the limit the model is rejected. Of the worst kind of data or mode shape it is corrected for their "
+        "number (Bonferroni); of a group of data, in the table of errors, it is that of the whole sum of squares, in "
+        f"which one bad kind may not show. Held-out data contradict the model below {CONTRADICTED:g}"
     )
     return [("p-value", f"{alpha:g}", meaning, "; ".join(below) or NONE)]
 
@@ -83,16 +85,19 @@ def _pulls(results: StudyResults) -> list[tuple[str, ...]]:
 
 
 def _evidence(results: StudyResults) -> list[tuple[str, ...]]:
-    table = results.table("effects", ["name"], ["ln_bayes"])
+    table = results.table("effects", ["name"], ["ln_bayes"], flags=["credible"])
     if table is None:
         return []
     limit, count = threshold(len(table)), len(table)
-    beyond = table[table["ln_bayes"] > limit].sort_values("ln_bayes", ascending=False, kind="stable")["name"]
+    beyond = table[table["ln_bayes"] > limit].sort_values("ln_bayes", ascending=False, kind="stable")
+    credible = beyond["credible"].map(flag).astype(bool)
+    kept, refused = (", ".join(map(str, beyond.loc[some, "name"])) for some in (credible, ~credible))
+    told = [*([kept] if kept else []), *([f"not credible: {refused}"] if refused else [])]
     meaning = (
         f"an effect is named only above it: {LEAST_BAYES_FACTOR:g} for odds of 20 to 1, and ln {count} for the choice "
         f"among {count}, the best of which fits noise too"
     )
-    return [("ln Bayes of an effect", fixed(limit, 1), meaning, ", ".join(map(str, beyond)) or NONE)]
+    return [("ln Bayes of an effect", fixed(limit, 1), meaning, "; ".join(told) or NONE)]
 
 
 def _scores(results: StudyResults) -> list[tuple[str, ...]]:

@@ -6,7 +6,6 @@ import pandas as pd
 
 from calib.report.html.frf import measured_blocks
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
-from calib.report.html.space import AXES_NOTE
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import counted, fixed, flag, percent, significant, yes
 
@@ -140,8 +139,8 @@ def _model(results: StudyResults) -> list[Picture]:
     what = f"The model and the {counted(used, 'sensor')} used on it." if used else "The model, its parts in colours."
     marks = "Springs, dampers, masses and supports of the model; numbers are those of the parameters in the key."
     return [
-        *results.picture("model", f"{what} {AXES_NOTE}", what),
-        *results.picture("model_places", f"{marks} Point at a mark for its name. {AXES_NOTE}", marks),
+        *results.picture("model", f"{what} {results.axes}", what),
+        *results.picture("model_places", f"{marks} Point at a mark for its name. {results.axes}", marks),
     ]
 
 

@@ -20,7 +20,6 @@ from calib.report.shapes import measured_motions
 from calib.report.style import BLACK, BLUE, MEASURED, REST, SKY, VERMILLION
 from calib.report.where import misfit_tips, sensor_rms
 
-AXES_NOTE = "x runs along, y up, z across."
 _FINEST = 32767
 """Steps on each side of 0 in which `packed` numbers are counted."""
 _SMALL, _LARGE = 6.0, 18.0

@@ -25,7 +25,8 @@ _ANALYSIS = {
 }  # fmt: skip
 RECORD = {
     "study": str, "notebook": bool, "model": str, "adopted": {ANY: float}, "adopted_from": str, "effects_known": float,
-    "effects_in_model": [str], "files": [str], "repeats": float, "notes": [str], "analyses": {ANY: _ANALYSIS},
+    "effects_in_model": [str], "files": [str], "axes": str, "repeats": float, "notes": [str],
+    "analyses": {ANY: _ANALYSIS},
 }  # fmt: skip
 _FIGURES = {
     name: float
@@ -147,6 +148,11 @@ class StudyResults:
     def name(self) -> str:
         """Name of the study on the command line."""
         return str(self.record.get("study", "STUDY"))
+
+    @property
+    def axes(self) -> str:
+        """What the axes mean, as the model says it, or how the figures show them."""
+        return f"Axes: {self.record.get('axes') or 'x along, y up, z across'}."
 
     @cached_property
     def kind(self) -> Kind:

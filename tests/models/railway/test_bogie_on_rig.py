@@ -268,3 +268,11 @@ def test_matrices_are_symmetric_and_stiffness_is_definite(rig):
     assert np.linalg.eigvalsh(k.toarray() * np.outer(scale, scale)).min() > 1e-12
     for matrix in (c, m):
         assert np.linalg.eigvalsh(matrix.toarray()).min() > -1e-9 * abs(matrix).max()
+
+
+def test_the_axes_are_what_the_names_of_its_springs_say(rig):
+    meant = {"front": (0, 1), "rear": (0, -1), "left": (2, 1), "right": (2, -1)}
+    springs = [p for p in rig.places if p.name.startswith("primary springs")]
+    told = [(word, sign * p.place[axis]) for p in springs for word, (axis, sign) in meant.items() if word in p.name]
+    assert {word for word, _ in told} == meant.keys() and all(place > 0 for _, place in told)
+    assert rig.mesh.axes == "x to the front, y up, z to the left"

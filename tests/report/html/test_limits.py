@@ -52,7 +52,9 @@ def test_what_lies_beyond_a_limit_is_named_or_counted(everything, blocks):
     rows = key(everything, blocks)
     effects, found = pd.read_csv(everything / "effects.csv"), json.loads((everything / "explanation.json").read_text())
     known = effects.sort_values("ln_bayes", ascending=False)
-    assert rows["ln"][3] == ", ".join(known["name"][known["ln_bayes"] > 3 + math.log(len(effects))]) != ""
+    beyond = known[known["ln_bayes"] > 3 + math.log(len(effects))]
+    named, others = (", ".join(beyond["name"][beyond["credible"] == flag]) for flag in (True, False))
+    assert rows["ln"][3] == f"{named}; not credible: {others}" and named and others
     below = [words for name, words in TESTS.items() if found[name] <= 0.01]
     assert below and rows["p-value"][3] == "; ".join(below) and len(below) < len(TESTS)
     tables = [pd.read_csv(everything / f"where_it_fails_{stage}.csv") for stage in ("before", "after", "added")]

@@ -107,7 +107,9 @@ def test_the_added_effect_is_reported_by_parameter_and_by_mode(everything, text,
         cells = [reader.number(r[head.index(f"error {words}, %")]) for r in rows]
         np.testing.assert_allclose(cells, 100 * modes[f"error_{stage}"], atol=0.00501)
     top = " ".join(reader(text[: text.index("<section")]).text.split())
-    assert "With it the model fits better and predicts held-out data better." in top
+    conclusion = json.loads((everything / "added.json").read_text("utf-8"))["conclusion"]
+    assert conclusion.startswith("With it the model fits better and predicts ")
+    assert conclusion.replace(" -> ", " → ") in top
     assert "0.03 % (noise allows 0.16 %)" in top  # the standard deviation of each frequency is 0.2 %: 0.2 sqrt(2/pi)
     rms = pd.read_csv(everything / "added_errors.csv").set_index(["group", "stage"])["rms"]
     errors = [f"{rms['held_out_modes', stage]:.2f}" for stage in ("before", "after")]
@@ -155,7 +157,8 @@ def test_effects_that_are_not_visible_are_grey(folder, blocks):
     effects["visible"] = effects["name"] != "lamp"
     effects.to_csv(folder / "effects.csv", index=False)
     table = blocks(folder, Table)["Every effect of the library, ranked"]
-    assert [table.rows[k][1] for k in table.grey] == ["lamp"] and "not visible" in table.rows[table.grey[0]][-1]
+    (k,) = table.grey
+    assert table.rows[k][1] == "lamp" and "not visible at a plausible" in table.rows[k][-1]
 
 
 def test_a_group_of_data_that_one_stage_lacks_has_a_dash(folder, blocks):
@@ -197,3 +200,14 @@ def test_a_mode_of_an_added_effect_is_told_in_the_section_of_that_model(folder):
     own = "guy brings a mode of its own at 3 Hz."
     (folder / "added.json").write_text(json.dumps({**found, "own": own}))
     assert told() == [("added", own)]
+
+
+def test_the_axes_stand_with_the_places_of_the_effects_as_the_model_names_them(folder, blocks):
+    file = folder / "record.json"
+    record = json.loads(file.read_text("utf-8"))
+    assert record["axes"] == ""  # the mast's model names none
+    for axes, words in (("x to the bow, z to port", "x to the bow, z to port"), ("", "x along, y up, z across")):
+        file.write_text(json.dumps(record | {"axes": axes}))
+        every = [block for section in sections(StudyResults(folder, "", True)) for block in section.blocks]
+        (k,) = [k for k, b in enumerate(every) if isinstance(b, Table) and b.caption == "Description of the effects"]
+        assert every[k - 1] == Words(f"Axes: {words}.") and "acts at (x, y, z), m" in every[k].heads
