@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
-from calib.analyses.experimental_design import imagined_measurement
 from calib.analyses.hypotheses import ModelHypotheses
+from calib.analyses.imagined_measurement import imagined_measurement
 from calib.correlation.residual import ModalResidual
 from calib.errors import EvaluationError, InputError
 from calib.mac import mac

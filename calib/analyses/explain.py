@@ -345,7 +345,8 @@ def _next(
     if found.verdict == "none_explains" and found.perturbation is not None:
         # The design is for the unexplained perturbation, not for undetectable effects.
         unseen = [name for name in found.perturbation.names if name in design.effects]
-    return table, recommendation(table, pair, unseen)
+    named = found.chosen.names if found.names_something and found.chosen is not None else ()
+    return table, recommendation(table, pair, unseen, named)
 
 
 def _perturbations(adapter: Adapter, found: Explanation) -> pd.DataFrame:

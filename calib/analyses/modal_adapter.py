@@ -99,6 +99,8 @@ class ModalAdapter(OneTest):
         whole = self.problem.measured if self.whole is None else self.whole.measured
         every = zip(whole.names, whole.natural_freq.tolist(), strict=True)
         held_out = {name: freq for name, freq in every if name not in self.problem.measured.names}
+        used = {sensor.name for sensor in self.problem.measured.sensors}
+        held_sensors = tuple(sensor for sensor in whole.sensors if sensor.name not in used)
         candidates = [e for g in found.groups for e in g.effects]
         named = found.base_adequacy.named
         if found.verdict == "none_explains" and found.perturbation is not None:  # to locate the unexplained misfit
@@ -107,8 +109,9 @@ class ModalAdapter(OneTest):
             return None
         samples, seed = self.facts.samples, self.facts.seed
         return modal_design(
-            self.hypotheses, found.believed, candidates, named, found.noise_scale, held_out, samples, seed, progress
-        )
+            self.hypotheses, found.believed, candidates, named, found.noise_scale, held_out, samples, seed, progress,
+            held_sensors,
+        )  # fmt: skip
 
     def discretisation_error(self, found: Explanation) -> DiscretisationError | None:
         """Scores that a finer mesh alone would give; None without one."""

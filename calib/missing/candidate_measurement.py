@@ -30,3 +30,8 @@ class CandidateMeasurement:
     rows: np.ndarray | None = None
     scale: float = 1.0
     prior_sd: Mapping[str, float] = field(default_factory=dict)
+
+
+def at_effect(name: str) -> str:
+    """Beginning of the name of the measurement with sensors where an effect acts."""
+    return f"all directions where {name} acts"

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import scipy.linalg as la
 
-from calib.missing.candidate_measurement import CandidateMeasurement
+from calib.missing.candidate_measurement import CandidateMeasurement, at_effect
 from calib.missing.competing import EIGHT_OF_TEN, BayesFactor, CompetingModels
 from calib.missing.rules import RULES
 
@@ -21,7 +21,7 @@ MOST = 3
 """Invisible effects for which a measurement is recommended: more do not fit into a sentence."""
 _MEASURED = "measured and held out so far"
 HELD_OUT = ", held-out so far"
-"""End of the name of a measured mode that is held out for verification."""
+"""End of the name of a measured mode, or of sensors, held out for verification."""
 COLUMNS = (
     "measurement", "kind", "effect", "gain", "gain_low", "gain_high", "magnitude_min", "ln_bayes", "ln_bayes_low",
     "ln_bayes_high", "chance", "words",
@@ -30,6 +30,9 @@ AVERAGED = (
     "These gains are averaged over the posterior of parameters and magnitudes; the range in brackets covers 8 of 10 "
     "cases."
 )
+
+
+USED = "Held-out data that the fit uses no longer verify the result."
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,12 +188,14 @@ class Recommendation:
     short: str = ""
 
 
-def recommendation(table: pd.DataFrame, pair: tuple[str, str] | None, unseen: Sequence[str]) -> Recommendation | None:
+def recommendation(
+    table: pd.DataFrame, pair: tuple[str, str] | None, unseen: Sequence[str], named: Sequence[str] = ()
+) -> Recommendation | None:
     """The best next measurements in words, by gain; None when none is worthwhile.
 
-    Without a pair, each invisible effect has its own best measurement; those of the `MOST` largest gains are told, the
-    largest first. A held-out mode needs no new measurement, but no longer verifies the result once it is used: the
-    sentence says so and also names the best new measurement.
+    What narrows the magnitude of a named effect comes first. Without a pair, each invisible effect has its own best
+    measurement; those of the `MOST` largest gains are told, the largest first. Held-out data need no new measurement,
+    but no longer verify the result once they are used: the sentence says so and also names the best new measurement.
 
     Parameters
     ----------
@@ -200,9 +205,15 @@ def recommendation(table: pd.DataFrame, pair: tuple[str, str] | None, unseen: Se
         Two indistinguishable effects.
     unseen : sequence of str
         Effects that are not visible; used without a pair.
+    named : sequence of str
+        Effects that are named; used without a pair.
     """
     if table.empty:
         return None
+    if pair is None and named:
+        more = recommendation(table, None, [name for name in unseen if name not in named])
+        parts = [*(_narrowing(table, name) for name in named), *([] if more is None else [more])]
+        return Recommendation(" ".join(p.sentence for p in parts), " ".join(p.short for p in parts))
     if pair is not None:
         own = table[table["effect"] == pair[0]]
         best = own.iloc[0]
@@ -223,8 +234,22 @@ def recommendation(table: pd.DataFrame, pair: tuple[str, str] | None, unseen: Se
         short = f"{purpose}, measure next: {'; or '.join(names)}."
         return Recommendation(f"{purpose}, measure next: {told}. {AVERAGED}", short)
     told = "; ".join(map(_used_or_measured, advised))
-    used = "A held-out mode that is used no longer verifies the result."
-    return Recommendation(f"{purpose}, {told}. {AVERAGED} {used}", f"{purpose}, {_in_short(names)}.")
+    return Recommendation(f"{purpose}, {told}. {AVERAGED} {USED}", f"{purpose}, {_in_short(names)}.")
+
+
+def _narrowing(table: pd.DataFrame, name: str) -> Recommendation:
+    """What narrows the magnitude of a named effect most: its standard deviation falls as its expected score rises."""
+    own = table[table["effect"] == name]
+    there = own[own["measurement"].str.startswith(at_effect(name)) & (own["gain"] < WORTHWHILE)]
+    little = "".join(
+        f" Sensors where {name} acts are not needed: {gain:.3g} times its score." for gain in there["gain"]
+    )
+    own = own[own["gain"] >= WORTHWHILE]
+    if own.empty:
+        none = f"{name} needs no further measurement: none looked at raises its score {WORTHWHILE:g} times."
+        return Recommendation(f"{none}{little}", none)
+    to, short = f"To narrow the magnitude of {name}", _in_short([str(own["measurement"].iloc[0])])
+    return Recommendation(f"{to}, {_used_or_measured(own)}.{little}", f"{to}, {short}.")
 
 
 def _in_short(names: Sequence[str]) -> str:

@@ -7,13 +7,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.analyses import experimental_design as design_module
-from calib.analyses.experimental_design import BENCH, MORE_MODES, modal_design
+from calib.analyses import imagined_measurement
+from calib.analyses.experimental_design import BENCH, modal_design
 from calib.analyses.hypotheses import ModelHypotheses
+from calib.analyses.imagined_measurement import MORE_MODES
 from calib.analyses.library import modal_hypotheses
 from calib.correlation.residual import ModalResidual
 from calib.errors import EvaluationError
 from calib.measurement.modal import Sensor
+from calib.missing.candidate_measurement import at_effect
 from calib.missing.evidence import ln_evidence
 from calib.missing.explanation import CandidateFit
 from calib.missing.linearised_fit import LinearisedFit, fitted
@@ -21,6 +23,7 @@ from calib.missing.recommendation import recommend
 from calib.missing.score import scores
 from calib.problem import Problem
 from calib.results import Results
+from calib.structure.effect_places import effect_places
 from calib.study import Study
 
 EXACT = 1e-3
@@ -43,12 +46,14 @@ def world(mast, tmp_path_factory):
     return study, hypotheses, fitted(fit_problem, (), fit_problem.space.values)
 
 
-def design_of(hypotheses, fit, held_out=None, scale=1.0, samples=1, certain=True):
+def design_of(hypotheses, fit, held_out=None, scale=1.0, samples=1, certain=True, held_sensors=()):
     """Design linearised at the fit alone: its posterior is shrunk to a point."""
     found = scores(fit, hypotheses.effects, {})
     sharp = replace(fit, slope=1e7 * fit.slope) if certain else fit
     candidate_fit = CandidateFit((), sharp, 0.0, "")
-    return modal_design(hypotheses, [candidate_fit], hypotheses.effects, found, scale, held_out, samples)
+    return modal_design(
+        hypotheses, [candidate_fit], hypotheses.effects, found, scale, held_out, samples, held_sensors=held_sensors
+    )
 
 
 def measured_again(hypotheses, fit, extra=(), more_modes=(), scale=1.0, prior=None):
@@ -142,6 +147,33 @@ def test_more_sensors_gain_as_predicted(world):
         assert (real >= now * (1 - 1e-6)).all()
     best = max(measurements, key=lambda o: (sizes(design, o) / sizes(design)).max())
     assert (measured_again(hypotheses, fit, sensors_in(best)) / now).max() > 1.1
+
+
+def test_held_out_sensors_are_to_be_used_and_not_measured_again(world):
+    study, hypotheses, fit = world
+    held = tuple(s for s in study.measured.sensors if s.name in HELD)
+    design = design_of(hypotheses, fit, held_sensors=held)
+    own, *others = candidates_of(design, "sensor")
+    assert own.name == f"sensors {', '.join(HELD)}, held-out so far"
+    real = measured_again(hypotheses, fit, tuple(replace(s, node=900 + s.node) for s in held))
+    np.testing.assert_allclose(sizes(design, own), real, rtol=CLOSE)
+
+    def proposed(measurements):
+        return {s.point for o in measurements for s in sensors_in(o)}
+
+    places = {tuple(round(float(c), 2) for c in s.point) for s in held}
+    assert others and not places & proposed(others)
+    assert places & proposed(candidates_of(design_of(hypotheses, fit), "sensor"))
+
+
+def test_sensors_where_a_credible_effect_acts_are_a_candidate(world):
+    _, hypotheses, fit = world
+    (one,) = pair_of(hypotheses, ("platform",))
+    design = modal_design(hypotheses, [one], hypotheses.effects, scores(fit, hypotheses.effects, {}), 1.0, samples=1)
+    (own,) = [o for o in candidates_of(design, "sensor") if o.name.startswith(at_effect("platform"))]
+    (place,) = effect_places(hypotheses.variants.model, one.effects[0])
+    assert own.name.endswith(f"({', '.join(f'{c:.2f}' for c in place)})")
+    assert own.rows.any() and not (own.rows & design.measured).any()
 
 
 def test_another_mode_gains_as_predicted(world):
@@ -256,7 +288,7 @@ def test_a_mode_far_from_a_held_out_one_or_near_two_is_labelled_by_its_frequency
 def test_two_modes_near_a_held_out_one_are_two_candidates(world, monkeypatch):
     study, hypotheses, fit = world
     freq = study.measured.natural_freq[study.measured.names.index("B3x")]
-    monkeypatch.setattr(design_module, "NEAR", 100.0)
+    monkeypatch.setattr(imagined_measurement, "NEAR", 100.0)
     names = [o.name for o in candidates_of(design_of(hypotheses, fit, {"B3x": freq}), "mode")]
     assert len(set(names)) == MORE_MODES and names.count("mode B3x, held-out so far") == 1
 

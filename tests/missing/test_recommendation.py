@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.analyses.experimental_design import _modes_in_words
-from calib.missing.candidate_measurement import CandidateMeasurement
+from calib.analyses.imagined_measurement import _modes_in_words
+from calib.missing.candidate_measurement import CandidateMeasurement, at_effect
 from calib.missing.competing import BayesFactor
 from calib.missing.recommendation import (
     AVERAGED,
     COLUMNS,
     HELD_OUT,
+    USED,
     WORTHWHILE,
     ExperimentalDesign,
     Linearisation,
@@ -315,6 +316,24 @@ def test_measurements_are_told_by_gain_whatever_the_order_of_effects_and_kinds()
     assert found.short.count("measure ") == 1  # neighbours of one kind share their verb
 
 
+def test_what_narrows_a_named_effect_is_told_first():
+    at = f"{at_effect('E0')}, (1.00, 0.00, 0.00)"
+    table = table_of(("A", "E0", 1.7), (at, "E0", 1.02), ("B", "E1", 9.0), ("A", "E1", 3.0))
+    found = recommendation(table, None, ["E1"], ["E0"])
+    assert found.short == "To narrow the magnitude of E0, measure A. To see further effects, measure next: B."
+    words = "measure A: 1.7 times the score of E0. Sensors where E0 acts are not needed: 1.02 times its score."
+    assert found.sentence.startswith(f"To narrow the magnitude of E0, {words} To see further effects, measure next: B")
+    held = table_of((f"mode 4BT{HELD_OUT}", "E0", 5.0), ("A", "E0", 2.0))
+    assert recommendation(held, None, [], ["E0"]).short == f"To narrow the magnitude of E0, {USE_4BT}."
+
+
+def test_a_named_effect_that_no_measurement_narrows_is_said_to_need_none():
+    found = recommendation(table_of(("A", "E0", WORTHWHILE - 0.01), ("B", "E1", 9.0)), None, ["E0", "E1"], ["E0"])
+    none = "E0 needs no further measurement: none looked at raises its score 1.2 times."
+    assert found.short == f"{none} To see further effects, measure next: B."
+    assert recommendation(table_of(("A", "E0", 1.0)), None, [], ["E0"]).short == none
+
+
 def test_a_measurement_of_little_gain_is_not_recommended():
     table = table_of(("A", "E0", WORTHWHILE - 0.01), ("A", "E1", WORTHWHILE), ("A", "E2", math.nan))
     assert (
@@ -331,8 +350,8 @@ def test_at_most_three_measurements_are_recommended():
     assert _sentence(table, None, [f"E{k}" for k in range(6)]).count("times the score") == 3
 
 
-USE = "let the fit use mode 4BT, measured and held out so far"
-VERIFIES = f" {AVERAGED} A held-out mode that is used no longer verifies the result."
+USE_4BT = "let the fit use mode 4BT, measured and held out so far"
+VERIFIES = f" {AVERAGED} {USED}"
 
 
 def test_a_held_out_mode_is_recommended_with_the_best_new_measurement():
@@ -340,14 +359,14 @@ def test_a_held_out_mode_is_recommended_with_the_best_new_measurement():
     table = table_of((held, "E0", 5.0), ("mode 9BT, held-out so far", "E0", 4.0), ("A", "E0", 2.0), ("B", "E0", 1.9))
     sentence = _sentence(table, None, ["E0"])
     assert sentence == (
-        f"To see further effects, {USE}: 5 times the score of E0, or measure A: 2 times the score of E0.{VERIFIES}"
+        f"To see further effects, {USE_4BT}: 5 times the score of E0, or measure A: 2 times the score of E0.{VERIFIES}"
     )
     alone = _sentence(table_of((held, "E0", 5.0), ("A", "E0", WORTHWHILE - 0.01)), None, ["E0"])
-    assert alone == f"To see further effects, {USE}: 5 times the score of E0.{VERIFIES}"
+    assert alone == f"To see further effects, {USE_4BT}: 5 times the score of E0.{VERIFIES}"
     new = _sentence(table_of((held, "E0", 2.0), ("A", "E0", 5.0)), None, ["E0"])
     assert new == f"To see further effects, measure next: A: 5 times the score of E0. {AVERAGED}"
     both = _sentence(table_of((held, "E0", 5.0), ("A", "E1", 2.0)), None, ["E0", "E1"])
-    told = f"{USE}: 5 times the score of E0; measure A: 2 times the score of E1"
+    told = f"{USE_4BT}: 5 times the score of E0; measure A: 2 times the score of E1"
     assert both == f"To see further effects, {told}.{VERIFIES}"
 
 
@@ -355,7 +374,7 @@ def test_in_short_a_held_out_mode_is_not_to_be_measured_but_used():
     held = f"mode 4BT{HELD_OUT}"
     table = table_of((held, "E0", 5.0), ("A", "E1", 2.0), ("B", "E2", 1.9))
     short = recommendation(table, None, ["E0", "E1", "E2"]).short
-    assert short == f"To see further effects, {USE}; or measure A or B."
+    assert short == f"To see further effects, {USE_4BT}; or measure A or B."
     alone = recommendation(table, None, ["E0"]).short
     assert alone == "To see further effects, let the fit use mode 4BT, measured and held out so far."
 
@@ -365,7 +384,7 @@ def test_a_held_out_mode_for_a_pair_is_recommended_with_the_best_new_measurement
     bayes_factor = {held.name: BayesFactor(5.0, 3.0, 7.0, 0.9), TWICE.name: BayesFactor(0.0, -1.0, 1.0, 0.1)}
     p = replace(design(measurements=(TWICE, held)), competing=Told(bayes_factor))
     sentence = _sentence(recommend(p), ("E0", "E1"), [])
-    assert sentence.startswith(f"To tell them apart, {USE}: odds of ") and sentence.endswith(VERIFIES)
+    assert sentence.startswith(f"To tell them apart, {USE_4BT}: odds of ") and sentence.endswith(VERIFIES)
     assert ", or measure twice the repeats: odds of 1:1 for the true one of E0 and E1 " in sentence
 
 

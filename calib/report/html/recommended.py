@@ -47,8 +47,8 @@ def section(results: StudyResults) -> Section | None:
     largest = f"Largest gain: {first['measurement']} (× {fixed(first['gain'], 1)} in the score of {first['effect']})."
     intro = (
         "Expected gain of each candidate measurement, computed with the model and averaged over the uncertainty of "
-        "parameters and magnitudes; ranges in brackets hold in 8 of 10 cases. A held-out mode that is used in the fit "
-        "no longer verifies the result."
+        "parameters and magnitudes; ranges in brackets hold in 8 of 10 cases. Held-out data that the fit uses no "
+        "longer verify the result."
     )
     caption = f"The {len(best)} best candidate measurements, each for the effect whose score it raises most."
     return Section(
