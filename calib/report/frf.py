@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from calib.report.style import (
     AFTER,
     BEFORE,
     BLACK,
+    DENSE,
     GREY,
     WITH,
     added,
@@ -30,7 +31,12 @@ from calib.report.svg import hover_cells, hover_points
 
 OVERLAID = 6
 """Functions of which amplitude and phase are drawn."""
-_STAGES = {"before": ("s", BEFORE, "--"), "after": ("o", AFTER, "-"), "added": ("D", WITH, "-")}
+_STAGES: dict[str, dict[str, Any]] = {
+    "before": {"color": BEFORE, "marker": "s", "linestyle": "--"},
+    "after": {"color": AFTER, "marker": "o", "linestyle": "-"},
+    "added": {"color": WITH, "marker": "D", "linestyle": "-"},
+}
+"""Look of each stage."""
 _LINEAR_BELOW = 1.0
 """Standard deviations up to which an axis of errors is linear: below, they are noise."""
 
@@ -111,16 +117,21 @@ def _overlay(amplitude: Axes, phase: Axes, own: Tables, effects: str) -> None:
     dots: dict[str, Any] = {"linestyle": "", "marker": ".", "markersize": 3, "color": BLACK, "rasterized": True}
     amplitude.plot(test["freq"], np.abs(measured), label="measured", zorder=3, **dots)
     phase.plot(test["freq"], np.degrees(np.angle(measured)), zorder=3, **dots)
-    for stage, table in own.items():
-        _, colour, line = _STAGES[stage]
+    for table, look in _looked(own, effects):
         model = table["model_re"].to_numpy(float) + 1j * table["model_im"].to_numpy(float)
-        look: dict[str, Any] = {"color": colour, "linestyle": line, "linewidth": 1.2}
-        amplitude.plot(table["freq"], np.abs(model), label=stage_words(stage, effects), **look)
+        look |= {"marker": "", "linewidth": 1.2}
+        amplitude.plot(table["freq"], np.abs(model), **look)
         phase.plot(table["freq"], np.degrees(np.angle(model)), **look)
     amplitude.set_yscale("log")
     amplitude.grid(axis="y")
     phase.set_yticks([-180, 0, 180])
     phase.set_ylim(-200, 200)
+
+
+def _looked(tables: Tables, effects: str) -> Iterator[tuple[pd.DataFrame, dict[str, Any]]]:
+    """Every stage's table with the look of its stage and its words for the legend."""
+    for stage, table in tables.items():
+        yield table, {**_STAGES[stage], "label": stage_words(stage, effects)}
 
 
 def draw_frac(functions: Tables, ax: Axes | None = None, *, effects: str = "") -> Axes:
@@ -139,16 +150,16 @@ def draw_frac(functions: Tables, ax: Axes | None = None, *, effects: str = "") -
     Axes
         Dots from 0 to 1; 1 for functions that are proportional to the measured ones.
     """
-    frac = {
-        s: t.assign(name=t["response"] + "/" + t["reference"]).set_index("name")["frac"] for s, t in functions.items()
+    named = {
+        stage: table.assign(name=table["response"] + "/" + table["reference"]) for stage, table in functions.items()
     }
-    names = list(frac)[-1:] and frac[list(frac)[-1]].sort_values(kind="stable").index.tolist()
+    latest = list(named.values())[-1] if named else pd.DataFrame({"name": [], "frac": []})
+    names = latest.sort_values("frac", kind="stable")["name"].tolist()
     ax = own_axes(ax, 1.2 + 0.2 * max(len(names), 1))
     places = np.arange(len(names))
-    for stage, values in frac.items():
-        marker, colour, _ = _STAGES[stage]
-        own = values.reindex(names).to_numpy(float)
-        ax.plot(own, places, marker, color=colour, markersize=5, label=stage_words(stage, effects))
+    for table, look in _looked(named, effects):
+        own = table.set_index("name")["frac"].reindex(names).to_numpy(float)
+        ax.plot(own, places, markersize=5, **look | {"linestyle": ""})
         hover_points(ax, own, places, [f"{n}: {fixed(v, 3)}" for n, v in zip(names, own, strict=True)])
     ax.set_yticks(places, names)
     ax.set_ylim(len(names) - 0.5, -0.5)
@@ -166,9 +177,8 @@ def draw_frf_lines(lines: Tables, ax: Axes | None = None, *, effects: str = "") 
     ----------
     lines : mapping from stage to DataFrame
         Columns ``freq`` (Hz) and ``in_std``, the root mean square error in standard deviations.
-    ax : Axes, optional
-    effects : str
-        Names of added effects, for the legend.
+    ax, effects
+        As for `draw_frac`.
 
     Returns
     -------
@@ -176,13 +186,10 @@ def draw_frf_lines(lines: Tables, ax: Axes | None = None, *, effects: str = "") 
         Linear up to one standard deviation and logarithmic above; the dashed line at 1 is a right model.
     """
     ax = own_axes(ax, 3.0)
-    for stage, table in lines.items():
-        marker, colour, _ = _STAGES[stage]
-        table = _gaps(table)
-        ax.plot(
-            table["freq"], table["in_std"], marker + "-", color=colour, markersize=2.5, linewidth=0.8,
-            label=stage_words(stage, effects), rasterized=len(table) > 200,
-        )  # fmt: skip
+    for table, look in _looked(lines, effects):
+        shown = _gaps(table)
+        look |= {"linestyle": "-", "linewidth": 0.8, "markersize": 2.5, "rasterized": len(shown) > DENSE}
+        ax.plot(shown["freq"], shown["in_std"], **look)
     ax.axhline(1.0, color=GREY, linestyle="--", linewidth=1.0)
     ax.set_yscale("symlog", linthresh=_LINEAR_BELOW)
     ax.set_ylim(bottom=0.0)

@@ -1,4 +1,4 @@
-"""Blocks on FRFs: what was measured, and the model beside it."""
+"""Blocks on FRFs: the model beside the measurement."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from calib.report.frf import OVERLAID
 from calib.report.frf_tables import read_stages
 from calib.report.html.page import Block, Picture, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
-from calib.report.numbers import fixed, flag, percent, significant, yes
+from calib.report.numbers import fixed, percent, significant
 
 TERMS = (
     ("FRAC", "frequency response assurance criterion: 1 for functions that are proportional over all their lines"),
@@ -14,31 +14,6 @@ TERMS = (
     ("error", "norm of the difference of the two functions over that of the measured one"),
     ("in standard deviations", "root mean square of the difference over its standard deviation: 1 for a right model"),
 )
-
-
-def measured_blocks(results: StudyResults, used: tuple[str, str], repeats: str) -> list[Block] | None:
-    """Every measured function with its lines."""
-    numbers = ["lines", "freq_min", "freq_max", "repeats"]
-    table = results.table("measured", ["response", "reference", "quantity"], numbers, flags=["held_out"])
-    if table is None:
-        return None
-    rows = tuple(
-        (
-            str(r["response"]),
-            str(r["reference"]),
-            fixed(r["lines"], 0),
-            significant(r["freq_min"], 3),
-            significant(r["freq_max"], 3),
-            yes(r["held_out"], used),
-        )
-        for r in table.to_dict("records")
-    )
-    held = sum(flag(r) for r in table["held_out"])
-    words = (
-        f"{len(table)} frequency response functions ({table['quantity'].iloc[0]}), {held} of them held out. {repeats}"
-    )
-    heads = ("response", "reference", "lines", "from, Hz", "to, Hz", "use")
-    return [Words(words), Table("Every measured FRF", heads, rows)]
 
 
 def frf_blocks(results: StudyResults, stage: str) -> list[Block]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pandas as pd
 
-from calib.report.html.frf import measured_blocks
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import counted, fixed, flag, percent, significant, yes
@@ -16,10 +15,7 @@ SYNTHETIC = "The measurement is synthetic: a computer made it from a model with 
 def section(results: StudyResults) -> Section | None:
     """Modes or responses, sensors, repeats and standard deviations; first of all, whether the data are synthetic."""
     blocks: list[Block] = [Words(SYNTHETIC, "warning")] if results.synthetic else []
-    if results.kind == "frf":
-        table = measured_blocks(results, USED, _repeats(results))
-    else:
-        table = _responses(results) if results.kind == "responses" else _modes(results)
+    table = {"modes": _modes, "responses": _responses, "frf": _frfs}[results.kind](results)
     if table is None:
         return Section("measured", "What was measured", tuple(blocks)) if blocks else None
     blocks += [*table, *_sensors(results), *_model(results), *_suspicious(results)]
@@ -110,6 +106,28 @@ def _responses(results: StudyResults) -> list[Block] | None:
     terms = (("std", "standard deviation, the unit of the residuals below"),)
     heads = ("response", "value", "std", "repeats", "")
     return [Words(intro), *_notes(results), Table("Measured responses", heads, rows, (4,)), Terms(terms)]
+
+
+def _frfs(results: StudyResults) -> list[Block] | None:
+    numbers = ["lines", "freq_min", "freq_max", "repeats"]
+    table = results.table("measured", ["response", "reference", "quantity"], numbers, flags=["held_out"])
+    if table is None:
+        return None
+    names = table["response"] + "/" + table["reference"]
+    rows = tuple(
+        (
+            name,
+            fixed(r["lines"], 0),
+            significant(r["freq_min"], 3),
+            significant(r["freq_max"], 3),
+            yes(r["held_out"], USED),
+        )
+        for name, r in zip(names, table.to_dict("records"), strict=True)
+    )
+    intro = f"{counted(len(table), 'frequency response function')} ({table['quantity'].iloc[0]}) were measured. "
+    intro += f"{_repeats(results)} {_held_out(table.assign(function=names), 'function', 'function')}"
+    heads = ("FRF", "lines", "from, Hz", "to, Hz", "")
+    return [Words(intro), *_notes(results), Table("Every measured FRF", heads, rows, (4,))]
 
 
 def _sensors(results: StudyResults) -> list[Block]:

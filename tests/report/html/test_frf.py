@@ -1,13 +1,15 @@
 """The page of a study of FRFs: its sections hold the numbers of the tables."""
 
+import json
 import re
+import shutil
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from calib.loading import module_of
-from calib.report.html.page import Picture, Table
+from calib.report.html.page import Picture, Table, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import sections
 
@@ -37,10 +39,22 @@ def number(cell):
 def test_every_measured_function_is_told_with_its_use(chain, blocks):
     found = tables(blocks)["Every measured FRF"]
     expected = pd.read_csv(chain / "measured.csv")
-    assert [row[:2] for row in found.rows] == list(zip(expected["response"], expected["reference"], strict=True))
-    assert [int(row[2]) for row in found.rows] == expected["lines"].tolist()
-    assert [number(row[4]) for row in found.rows] == pytest.approx(expected["freq_max"].tolist(), rel=1e-4)
-    assert [row[5] for row in found.rows] == ["held out" if held else "used" for held in expected["held_out"]]
+    names = (expected["response"] + "/" + expected["reference"]).tolist()
+    assert [row[0] for row in found.rows] == names
+    assert [int(row[1]) for row in found.rows] == expected["lines"].tolist()
+    assert [number(row[3]) for row in found.rows] == pytest.approx(expected["freq_max"].tolist(), rel=1e-4)
+    assert [row[4] for row in found.rows] == ["held out" if held else "used" for held in expected["held_out"]]
+    (intro,) = [b.text for b in blocks if isinstance(b, Words) and "frequency response functions" in b.text]
+    held = [name for name, out in zip(names, expected["held_out"], strict=True) if out]
+    assert (f"Held out from every fit: {', '.join(held)}." if held else "No function is held out.") in intro
+
+
+def test_notes_on_the_measurement_are_reported(chain, unpainted, tmp_path):
+    folder = Path(shutil.copytree(chain, tmp_path / "chain"))
+    record = json.loads((folder / "record.json").read_text("utf-8"))
+    (folder / "record.json").write_text(json.dumps(record | {"notes": ["channel 2 was repaired"]}), "utf-8")
+    every = [block for section in sections(StudyResults(folder, "chain", True)) for block in section.blocks]
+    assert every.count(Words("Channel 2 was repaired.", "reported")) == 1
 
 
 @pytest.mark.parametrize("stage", ["before", "after"])
