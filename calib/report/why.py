@@ -11,37 +11,29 @@ import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from mpl_toolkits.mplot3d.axes3d import Axes3D
 
+from calib.report.alike import CORRELATION, STAR, TICKS, acting, draw_alike, most_alike, place_words, placed
 from calib.report.numbers import fixed, percent, with_unit
 from calib.report.numbers import places as listed
 from calib.report.scene import (
     FOOT,
-    PLACE,
     colour_bar,
-    draw_dots,
-    frame_panel,
-    new_axes,
     new_figure,
-    number_points,
-    plot_coordinates,
-    plot_lines,
     show_axes,
 )
-from calib.report.style import AFTER, BLACK, DENSE, GREY, REST, WIDTH, WITH, YELLOW, legend_above, own_axes
+from calib.report.style import AFTER, BLACK, DENSE, GREY, WIDTH, WITH, legend_above, own_axes
 from calib.report.svg import hover, hover_points
 
-MANY, PRIOR = ("shape", "frf"), "prior"
-"""Kinds of rows that have no bars: of shapes there are many, and priors are no data."""
+MANY = {"shape": "shape", "frf": "FRFs"}
+"""Kinds with too many rows for bars, in words."""
+PRIOR = "prior"
+"""Kind of the rows that are no data."""
 RESPONSES = "responses"
 """Heading of the bars of scalar responses, whatever their kinds."""
-ALIKE = 0.5
-"""Absolute correlation of two signatures from which a local perturbation tells where an effect acts."""
 _NAMED = 3
 _WORTH_WORDS = 2.0
 """Standard deviations from which a dot of a dense cloud has words under the mouse."""
@@ -60,21 +52,6 @@ def share(table: pd.DataFrame) -> float:
 def squares(table: pd.DataFrame) -> str:
     """Name the sum of squares over the rows of a table; those of one test among several are without the priors."""
     return "sum of squares of data and priors" if (table["kind"] == PRIOR).any() else "sum of squares of the data"
-
-
-def most_alike(places: pd.DataFrame, effect: str) -> pd.Series | None:
-    """Return the row of the local perturbation whose signature is most like the effect's; None where none is alike.
-
-    Parameters
-    ----------
-    places : DataFrame
-        Columns ``effect, perturbation, kind, x, y, z, correlation``; perturbations without coordinates do not count.
-    effect : str
-    """
-    own = _placed(places, effect)
-    if own.empty or not own["correlation"].abs().max() >= ALIKE:
-        return None
-    return own.iloc[int(np.argmax(own["correlation"].abs()))]
 
 
 def draw_bars(
@@ -174,57 +151,6 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     return ax
 
 
-def draw_alike(
-    places: pd.DataFrame,
-    rest: np.ndarray,
-    ax: Axes3D | None = None,
-    *,
-    effect: str,
-    acts: pd.DataFrame | None = None,
-) -> Axes3D:
-    """Draw where local perturbations change the data as the effect does, and where it acts on the model.
-
-    Parameters
-    ----------
-    places : DataFrame
-        Columns ``effect, perturbation, kind, x, y, z`` (m) and ``correlation`` of both signatures, -1 to 1.
-    rest : ndarray (n, 2, 3)
-        Lines of the mesh, in metres.
-    ax : Axes3D, optional
-    effect : str
-        The rows to draw.
-    acts : DataFrame, optional
-        Columns ``effect, x, y, z`` (m): where each effect acts.
-
-    Returns
-    -------
-    Axes3D
-        Circles with the gid ``correlation``, the largest at the back; the perturbation of `most_alike` is numbered.
-        Stars with the gid ``acts``.
-    """
-    ax = new_axes(ax)
-    rows = _placed(places, effect)
-    rows = rows.iloc[np.argsort(-rows["correlation"].abs().to_numpy(dtype=float), kind="stable")]
-    place, best = rows[PLACE].to_numpy(dtype=float), most_alike(places, effect)
-    plot_lines(ax, rest, color=REST, linewidth=0.8, gid="structure", zorder=1)
-    draw_dots(ax, place, rows["correlation"].to_numpy(dtype=float), _CORRELATION, "RdBu_r", "correlation")
-    stars = _acting(acts, effect)
-    if len(stars):
-        ax.plot(*plot_coordinates(stars).T, linestyle="none", gid="acts", zorder=6, clip_on=False, **_STAR)
-    frame_panel(ax, np.concatenate([rest.reshape(-1, 3), place, stars]), "")
-    number_points(ax, place, {} if best is None else {list(rows.index).index(best.name): 1})
-    return ax
-
-
-def place_words(places: pd.DataFrame, effect: str) -> str:
-    """Name the local perturbation of `most_alike`; empty where no perturbation has coordinates."""
-    best = most_alike(places, effect)
-    if best is None:
-        none = "no local perturbation changes the data as it does"
-        return "" if _placed(places, effect).empty else none
-    return f"{best['perturbation']} ({best['kind']}, ρ = {fixed(best['correlation'], 2, sign=True)})"
-
-
 def why_figure(
     table: pd.DataFrame,
     places: pd.DataFrame | None = None,
@@ -257,9 +183,9 @@ def why_figure(
     names = list(dict.fromkeys(table["effect"]))
     shapes = bool(_of_shapes(table).any())
     bars = table[~_of_shapes(table) & (table["kind"] != PRIOR)]
-    if places is not None and (rest is None or all(_placed(places, name).empty for name in names)):
+    if places is not None and (rest is None or all(placed(places, name).empty for name in names)):
         places = None
-    stars = {name: _acting(acts if places is not None else None, name) for name in names}
+    stars = {name: acting(acts if places is not None else None, name) for name in names}
     headings = [_heading(table[table["effect"] == n], effects, parameters, places, stars[n], attempt) for n in names]
     top = 0.34 + _LINE * max(words.count("\n") + 1 for words in headings)
     below = max(0.5, 0.14 + 0.075 * max(map(len, _names(bars)), default=0))
@@ -277,17 +203,17 @@ def why_figure(
             _draw_kinds(figure, cells["bars"], own[own.index.isin(bars.index)], attempt)
         if "shapes" in cells:
             rows = own[_of_shapes(own)]
-            kind = {"frf": "FRFs"}.get(kind := str(rows["kind"].iloc[0]), kind)
-            draw_shapes(rows, figure.add_subplot(cells["shapes"]), attempt=attempt).set_title(_explained(rows, kind))
+            title = _explained(rows, MANY[str(rows["kind"].iloc[0])])
+            draw_shapes(rows, figure.add_subplot(cells["shapes"]), attempt=attempt).set_title(title)
         if places is not None and rest is not None:
             draw_alike(places, rest, figure.add_subplot(cells["structure"], projection="3d"), effect=name, acts=acts)
     height = float(figure.get_size_inches()[1])
     if places is not None:
         show_axes(figure)
-        colour_bar(figure, ScalarMappable(_CORRELATION, "RdBu_r"), "ρ with local perturbations (–)", _TICKS)
+        colour_bar(figure, ScalarMappable(CORRELATION, "RdBu_r"), "ρ with local perturbations (–)", TICKS)
     handles = [*(_handles(attempt) if len(bars) else []), *(_equal() if shapes else [])]
     if any(map(len, stars.values())):
-        handles.append(Line2D([], [], linestyle="none", label="where it acts", **_STAR))
+        handles.append(Line2D([], [], linestyle="none", label="where it acts", **STAR))
     looks: dict[str, Any] = {"ncols": 2 if places is not None else len(handles), "borderaxespad": 0.0}
     start = (1.05 if places is not None else 0.1) / WIDTH
     figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(start, 0.06 / height), **looks)
@@ -296,9 +222,7 @@ def why_figure(
 
 _PANEL = 2.5
 """Height in inches of the panels of an effect."""
-_CORRELATION, _TICKS = Normalize(-1.0, 1.0), (-1.0, -0.5, 0.0, 0.5, 1.0)
 _RESIDUAL: dict[str, Any] = {"facecolor": AFTER, "alpha": 0.4}
-_STAR: dict[str, Any] = {"marker": "*", "color": YELLOW, "markersize": 13, "markeredgecolor": BLACK}
 _LEFT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": BLACK, "markersize": 4.0}
 
 
@@ -323,18 +247,9 @@ def _names(table: pd.DataFrame) -> list[str]:
     return [str(r["mode"] or r["sensor"]) for r in table.to_dict("records")]
 
 
-def _placed(places: pd.DataFrame, effect: str) -> pd.DataFrame:
-    return places[(places["effect"] == effect) & places[[*PLACE, "correlation"]].notna().all(axis=1)]
-
-
 def _explained(table: pd.DataFrame, kind: str) -> str:
     explained = share(table)
     return f"{kind}: {percent(explained, 0)} % explained" if explained > 0 else f"{kind}: not explained"
-
-
-def _acting(acts: pd.DataFrame | None, effect: str) -> np.ndarray:
-    """Where an effect acts, (n, 3) in metres."""
-    return np.empty((0, 3)) if acts is None else acts.loc[acts["effect"] == effect, PLACE].to_numpy(dtype=float)
 
 
 def further_parameters(parameters: pd.DataFrame | None, effect: str) -> list[str]:

@@ -3,10 +3,11 @@ import pandas as pd
 import pytest
 from matplotlib.colors import to_hex
 
+from calib.report.alike import draw_alike, most_alike, place_words
 from calib.report.figures import Figures
 from calib.report.scene import plot_coordinates
 from calib.report.style import GREY, WITH
-from calib.report.why import draw_alike, draw_bars, draw_shapes, most_alike, place_words, share, why_figure
+from calib.report.why import draw_bars, draw_shapes, share, why_figure
 
 REST = np.array([[[0.0, 0.0, -1.0], [4.0, 0.0, -1.0]], [[4.0, 0.0, -1.0], [4.0, 1.0, 1.0]]])
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from calib.report.alike import place_words
 from calib.report.explanation import COLLINEAR, ranked
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import counted, fixed, flag, percent, place, places, significant, with_unit
 from calib.report.scene import PLACE
-from calib.report.why import PRIOR, further_parameters, place_words, share, squares
+from calib.report.why import PRIOR, further_parameters, share, squares
 
 NUMBERS = (
     "z", "unabsorbed", "magnitude", "magnitude_low", "magnitude_high", "magnitude_min", "plausible", "largest",
