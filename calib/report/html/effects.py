@@ -123,9 +123,10 @@ def _effect_rows(table: pd.DataFrame) -> Table:
         if flag(r["refitted"]):
             interval = f"{significant(r['magnitude_low'], 3)} to {significant(r['magnitude_high'], 3)}"
             magnitude = f"{with_unit(r['magnitude'], unit)} ({interval})"
+        plausible = with_unit(r["plausible"], unit, 2)
         remarks = [
             *(["credible"] if flag(r["credible"]) else []),
-            *([] if flag(r["visible"]) else [f"not visible at a plausible {with_unit(r['plausible'], unit)}"]),
+            *([] if flag(r["visible"]) else [f"not visible at a plausible magnitude of {plausible}"]),
             *([str(r["implausible"])] if r["implausible"] else []),
             *([f"confounded with {r['confounded_with']}"] if r["confounded_with"] else []),
             *([f"represents {r['stands_for']} too"] if r["stands_for"] else []),

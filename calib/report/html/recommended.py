@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from calib.report.html.page import Section, Table, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, significant
 from calib.report.verification import best_candidates
+
+_OF_NAMED = 5
+"""Rows of the table for the named effects: the recommended measurement and what else was looked at."""
 
 
 def section(results: StudyResults) -> Section | None:
@@ -24,17 +28,6 @@ def section(results: StudyResults) -> Section | None:
         return None
     best = best_candidates(table)
     competing = table["ln_bayes"].notna().any()
-    rows = tuple(
-        (
-            str(r["measurement"]),
-            str(r["kind"]),
-            str(r["effect"]),
-            f"× {fixed(r['gain'], 2)} ({fixed(r['gain_low'], 2)} to {fixed(r['gain_high'], 2)})",
-            "never" if np.isinf(r["magnitude_min"]) else significant(r["magnitude_min"], 2),
-            *([_bayes_factor(r), f"{fixed(100 * r['chance'], 0)} %"] if competing else []),
-        )
-        for r in best.to_dict("records")
-    )
     heads = (
         "measurement",
         "kind",
@@ -57,8 +50,32 @@ def section(results: StudyResults) -> Section | None:
         (
             Words(f"{intro} {largest}"),
             *results.picture("next_measurement", caption, f"Bars. {largest}"),
-            Table("Candidate measurements, best first", heads, rows, (1, 2)),
+            *_of_named(table, results.explanation.get("chosen", []), heads, bool(competing)),
+            Table("Candidate measurements, best first", heads, _rows(best, bool(competing)), (1, 2)),
         ),
+    )
+
+
+def _of_named(table: pd.DataFrame, named: Sequence[str], heads: tuple[str, ...], competing: bool) -> list[Table]:
+    """What narrows the magnitude of the named effects most; with competing models the other table tells it."""
+    own = table[table["effect"].isin(list(named))].sort_values("gain", ascending=False, kind="stable").head(_OF_NAMED)
+    if own.empty or competing:
+        return []
+    caption = f"Candidate measurements for {' and '.join(map(str, named))}, best first"
+    return [Table(caption, heads, _rows(own, competing), (1, 2), unfolded=True)]
+
+
+def _rows(table: pd.DataFrame, competing: bool) -> tuple[tuple[str, ...], ...]:
+    return tuple(
+        (
+            str(r["measurement"]),
+            str(r["kind"]),
+            str(r["effect"]),
+            f"× {fixed(r['gain'], 2)} ({fixed(r['gain_low'], 2)} to {fixed(r['gain_high'], 2)})",
+            "never" if np.isinf(r["magnitude_min"]) else significant(r["magnitude_min"], 2),
+            *([_bayes_factor(r), f"{fixed(100 * r['chance'], 0)} %"] if competing else []),
+        )
+        for r in table.to_dict("records")
     )
 
 

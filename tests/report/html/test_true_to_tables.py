@@ -158,7 +158,7 @@ def test_effects_that_are_not_visible_are_grey(folder, blocks):
     effects.to_csv(folder / "effects.csv", index=False)
     table = blocks(folder, Table)["Every effect of the library, ranked"]
     (k,) = table.grey
-    assert table.rows[k][1] == "lamp" and "not visible at a plausible" in table.rows[k][-1]
+    assert table.rows[k][1] == "lamp" and "not visible at a plausible magnitude of" in table.rows[k][-1]
 
 
 def test_a_group_of_data_that_one_stage_lacks_has_a_dash(folder, blocks):
@@ -211,3 +211,12 @@ def test_the_axes_stand_with_the_places_of_the_effects_as_the_model_names_them(f
         every = [block for section in sections(StudyResults(folder, "", True)) for block in section.blocks]
         (k,) = [k for k, b in enumerate(every) if isinstance(b, Table) and b.caption == "Description of the effects"]
         assert every[k - 1] == Words(f"Axes: {words}.") and "acts at (x, y, z), m" in every[k].heads
+
+
+def test_what_narrows_the_named_effect_has_a_table_of_its_own(everything, blocks):
+    table = blocks(everything, Table)["Candidate measurements for guy, best first"]
+    candidates = pd.read_csv(everything / "next_measurement.csv")
+    own = candidates[candidates["effect"] == "guy"].sort_values("gain", ascending=False, kind="stable")
+    assert [row[0] for row in table.rows] == own["measurement"].tolist()[: len(table.rows)] and len(table.rows) == 5
+    assert [row[3].split()[1] for row in table.rows] == [fixed(gain, 2) for gain in own["gain"].head(5)]
+    assert not table.folded
