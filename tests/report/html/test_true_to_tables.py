@@ -220,3 +220,10 @@ def test_what_narrows_the_named_effect_has_a_table_of_its_own(everything, blocks
     assert [row[0] for row in table.rows] == own["measurement"].tolist()[: len(table.rows)] and len(table.rows) == 5
     assert [row[3].split()[1] for row in table.rows] == [fixed(gain, 2) for gain in own["gain"].head(5)]
     assert not table.folded
+
+
+def test_held_out_sensors_are_a_candidate_to_be_used(everything):
+    candidates, sensors = (pd.read_csv(everything / f"{name}.csv") for name in ("next_measurement", "sensors"))
+    held = sensors.loc[sensors["held_out"], "sensor"]
+    own = candidates[candidates["kind"] == "sensor"]["measurement"].unique()
+    assert [name for name in own if "held-out" in name] == [f"sensors {', '.join(held)}, held-out so far"]
