@@ -147,17 +147,18 @@ class _Decision:
     # -- steps ---------------------------------------------------------------------------------------------------------
 
     def calibrated(self, start: dict[str, float] | None) -> CandidateFit:
-        """The base model, fitted from a start, or from the nominal values with the most promising integers."""
+        """The base model, fitted from a start, or else from the nominal values and from a linear solution, if any.
+
+        The better fit counts; without a start the most promising integers are tried.
+        """
         fits = self.fits
         fits.tell("calibrating the base model")
         fit_problem = fits.fit_problem(())
         begin = start or nearest_whole(fit_problem, fit_problem.space.values)
         linear = None if start else fits.hypotheses.linear_start((), begin)
+        starts = [begin] if linear is None else [linear, begin]
         whole = 0 if fits.spent(EARLY) else 1
-        found = fits.candidate_fit((), linear or begin, whole)
-        if linear is not None:
-            found = min(found, fits.candidate_fit((), begin, whole), key=lambda one: one.fit.misfit)
-        return found
+        return min((fits.candidate_fit((), one, whole) for one in starts), key=lambda found: found.fit.misfit)
 
     def candidates(self, base: CandidateFit) -> tuple[list[Effect], Scores]:
         """The effects with which the model can be solved, sorted by name, and their scores.
