@@ -36,10 +36,17 @@ SIDE = 10e-3
 """Of the beams' square section, m: the area of 1 cm^2 is published."""
 TORSION = 0.1406
 """Torsion constant of a square over the fourth power of its side (Timoshenko and Goodier 1970)."""
-BEAM = Section(
-    area=SIDE**2, i_y=SIDE**4 / 12, i_z=SIDE**4 / 12, torsion=TORSION * SIDE**4, young_modulus=1.0, poisson_ratio=0.33,
-    density=2700.0, shear_coefficient=math.inf,
-)  # fmt: skip
+
+
+def square_bar(side: float) -> Section:
+    """Section of a square aluminium bar of that side, m, for a Young's modulus of 1 Pa; it does not shear."""
+    return Section(
+        area=side**2, i_y=side**4 / 12, i_z=side**4 / 12, torsion=TORSION * side**4, young_modulus=1.0,
+        poisson_ratio=0.33, density=2700.0, shear_coefficient=math.inf,
+    )  # fmt: skip
+
+
+BEAM = square_bar(SIDE)
 E_PLATE, E_BEAM = 193.0, 70.0
 """GPa."""
 MASTERS = (1, 3, 7, 9, 13, 15, 16, 18, 22, 24, 28, 30)
@@ -47,6 +54,8 @@ MASTERS = (1, 3, 7, 9, 13, 15, 16, 18, 22, 24, 28, 30)
 BEAMS = {17: (13, 16), 18: (15, 18), 19: (28, 31), 20: (30, 31)}
 """Their nodes; node 31 is the clamp."""
 GROUPS = ("E_panel_1", "E_panel_2", "E_beam_17", "E_beam_18", "E_beam_19", "E_beam_20")
+FRAME = "frame"
+"""Group of the bars round the panels."""
 ROWS = 5
 """Of nodes along a panel; three nodes in each row."""
 LARGEST_RATIO = 0.1
@@ -67,12 +76,12 @@ _ASSUMED_DAMPING = Assumption("damping", "equal ratios of all modes", "-", "the 
 
 @dataclass(frozen=True)
 class _Piece:
-    """A plate or beam of the article, with its elements.
+    """A plate or beam of the article, or a side of a frame, with its elements.
 
     Attributes
     ----------
     name, group : str
-        Its number in the article, and the parameter that is its Young's modulus.
+        Its number in the article, and the parameter that is its Young's modulus; a frame has a known one.
     nodes : ndarray (n, 4) or (n, 2), int
         Of each element.
     stiffness, mass : ndarray (n, 6 m, 6 m)
@@ -86,7 +95,9 @@ class _Piece:
     mass: np.ndarray
 
 
-def solar_panel(density: int = 1, gap: float = GAP, yoke: float = YOKE, damping_ratio: float = 0.0) -> StructuralModel:
+def solar_panel(
+    density: int = 1, gap: float = GAP, yoke: float = YOKE, damping_ratio: float = 0.0, frame: float = 0.0
+) -> StructuralModel:
     """The array, with the Young's moduli of its two panels and four beams as parameters.
 
     Parameters
@@ -98,17 +109,26 @@ def solar_panel(density: int = 1, gap: float = GAP, yoke: float = YOKE, damping_
     damping_ratio : float
         Nominal ratio of one more parameter, ``damping_ratio``: viscous damping with that ratio in every mode of the
         nominal array. 0 leaves the array undamped, as in the article, and without the parameter.
+    frame : float
+        Side of square aluminium bars along all edges of both panels, m. 0 leaves the panels without, as in the article:
+        its beams then turn a thin plate at a point, which gives way the more, the finer the mesh. Bars of 20 mm take
+        that couple, and natural frequencies converge: those of density 2 below 75 Hz are within 0.06 % of the limit.
 
     Raises
     ------
     InputError
-        When the density is below 1, a length is not positive, or the ratio is not within 0 and 0.1.
+        When the density is below 1, a length is not positive, the frame is negative or the ratio is not within 0 and
+        0.1.
     """
     if density < 1 or not (gap > 0 and yoke > 0):
         raise InputError(
             f"the density is {density}, the gap {gap:g} m and the yoke {yoke:g} m",
             place="solar panel",
             remedy="give a density of 1 or more and positive lengths",
+        )
+    if not 0 <= frame < math.inf:
+        raise InputError(
+            f"the bars of the frame have a side of {frame:g} m", place="solar panel", remedy="give 0 or more, in m"
         )
     if not 0 <= damping_ratio <= LARGEST_RATIO:
         raise InputError(
@@ -118,7 +138,7 @@ def solar_panel(density: int = 1, gap: float = GAP, yoke: float = YOKE, damping_
         )
     table = NodeTable()
     clamp = [table.number("array", place) for place in _places(gap, yoke)][-1]
-    pieces = [*_plates(table, density), *_beams(table, density)]
+    pieces = [*_plates(table, density), *_beams(table, density), *(_frames(table, density, frame) if frame else ())]
     points = np.array(table.points)
     node = np.repeat(np.delete(np.arange(len(points)), clamp), len(_FREE))
     direction = np.tile(_FREE, len(points) - 1)
@@ -134,13 +154,15 @@ def solar_panel(density: int = 1, gap: float = GAP, yoke: float = YOKE, damping_
     parts = []
     for piece in pieces:
         x, y, z = points[np.unique(piece.nodes)].mean(axis=0)
-        parts.append(Part(piece.name, "stiffness", stiff[piece.name], parameter(piece.group), (x, y, z)))
+        parts.append(Part(piece.name, "stiffness", stiff[piece.name], _modulus_of(piece), (x, y, z)))
         parts.append(Part(piece.name, "mass", heavy[piece.name], Monomial(), (x, y, z)))
-    own = {group: [piece for piece in pieces if piece.group == group] for group in GROUPS}
+    own: dict[str, list[_Piece]] = {}
+    for piece in pieces:
+        own.setdefault(piece.group, []).append(piece)
     lines = [(piece.group, line) for piece in pieces for line in _edges(piece.nodes)]
     faces = [(piece.group, face) for piece in pieces for face in piece.nodes if len(face) == 4]
     stiffness = AffineMatrix(
-        len(node), tuple(Term(g, _sum(stiff[p.name] for p in own[g]), parameter(g)) for g in GROUPS)
+        len(node), tuple(Term(g, _sum(stiff[p.name] for p in some), _modulus_of(some[0])) for g, some in own.items())
     )
     mass, space = _sum(heavy.values()), ParameterSpace(tuple(_modulus(group) for group in GROUPS))
     damping: tuple[Term, ...] = ()
@@ -167,7 +189,7 @@ def solar_panel(density: int = 1, gap: float = GAP, yoke: float = YOKE, damping_
             "rear_panel": np.flatnonzero(points[node, 0] > LENGTH + gap / 2),
         },
         locator=NodeLocator(points, expansion),
-        assumptions=_ASSUMED + ((_ASSUMED_DAMPING,) if damping else ()),
+        assumptions=(*_ASSUMED, *((_ASSUMED_DAMPING,) if damping else ()), *((_framed(frame),) if frame else ())),
         sensor_tolerance=0.02,
         parts=tuple(parts),
         labels=tuple(range(1, len(points) + 1)),
@@ -203,13 +225,39 @@ def _plates(table: NodeTable, density: int) -> Iterator[_Piece]:
 
 def _beams(table: NodeTable, density: int) -> Iterator[_Piece]:
     for number, (first, last) in BEAMS.items():
-        start, end = table.points[first - 1], table.points[last - 1]
-        chain = [table.number("array", start + t * (end - start)) for t in np.linspace(0.0, 1.0, density + 1)]
-        points = np.array([table.points[k] for k in chain])
-        length, rotation = beam.axes(points[:-1], points[1:], np.tile([0.0, 0.0, 1.0], (density, 1)))
-        arms = np.zeros((density, 2, 3))
-        stiffness, mass = (beam.to_global(make(BEAM, length), rotation, arms) for make in (beam.stiffness, beam.mass))
-        yield _Piece(f"beam {number}", f"E_beam_{number}", np.column_stack([chain[:-1], chain[1:]]), stiffness, mass)
+        yield _bar(f"beam {number}", f"E_beam_{number}", BEAM, table, first - 1, last - 1, density)
+
+
+def _frames(table: NodeTable, density: int, side: float) -> Iterator[_Piece]:
+    """Four bars round each panel, between its corners."""
+    section, last = square_bar(side), 3 * (ROWS - 1)
+    for panel in range(2):
+        first = 3 * ROWS * panel
+        sides = {"front": (0, 2), "rear": (last, last + 2), "right": (0, last), "left": (2, last + 2)}
+        for name, (a, b) in sides.items():
+            count = density * (2 if name in ("front", "rear") else ROWS - 1)
+            yield _bar(f"frame {panel + 1} {name}", FRAME, section, table, first + a, first + b, count)
+
+
+def _bar(name: str, group: str, section: Section, table: NodeTable, first: int, last: int, count: int) -> _Piece:
+    """So many beam elements on a straight line between two nodes, given by their indices."""
+    start, end = table.points[first], table.points[last]
+    chain = [table.number("array", start + t * (end - start)) for t in np.linspace(0.0, 1.0, count + 1)]
+    points = np.array([table.points[k] for k in chain])
+    length, rotation = beam.axes(points[:-1], points[1:], np.tile([0.0, 0.0, 1.0], (count, 1)))
+    arms = np.zeros((count, 2, 3))
+    stiffness, mass = (beam.to_global(make(section, length), rotation, arms) for make in (beam.stiffness, beam.mass))
+    return _Piece(name, group, np.column_stack([chain[:-1], chain[1:]]), stiffness, mass)
+
+
+def _modulus_of(piece: _Piece) -> Monomial:
+    """Young's modulus, Pa: a parameter, or that of a frame."""
+    return Monomial(1e9 * E_BEAM) if piece.group == FRAME else parameter(piece.group)
+
+
+def _framed(side: float) -> Assumption:
+    words = "the article's panels have none; with them frequencies converge with the mesh"
+    return Assumption("frames", f"{1e3 * side:g} x {1e3 * side:g}", "mm", words)
 
 
 def _edges(nodes: np.ndarray) -> list[tuple[int, int]]:
