@@ -34,6 +34,8 @@ SI_FACTORS: Mapping[str, float] = {
     "Nm/rad": 1.0,
     "kNm/rad": 1e3,
     "MNm/rad": 1e6,
+    "rad/kNm": 1e-3,
+    "Nms/rad": 1.0,
     "Ns/m": 1.0,
     "kNs/m": 1e3,
     "Pa": 1.0,
