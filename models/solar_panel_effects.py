@@ -23,7 +23,7 @@ PANEL_HINGES = ((17, 13), (17, 16), (18, 15), (18, 18))
 """Beam and node of each hinge between the panels."""
 YOKE_HINGES = ((19, 28), (20, 30))
 CLAMP = 31
-INSTRUMENT = (0.1, 0.0, 0.0)
+INSTRUMENT = (0.2, 0.0, 0.0)
 HARNESS = (0.4, 0.0, 0.0)
 HARNESS_RATIO = 0.05
 CENTRES = ((LENGTH / 2, 0.0, 0.0), (LENGTH * 1.5 + GAP, 0.0, 0.0))
@@ -86,7 +86,7 @@ def _joint_effects() -> tuple[Effect, ...]:
             look_for="A hold-down, a latch or a cable that was not released between the panels.",
             magnitude=Parameter(
                 "locking_strut", 0.0, 0.0, 5.0, "-", prior_sd=0.3,
-                description="bending stiffness of the strut over the nominal one of a beam",
+                description="stiffness of the strut in bending and torsion over the nominal one of a beam",
             ),
             build=_locking_strut,
         ),
@@ -125,7 +125,7 @@ def _added_effects() -> tuple[Effect, ...]:
             title="Unmodelled mass near the free end of the front panel",
             phrase="a mass near the free end of the front panel",
             lacks="The front panel carries nothing.",
-            look_for="A sun sensor, a connector or a bracket on the centre line, 0.1 m from the free end.",
+            look_for="A sun sensor, a connector or a bracket on the centre line, 0.2 m from the free end.",
             magnitude=Parameter("instrument_mass", 0.0, 0.0, 5.0, "kg", prior_sd=0.3, description="mass of it"),
             build=_instrument_mass,
         ),
@@ -181,16 +181,19 @@ def _test_effects() -> tuple[Effect, ...]:
 
 
 def _hinge_flexibility(model: StructuralModel) -> Addition:
-    return Addition(stiffness=tuple(_hinge(model, "hinge_flexibility", *at) for at in PANEL_HINGES))
+    return Addition(stiffness=_hinges(model, "hinge_flexibility", PANEL_HINGES))
 
 
 def _yoke_flexibility(model: StructuralModel) -> Addition:
-    return Addition(stiffness=tuple(_hinge(model, "yoke_flexibility", *at) for at in YOKE_HINGES))
+    return Addition(stiffness=_hinges(model, "yoke_flexibility", YOKE_HINGES))
 
 
-def _hinge(model: StructuralModel, name: str, number: int, node: int) -> Term:
-    """Loss of a beam's stiffness by a hinge about y at a node where it ends."""
-    return _softened(model, name, number, motion(model, _place(model, node), RY))
+def _hinges(model: StructuralModel, name: str, hinges: tuple[tuple[int, int], ...]) -> tuple[Term, ...]:
+    """Loss of the beams' stiffness by hinges about y at the nodes where they end."""
+    turned: dict[int, list[np.ndarray]] = {}
+    for number, node in hinges:
+        turned.setdefault(number, []).append(motion(model, _place(model, node), RY))
+    return tuple(term for number, rows in turned.items() for term in _softened(model, name, number, np.array(rows)))
 
 
 def _root_flexibility(model: StructuralModel) -> Addition:
@@ -198,29 +201,39 @@ def _root_flexibility(model: StructuralModel) -> Addition:
     dofs, points = model.dofs, model.mesh.points
     behind = points[CLAMP - 1, 0] - points[dofs.node, 0]
     turned = np.where(dofs.direction == UZ, behind, np.where(dofs.direction == RY, 1.0, 0.0))
-    return Addition(stiffness=tuple(_softened(model, "root_flexibility", n, turned) for n, _ in YOKE_HINGES))
+    both = [_softened(model, "root_flexibility", number, turned[None]) for number, _ in YOKE_HINGES]
+    return Addition(stiffness=tuple(term for terms in both for term in terms))
 
 
-def _softened(model: StructuralModel, name: str, number: int, turned: np.ndarray) -> Term:
-    """Change of a beam's stiffness by a flexibility in series with the moment at one of its ends.
+def _softened(model: StructuralModel, name: str, number: int, turned: np.ndarray) -> tuple[Term, ...]:
+    """Change of a beam's stiffness by one flexibility in series with the moment at each of some ends.
 
-    With B the beam's stiffness for a Young's modulus of 1 and e the rotation of that end (n_dof,), the moment is
-    ``E e^T B u`` and the stiffness against it ``k = E e^T B e``. A flexibility f in series leaves ``E B - B e e^T B E^2
-    f/(1 + k f)``: exact where both ends of the beam are not ends of one element, since the rotary inertia of the
-    hinge is neglected.
+    With B the beam's stiffness for a Young's modulus E of 1 and T the rotations of these ends (n_ends, n_dof), the
+    moments are ``E T B u``. A flexibility f in series with each leaves ``E B - E^2 B T^T (1/f + E T B T^T)^-1 T B``, a
+    sum over the eigenvectors of ``T B T^T``. The rotary inertia beyond a hinge is neglected.
     """
     part = part_of(model, "stiffness", f"beam {number}")
-    moment = part.matrix @ turned
-    stiffness = float(turned @ moment)
-    own = Monomial(stiffness * part.coefficient.factor, part.coefficient.powers)
-    return outer_term(f"{name}: {part.name}", [moment / stiffness], SeriesLoss(own, parameter(name)))
+    moments = turned @ part.matrix
+    sizes, directions = np.linalg.eigh(moments @ turned.T)
+    factor, powers = part.coefficient.factor, part.coefficient.powers
+    return tuple(
+        outer_term(
+            f"{name}: {part.name}, {k}", [row / size], SeriesLoss(Monomial(size * factor, powers), parameter(name))
+        )
+        for k, (size, row) in enumerate(zip(sizes.tolist(), directions.T @ moments, strict=True))
+    )
 
 
 def _locking_strut(model: StructuralModel) -> Addition:
-    """A beam without mass between the edges: half its energy is ``EI/L`` times two squares of its end motions."""
+    """A square beam without mass between the edges: twice its energy is ``EI/L`` times three squares of its motions."""
     front, rear = _edges(0.0)
     deflection, slope = between(model, rear, front, UZ), [-motion(model, place, RY) for place in (front, rear)]
-    rows = [slope[1] - slope[0], np.sqrt(12) * ((slope[0] + slope[1]) / 2 - deflection / GAP)]
+    twist = np.sqrt(BEAM.shear_modulus * BEAM.torsion / (BEAM.young_modulus * BEAM.i_y))
+    rows = [
+        slope[1] - slope[0],
+        np.sqrt(12) * ((slope[0] + slope[1]) / 2 - deflection / GAP),
+        twist * between(model, rear, front, RX),
+    ]
     return Addition(stiffness=(outer_term("locking_strut", rows, parameter("locking_strut", strut_stiffness() / GAP)),))
 
 
