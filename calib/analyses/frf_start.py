@@ -68,6 +68,8 @@ def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[s
     sd = np.array([space[name].prior_width for name in names])
     lower, upper = (np.array([getattr(space[name], end) for name in names]) for end in ("lower", "upper"))
     point = {name: value for name, value in values.items() if name in model.space}
+    start = np.clip([point[name] for name in names], lower, upper)  # a predicted step may lead beyond the limits
+    point.update(zip(names, start.tolist(), strict=True))
     centre = np.array([space[name].value for name in names])
     for _ in range(ROUNDS):
         here = np.array([point[name] for name in names])

@@ -2,11 +2,13 @@
 
     python tests/benchmarks/rates.py run --of bogie --runs 300 --workers 2
     python tests/benchmarks/rates.py report --of bogie --write docs/rates_bogie.csv
+    python tests/benchmarks/rates.py report --of panel --write docs/rates_panel.csv
 
 ``run`` makes the first so many runs of a plan that never changes and appends a line for each to
 ``results/rates_bogie/runs.jsonl``; started again it goes on where it stopped. Seeds belong to the runs, whatever the
 number of workers. Lines made with other code are kept and not counted (``report --code all`` counts them). Effects that
-leave no trace are run like all others: nobody knows beforehand.
+leave no trace are run like all others: nobody knows beforehand. Each solar array (``--of panel``) is one run, explained
+in four ways; its report is one table for each, and writes one file for each: ``docs/rates_panel_modes.csv`` and so on.
 """
 
 from __future__ import annotations
@@ -28,12 +30,15 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from rates_scenarios import Scenario, plan
+from rates_panel import WAYS, PanelWorld, by_way
+from rates_scenarios import Scenario, rounds
 from rates_subject import ROOT, SUBJECTS, Subject
 from rates_table import report
 from rates_world import World, code_digest
 
-_world: World | None = None
+AnyWorld = World | PanelWorld
+
+_world: AnyWorld | None = None
 """Of a worker process."""
 
 
@@ -56,14 +61,12 @@ def main() -> None:
     file = folder / "runs.jsonl"
     if given.what == "report":
         made = date.fromtimestamp(file.stat().st_mtime).isoformat() if file.exists() else ""
-        report(list(lines(file)), given.code, given.write, made)
+        report_of(subject, list(lines(file)), given.code, given.write, made)
         return
-    world = World(subject, folder, code_digest(subject))
+    world = world_of(subject, folder, code_digest(subject))
     world.settle()
     done = {(row["scenario"], row["number"]) for row in lines(file) if row["code"] == world.code}
-    chosen = (
-        (s, k) for s, k in plan(subject, world.study.candidates) if not given.only or s.name.startswith(given.only)
-    )
+    chosen = ((s, k) for s, k in rounds(world.kinds) if not given.only or s.name.startswith(given.only))
     wanted = [(s, k) for s, k in islice(chosen, given.skip, given.skip + given.runs) if (s.name, k) not in done]
     print(f"code {world.code}: {len(wanted)} of {given.runs} runs to make", flush=True)
     started = time.perf_counter()
@@ -77,6 +80,23 @@ def main() -> None:
                 print(f"{k} runs, {(time.perf_counter() - started) / k:.1f} s each", flush=True)
 
 
+def world_of(subject: Subject, folder: Path, code: str) -> AnyWorld:
+    """The bench of a subject."""
+    return PanelWorld(subject, folder, code) if subject.by_way else World(subject, folder, code)
+
+
+def report_of(subject: Subject, found: list[dict[str, Any]], code: str | None, counts: Path | None, made: str) -> None:
+    """The report of a subject, or one for each way with a file of its own."""
+    if not subject.by_way:
+        report(found, code, counts, made)
+        return
+    apart = [by_way(row) for row in found]
+    for way in WAYS:
+        print(f"\n== {way} ==")
+        file = counts and counts.with_name(f"{counts.stem}_{way}{counts.suffix}")
+        report([row[way] for row in apart], code, file, made)
+
+
 def lines(file: Path) -> Iterator[dict[str, Any]]:
     """What was run so far."""
     if file.exists():
@@ -87,7 +107,7 @@ def lines(file: Path) -> Iterator[dict[str, Any]]:
                 continue
 
 
-def rows(world: World, wanted: list[tuple[Scenario, int]], workers: int) -> Iterator[dict[str, Any]]:
+def rows(world: AnyWorld, wanted: list[tuple[Scenario, int]], workers: int) -> Iterator[dict[str, Any]]:
     """Answers as they come."""
     if workers == 1:
         yield from (_made(world, s, k) for s, k in wanted)
@@ -102,7 +122,7 @@ def _begin(subject: Subject, folder: Path, code: str) -> None:
     global _world
     if code_digest(subject) != code:
         raise RuntimeError("the code changed meanwhile: start again")
-    _world = World(subject, folder, code)
+    _world = world_of(subject, folder, code)
     _world.settle()
 
 
@@ -111,7 +131,7 @@ def _run(scenario: Scenario, number: int) -> dict[str, Any]:
     return _made(_world, scenario, number)
 
 
-def _made(world: World, scenario: Scenario, number: int) -> dict[str, Any]:
+def _made(world: AnyWorld, scenario: Scenario, number: int) -> dict[str, Any]:
     """One run; whatever breaks in it is a row with its traceback, and no reason to lose the others."""
     try:
         return world.run(scenario, number)

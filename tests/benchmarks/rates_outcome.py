@@ -4,15 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from calib.effect import Effect
 from calib.measurement.modal import MeasuredModes
 from calib.missing.explanation import AdequacyTests, CandidateFit, Explanation
+from calib.missing.profile import profile_interval
 
 NAMING = ("effect", "indistinguishable", "two_effects")
+
+
+class Truth(Protocol):
+    """What is true of a synthetic test."""
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Parameters, magnitudes, nuisance parameters."""
+        ...
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """Names of the effects of the twin."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +60,7 @@ class Measured:
         return {n: v for n, v in self.values.items() if n not in others}
 
 
-def outcome(found: Explanation, measured: Measured) -> dict[str, Any]:
+def outcome(found: Explanation, measured: Truth) -> dict[str, Any]:
     """What was found, and whether it is right.
 
     ``right``: the true effect (its group) is in the printed set and the best, or both of two are named; ``part``: one
@@ -86,6 +101,19 @@ def outcome(found: Explanation, measured: Measured) -> dict[str, Any]:
     return row
 
 
+def magnitude(found: Explanation, measured: Truth) -> dict[str, Any]:
+    """Of the one hidden effect, beside the truth; empty where the chosen model lacks it."""
+    (name,) = measured.hidden
+    candidate_fit, true = found.chosen, measured.values[name]
+    if candidate_fit is None or name not in candidate_fit.names:
+        return {}
+    low, high = profile_interval(candidate_fit.fit, name)
+    return {
+        "magnitude": candidate_fit.fit.values[name], "magnitude_over_true": candidate_fit.fit.values[name] / true,
+        "interval": [low, high], "covers": bool(low <= true <= high),
+    }  # fmt: skip
+
+
 def _judged(verdict: str, credible: set[str], best: list[str], true: set[str]) -> str:
     if verdict == "two_effects":
         if credible == true:
@@ -96,7 +124,7 @@ def _judged(verdict: str, credible: set[str], best: list[str], true: set[str]) -
     return "second" if credible & true else "wrong"
 
 
-def _expected_score(found: Explanation, measured: Measured, stands: Mapping[str, str]) -> list[float]:
+def _expected_score(found: Explanation, measured: Truth, stands: Mapping[str, str]) -> list[float]:
     """Of every true effect: its signature at the base fit times its magnitude, or the largest score on a grid."""
     named, out = found.base_adequacy.named, []
     for name in measured.hidden:
@@ -118,10 +146,12 @@ def _row(one: CandidateFit, found: Explanation) -> dict[str, Any]:
 
 
 def _chances(check: AdequacyTests) -> dict[str, float]:
-    """Of the misfit of each kind, and of the worst shape of one mode."""
+    """Of the misfit of each kind, and of the worst shape of one mode where there are shapes."""
     shapes = check.modes[check.modes["kind"] == "shape"]
-    worst = shapes.loc[shapes["p"].idxmin()]
     kinds = {str(k): float(p) for k, p in zip(check.kinds["kind"], check.kinds["p"], strict=True)}
+    if shapes.empty:
+        return kinds
+    worst = shapes.loc[shapes["p"].idxmin()]
     return kinds | {f"shape of {worst['mode']}": float(worst["p"])}
 
 

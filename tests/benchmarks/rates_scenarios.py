@@ -74,8 +74,12 @@ def scenarios(subject: Subject, library: Sequence[Effect]) -> tuple[Scenario, ..
 
 
 def plan(subject: Subject, library: Sequence[Effect]) -> Iterator[tuple[Scenario, int]]:
+    """`rounds` of all kinds of runs for a subject and its library."""
+    return rounds(scenarios(subject, library))
+
+
+def rounds(kinds: Sequence[Scenario]) -> Iterator[tuple[Scenario, int]]:
     """Runs without end, every round once through all scenarios in an order of its own."""
-    kinds = scenarios(subject, library)
     for turn in range(1_000_000):
         runs = [(s, turn * s.each + k) for s in kinds for k in range(s.each)]
         for i in np.random.default_rng([_SEED, turn]).permutation(len(runs)):

@@ -25,6 +25,8 @@ class Subject:
         Effects that are hidden together.
     reduced_twin : bool
         Whether the finer mesh is solved on a reduced basis of its own, for which full order would take too long.
+    by_way : bool
+        Whether each structure is measured and explained in several ways, see `rates_panel`.
     """
 
     name: str
@@ -33,6 +35,7 @@ class Subject:
     outside: tuple[str, ...]
     pairs: tuple[tuple[str, str], ...]
     reduced_twin: bool = False
+    by_way: bool = False
 
     @property
     def maker(self) -> Path:
@@ -69,4 +72,14 @@ VEHICLE = Subject(
     reduced_twin=True,
 )  # fmt: skip
 
-SUBJECTS = {s.name: s for s in (BOGIE, VEHICLE)}
+PANEL = Subject(
+    "panel", "studies/hidden_panel",
+    (
+        "studies/hidden_panel/make_twin.py", "studies/hidden_panel/remodelled.py", "studies/hidden_panel/study.toml",
+        "studies/hidden_panel_frf/study.toml", "studies/frf_twin.py", "calib/analyses/frf_start.py",
+        "tests/benchmarks/rates_panel.py",
+    ),
+    ("heavy_left", "broken_bar", "corner_mass"), (), by_way=True,
+)  # fmt: skip
+
+SUBJECTS = {s.name: s for s in (BOGIE, VEHICLE, PANEL)}

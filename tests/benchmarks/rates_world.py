@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rates_outcome import Measured, outcome
-from rates_scenarios import FIFTY, OWN, Scenario, fifty_effects
+from rates_outcome import Measured, magnitude, outcome
+from rates_scenarios import FIFTY, OWN, Scenario, fifty_effects, scenarios
 from rates_subject import ROOT, Subject
 
 from calib.analyses.hypotheses import ModelHypotheses
@@ -33,7 +33,6 @@ from calib.measurement.modal import MeasuredModes
 from calib.measurement.repeats import Repeat, ShapeSet, combine_repeats
 from calib.missing.explain import explain
 from calib.missing.explanation import Explanation
-from calib.missing.profile import profile_interval
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
 from calib.structure.model import StructuralModel
@@ -127,6 +126,11 @@ class World:
     def effects(self) -> dict[str, Effect]:
         """Every effect by name, those outside the library too."""
         return {e.name: e for e in (*self.library, *self.specimen.outside)}
+
+    @property
+    def kinds(self) -> tuple[Scenario, ...]:
+        """What may be hidden."""
+        return scenarios(self.subject, self.study.candidates)
 
     def settle(self) -> None:
         """Everything that takes long."""
@@ -235,7 +239,7 @@ class World:
             found = explain(hypotheses)
             row |= outcome(found, measured)
             if row["outcome"] == "right" and len(measured.hidden) == 1:
-                row |= self._magnitude(found, measured) | self._held_out(found, hypotheses, measured)
+                row |= magnitude(found, measured) | self._held_out(found, hypotheses, measured)
         except (EvaluationError, InputError, np.linalg.LinAlgError) as fault:
             row |= {"verdict": "failed", "outcome": "failed", "error": f"{type(fault).__name__}: {fault}"}
         return row | {"seconds": round(time.perf_counter() - started, 2)}
@@ -256,17 +260,6 @@ class World:
         return {
             "hidden": list(measured.hidden), "magnitudes": magnitudes, "parameters": values,
             "visible": [round(v, 2) for v in size], "modes": len(measured.clean.names),
-        }  # fmt: skip
-
-    def _magnitude(self, found: Explanation, measured: Measured) -> dict[str, Any]:
-        (name,) = measured.hidden
-        candidate_fit, true = found.chosen, measured.values[name]
-        if candidate_fit is None or name not in candidate_fit.names:
-            return {}
-        low, high = profile_interval(candidate_fit.fit, name)
-        return {
-            "magnitude": candidate_fit.fit.values[name], "magnitude_over_true": candidate_fit.fit.values[name] / true,
-            "interval": [low, high], "covers": bool(low <= true <= high),
         }  # fmt: skip
 
     def _held_out(self, found: Explanation, hypotheses: ModelHypotheses, measured: Measured) -> dict[str, Any]:
