@@ -165,8 +165,9 @@ def built(effects: Sequence[Effect], values: Mapping[str, float]) -> Spanned:
 
 
 def draw(rng: np.random.Generator) -> dict[str, float]:
-    """True values of the model's parameters."""
-    return {p.name: about(p, rng) for p in base().space.parameters}
+    """True values of the model's parameters: fitted ones are drawn, others nominal."""
+    space = base().space
+    return space.values | {p.name: about(p, rng) for p in space.free}
 
 
 def about(p: Parameter, rng: np.random.Generator) -> float:

@@ -1,7 +1,8 @@
 """The solar array with an effect really built into its finer mesh, and designs that no effect of the library describes.
 
-Every effect of the library has a counterpart here of the same parameters, made otherwise: a hinge splits the node, a skin comes loose more in the middle than at the ends, a mass has a size, air moves more at the middle than at the edge, a strut is a beam with nodes of
-its own. The magnitude keeps its meaning. Nothing here is a candidate of any analysis.
+Every effect of the library has a counterpart here of the same parameters, made otherwise: a hinge splits the node, a
+skin comes loose more in the middle than at the ends, a mass has a size, air moves more at the middle than at the edge,
+a strut is a beam with nodes of its own. The magnitude keeps its meaning. Nothing here is a candidate of any analysis.
 """
 
 from __future__ import annotations
@@ -170,9 +171,7 @@ def _cut(model: StructuralModel) -> Addition:
     ends = np.linspace(-1, 1, ELEMENTS + 1)
     mean = float(np.mean(1 - ((ends[1:] + ends[:-1]) / 2) ** 2))
     loose = _plates(model, "stiffness", lambda x, y: max(0.0, 1 - ((x - middle) / half) ** 2) / mean)
-    return Addition(
-        stiffness=(Term("cracked_row", loose, Monomial(-1.0, (("cracked_row", 1.0), ("E_panel_2", 1.0)))),)
-    )
+    return Addition(stiffness=(Term("cracked_row", loose, Monomial(-1.0, (("cracked_row", 1.0), ("E_panel_2", 1.0)))),))
 
 
 def _instrument(model: StructuralModel) -> Addition:

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from rates_outcome import magnitude, outcome
 from rates_scenarios import MAGNITUDES, Scenario
 from rates_subject import ROOT, Subject
 
+from calib import read_frfs
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.correlation.frf_nuisance import of_every_channel
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
@@ -26,7 +28,7 @@ from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.loading import module_of
 from calib.measurement.accuracy import Claim
-from calib.measurement.frf import FRFRepeat, MeasuredFRFs, combine_frfs
+from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.repeats import Repeat, ShapeSet, combine_repeats
 from calib.missing.explain import explain
@@ -111,7 +113,9 @@ class PanelWorld:
         library = self.study.candidates
         out = [Scenario("nothing", "nothing", each=8)]
         out += [Scenario(f"{e.name}/{s}", "single", (e.name,), f) for s, f in MAGNITUDES.items() for e in library]
-        out += [Scenario(f"outside/{n}/{s}", "outside", (n,), MAGNITUDES[s]) for s in "ML" for n in self.subject.outside]
+        out += [
+            Scenario(f"outside/{n}/{s}", "outside", (n,), MAGNITUDES[s]) for s in "ML" for n in self.subject.outside
+        ]
         out += [Scenario(f"without/{e.name}/M", "removed", (e.name,), 1.0, True) for e in library]
         return tuple(out)
 
@@ -170,9 +174,7 @@ class PanelWorld:
             out[way] = self._pair(seen, way), self._pair(true, way)
         return out
 
-    def _modes(
-        self, names: tuple[str, ...], repeats: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
-    ) -> MeasuredModes:
+    def _modes(self, names: tuple[str, ...], repeats: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> MeasuredModes:
         unknown, layout = np.full(len(names), np.nan), self.maker.layout()
         where = tuple((s.node, s.direction) for s in layout)
         c = combine_repeats([
@@ -192,19 +194,18 @@ class PanelWorld:
         """Mean of the repeats, and the noise-free functions with its standard deviations; without what is held out."""
         test = self.maker.frf_test(array.structure, **errors)
         simulated = self.maker.frf_twin.simulate(array.structure, array.values, test, array.rng)
-        where = [(s.node, s.direction) for s in test.responses]
-        reference = (test.references[0].node, test.references[0].direction)
-        mean = combine_frfs([
-            FRFRepeat("", r.freq, r.quantity, {(at, reference): r.values[:, i, 0] for i, at in enumerate(where)})
-            for r in simulated.repeats
-        ], synthetic=True)  # fmt: skip
-        mean = replace(mean, responses=test.responses, references=test.references, accuracy=self.accuracy)
+        with TemporaryDirectory() as folder:
+            self.maker.frf_twin.write(simulated, Path(folder), "solar array")
+            mean = read_frfs(f"{folder}/*.uff", sensors=f"{folder}/sensors.csv", synthetic=True)
+        mean = replace(mean, accuracy=self.accuracy)
+        names = [sensor.name for sensor in test.responses]
+        exact = simulated.noise_free[:, [names.index(sensor.name) for sensor in mean.responses]]
         held = self.study.settings.held_out.sensors
         bands = [] if fifth is None else [((1 - BESIDE) * fifth, (1 + BESIDE) * fifth)]
-        true = replace(mean, values=simulated.noise_free)
+        true = replace(mean, values=exact)
         return mean.without(held, (), bands), true.without(held, (), bands)
 
-    @property
+    @cached_property
     def accuracy(self) -> Claim:
         """Claimed by the study of the FRFs."""
         claimed = Study.load(ROOT / f"{self.subject.study}_frf").settings.measurement.accuracy
