@@ -99,15 +99,9 @@ class Spanned:
         static = spla.splu(sp.csc_matrix(stiffness)).solve(structure.sensor_rows(layout).T)
         return cls(structure, la.qr(np.hstack([shapes, static]), mode="economic")[0], values)
 
-    @property
-    def locator(self) -> Spanned:
-        """Itself."""
-        return self
-
-    def row(self, point: Sequence[float], direction: int, on: str | None = None) -> tuple[np.ndarray, float]:
-        """See `calib.structure.geometry.Locator`."""
-        row, distance = self.structure.locator.row(point, direction, on)
-        return row @ self.span, distance
+    def translations(self, sensor: Sensor) -> np.ndarray:
+        """See `calib.structure.model.StructuralModel`."""
+        return self.structure.translations(sensor) @ self.span
 
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
         """See `calib.structure.model.StructuralModel`."""
