@@ -1,4 +1,4 @@
-"""Reduced basis: a fixed set of vectors that spans the mode shapes over the parameter space."""
+"""Reduced basis: a fixed set of vectors that spans mode shapes or FRFs over the parameter space."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from calib.errors import InputError
 from calib.space import ParameterSpace
 from calib.written import replacing
 
-_FORMAT = "calib reduced basis 1"
+_FORMAT = "calib reduced basis 2"
 _ARRAYS = ("vectors", "reference", "lower", "upper", "samples", "checks")
 CHECK_COLUMNS = ("round", "size", "indicator", "error")
 
@@ -37,17 +37,20 @@ class Basis:
     offset : float
         1/s^2; 0 unless the model has rigid-body motions.
     count : int
-        Number of modes it was trained for.
+        Number of modes it was trained for; 0 for FRFs.
     freq_max, damping_max : float
-        Modes above this natural frequency in Hz or this damping ratio are exempt from the tolerance.
+        Modes above this natural frequency in Hz or this damping ratio are exempt from the tolerance; of FRFs the
+        highest line, and no limit.
     tolerance : float
-        Target relative eigenvalue error.
+        Target relative eigenvalue error; of FRFs the largest error in units of the standard deviation.
     samples : ndarray (n_samples, n_names)
-        Points whose full-order modes are in the basis.
+        Points whose full-order solutions are in the basis.
     checks : ndarray (n_checks, 4)
         Every validation point of the training: round, size of the basis, largest error indicator there, and largest
-        error of eigenvalue or shape against the full model where it was solved too (else NaN; infinite for a missed
-        mode).
+        error against the full model where it was solved too (else NaN): of eigenvalue or shape (infinite for a missed
+        mode), or of an FRF in units of the standard deviation.
+    request : str
+        Hash of the FRFs it was trained for; empty for modes.
     seed, version : int
         The version is incremented whenever vectors are added.
     """
@@ -67,6 +70,7 @@ class Basis:
     checks: np.ndarray
     seed: int
     version: int = 1
+    request: str = ""
 
     def __post_init__(self) -> None:
         for name in _ARRAYS:
@@ -154,6 +158,7 @@ class Basis:
             "tolerance": self.tolerance,
             "seed": self.seed,
             "version": self.version,
+            "request": self.request,
         }
         return json.dumps(fields, sort_keys=True)
 

@@ -14,10 +14,10 @@ from calib.stage import Progress, unheard
 from calib.structure.basis import Basis
 from calib.structure.derivatives import mode_derivatives
 from calib.structure.extend import extend
+from calib.structure.growth import Growth
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.space_filling import space_filling_points
-from calib.structure.training import Growth
 
 _POINTS = 2
 """Points of the space, beside its middle, at which modes with effects are sampled."""

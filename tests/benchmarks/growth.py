@@ -27,10 +27,11 @@ from subject import study_of
 
 from calib.sampling import sample
 from calib.structure.basis import CHECK_COLUMNS, Basis
+from calib.structure.growth import Growth
+from calib.structure.mode_target import ModeTarget
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
 from calib.structure.space_filling import box, middle, space_filling_points
-from calib.structure.training import Growth
 from calib.study import Study
 from models.railway import vehicle
 
@@ -108,9 +109,10 @@ def basis_from(study: Study, model: StructuralModel, samples: int) -> Basis:
         checks=np.zeros((0, len(CHECK_COLUMNS))), seed=settings.seed,
     )  # fmt: skip
     growth = Growth(model, basis)
-    # Of the target of training only the highest frequency is asked here, which the basis knows as well.
-    snapshots = np.hstack([growth.snapshots(model.modes(p, count), basis) for p in points])
-    return replace(basis, vectors=growth.widened(growth.statics(), snapshots, settings.tolerance / 2))
+    target = ModeTarget(count, basis.freq_max, basis.damping_max, basis.tolerance)
+    snapshots = np.hstack([target.snapshots(model, growth.matrix, p) for p in points])
+    statics = growth.statics(target.forces(model))
+    return replace(basis, vectors=growth.widened(statics, snapshots, settings.tolerance / 2))
 
 
 def median(some: list[Spent]) -> Spent:

@@ -11,9 +11,10 @@ from calib.structure.attach import hung_masses, outer_term
 from calib.structure.derivatives import mode_derivatives
 from calib.structure.effect_basis import effect_basis
 from calib.structure.extend import Addition, extend
+from calib.structure.growth import Growth
 from calib.structure.perturbations import perturbations
 from calib.structure.reduced import ReducedModel, reference_matrix
-from calib.structure.training import Growth, train_basis
+from calib.structure.training import train_basis
 
 N, COUNT = 120, 6
 POINT = {"k_upper": 61.0, "k_lower": 17.0, "k_rung": 1.1, "c_end": 44.0, "mass": 0.8, "place": 4.0}

@@ -1,0 +1,207 @@
+"""Growth of a reduced basis until it meets a target."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+import scipy.linalg as la
+import scipy.sparse as sp
+
+from calib.structure.basis import Basis
+from calib.structure.model import StructuralModel
+from calib.structure.modes import Modes
+from calib.structure.reduced import ReducedModel, reference_factor, reference_matrix
+from calib.structure.solve import solve_modes
+
+SAFETY = 0.5
+"""Limit of the error indicator, as a fraction of the tolerance."""
+POD = 0.5
+"""Squared projection error of every snapshot, as a fraction of the tolerance."""
+_STATIC = 1e-3
+"""Static vectors closer than this to the span of the others, in the energy norm, are dropped."""
+_VERIFIED = 6
+"""Points of a passed round, worst indicators first, that are verified at full order: only that detects missed modes."""
+
+
+class Target(Protocol):
+    """What a reduced basis must represent, and how well."""
+
+    @property
+    def count(self) -> int:
+        """Number of modes; 0 for none."""
+
+    @property
+    def freq_max(self) -> float:
+        """Highest frequency, Hz."""
+
+    @property
+    def damping_max(self) -> float:
+        """Largest damping ratio of a mode that must be represented."""
+
+    @property
+    def tolerance(self) -> float:
+        """Largest `error`."""
+
+    @property
+    def request(self) -> str:
+        """Hash of what else the target consists of; empty for modes."""
+
+    def forces(self, model: StructuralModel) -> np.ndarray:
+        """Forces whose static responses belong to the basis, (n_dof, n_forces)."""
+
+    def snapshots(self, model: StructuralModel, energy: sp.csc_array, values: Mapping[str, float]) -> np.ndarray:
+        """Real columns (n_dof, m) that the basis must represent, from the full model at named values.
+
+        They are scaled so that the tolerance is met where their squared projection errors in the inner product
+        ``energy`` (n_dof, n_dof) are below it, to the order of magnitude: `error` decides.
+        """
+
+    def missing(self, reduced: ReducedModel, energy: sp.csc_array, values: Mapping[str, float]) -> np.ndarray:
+        """The same, chosen where the reduced model is wrong."""
+
+    def estimate(self, reduced: ReducedModel, values: Mapping[str, float]) -> float:
+        """Estimate of `error` without the full model's solution."""
+
+    def error(self, reduced: ReducedModel, values: Mapping[str, float]) -> float:
+        """Largest error against the full model at named values."""
+
+
+class Growth:
+    """Inner product of a basis, and the projections and decompositions in it."""
+
+    def __init__(self, model: StructuralModel, basis: Basis):
+        self.model = model
+        self.reference = basis.reference_values
+        self.matrix = reference_matrix(model, self.reference, basis.offset)
+        self.factor = reference_factor(model, self.reference, basis.offset)
+        self.rigid = _rigid_count(model, self.reference) if basis.offset else 0
+
+    def _inertia_forces(self) -> np.ndarray:
+        """Forces whose responses are the rigid-body motions and mechanisms of the reference model."""
+        mass = self.model.mass(self.model.space.si(self.model.space.complete(self.reference)))
+        forces = np.random.default_rng(20110713).standard_normal((self.model.n_dof, self.rigid))
+        for _ in range(12):  # each pass reduces the first vibration mode by a factor of 100
+            motions = np.linalg.qr(self.factor.solve(forces))[0]
+            forces = mass @ motions
+        return forces
+
+    def project_out(self, vectors: np.ndarray, basis: np.ndarray) -> np.ndarray:
+        """Vectors with an orthonormal basis projected out in the energy product."""
+        for _ in range(2):
+            vectors = vectors - basis @ (basis.T @ (self.matrix @ vectors))
+        return vectors
+
+    def spanned(self, vectors: np.ndarray, least: float) -> np.ndarray:
+        """Orthonormal basis of vectors (n_dof, m); directions of energy below ``least`` (squared norm) are dropped."""
+        if not vectors.shape[1]:
+            return vectors
+        energies, turn = la.eigh(vectors.T @ (self.matrix @ vectors))
+        kept = energies > max(least, 1e-13 * energies[-1])
+        out = vectors @ (turn[:, kept] / np.sqrt(energies[kept]))
+        # A second pass, since the division has amplified the rounding error of small directions.
+        energies, turn = la.eigh(out.T @ (self.matrix @ out))
+        return out @ (turn / np.sqrt(energies)) @ turn.T
+
+    def statics(self, loads: np.ndarray) -> np.ndarray:
+        """Static responses of the reference model to selected vectors and forces; and its rigid-body motions.
+
+        The forces are those of the dampers and ``loads`` (n_dof, n_loads).
+        """
+        chosen = [b for term in self.model.stiffness.selected for b in term.vectors.values()]
+        forces = [np.column_stack(chosen)] if chosen else []
+        if loads.shape[1]:
+            forces.append(loads)
+        if self.rigid:
+            forces.append(self._inertia_forces())
+        if self.model.is_damped:
+            for term in self.model.damping.terms:
+                active = np.unique(term.matrix.indices[term.matrix.data != 0])
+                if len(active) <= 0.1 * self.model.n_dof:  # discrete dampers, not material damping
+                    sizes, turn = la.eigh(term.matrix[active][:, active].toarray())
+                    columns = np.zeros((self.model.n_dof, np.count_nonzero(sizes > 1e-10 * sizes[-1])))
+                    columns[active] = turn[:, sizes > 1e-10 * sizes[-1]]
+                    forces.append(columns)
+        if not forces:
+            return np.zeros((self.model.n_dof, 0))
+        responses = self.factor.solve(np.hstack(forces))
+        responses /= np.sqrt(np.einsum("ij,ij->j", responses, self.matrix @ responses))
+        return self.spanned(responses, _STATIC**2)
+
+    def decomposed(self, snapshots: np.ndarray, basis: np.ndarray, error: float) -> np.ndarray:
+        """Fewest principal directions that, with a basis, represent every snapshot to a squared error."""
+        rest = self.project_out(snapshots, basis)
+        gram = rest.T @ (self.matrix @ rest)
+        if np.diag(gram).max(initial=0.0) < error:
+            return np.zeros((len(rest), 0))
+        energies, turn = la.eigh(gram)
+        energies, turn = energies[::-1], turn[:, ::-1]
+        left = np.diag(gram)[:, None] - np.cumsum(energies * turn**2, axis=1)
+        size = int(np.argmax(left.max(axis=0) < error)) + 1
+        size = min(size, int(np.count_nonzero(energies > 1e-13 * energies[0])))
+        return self.spanned(self.project_out(rest @ (turn[:, :size] / np.sqrt(energies[:size])), basis), 0.0)
+
+    def widened(self, basis: np.ndarray, vectors: np.ndarray, error: float) -> np.ndarray:
+        """An orthonormal basis, extended to represent given vectors to a squared error."""
+        return np.hstack([basis, self.decomposed(vectors, basis, error)])
+
+    def enriched(
+        self, basis: Basis, points: Sequence[Mapping[str, float]], target: Target, number: int
+    ) -> tuple[Basis, bool]:
+        """The basis with what is missing at the worst points added until all pass, and whether all passed at once."""
+        final = np.zeros(len(points))
+        waiting = list(range(len(points)))
+        passed = True
+        while waiting:
+            reduced = ReducedModel(self.model, basis)
+            for k in waiting:
+                final[k] = target.estimate(reduced, points[k])
+            checks = [(number, basis.size, final[k], np.nan) for k in waiting]
+            waiting = [k for k in waiting if final[k] > SAFETY * target.tolerance]
+            worst = [max(waiting, key=lambda k: final[k])] if waiting else []
+            if not waiting:
+                for k in np.argsort(-final, kind="stable")[:_VERIFIED].tolist():
+                    error = target.error(reduced, points[k])
+                    checks.append((number, basis.size, final[k], error))
+                    if error > target.tolerance:
+                        worst.append(k)
+            basis = replace(basis, checks=np.vstack([basis.checks, checks]))
+            if not worst:
+                break
+            passed = False
+            lacking = [target.missing(reduced, self.matrix, points[k]) for k in worst]
+            grown = self.added(basis.vectors, np.hstack(lacking), POD * target.tolerance)
+            if grown.shape[1] == basis.size:
+                break  # nothing is left to add: the indicator overestimates the error there
+            samples = np.vstack([basis.samples, sampled_rows(basis, [points[k] for k in worst])])
+            basis = replace(basis, vectors=grown, samples=samples)
+        return basis, passed
+
+    def added(self, basis: np.ndarray, vectors: np.ndarray, least: float) -> np.ndarray:
+        """An orthonormal basis with vectors added, directions of energy below ``least`` dropped."""
+        new = self.spanned(self.project_out(vectors, basis), least)
+        return np.hstack([basis, self.project_out(new, basis)])
+
+
+def _rigid_count(model: StructuralModel, values: Mapping[str, float]) -> int:
+    """Number of rigid-body motions and mechanisms of the reference model."""
+    return sum(eigenvalue.kind in ("zero", "spin") for eigenvalue in _reference_modes(model, values).excluded)
+
+
+def offset_of(model: StructuralModel, values: Mapping[str, float]) -> float:
+    """Factor of the mass that keeps the inner product regular; 0 without rigid-body motions and mechanisms."""
+    if not _rigid_count(model, values):
+        return 0.0
+    return float((0.1 * 2 * np.pi * _reference_modes(model, values).natural_freq[0]) ** 2)
+
+
+def _reference_modes(model: StructuralModel, values: Mapping[str, float]) -> Modes:
+    stiffness = reference_matrix(model, values, 0.0)
+    return solve_modes(stiffness, None, model.mass(model.space.si(model.space.complete(values))), 1)
+
+
+def sampled_rows(basis: Basis, points: Sequence[Mapping[str, float]]) -> np.ndarray:
+    """Points as rows of `Basis.samples`, (n_points, n_names)."""
+    return np.array([[p[name] for name in basis.names] for p in points], dtype=float).reshape(-1, len(basis.names))
