@@ -14,7 +14,8 @@ from calib.stage import Progress, unheard
 from calib.structure.basis import Basis
 from calib.structure.derivatives import mode_derivatives
 from calib.structure.extend import extend
-from calib.structure.growth import Growth
+from calib.structure.frf_target import FRFTarget
+from calib.structure.growth import Growth, next_round
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.space_filling import space_filling_points
@@ -59,10 +60,8 @@ def effect_basis(
     progress : callable
         Called before every effect and every batch of perturbations.
     """
-    growth = Growth(model, basis)
-    middle = {p.name: p.value for p in space.parameters}
-    points = [middle, *space_filling_points(space, _POINTS, np.random.default_rng(seed))[:_POINTS]]
-    vectors = basis.vectors
+    growth, points = Growth(model, basis), _points(space, seed)
+    middle, vectors = points[0], basis.vectors
     stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / _TOGETHER)
     for number, effect in enumerate(effects):
         progress(stage, number, len(effects) + batches)
@@ -78,6 +77,49 @@ def effect_basis(
         for k in range(0, len(slopes), _BATCH):
             vectors = growth.widened(vectors, np.hstack(slopes[k : k + _BATCH]), _ERROR)
     return replace(basis, vectors=vectors, version=basis.version + 1)
+
+
+def frf_effect_basis(
+    model: StructuralModel,
+    basis: Basis,
+    space: ParameterSpace,
+    effects: Sequence[Effect],
+    target: FRFTarget,
+    seed: int,
+    progress: Progress = unheard,
+) -> Basis:
+    """The next version of a basis of FRFs, which meets its tolerance with each effect too.
+
+    Effects are sampled as by `effect_basis`. Local perturbations need nothing: the derivative of an FRF holds the
+    solutions of the unperturbed model alone.
+
+    Parameters
+    ----------
+    model : StructuralModel
+        The base model, for which ``basis`` was trained.
+    basis : Basis
+    space : ParameterSpace
+        Of the model and of the loads of the target.
+    effects : sequence of Effect
+    target : FRFTarget
+        That the basis was trained for.
+    seed : int
+    progress : callable
+        Called before every effect.
+    """
+    growth, points = Growth(model, basis), _points(space, seed)
+    for number, effect in enumerate(effects):
+        progress("training the basis for the effects", number, len(effects))
+        sampled = [{**point, **own} for point in points for own in _sampled(effect)]
+        sampled = [{**{p.name: p.value for p in effect.parameters}, **point} for point in sampled]
+        basis = growth.enriched(basis, sampled, target.with_effects([effect]), next_round(basis), verified=1)[0]
+    return replace(basis, version=basis.version + 1)
+
+
+def _points(space: ParameterSpace, seed: int) -> list[dict[str, float]]:
+    """Middle of a space and a few points in it."""
+    middle = {p.name: p.value for p in space.parameters}
+    return [middle, *space_filling_points(space, _POINTS, np.random.default_rng(seed))[:_POINTS]]
 
 
 def _sampled(effect: Effect) -> Iterator[Mapping[str, float]]:

@@ -22,7 +22,7 @@ POD = 0.5
 """Squared projection error of every snapshot, as a fraction of the tolerance."""
 _STATIC = 1e-3
 """Static vectors closer than this to the span of the others, in the energy norm, are dropped."""
-_VERIFIED = 6
+VERIFIED = 6
 """Points of a passed round, worst indicators first, that are verified at full order: only that detects missed modes."""
 
 
@@ -58,6 +58,9 @@ class Target(Protocol):
         They are scaled so that the tolerance is met where their squared projection errors in the inner product
         ``energy`` (n_dof, n_dof) are below it, to the order of magnitude: `error` decides.
         """
+
+    def posed(self, reduced: ReducedModel) -> ReducedModel:
+        """What the following take, from the reduced base model: the same with what the target adds to it."""
 
     def missing(self, reduced: ReducedModel, energy: sp.csc_array, values: Mapping[str, float]) -> np.ndarray:
         """The same, chosen where the reduced model is wrong."""
@@ -148,21 +151,29 @@ class Growth:
         return np.hstack([basis, self.decomposed(vectors, basis, error)])
 
     def enriched(
-        self, basis: Basis, points: Sequence[Mapping[str, float]], target: Target, number: int
+        self,
+        basis: Basis,
+        points: Sequence[Mapping[str, float]],
+        target: Target,
+        number: int,
+        verified: int = VERIFIED,
     ) -> tuple[Basis, bool]:
-        """The basis with what is missing at the worst points added until all pass, and whether all passed at once."""
+        """The basis with what is missing at the worst points added until all pass, and whether all passed at once.
+
+        ``number`` is that of the round; so many worst points that passed are ``verified`` at full order.
+        """
         final = np.zeros(len(points))
         waiting = list(range(len(points)))
         passed = True
         while waiting:
-            reduced = ReducedModel(self.model, basis)
+            reduced = target.posed(ReducedModel(self.model, basis))
             for k in waiting:
                 final[k] = target.estimate(reduced, points[k])
             checks = [(number, basis.size, final[k], np.nan) for k in waiting]
             waiting = [k for k in waiting if final[k] > SAFETY * target.tolerance]
             worst = [max(waiting, key=lambda k: final[k])] if waiting else []
             if not waiting:
-                for k in np.argsort(-final, kind="stable")[:_VERIFIED].tolist():
+                for k in np.argsort(-final, kind="stable")[:verified].tolist():
                     error = target.error(reduced, points[k])
                     checks.append((number, basis.size, final[k], error))
                     if error > target.tolerance:
@@ -205,3 +216,8 @@ def _reference_modes(model: StructuralModel, values: Mapping[str, float]) -> Mod
 def sampled_rows(basis: Basis, points: Sequence[Mapping[str, float]]) -> np.ndarray:
     """Points as rows of `Basis.samples`, (n_points, n_names)."""
     return np.array([[p[name] for name in basis.names] for p in points], dtype=float).reshape(-1, len(basis.names))
+
+
+def next_round(basis: Basis) -> int:
+    """Number of the next round of checks."""
+    return int(basis.checks[:, 0].max(initial=0)) + 1

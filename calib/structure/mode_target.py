@@ -56,6 +56,10 @@ class ModeTarget:
         shapes = shapes * (turn / np.sqrt(size))
         return np.hstack([shapes.real, shapes.imag])
 
+    def posed(self, reduced: ReducedModel) -> ReducedModel:
+        """The reduced model itself."""
+        return reduced
+
     def missing(self, reduced: ReducedModel, energy: sp.csc_array, values: Mapping[str, float]) -> np.ndarray:
         """What a reduced model lacks at named values: the modes there."""
         return self.snapshots(reduced.model, energy, values)

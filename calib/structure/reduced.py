@@ -269,10 +269,20 @@ class ReducedModel(Analytic):
             parts = np.hstack([residual.real, residual.imag])
         else:
             parts = stiffness @ shapes - size**2 * (mass @ shapes)
-        squares = np.einsum("ij,ij->j", parts, self._reference_factor.solve(parts))
+        squares = np.einsum("ij,ij->j", parts, self.static_response(parts))
         if modes.is_complex:
             return (squares[: modes.n_modes] + squares[modes.n_modes :]) / size
         return 0.5 * squares / size**2
+
+    def static_response(self, forces: np.ndarray) -> np.ndarray:
+        """Motions of the full model under static forces (n_full, m) with the stiffness at the basis' reference values.
+
+        With the offset of the basis where there are rigid-body motions; complex forces give complex motions.
+        """
+        if not np.iscomplexobj(forces):
+            return np.asarray(self._reference_factor.solve(forces))
+        both = self._reference_factor.solve(np.hstack([forces.real, forces.imag]))
+        return np.asarray(both[:, : forces.shape[1]] + 1j * both[:, forces.shape[1] :])
 
     @cached_property
     def _reference_factor(self) -> spla.SuperLU:

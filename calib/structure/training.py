@@ -11,7 +11,7 @@ from calib.errors import InputError, ToleranceError
 from calib.space import ParameterSpace
 from calib.stage import Progress, unheard
 from calib.structure.basis import CHECK_COLUMNS, Basis
-from calib.structure.growth import POD, SAFETY, Growth, Target, offset_of, sampled_rows
+from calib.structure.growth import POD, SAFETY, Growth, Target, next_round, offset_of, sampled_rows
 from calib.structure.mode_target import ModeTarget
 from calib.structure.model import StructuralModel
 from calib.structure.space_filling import box, levels, middle, space_filling_points
@@ -160,11 +160,6 @@ def enrich_basis(
     complete = [{**p, **model.space.complete({n: v for n, v in p.items() if n in model.space})} for p in points]
     grown = growth.enriched(basis, complete, target, next_round(basis))[0]
     return replace(grown, version=basis.version + 1)
-
-
-def next_round(basis: Basis) -> int:
-    """Number of the next round of checks."""
-    return int(basis.checks[:, 0].max(initial=0)) + 1
 
 
 def _place(model: StructuralModel) -> str:
