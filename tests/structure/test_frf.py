@@ -7,6 +7,7 @@ import scipy.linalg as la
 
 from calib.errors import EvaluationError
 from calib.space import Parameter
+from calib.structure import frf as frf_module
 from calib.structure.frf import frf, frf_derivatives, motion_factor
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
@@ -134,3 +135,35 @@ def test_on_a_reduced_basis_the_bogie_has_nearly_the_same_functions():
     near = frf_derivatives(reduced, values, freq, small, small, ("K_primary",))
     for full, own in zip(exact, near, strict=True):
         assert np.abs(own - full).max() < 0.02 * np.abs(full).max()
+
+
+@pytest.mark.parametrize("rank", [0, 1, 3])
+def test_few_dampers_are_superposed_on_undamped_modes(rank):
+    rng, n = np.random.default_rng(rank), 24
+    root = rng.standard_normal((n, n))
+    k, b = 1e4 * (root @ root.T + np.eye(n)), rng.standard_normal((n, rank))
+    m, c = np.eye(n) + 0.1 * np.eye(n, k=1) + 0.1 * np.eye(n, k=-1), 40 * b @ b.T
+    at_mode = np.sqrt(la.eigh(k, m, eigvals_only=True)[3]) / (2 * np.pi)
+    rows, freq = rng.standard_normal((3, n)), np.array([0.0, 5.0, 40.0, at_mode * (1 + 1e-4), at_mode * (1 + 1e-8)])
+    calls = []
+    with pytest.MonkeyPatch.context() as patch:
+        direct = frf_module._solution
+        patch.setattr(frf_module, "_solution", lambda *a: calls.append(a[-1]) or direct(*a))
+        found = [x for (x,) in frf_module.frf_solutions((k, c, m), freq, rows)]
+    for line, x in zip(freq, found, strict=True):
+        omega = 2 * np.pi * line
+        load = (k + 1j * omega * c - omega**2 * m) @ x
+        np.testing.assert_allclose(load, rows.T, atol=1e-9 * np.abs(k).max() * np.abs(x).max())
+    assert calls == [freq[-1]]  # at an undamped resonance the superposition would cancel
+    assert len(freq) == len(found)
+
+
+def test_material_damping_and_free_structures_are_solved_line_by_line():
+    k, m = np.diag([1e3, 2e3, 3e3, 4e3]), np.eye(4)
+    free = np.array([[1.0, -1, 0, 0], [-1, 2, -1, 0], [0, -1, 2, -1], [0, 0, -1, 1]]) * 1e3
+    for stiffness, damping in ((k, 0.01 * k), (free, np.zeros((4, 4)))):
+        (found,) = [x for (x,) in frf_module.frf_solutions((stiffness, damping, m), np.array([3.0]), np.eye(4))]
+        omega = 6 * np.pi
+        np.testing.assert_allclose(
+            found, la.inv(stiffness + 1j * omega * damping - omega**2 * m), rtol=1e-10, atol=1e-14
+        )
