@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from calib.correlation.frf_nuisance import Nuisance
+from calib.correlation.frf_residual import FRFProblem
 from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.effect import Effect
 from calib.errors import InputError
@@ -315,7 +316,7 @@ class EvaluationSource:
         """The function from named values to named responses."""
         study = Study.load(Path(self.path), dict(self.adopted), test=self.test)
         problem = study.problem
-        if self.basis and isinstance(problem, ModalProblem):
+        if self.basis and isinstance(problem, ModalProblem | FRFProblem):
             problem = problem.reduced(Basis.load(Path(self.basis)))
         if problem.fingerprint != self.fingerprint:
             raise InputError(

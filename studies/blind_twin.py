@@ -144,19 +144,27 @@ class Specimen:
         index = [j for _, j in found]
         return tuple(name for name, _ in found), modes.subset(index), shapes[:, index]
 
+    def structure(self, effects: Sequence[Effect]) -> StructuralModel:
+        """The twin's mesh with some effects."""
+        return extend(self.fine, effects) if effects else self.fine
+
     def solved(
-        self, effects: Sequence[Effect], values: Mapping[str, float], rng: np.random.Generator | None = None
+        self, effects: Sequence[Effect], values: Mapping[str, float], places: Sequence[Sensor] | None = None
     ) -> tuple[tuple[str, ...], Modes, np.ndarray]:
-        """The twin's modes with some effects, as `identified`; with ``rng`` the sensors are displaced."""
-        model = extend(self.fine, effects) if effects else self.fine
-        return self.seen(model, model.n_dof - self.fine.n_dof, values, rng)
+        """The twin's modes with some effects, as `identified`, at the true places of the sensors, nominal without."""
+        model = self.structure(effects)
+        return self._at(model, model.n_dof - self.fine.n_dof, values, self.layout if places is None else places)
 
     def seen(
         self, model: ModalModel, added: int, values: Mapping[str, float], rng: np.random.Generator | None = None
     ) -> tuple[tuple[str, ...], Modes, np.ndarray]:
-        """The same for any model of the twin, with a number of degrees of freedom added."""
-        layout = self.layout if rng is None else twin.moved(self.layout, rng)
-        rows = model.sensor_rows(layout)
+        """The same for any model of the twin, with a number of degrees of freedom added; ``rng`` displaces sensors."""
+        return self._at(model, added, values, self.layout if rng is None else twin.moved(self.layout, rng))
+
+    def _at(
+        self, model: ModalModel, added: int, values: Mapping[str, float], places: Sequence[Sensor]
+    ) -> tuple[tuple[str, ...], Modes, np.ndarray]:
+        rows = model.sensor_rows(places)
         modes = model.modes(values, len(self.modes) + MORE + added)
         return self.identified(modes, rows @ modes.shapes)
 
@@ -252,38 +260,80 @@ def make(specimen: Specimen, kinds: Mapping[str, Kind], title: str, what: str) -
     arguments.add_argument("--into", type=Path, required=True, help="folder for the repeats")
     given = arguments.parse_args()
     kind = kinds[given.kind]
-    for seed in range(kind.first_seed, kind.first_seed + 1000):
-        rng = np.random.default_rng(seed)
-        found = _tried(specimen, kind, rng)
-        if found is not None:
-            break
-    else:
-        raise SystemExit("no seed gave a visible effect")
-    chosen, values, size, modes, shapes = found
+    found = drawn(specimen, kind)
+    modes, shapes, rng = found.modes, found.shapes, found.rng
     twin.write_measurement(
         given.into, specimen.modes, *set_up_errors(modes, shapes, kind.noise, rng), specimen.layout, rng, title
     )
-    content = {
-        "seed": seed,
+    write_truth(given.truth, {
+        **found.truth(specimen),
         "kind": given.kind,
-        "effects": [effect.name for effect in chosen],
-        "magnitudes": {name: values[name] for effect in chosen for name in effect.names},
-        "visible": size,
         "noise": kind.noise,
-        "parameters": {name: values[name] for name in specimen.space.names},
         "natural_freq": dict(zip(specimen.modes, modes.natural_freq.tolist(), strict=True)),
         "damping_ratio": dict(zip(specimen.modes, modes.damping_ratio.tolist(), strict=True)),
-    }
-    given.truth.parent.mkdir(parents=True, exist_ok=True)
-    given.truth.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    print(f"seed {seed}")
+    })  # fmt: skip
+    print(f"seed {found.seed}")
 
 
-Drawn = tuple[tuple[Effect, ...], dict[str, float], list[float], Modes, np.ndarray]
+def write_truth(path: Path, content: Mapping[str, object]) -> None:
+    """Write the true values behind a measurement to a file that no analysis reads."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
-def _tried(specimen: Specimen, kind: Kind, rng: np.random.Generator) -> Drawn | None:
-    """One draw: effects, all values, visibility of each effect, modes, shapes; None where a criterion is not met."""
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A twin with its true values, before it is measured.
+
+    Attributes
+    ----------
+    seed : int
+    effects : tuple of Effect
+        That are hidden.
+    values : mapping from parameter name to value
+    visible : list of float
+        Visibility of each effect.
+    modes : Modes
+    shapes : ndarray (n_sensors, n_modes)
+        At the true places of the sensors.
+    places : tuple of Sensor
+        These places.
+    rng : Generator
+        Generator of the measurement noise.
+    """
+
+    seed: int
+    effects: tuple[Effect, ...]
+    values: Mapping[str, float]
+    visible: list[float]
+    modes: Modes
+    shapes: np.ndarray
+    places: tuple[Sensor, ...]
+    rng: np.random.Generator
+
+    def truth(self, specimen: Specimen) -> dict[str, object]:
+        """What no analysis may know of the structure."""
+        return {
+            "seed": self.seed,
+            "effects": [effect.name for effect in self.effects],
+            "magnitudes": {name: self.values[name] for effect in self.effects for name in effect.names},
+            "visible": self.visible,
+            "parameters": {name: self.values[name] for name in specimen.space.names},
+        }
+
+
+def drawn(specimen: Specimen, kind: Kind) -> Drawn:
+    """The twin of the first seed that meets the criteria."""
+    for seed in range(kind.first_seed, kind.first_seed + 1000):
+        found = _tried(specimen, kind, seed)
+        if found is not None:
+            return found
+    raise SystemExit("no seed gave a visible effect")
+
+
+def _tried(specimen: Specimen, kind: Kind, seed: int) -> Drawn | None:
+    """One draw; None where a criterion is not met."""
+    rng = np.random.default_rng(seed)
     designs = specimen.library if kind.inside else specimen.outside
     values = specimen.draw(rng)
     chosen: tuple[Effect, ...] = ()
@@ -295,8 +345,9 @@ def _tried(specimen: Specimen, kind: Kind, rng: np.random.Generator) -> Drawn | 
     # The finer mesh decides; the fitted one screens the seeds at less cost.
     if _checked(replace(specimen, fine=specimen.base), kind, chosen, values, None, NEARLY) is None:
         return None
-    found = _checked(specimen, kind, chosen, values, rng, 1.0)
-    return None if found is None else (chosen, values, *found)
+    places = twin.moved(specimen.layout, rng)
+    found = _checked(specimen, kind, chosen, values, places, 1.0)
+    return None if found is None else Drawn(seed, chosen, values, *found, places, rng)
 
 
 def _checked(
@@ -304,11 +355,11 @@ def _checked(
     kind: Kind,
     chosen: Sequence[Effect],
     values: Mapping[str, float],
-    rng: np.random.Generator | None,
+    places: Sequence[Sensor] | None,
     slack: float,
 ) -> tuple[list[float], Modes, np.ndarray] | None:
     """Visibility of each effect, modes and shapes; None where a criterion, relaxed by ``slack``, is not met."""
-    names, modes, shapes = specimen.solved(chosen, values, rng)
+    names, modes, shapes = specimen.solved(chosen, values, places)
     if names != specimen.modes or modes.damping_ratio.max() > slack * MEASURABLE:
         return None
     if not chosen:

@@ -19,7 +19,7 @@ from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.function_hypotheses import function_hypotheses
 from calib.analyses.group_adapter import FRFAdapter, ScalarAdapter
 from calib.analyses.joint_adapter import JointAdapter, together
-from calib.analyses.library import local_perturbations, modal_hypotheses
+from calib.analyses.library import basis_of, local_perturbations, modal_hypotheses
 from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.reduction import worthwhile
@@ -126,12 +126,15 @@ def adapter_of(study: Study, home: Results, progress: Progress, local: tuple[Per
         return ScalarAdapter(scalar, own, facts, study.unseen)
     if isinstance(problem, FRFProblem):
         assert local is not None
-        return FRFAdapter.of(FRFResidual(problem), study.candidates, local, space, facts, study.unseen)
+        basis = basis_of(study, home, [one.effect for one in local], progress)
+        return FRFAdapter.of(
+            FRFResidual(problem), study.candidates, local, space, facts, study.unseen, basis, worthwhile(study)
+        )
     if isinstance(problem.model, ModalFunctionModel):  # which may be behind a ledger
         modal, own = function_hypotheses(problem.model, ModalResidual(problem), study.candidates, space, study.test)
     else:
         modal, own = modal_hypotheses(study, home, progress, local)
-    return ModalAdapter(modal, own, facts, study.whole_problem(), study.finer_model, worthwhile(study))
+    return ModalAdapter(modal, own, facts, study.whole_problem(), study.finer_model, reduced=worthwhile(study))
 
 
 def _local(study: AnyStudy) -> dict[str, tuple[Perturbation, ...]]:

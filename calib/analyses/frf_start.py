@@ -23,6 +23,7 @@ from calib.problem import Problem
 from calib.space import ParameterSpace
 from calib.structure.frf import motion_factor
 from calib.structure.model import StructuralModel
+from calib.structure.reduced import ReducedModel
 from calib.structure.static_reduction import static_reduction
 
 EQUATION_ERROR = 0.05
@@ -42,7 +43,7 @@ def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[s
     Parameters
     ----------
     residual : FRFResidual
-        Of a model at full order.
+        Its model is solved at full order.
     space : ParameterSpace
         Its free parameters that are not integers are moved, within their limits; their priors hold them where the
         equations say nothing.
@@ -53,13 +54,13 @@ def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[s
     -------
     dict or None
         All parameters; None where the equations cannot be posed: a reference without a response at the same place,
-        no line on which every function was measured, sensors that measure the same motion, or a model on a reduced
-        basis.
+        no line on which every function was measured, or sensors that measure the same motion.
     """
     problem = residual.problem
-    model, measured = problem.loaded_model, _near_resonances(problem.measured)
+    own, measured = problem.loaded_model, _near_resonances(problem.measured)
+    model = own.model if isinstance(own, ReducedModel) else own
     names = [p.name for p in space.free if not p.integer and p.name in model.space]
-    if not isinstance(model, StructuralModel) or not names:
+    if not names:
         return None
     posed = _posed(model, measured)
     if posed is None:

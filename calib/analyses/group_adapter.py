@@ -18,7 +18,9 @@ from calib.correlation.response_residual import ResponseResidual
 from calib.effect import Effect
 from calib.forward import Unseen
 from calib.missing.explanation import CandidateFit
+from calib.problem import Pair
 from calib.space import ParameterSpace
+from calib.structure.basis import Basis
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
 from calib.structure.variants import Variants
@@ -39,7 +41,7 @@ class GroupAdapter(OneTest):
     def errors_of(self, candidate_fit: CandidateFit, scale: float) -> pd.DataFrame:
         """See `calib.analyses.verify.group_errors`."""
         s, held_sd = candidate_fit.fit, self.facts.held_sd
-        pair = self.hypotheses.fit_problem(candidate_fit.names).pair
+        pair = self._measuring(candidate_fit.names)
         unseen = held_out_rows(pair.problem, self.held_out, s.values, s.names, held_sd)
         held_out = {group: (residual / scale, jacobian / scale) for group, (residual, jacobian) in unseen.items()}
         slope = -s.slope
@@ -48,6 +50,10 @@ class GroupAdapter(OneTest):
         labels = [row.sensor for row in self.hypotheses.rows]
         std = std_behind(self.hypotheses.pair)
         return group_errors(s.residual, slope, s.names, s.prior_sd, labels, held_out, std)
+
+    def _measuring(self, names: tuple[str, ...]) -> Pair:
+        """The pair of a model with the named effects, by which held-out data are predicted."""
+        return self.hypotheses.fit_problem(names).pair
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +86,21 @@ class FRFAdapter(GroupAdapter):
         space: ParameterSpace,
         facts: MeasurementFacts,
         held_out: Unseen,
+        basis: Basis | None = None,
+        reduced: bool = False,
     ) -> FRFAdapter:
-        """The adapter of a model at full order; ``space`` holds the parameters of its fits."""
+        """The adapter of a model at full order; ``space`` holds the parameters of its fits.
+
+        Fits use the ``basis``, which serves the effects too; held-out FRFs are predicted at full order. ``reduced`` as
+        in `OneTest`.
+        """
         model = pair.problem.model
         assert isinstance(model, StructuralModel)
-        variants = Variants(model, effects, tuple(perturbation.effect for perturbation in local), None)
-        return FRFAdapter(ModelHypotheses(pair, variants, space), local, facts, held_out)
+        variants = Variants(model, effects, tuple(perturbation.effect for perturbation in local), basis)
+        return FRFAdapter(ModelHypotheses(pair, variants, space), local, facts, held_out, reduced=reduced)
+
+    def _measuring(self, names: tuple[str, ...]) -> Pair:
+        return super()._measuring(names) if self.hypotheses.variants.basis is None else self.at_full_order(names)
 
     def labels(self) -> pd.DataFrame:
         """Labels of the rows of data; ``mode`` is the line, such as ``12.5 Hz``, and ``part`` is ``re`` or ``im``."""

@@ -1,4 +1,4 @@
-"""Hypotheses of a study with modes: its effects, local perturbations, and a reduced basis that represents them all."""
+"""Hypotheses of a study with matrices: effects, local perturbations, and a reduced basis that represents them all."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.reduction import Wanted, reduction_of, training, worthwhile
+from calib.analyses.reduction import Reducible, Wanted, reduction_of, training, worthwhile
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.effect import Effect
@@ -20,7 +20,6 @@ from calib.results import Results
 from calib.space import ParameterSpace
 from calib.stage import Progress, unheard
 from calib.structure.basis import Basis
-from calib.structure.effect_basis import effect_basis
 from calib.structure.extend import extend
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation, perturbations
@@ -67,22 +66,33 @@ def modal_hypotheses(
     if local is None:
         local = local_perturbations(model, [problem.measured], study.search_space.values)
     effects, perturbed = study.candidates, tuple(a.effect for a in local)
-    basis = None
-    if worthwhile(study):
-        progress("reduced basis for the effects")
-
-        def search_basis() -> Basis:
-            found = reduction_of(study, results, progress)  # a search trained it, or will need it
-            assert found is not None
-            return found.basis
-
-        with training(study):
-            settings = study.settings.reduction
-            space, wanted = study.search_space, Wanted.of(problem, settings.tolerance, settings.seed)
-            with contextlib.suppress(ToleranceError):  # then the full model is used, and `ModalAdapter` notes it
-                basis = kept_basis(model, space, effects, perturbed, wanted, results.path, search_basis, progress)
-    variants = Variants(model, effects, perturbed, basis)
+    variants = Variants(model, effects, perturbed, basis_of(study, results, perturbed, progress))
     return ModelHypotheses(ModalResidual(problem), variants, study.search_space.without(study.condition)), local
+
+
+def basis_of(study: Study, results: Results, local: Sequence[Effect], progress: Progress = unheard) -> Basis | None:
+    """A basis for a study with its effects and local perturbations.
+
+    None where none is worthwhile, or none reaches its tolerance: then the full model is used, and the adapter notes it.
+    """
+    problem = study.problem
+    if not worthwhile(study):
+        return None
+    assert isinstance(problem, Reducible) and isinstance(problem.model, StructuralModel)
+    progress("reduced basis for the effects")
+
+    def search_basis() -> Basis:
+        found = reduction_of(study, results, progress)  # a search trained it, or will need it
+        assert found is not None
+        return found.basis
+
+    settings = study.settings.reduction
+    space, wanted = study.search_space, Wanted.of(problem, settings.tolerance, settings.seed)
+    with training(study), contextlib.suppress(ToleranceError):
+        return kept_basis(
+            problem.model, space, study.candidates, local, wanted, results.path, search_basis, progress
+        )  # fmt: skip
+    return None
 
 
 def kept_basis(
@@ -102,14 +112,14 @@ def kept_basis(
     """
     digest = hashlib.sha256(extend(model, [*effects, *local]).fingerprint.encode())
     digest.update(repr([(e.name, e.parameters, e.grid) for e in effects]).encode())
-    digest.update(repr((wanted.count, wanted.freq_max, wanted.tolerance, wanted.seed)).encode())
+    digest.update(repr(wanted.key).encode())
     digest.update(repr(space.parameters).encode())
     path = folder / f"basis_effects_{digest.hexdigest()[:16]}.npz"
     if path.exists():
         with suppress(InputError):
             return Basis.load(path)
     own = base() if base else wanted.trained(model, space, progress)
-    basis = effect_basis(model, own, space, effects, local, wanted.seed, progress)
+    basis = wanted.with_effects(model, own, space, effects, local, progress)
     for old in folder.glob("basis_effects_*.npz"):
         if is_own(old):
             old.unlink(missing_ok=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -23,9 +23,6 @@ from calib.missing.recommendation import ExperimentalDesign
 from calib.stage import Progress, unheard
 from calib.structure.model import StructuralModel
 
-BASIS_ERROR = 0.05
-"""Largest difference of whitened residuals on the reduced basis from full order, in standard deviations."""
-
 
 @dataclass(frozen=True, eq=False)
 class ModalAdapter(OneTest):
@@ -37,15 +34,11 @@ class ModalAdapter(OneTest):
         The problem with all measured data; None where nothing is held out.
     finer : callable
         Returns the same model on a finer mesh, or None.
-    reduced : bool
-        Whether a reduced basis was requested and worthwhile.
     """
 
     hypotheses: ModelHypotheses[ModalResidual]
     whole: ModalProblem | None
     finer: Callable[[], StructuralModel | None] = lambda: None
-    reduced: bool = False
-    _full: dict[tuple[str, ...], ModalResidual] = field(init=False, repr=False, default_factory=dict)
 
     @property
     def problem(self) -> ModalProblem:
@@ -53,10 +46,8 @@ class ModalAdapter(OneTest):
         return self.hypotheses.pair.problem
 
     def notes(self) -> list[str]:
-        """Notes on a missing reduced basis, and on stated, claimed or assumed standard deviations."""
+        """As for any test, and on stated standard deviations."""
         out, measured = [], self.problem.measured
-        if self.reduced and self.hypotheses.variants.basis is None:
-            out.append("No reduced basis reached its tolerance: the full model was used.")
         if measured.n_repeats == 1 and np.isfinite(measured.freq_std).any():
             out.append("There are no repeats: the standard deviation is the one the file states.")
         return [*out, *super().notes()]
@@ -64,22 +55,14 @@ class ModalAdapter(OneTest):
     def errors(
         self, stages: Mapping[str, CandidateFit], scale: float
     ) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
-        """As for any test, with notes on unpaired modes and on the error of the reduced basis."""
+        """As for any test, with notes on unpaired modes."""
         table, notes, figures = super().errors(stages, scale)
-        notes += filter(None, (unpaired_sentence(self._unpaired(t), _named(t)) for t in stages.values()))
-        worst = 0.0
-        for candidate_fit in stages.values():
-            full = self._at_full_order(candidate_fit.names).residual(candidate_fit.fit.values) / scale
-            worst = max(worst, float(np.abs(full - candidate_fit.fit.residual).max()))
-        if worst > BASIS_ERROR:
-            notes.append(
-                f"The reduced basis is off by {worst:.2g} standard deviations; set use = false in [reduction]."
-            )
-        return table, notes, {**figures, "basis_error": worst}
+        unpaired = filter(None, (unpaired_sentence(self._unpaired(t), _named(t)) for t in stages.values()))
+        return table, [*unpaired, *notes], figures
 
     def errors_of(self, candidate_fit: CandidateFit, scale: float) -> pd.DataFrame:
         """At full order; see `calib.analyses.verify.modal_errors`."""
-        fit, fitted, whole = candidate_fit.fit, self._at_full_order(candidate_fit.names), self.whole
+        fit, fitted, whole = candidate_fit.fit, self.at_full_order(candidate_fit.names), self.whole
         if whole is not None:
             added = self.hypotheses.variants.added(candidate_fit.names)
             whole = whole.with_model(self.problem.model).with_model(fitted.problem.model, added)
@@ -87,12 +70,6 @@ class ModalAdapter(OneTest):
             fitted.problem, whole, fit.values, fit.names, fit.prior_sd, fitted.floors,
             self.hypotheses.std_dof, scale, self.facts.held_sd,
         )  # fmt: skip
-
-    def _at_full_order(self, names: tuple[str, ...]) -> ModalResidual:
-        if names not in self._full:
-            variants = self.hypotheses.variants
-            self._full[names] = self.hypotheses.pair.with_model(variants.built(names), variants.added(names))
-        return self._full[names]
 
     def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:
         """Candidate measurements, from the credible models."""

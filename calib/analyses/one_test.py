@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from calib.analyses.discretisation_error import DiscretisationError
@@ -22,6 +23,9 @@ from calib.structure.effect_places import effect_places
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
 
+BASIS_ERROR = 0.05
+"""Largest difference of whitened residuals on the reduced basis from full order, in standard deviations."""
+
 
 @dataclass(frozen=True, eq=False)
 class OneTest(ABC):
@@ -33,11 +37,15 @@ class OneTest(ABC):
     perturbations : tuple of Perturbation
         Its local perturbations.
     facts : MeasurementFacts
+    reduced : bool
+        Whether a reduced basis was requested and worthwhile.
     """
 
     hypotheses: ModelHypotheses[Any]
     perturbations: tuple[Perturbation, ...]
     facts: MeasurementFacts
+    reduced: bool = field(default=False, kw_only=True)
+    _full: dict[tuple[str, ...], Any] = field(init=False, repr=False, default_factory=dict, kw_only=True)
 
     @property
     def budget_of_fits(self) -> float:
@@ -48,20 +56,47 @@ class OneTest(ABC):
         return DEFAULT.budget if self.hypotheses.variants.calls is None else math.inf
 
     def notes(self) -> list[str]:
-        """Notes on claimed or assumed standard deviations, and on repeats that disagree."""
-        return list(self.facts.notes)
+        """Notes on a missing reduced basis, on claimed or assumed standard deviations, and on repeats that disagree."""
+        out = []
+        if self.reduced and self.hypotheses.variants.basis is None:
+            out.append("No reduced basis reached its tolerance: the full model was used.")
+        return [*out, *self.facts.notes]
+
+    def at_full_order(self, names: tuple[str, ...]) -> Any:
+        """The pair of the model with the named effects, at full order."""
+        if names not in self._full:
+            variants = self.hypotheses.variants
+            self._full[names] = self.hypotheses.pair.with_model(variants.built(names), variants.added(names))
+        return self._full[names]
+
+    def basis_error(self, fits: Iterable[CandidateFit], scale: float) -> float:
+        """Largest difference of whitened residuals on the reduced basis from full order; 0 without a basis."""
+        if self.hypotheses.variants.basis is None:
+            return 0.0
+        full = [self.at_full_order(one.names).residual(one.fit.values) / scale - one.fit.residual for one in fits]
+        return float(max(np.abs(difference).max() for difference in full))
 
     def errors(
         self, stages: Mapping[str, CandidateFit], scale: float
     ) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
-        """Errors by stage and group of data, notes such as failed points, and entries of the summary."""
+        """Errors by stage and group of data, notes such as failed points, and entries of the summary.
+
+        Of a model of matrices with a note on the error of its reduced basis.
+        """
         table = pd.concat([self.errors_of(t, scale).assign(stage=s) for s, t in stages.items()], ignore_index=True)
         failures = self.hypotheses.failures
         notes = []
         if failures:
             points = f"{len(failures)} point{'s' * (len(failures) > 1)} failed"
             notes = [f"{points}; the first{_with(failures[0])}: {failures[0].outcome.error}."]
-        return table, notes, {} if self.hypotheses.variants.calls is None else {"failed": len(failures)}
+        if not isinstance(self.hypotheses.variants.model, StructuralModel):
+            return table, notes, {} if self.hypotheses.variants.calls is None else {"failed": len(failures)}
+        worst = self.basis_error(stages.values(), scale)
+        if worst > BASIS_ERROR:
+            notes.append(
+                f"The reduced basis is off by {worst:.2g} standard deviations; set use = false in [reduction]."
+            )
+        return table, notes, {"basis_error": worst}
 
     @abstractmethod
     def errors_of(self, candidate_fit: CandidateFit, scale: float) -> pd.DataFrame:

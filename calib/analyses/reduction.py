@@ -5,14 +5,16 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from calib.analyses.user_function import ledger_keys_of_modes
+from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.problem import ModalProblem
+from calib.effect import Effect
 from calib.errors import EvaluationError, InputError, ToleranceError
 from calib.evaluate import Evaluator
 from calib.ledger import Ledger
@@ -21,9 +23,13 @@ from calib.results import Results
 from calib.space import ParameterSpace
 from calib.stage import Progress, unheard
 from calib.structure.basis import Basis
+from calib.structure.effect_basis import effect_basis, frf_effect_basis
+from calib.structure.frf_target import FRFTarget
+from calib.structure.growth import Target
+from calib.structure.mode_target import ModeTarget
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
-from calib.structure.training import enrich_basis, train_basis
+from calib.structure.training import enrich_basis, train
 from calib.study import Study
 
 WORTHWHILE_DOFS = 300
@@ -33,43 +39,76 @@ FIRST_ORDER = 10.0
 """Factor on the tolerance: the error of MAC is of first order, that of frequencies of second."""
 
 
+Reducible = ModalProblem | FRFProblem
+"""Problems that a reduced basis serves."""
+
+DAMPING_MAX = 0.95
+"""Damping ratio from which a mode is exempt from the tolerance: a nearly critical eigenvalue is almost defective."""
+
+
 @dataclass(frozen=True)
 class Wanted:
-    """What a basis must represent, and how well; see `calib.structure.training.train_basis`.
+    """What a basis must represent, and how well.
 
     Attributes
     ----------
-    count : int
-        Number of the lowest modes.
-    freq_max : float
-        Highest frequency to be represented (Hz).
-    tolerance : float
-        Relative error of an eigenvalue.
+    target : Target
+        Modes, or FRFs with the loads of their test.
+    names : tuple of str
+        Parameters over which it must do so.
     seed : int
     """
 
-    count: int
-    freq_max: float
-    tolerance: float
+    target: Target
+    names: tuple[str, ...]
     seed: int
 
     @classmethod
-    def of(cls, problem: ModalProblem, tolerance: float, seed: int) -> Wanted:
-        """The requirements of a problem: all its modes, up to the end of its frequency window."""
-        freq_max = problem.freq_window[1] if problem.freq_window else float(np.inf)
-        return cls(problem.mode_count, freq_max, tolerance, seed)
+    def of(cls, problem: Reducible, tolerance: float, seed: int) -> Wanted:
+        """The requirements of a problem at full order.
 
-    @classmethod
-    def of_basis(cls, basis: Basis) -> Wanted:
-        """The requirements a basis was trained for."""
-        return cls(basis.count, basis.freq_max, basis.tolerance, basis.seed)
+        Of modes all, up to the end of the frequency window, with ``tolerance`` as the relative error of an eigenvalue;
+        of FRFs all that are in use, with `calib.structure.frf_target.TOLERANCE`.
+        """
+        if isinstance(problem, FRFProblem):
+            return cls(FRFResidual(problem).target, problem.loaded_model.space.names, seed)
+        freq_max = problem.freq_window[1] if problem.freq_window else float(np.inf)
+        target = ModeTarget(problem.mode_count, freq_max, DAMPING_MAX, tolerance)
+        return cls(target, problem.model.space.names, seed)
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Everything that a basis records of its requirements."""
+        one = self.target
+        return one.count, one.freq_max, one.damping_max, one.tolerance, one.request, self.seed
+
+    def met_by(self, basis: Basis) -> bool:
+        """Whether a basis was trained for this."""
+        own = basis.count, basis.freq_max, basis.damping_max, basis.tolerance, basis.request, basis.seed
+        return own == self.key
+
+    def within(self, space: ParameterSpace) -> ParameterSpace:
+        """Those parameters of a search over which the basis is trained: gains of channels, say, are not."""
+        own = tuple(p for p in space.parameters if p.name in self.names)
+        return ParameterSpace(own, space.constraints) if len(own) < len(space.parameters) else space
 
     def trained(self, model: StructuralModel, space: ParameterSpace, progress: Progress = unheard) -> Basis:
         """A basis of the model alone; EvaluationError when it cannot be solved at some training point."""
-        return train_basis(
-            model, space, self.count, seed=self.seed, freq_max=self.freq_max, tolerance=self.tolerance,
-            progress=progress,
-        )  # fmt: skip
+        return train(model, self.within(space), self.target, seed=self.seed, progress=progress)
+
+    def with_effects(
+        self,
+        model: StructuralModel,
+        basis: Basis,
+        space: ParameterSpace,
+        effects: Sequence[Effect],
+        local: Sequence[Effect],
+        progress: Progress = unheard,
+    ) -> Basis:
+        """The next version of a basis, for effects and local perturbations; see `calib.structure.effect_basis`."""
+        if isinstance(self.target, FRFTarget):
+            return frf_effect_basis(model, basis, self.within(space), effects, self.target, self.seed, progress)
+        return effect_basis(model, basis, space, effects, local, self.seed, progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +117,17 @@ class Reduction:
 
     Attributes
     ----------
-    full, problem : ModalProblem
+    full, problem : ModalProblem or FRFProblem
         The problem at full order, and on the basis.
+    target : Target
+        What the basis represents.
     path : Path
         File of the basis, for worker processes.
     """
 
-    full: ModalProblem
-    problem: ModalProblem
+    full: Reducible
+    problem: Reducible
+    target: Target
     path: Path
 
     @property
@@ -109,31 +151,42 @@ class Reduction:
         return certify
 
     def error_at(self, values: Mapping[str, float]) -> float:
-        """Largest error indicator of the paired modes."""
+        """Largest error indicator of the paired modes, or largest estimated error of an FRF."""
+        if isinstance(self.problem, FRFProblem):
+            loaded = self.problem.loaded_model
+            assert isinstance(loaded, ReducedModel)
+            return self.target.estimate(loaded, values)
         model = self.problem.model
         assert isinstance(model, ReducedModel)
         found = self.problem.compare(values)
         chosen = found.pairing.model_index[found.pairing.paired]
         return float(np.max(model.indicator(found.values, found.modes)[chosen], initial=0.0))
 
-    def difference_at(self, values: Mapping[str, float]) -> float:
-        """Largest difference between reduced and full responses at a point, relative in frequency, absolute in MAC."""
+    def misses_at(self, values: Mapping[str, float]) -> bool:
+        """Whether reduced and full responses at a point differ by more than the tolerance.
+
+        Of modes by `FIRST_ORDER` times as much, relative in frequency, absolute in MAC.
+        """
+        if isinstance(self.problem, FRFProblem):
+            loaded = self.problem.loaded_model
+            assert isinstance(loaded, ReducedModel)
+            return self.target.error(loaded, values) > self.basis.tolerance
         mine, truth = self.problem.evaluate(values), self.full.evaluate(values)
         parts = [0.0]
-        for mode in self.full.measured.names:
+        for mode in self.problem.measured.names:
             freq, mac = f"natural_freq_{mode}", f"mac_{mode}"
             if np.isnan(mine[freq]) != np.isnan(truth[freq]):
-                return np.inf
+                return True
             parts += [abs(mine[freq] / truth[freq] - 1), abs(mine[mac] - truth[mac])]
-        return float(np.nanmax(parts))
+        return float(np.nanmax(parts)) > FIRST_ORDER * self.basis.tolerance
 
     def after_case(self, values: Mapping[str, float], home: Results) -> Reduction:
         """The same reduction, or one with an enriched basis when this one misses its tolerance at a case's optimum."""
-        if self.difference_at(values) <= FIRST_ORDER * self.basis.tolerance:
+        if not self.misses_at(values):
             return self
         model = self.full.model
         assert isinstance(model, StructuralModel)
-        return _on(self.full, enrich_basis(model, self.basis, [values]), home)
+        return _on(self.full, self.target, enrich_basis(model, self.basis, [values], self.target), home)
 
 
 def reduction_of(study: Study, home: Results, progress: Progress = unheard) -> Reduction | None:
@@ -149,12 +202,12 @@ def reduction_of(study: Study, home: Results, progress: Progress = unheard) -> R
     problem, settings = study.problem, study.settings.reduction
     if not worthwhile(study):
         return None
-    assert isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel)
+    assert isinstance(problem, Reducible) and isinstance(problem.model, StructuralModel)
     wanted, path = Wanted.of(problem, settings.tolerance, settings.seed), _file(home, 1)
     basis = _loaded(path) if path.exists() else None
     if basis is not None and _serves(basis, problem.model, study.search_space, wanted):
-        return Reduction(problem, problem.reduced(basis), path)
-    digest = hashlib.sha256(repr((problem.model.fingerprint, wanted, study.search_space)).encode()).hexdigest()[:16]
+        return Reduction(problem, problem.reduced(basis), wanted.target, path)
+    digest = hashlib.sha256(repr((problem.model.fingerprint, wanted.key, study.search_space)).encode()).hexdigest()[:16]
     _raise_known(home, digest)
     with training(study):
         try:
@@ -162,7 +215,7 @@ def reduction_of(study: Study, home: Results, progress: Progress = unheard) -> R
         except ToleranceError as fault:
             home.write_json(_UNREACHED, {"asked": digest, "problem": fault.problem})
             raise
-    return _on(problem, basis, home)
+    return _on(problem, wanted.target, basis, home)
 
 
 _UNREACHED = "basis_unreached"
@@ -181,8 +234,8 @@ def _raise_known(home: Results, digest: str) -> None:
 
 
 def _serves(basis: Basis, model: StructuralModel, space: ParameterSpace, wanted: Wanted) -> bool:
-    own = basis.model_fingerprint == model.fingerprint
-    return own and Wanted.of_basis(basis) == wanted and basis.covers(space)
+    of_model = ParameterSpace(tuple(p for p in space.parameters if p.name in model.space), space.constraints)
+    return basis.model_fingerprint == model.fingerprint and wanted.met_by(basis) and basis.covers(of_model)
 
 
 @contextlib.contextmanager
@@ -199,7 +252,7 @@ def training(study: Study) -> Iterator[None]:
 
 def worthwhile(study: Study) -> bool:
     """Whether a study is solved on a reduced basis: requested, and the model is large enough."""
-    model = study.problem.model if isinstance(study.problem, ModalProblem) else None
+    model = study.problem.model if isinstance(study.problem, Reducible) else None
     return study.settings.reduction.use and isinstance(model, StructuralModel) and model.n_dof >= WORTHWHILE_DOFS
 
 
@@ -210,17 +263,17 @@ def fingerprints(study: Study, home: Results) -> tuple[str, ...]:
     the modes.
     """
     problem, own = study.problem, [study.problem.fingerprint]
-    if isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel):
+    if isinstance(problem, Reducible) and isinstance(problem.model, StructuralModel):
         kept = [_loaded(path) for path in sorted(home.path.glob(_file(home, "*").name))]
         fitting = [b for b in kept if b is not None and b.model_fingerprint == problem.model.fingerprint]
         own += [problem.reduced(basis).fingerprint for basis in fitting]
     return (*own, *ledger_keys_of_modes(problem, study.library_digest))
 
 
-def _on(problem: ModalProblem, basis: Basis, home: Results) -> Reduction:
+def _on(problem: Reducible, target: Target, basis: Basis, home: Results) -> Reduction:
     path = _file(home, basis.version)
     basis.save(path)
-    return Reduction(problem, problem.reduced(basis), path)
+    return Reduction(problem, problem.reduced(basis), target, path)
 
 
 def _file(home: Results, version: int | str) -> Path:

@@ -17,8 +17,10 @@ from calib.fingerprint import digest_of
 from calib.measurement.frf import MeasuredFRFs
 from calib.outcome import answered
 from calib.space import ParameterSpace
+from calib.structure.basis import Basis
 from calib.structure.derivatives import beside_roots
 from calib.structure.frf import frf, frf_derivatives
+from calib.structure.frf_target import FRFTarget
 from calib.structure.loaded import loaded
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
@@ -98,6 +100,23 @@ class FRFProblem:
         object.__setattr__(self, "_channels", Channels(errors, self.measured))
         object.__setattr__(self, "_responses", model.sensor_rows(self.measured.responses))
         object.__setattr__(self, "_references", model.sensor_rows(self.measured.references))
+
+    def reduced(self, basis: Basis) -> FRFProblem:
+        """The same problem with a reduced model; InputError when the basis belongs to another model."""
+        if not isinstance(self.model, StructuralModel):
+            raise InputError("the model is reduced already", place=self.model.name)
+        return replace(self, model=ReducedModel(self.model, basis))
+
+    def target(self, std: np.ndarray) -> FRFTarget:
+        """What a basis for these FRFs must represent, of a model at full order.
+
+        ``std`` is the standard deviation of every entry, (n_freq, n_responses, n_references).
+        """
+        assert isinstance(self.model, StructuralModel)
+        loads = tuple(n.load(self.model) for n in self.nuisances if not isinstance(n, ChannelError))
+        unit = np.where(np.isfinite(self.measured.values), std, np.inf)
+        rows = self._responses, self._references
+        return FRFTarget(self.measured.freq, *rows, unit, self.measured.quantity, loads)
 
     @cached_property
     def fingerprint(self) -> str:
@@ -229,6 +248,11 @@ class FRFResidual:
     def compared(self, values: Mapping[str, float]) -> FRFComparison:
         """Measured and model FRFs at named values; EvaluationError where the model has none."""
         return FRFComparison(self.problem.measured, self.solve(values), self._std)
+
+    @property
+    def target(self) -> FRFTarget:
+        """What a reduced basis must represent: these FRFs, in units of their standard deviations."""
+        return self.problem.target(self._std)
 
     @property
     def relative_std(self) -> np.ndarray:

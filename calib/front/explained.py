@@ -20,9 +20,8 @@ from calib.analyses.joint_adapter import together
 from calib.analyses.library import local_perturbations
 from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.record import check_repeats, disagreements_table
-from calib.analyses.reduction import WORTHWHILE_DOFS, Wanted
+from calib.analyses.reduction import WORTHWHILE_DOFS, Reducible, Wanted
 from calib.analyses.uncertainty import in_words, notes_on
-from calib.correlation.problem import ModalProblem
 from calib.effect import Effect
 from calib.errors import InputError, ToleranceError
 from calib.front.frf_test import FRFTest
@@ -35,7 +34,6 @@ from calib.loading import require_distinct
 from calib.progress import in_python
 from calib.settings import ExplainSettings, ReductionSettings
 from calib.structure.basis import Basis
-from calib.structure.effect_basis import effect_basis
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
@@ -168,15 +166,17 @@ def _adapter(
         return ScalarAdapter(scalar, tested, facts, test.unseen)
     if isinstance(test, FRFTest):
         frfs = test.pair(held)
-        return FRFAdapter.of(frfs, effects, local, frfs.space.without(test.condition), facts, test.unseen)
+        assert isinstance(held, StructuralModel)
+        basis, large = _basis(held, frfs.problem, effects, local, seed)
+        space = frfs.space.without(test.condition)
+        return FRFAdapter.of(frfs, effects, local, space, facts, test.unseen, basis, large)
     pair, whole = test.pair(held), test.whole_problem(held)
     if isinstance(held, ModalFunctionModel):
         modal, tested = function_hypotheses(held, pair, effects, space, name)
         return ModalAdapter(modal, tested, facts, whole)
     assert isinstance(held, StructuralModel)
-    changes, large = tuple(a.effect for a in local), held.n_dof >= WORTHWHILE_DOFS
-    basis = _basis(held, pair.problem, effects, changes, seed) if large else None
-    modal = ModelHypotheses(pair, Variants(held, effects, changes, basis), space)
+    basis, large = _basis(held, pair.problem, effects, local, seed)
+    modal = ModelHypotheses(pair, Variants(held, effects, tuple(a.effect for a in local), basis), space)
     return ModalAdapter(modal, local, facts, whole, reduced=large)
 
 
@@ -188,10 +188,16 @@ def _facts(test: Test, seed: int) -> MeasurementFacts:
 
 
 def _basis(
-    model: StructuralModel, used: ModalProblem, effects: tuple[Effect, ...], local: tuple[Effect, ...], seed: int
-) -> Basis | None:
-    """A reduced basis of a large model with all effects and perturbations; None where the tolerance is not reached."""
+    model: StructuralModel, used: Reducible, effects: tuple[Effect, ...], local: tuple[Perturbation, ...], seed: int
+) -> tuple[Basis | None, bool]:
+    """A reduced basis of a large model with all effects and perturbations, and whether the model is large.
+
+    None where it is not, or the tolerance is not reached.
+    """
+    if model.n_dof < WORTHWHILE_DOFS:
+        return None, False
     wanted = Wanted.of(used, ReductionSettings().tolerance, seed)
     with suppress(ToleranceError):
-        return effect_basis(model, wanted.trained(model, model.space), model.space, effects, local, seed)
-    return None
+        own = wanted.trained(model, used.space)
+        return wanted.with_effects(model, own, used.space, effects, [a.effect for a in local]), True
+    return None, True

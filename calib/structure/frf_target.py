@@ -101,7 +101,7 @@ class FRFTarget:
         """Undamped modes of the model at named values; see `calib.structure.growth.Target.snapshots`."""
         full = loaded(model, self.loads)
         assert isinstance(full, StructuralModel)
-        stiffness, _, mass = full.matrices(values)
+        stiffness, _, mass = full.matrices(_of(full, values))
         shapes = _modes_below(stiffness, mass, _BEYOND * self.freq_max)
         size = np.sqrt(np.einsum("ij,ij->j", shapes, energy @ shapes))
         return np.asarray(shapes / size * np.sqrt(self.tolerance / _SHAPE))
@@ -116,7 +116,7 @@ class FRFTarget:
         at, full = self._peaks(self.by_line(reduced, values)), reduced.model
         rows = [_wider(rows, full.n_dof) for rows in (self.references, self.responses)]
         found = []
-        for k, solved in zip(at, frf_solutions(full.matrices(values), self.freq[at], *rows), strict=True):
+        for k, solved in zip(at, frf_solutions(full.matrices(_of(full, values)), self.freq[at], *rows), strict=True):
             forced, felt = (columns[: len(energy.indptr) - 1] for columns in solved)
             sizes = [np.sqrt(np.einsum("ij,ij->j", x.conj(), energy @ x).real) for x in (felt, forced)]
             share = self._receptance_std[k] / np.maximum(np.outer(*sizes), np.finfo(float).tiny)
@@ -142,14 +142,16 @@ class FRFTarget:
     def by_line(self, reduced: ReducedModel, values: Mapping[str, float]) -> np.ndarray:
         """Largest estimated error of any function at each line, (n_freq,), in standard deviations."""
         responses, references = (_wider(rows, reduced.model.n_dof) for rows in (self.responses, self.references))
-        return self._in_std(error_estimate(reduced, values, self.freq, responses, references)).max(axis=(1, 2))
+        found = error_estimate(reduced, _of(reduced, values), self.freq, responses, references)
+        return self._in_std(found).max(axis=(1, 2))
 
     def error(self, reduced: ReducedModel, values: Mapping[str, float]) -> float:
         """Largest error over all functions and lines against the full model, in standard deviations."""
         responses, references = (_wider(rows, reduced.model.n_dof) for rows in (self.responses, self.references))
         vectors = reduced.basis.vectors
-        full = frf(reduced.model, values, self.freq, responses, references)
-        own = frf(reduced, values, self.freq, responses @ vectors, references @ vectors)
+        point = _of(reduced, values)
+        full = frf(reduced.model, point, self.freq, responses, references)
+        own = frf(reduced, point, self.freq, responses @ vectors, references @ vectors)
         return float(self._in_std(full - own).max())
 
     def _in_std(self, receptances: np.ndarray) -> np.ndarray:
@@ -228,6 +230,11 @@ def _modes_below(stiffness: sp.csc_array, mass: sp.csc_array, freq: float) -> np
         if found.natural_freq[-1] > freq or count >= most:
             return found.shapes[:, found.natural_freq <= freq]
         count *= 2
+
+
+def _of(model: StructuralModel | ReducedModel, values: Mapping[str, float]) -> dict[str, float]:
+    """Those values that are parameters of a model: gains of channels, say, are not."""
+    return {name: value for name, value in values.items() if name in model.space}
 
 
 def _wider(rows: np.ndarray, n_dof: int) -> np.ndarray:

@@ -75,10 +75,10 @@ def train_basis(
     if count < 1:
         raise InputError(f"the number of modes is {count}", place=_place(model), remedy="ask for at least 1")
     target = ModeTarget(count, float(freq_max), float(damping_max), float(tolerance))
-    return trained(model, spaces, target, seed=seed, samples=samples, progress=progress)
+    return train(model, spaces, target, seed=seed, samples=samples, progress=progress)
 
 
-def trained(
+def train(
     model: StructuralModel,
     spaces: ParameterSpace | Sequence[ParameterSpace],
     target: Target,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.analyses import library, reduction
+from calib.analyses import reduction
 from calib.analyses.library import modal_hypotheses
 from calib.analyses.reduction import reduction_of
 from calib.correlation.problem import ModalProblem
@@ -28,9 +28,9 @@ def results(tmp_path):
 def small_pays(monkeypatch):
     """Uses a basis even for a small model, and records the trainings for effects."""
     trained = []
-    train = library.effect_basis
+    train = reduction.effect_basis
     monkeypatch.setattr(reduction, "WORTHWHILE_DOFS", 10)
-    monkeypatch.setattr(library, "effect_basis", lambda *a: trained.append(a) or train(*a))
+    monkeypatch.setattr(reduction, "effect_basis", lambda *a: trained.append(a) or train(*a))
     return trained
 
 
@@ -93,7 +93,7 @@ def test_the_stored_basis_agrees_with_the_model_itself(study, results, small_pay
 def test_the_basis_of_a_search_is_reused_and_left_unchanged(study, results, small_pays, monkeypatch):
     modal_hypotheses(study, results)
     trained = []
-    monkeypatch.setattr(reduction, "train_basis", lambda *a, **k: trained.append(a))
+    monkeypatch.setattr(reduction, "train", lambda *a, **k: trained.append(a))
     assert reduction_of(study, results).basis.version == 1 and not trained
     bases(results)[0].unlink()
     modal_hypotheses(study, results)
@@ -149,7 +149,7 @@ def test_the_user_may_switch_the_basis_off(study, results, small_pays):
     assert small_pays == [] and bases(results) == []
 
 
-@pytest.mark.parametrize(("module", "training"), [(library, "effect_basis"), (reduction, "train_basis")])
+@pytest.mark.parametrize(("module", "training"), [(reduction, "effect_basis"), (reduction, "train")])
 def test_a_basis_that_cannot_be_trained_is_reported_with_a_remedy(
     study, results, small_pays, monkeypatch, module, training
 ):

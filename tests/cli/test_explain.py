@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from calib import cli
-from calib.analyses import library, reduction
+from calib.analyses import reduction
 from calib.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -158,7 +158,7 @@ def test_a_basis_says_the_same_and_twice_the_same_bytes(explained, guyed, monkey
     assert cli.execute(["explain", "mast"]) == 0
     first = {p: b for p, b in files("results/mast").items() if p.suffix in (".csv", ".npz")}
     assert any(p.suffix == ".npz" for p in first)
-    monkeypatch.setattr(library, "effect_basis", lambda *a: pytest.fail("a basis is there"))
+    monkeypatch.setattr(reduction, "effect_basis", lambda *a: pytest.fail("a basis is there"))
     before = explanation()
     assert cli.execute(["explain", "mast"]) == 0
     assert first == {p: b for p, b in files("results/mast").items() if p.suffix in (".csv", ".npz")}

@@ -52,7 +52,7 @@ def test_a_model_that_has_all_effects_lacks_nothing_more(guyed, edit, explanatio
 @pytest.mark.parametrize("held", [["B2z", "B3x", "B3z"], ["B1x", "B1z", "B2x", "B2z", "B3x"]])
 def test_too_few_modes_are_told_before_a_basis_is_trained(guyed, refused, monkeypatch, held, worthwhile_dofs, edit):
     monkeypatch.setattr(reduction, "WORTHWHILE_DOFS", worthwhile_dofs)
-    monkeypatch.setattr(reduction, "train_basis", lambda *a, **k: pytest.fail("a basis is trained"))
+    monkeypatch.setattr(reduction, "train", lambda *a, **k: pytest.fail("a basis is trained"))
     edit(guyed, "modes = []", f"modes = {json.dumps(held)}")
     words = f"{6 - len(held)} measured modes cannot tell a missing effect from a parameter"
     refused(["explain", "mast"], words, "measure at least 4")

@@ -21,7 +21,7 @@ from calib.structure.loaded import Load
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
 from calib.structure.space_filling import space_filling_points
-from calib.structure.training import enrich_basis, trained
+from calib.structure.training import enrich_basis, train
 from calib.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,7 +44,7 @@ def made(ladder):
     """A ladder, its FRFs, and a basis for them."""
     model = ladder(N)
     target = target_of(model)
-    return model, target, trained(model, model.space, target, seed=1)
+    return model, target, train(model, model.space, target, seed=1)
 
 
 def test_the_error_at_fresh_points_is_below_the_tolerance_and_as_estimated(made):
@@ -61,7 +61,7 @@ def test_the_error_at_fresh_points_is_below_the_tolerance_and_as_estimated(made)
 
 def test_the_error_is_that_of_the_functions_in_standard_deviations(made):
     model, target, _ = made
-    poor = ReducedModel(model, trained(model, model.space, replace(target, tolerance=0.9), seed=1))
+    poor = ReducedModel(model, train(model, model.space, replace(target, tolerance=0.9), seed=1))
     rows = target.responses, target.references
     full = frf(model, POINT, LINES, *rows, "accelerance")
     own = frf(poor, POINT, LINES, *(r @ poor.basis.vectors for r in rows), "accelerance")
@@ -118,7 +118,7 @@ def test_a_function_that_does_not_matter_asks_for_nothing(made):
     model, target, basis = made
     one = target.std.copy()
     one[:, 1:] = np.inf
-    assert trained(model, model.space, replace(target, std=one), seed=1).size < basis.size
+    assert train(model, model.space, replace(target, std=one), seed=1).size < basis.size
 
 
 def test_derivatives_are_those_of_the_full_model(made):
@@ -135,7 +135,7 @@ def test_loads_of_the_test_are_in_the_target(made, ladder):
     model, plain, without = made
     target = replace(plain, loads=(MASS,))
     space = ParameterSpace((*model.space.parameters, MASS.parameter), model.space.constraints)
-    basis = trained(model, space, target, seed=1)
+    basis = train(model, space, target, seed=1)
     assert basis.names == model.space.names  # those of the load belong to the test
     heavy = {**POINT, "carried": 4.5}
     errors = [target.error(target.posed(ReducedModel(model, b)), heavy) for b in (without, basis)]
@@ -170,7 +170,7 @@ def test_effects_meet_the_tolerance_too(made, effect, values):
 
 def test_enriching_meets_the_tolerance_outside_of_the_limits(made):
     model, target, _ = made
-    narrow = trained(model, model.space.keep(["mass"]), target, seed=1)
+    narrow = train(model, model.space.keep(["mass"]), target, seed=1)
     outside = model.space.complete(POINT)
     wider = enrich_basis(model, narrow, [outside], target)
     errors = [target.error(ReducedModel(model, b), outside) for b in (narrow, wider)]
@@ -185,7 +185,7 @@ def test_the_bogie_over_its_limits():
     freq = np.arange(4.0, 50.0, 2.0)
     nominal = frf(model, space.values, freq, rows, rows[[0, 10]], "accelerance")
     target = FRFTarget(freq, rows, rows[[0, 10]], np.hypot(0.005 * np.abs(nominal), 5e-6), "accelerance")
-    basis = trained(model, space, target, seed=1)
+    basis = train(model, space, target, seed=1)
     reduced = ReducedModel(model, basis)
     assert reduced.n_dof < 170
     points = space_filling_points(space, 8, np.random.default_rng(9))
