@@ -108,14 +108,16 @@ def functions(
         Its parameters, each in its unit.
     test : FRFTest
     places : sequence of Sensor, optional
-        Where the response sensors truly sit; nominal without.
+        Where the response sensors truly sit; nominal without. A force acts where the sensor of its name sits.
 
     Returns
     -------
     ndarray (n_freq, n_responses, n_references), complex
     """
     mounted = test.responses if places is None else tuple(places)
-    responses, forces = structure.sensor_rows(mounted), structure.sensor_rows(test.references).T.astype(complex)
+    true = {sensor.name: sensor for sensor in mounted}
+    acting = [true.get(reference.name, reference) for reference in test.references]
+    responses, forces = structure.sensor_rows(mounted), structure.sensor_rows(acting).T.astype(complex)
     stiffness, damping, mass = structure.matrices(values)
     mass = mass + test.accelerometer * _carried(structure, mounted)
     out = []

@@ -42,11 +42,12 @@ def local_perturbations(
     measured : sequence of MeasuredModes or MeasuredFRFs
         The fitted data of each test.
     values : mapping
-        Reference values; see `calib.structure.perturbations.perturbations`.
+        Reference values, see `calib.structure.perturbations.perturbations`; those of a test's nuisances are ignored.
     of : str
         Name of the model, where other models have perturbations of the same names.
     """
     placed = {s.name: s for one in measured for s in one.sensors if s.point is not None}
+    values = {name: value for name, value in values.items() if name in model.space}
     return perturbations(model, list(placed.values()), values, min(one.lowest_freq for one in measured), of)
 
 
