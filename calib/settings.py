@@ -252,7 +252,8 @@ class ReductionSettings(_Section):
     use: bool = True
     """Whether searches of large models use a reduced basis."""
     tolerance: float = Field(default=1e-5, gt=0, lt=0.1)
-    """Relative error of an eigenvalue up to which the basis counts as trained."""
+    """Relative error of an eigenvalue up to which the basis counts as trained; FRFs may be off by 0.05 standard
+    deviations."""
     seed: Seed = 1
     """Seed of the points that train the basis."""
 

@@ -31,8 +31,8 @@ _LOW_RANK = 4
 _RANK = 1e-13
 """Eigenvalue of a damping matrix, over its largest, that is rounding."""
 _NEAR_RESONANCE = 1e-6
-"""Relative distance of a squared frequency from an undamped eigenvalue up to which the superposition loses more than
-half of all digits."""
+"""Relative distance of a squared frequency from an undamped eigenvalue below which the superposition would lose more
+than six digits."""
 _SINGULAR = 1e-12
 """Smallest pivot over the largest, of the matrix scaled to a unit diagonal of K, below which a line is a resonance."""
 
