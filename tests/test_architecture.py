@@ -18,7 +18,7 @@ RANKS = (
     {"space"},
     {"effect", "differences", "measurement", "sampling", "worker", "named_values"},
     {"structure"},
-    {"function"},
+    {"function", "modal_analysis"},
     {"correlation"},
     {"settings", "evaluate", "results", "problem"},
     {"joint", "limits", "ledger", "loading", "executor", "study_text"},

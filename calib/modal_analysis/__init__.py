@@ -1,0 +1,1 @@
+"""Experimental modal analysis: modes from measured FRFs, with the rules by which they count."""

@@ -1,0 +1,154 @@
+"""Stabilisation of poles over model orders: which of them count as modes, by a stated rule."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from calib.mac import mac
+from calib.measurement.frf import MeasuredFRFs
+from calib.modal_analysis.model import fit_residues
+
+FREQ_CHANGE = 0.01
+"""Largest relative change of a stable pole's natural frequency from one order to the next."""
+DAMPING_CHANGE = 0.05
+"""Likewise of its damping ratio."""
+MAC_LEAST = 0.95
+"""Smallest MAC between its residues over all functions at the two orders."""
+SKIPPED = 1
+"""Orders that a pole may be missing between."""
+ORDERS_LEAST = 5
+"""Fewest orders at which a mode is stable."""
+SHARE_LEAST = 0.25
+"""The same, over all orders."""
+DAMPING_MOST = 0.9
+"""Above this ratio a pole has no resonance and stands for other errors of the fit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """A pole followed over ascending orders.
+
+    Attributes
+    ----------
+    orders : tuple of int
+        Where it was found, ascending.
+    poles : ndarray (n_orders,), complex
+        rad/s.
+    residues : ndarray (n_orders, n_functions), complex
+        Of receptances, in the order of `MeasuredFRFs.functions`.
+    """
+
+    orders: tuple[int, ...]
+    poles: np.ndarray
+    residues: np.ndarray
+
+    @property
+    def natural_freq(self) -> np.ndarray:
+        """Hz, (n_orders,)."""
+        return np.asarray(np.abs(self.poles) / (2 * np.pi))
+
+    @property
+    def damping_ratio(self) -> np.ndarray:
+        """(n_orders,)."""
+        return np.asarray(-self.poles.real / np.abs(self.poles))
+
+    @property
+    def pole(self) -> complex:
+        """Of the median natural frequency and damping ratio, rad/s."""
+        size, ratio = 2 * np.pi * float(np.median(self.natural_freq)), float(np.median(self.damping_ratio))
+        return complex(-ratio * size, size * np.sqrt(1 - ratio**2))
+
+    @property
+    def spread(self) -> tuple[float, float]:
+        """Standard deviations over the orders of natural frequency (Hz) and damping ratio."""
+        return float(np.std(self.natural_freq, ddof=1)), float(np.std(self.damping_ratio, ddof=1))
+
+
+def follow(frfs: MeasuredFRFs, poles: Sequence[np.ndarray]) -> tuple[Chain, ...]:
+    """Chains of poles that stay within the limits of this module from one order to the next, of any length.
+
+    Residues are fitted anew at every order. A pole continues the chain of largest MAC among those within the limits;
+    each chain gains at most one pole an order.
+
+    Parameters
+    ----------
+    frfs : MeasuredFRFs
+    poles : sequence of ndarray (n_poles,), complex
+        rad/s, by order from 1; see `calib.modal_analysis.poles.poles_by_order`.
+    """
+    chains: list[Chain] = []
+    for order, found in enumerate(poles, start=1):
+        own = found[-found.real < DAMPING_MOST * np.abs(found)]
+        if not len(own):
+            continue
+        residues = fit_residues(frfs, own).residues
+        flat = np.array([residues[:, one.i, one.j] for one in frfs.functions])
+        open_ones = [k for k, chain in enumerate(chains) if chain.orders[-1] >= order - 1 - SKIPPED]
+        score = _scores(own, flat, [chains[k] for k in open_ones])
+        while score.size and (best := np.unravel_index(np.argmax(score), score.shape)) and score[best] > 0:
+            i, c = int(best[0]), open_ones[int(best[1])]
+            chain = chains[c]
+            chains[c] = Chain(
+                (*chain.orders, order), np.append(chain.poles, own[i]), np.vstack([chain.residues, flat[:, i]])
+            )
+            score[best[0]], score[:, best[1]] = 0.0, 0.0
+            own[i] = np.nan
+        chains += [Chain((order,), own[[i]], flat[:, [i]].T) for i in np.flatnonzero(np.isfinite(own)).tolist()]
+    return tuple(chains)
+
+
+def _scores(poles: np.ndarray, residues: np.ndarray, chains: Sequence[Chain]) -> np.ndarray:
+    """MAC of poles with the last members of chains, (n_poles, n_chains); 0 beyond the limits."""
+    if not chains:
+        return np.zeros((len(poles), 0))
+    last = np.array([chain.poles[-1] for chain in chains])
+    agreement = mac(residues, np.stack([chain.residues[-1] for chain in chains], axis=1))
+    ratio = [-p.real / np.abs(p) for p in (poles, last)]
+    near = np.abs(np.abs(poles)[:, None] / np.abs(last) - 1) <= FREQ_CHANGE
+    near &= np.abs(ratio[0][:, None] / ratio[1] - 1) <= DAMPING_CHANGE
+    return np.where(near & (agreement >= MAC_LEAST), agreement, 0.0)
+
+
+def stable(chains: Sequence[Chain], n_orders: int) -> tuple[Chain, ...]:
+    """Chains that count as modes, in ascending frequency.
+
+    A chain counts when it is stable at `ORDERS_LEAST` orders and at a share `SHARE_LEAST` of all. Of two within a
+    half-power width of each other with residues of a MAC of `MAC_LEAST` the longer one counts: the other is the same
+    mode again.
+    """
+    least = max(ORDERS_LEAST, SHARE_LEAST * n_orders)
+    long = sorted((c for c in chains if len(c.orders) >= least), key=lambda c: -len(c.orders))
+    kept: list[Chain] = []
+    for one in long:
+        if not any(_same(one, other) for other in kept):
+            kept.append(one)
+    return tuple(sorted(kept, key=lambda c: abs(c.pole)))
+
+
+def _same(one: Chain, other: Chain) -> bool:
+    close = abs(abs(one.pole) - abs(other.pole)) <= 2 * max(-one.pole.real, -other.pole.real)
+    return close and bool(mac(one.residues[-1][:, None], other.residues[-1][:, None])[0, 0] >= MAC_LEAST)
+
+
+def pole_table(chains: Sequence[Chain], modes: Sequence[Chain]) -> pd.DataFrame:
+    """Every pole with its order, for the stabilisation diagram.
+
+    Returns
+    -------
+    DataFrame
+        Columns ``order, freq`` (Hz), ``damping`` (ratio), ``stable`` (bool: within the limits from the order before or
+        to the next) and ``mode`` (number from 1 of the chain that counts as a mode, else 0).
+    """
+    rows = []
+    for chain in chains:
+        mode = next((k for k, one in enumerate(modes, start=1) if one is chain), 0)
+        rows += [
+            {"order": order, "freq": f, "damping": d, "stable": len(chain.orders) > 1, "mode": mode}
+            for order, f, d in zip(chain.orders, chain.natural_freq, chain.damping_ratio, strict=True)
+        ]
+    columns = ["order", "freq", "damping", "stable", "mode"]
+    return pd.DataFrame(rows, columns=columns).sort_values(["order", "freq"], ignore_index=True)
