@@ -104,6 +104,48 @@ def schema() -> None:
     typer.echo(json.dumps(settings_schema(), indent=1))
 
 
+class _Quantity(StrEnum):
+    """Quantity of FRFs."""
+
+    receptance = "receptance"
+    mobility = "mobility"
+    accelerance = "accelerance"
+
+
+@app.command(short_help="Identify modes from measured FRFs.")
+def modes(
+    files: Annotated[list[Path], typer.Argument(metavar="FILES...", help="Universal or CSV files, one a repeat.")],
+    into: Annotated[
+        Path, typer.Option("--into", metavar="FOLDER", callback=_possible, help="Folder of the tables and the figure.")
+    ] = Path("modes"),
+    sensors: Annotated[Path | None, typer.Option("--sensors", metavar="CSV", help="Places of the nodes, m.")] = None,
+    quantity: Annotated[_Quantity | None, typer.Option("--quantity", help="Where the files do not state it.")] = None,
+    unit: Annotated[str | None, typer.Option("--unit", help="Such as g/N, where the files do not state it.")] = None,
+    averages: Annotated[int | None, typer.Option("--averages", help="Averages behind a single file.")] = None,
+    band: Annotated[
+        tuple[float, float] | None, typer.Option("--band", metavar="LOW HIGH", help="Lines that are used, Hz.")
+    ] = None,
+    synthetic: Annotated[bool, typer.Option("--synthetic", help="No structure was measured.")] = False,
+    verbose: Verbose = False,
+) -> None:
+    """Identify modes from measured FRFs, and say where modes do not describe these.
+
+    Writes modes.csv and shapes.csv for a study, and the stabilisation diagram. Poles count that are stable over model
+    orders and whichever repeat is left out; no pole is picked by hand. Needs: pip install 'calib[modes]'.
+    """
+    from calib.console.identified import entries
+    from calib.console.told import tell_entries
+    from calib.front.identified import identify_modes
+    from calib.threads import one_thread
+
+    with one_thread():
+        written = identify_modes(
+            files, into, sensors=sensors, quantity=None if quantity is None else quantity.value, unit=unit,
+            averages=averages, band=band, synthetic=synthetic,
+        )  # fmt: skip
+    tell_entries(entries(written), verbose)
+
+
 @app.command(short_help="Compare model and measurement without fitting.")
 def compare(study: StudyPath, results: ResultsPath = RESULTS, verbose: Verbose = False) -> None:
     """Compare model and measurement without fitting: errors, MAC, and where the model fails."""
