@@ -1,0 +1,80 @@
+"""Poles at ascending orders, against eigenvalues, and the lines that they need."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.errors import InputError
+from calib.loading import module_of
+from calib.measurement.frf import combine_frfs
+from calib.modal_analysis import poles as subject
+from calib.modal_analysis.poles import poles_by_order
+
+ROOT = Path(__file__).resolve().parents[2]
+CHAIN = module_of(ROOT / "tests/template/frf_chain.py")
+WORLDS = module_of(ROOT / "tests/template/modal_worlds.py")
+TRUE = WORLDS.roots(*CHAIN.by_hand(CHAIN.TRUE))[0]
+
+
+def chain(freq=CHAIN.FREQ):
+    return WORLDS.with_mean(WORLDS.noisy(CHAIN.truth(CHAIN.TRUE, freq), freq, 0.0, 0, 1, floor=0.0))[0]
+
+
+def nearest(found, wanted):
+    return found[np.argmin(np.abs(found - wanted))]
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.25])
+def test_without_noise_the_poles_in_the_band_are_the_eigenvalues(offset):
+    freq = 2.0 + 0.5 * (offset + np.arange(76))  # 2 to 39.5 Hz: the fourth mode lies above
+    highest = poles_by_order(chain(freq))[-1]
+    for pole in TRUE[:3]:
+        assert abs(nearest(highest, pole) / pole - 1) < 1e-4
+    assert np.all(highest.real < 0) and np.all(highest.imag > 0)
+    size = np.abs(highest) / (2 * np.pi)
+    assert np.all(np.diff(size) >= 0) and freq[0] <= size[0] and size[-1] <= freq[-1]
+
+
+@pytest.mark.parametrize("quantity", ["receptance", "mobility"])
+def test_the_quantity_of_the_functions_does_not_matter(quantity):
+    frfs = chain()
+    power = {"receptance": -2, "mobility": -1}[quantity]
+    factor = (2j * np.pi * frfs.freq)[:, None, None] ** power
+    other = replace(frfs, quantity=quantity, values=frfs.values * factor)
+    # low orders differ between quantities; poles of rounding errors at the highest ones differ anyway
+    for one, two in zip(poles_by_order(frfs, 7), poles_by_order(other, 7), strict=True):
+        np.testing.assert_allclose(one, two, rtol=1e-6)
+
+
+def test_the_highest_order_leaves_enough_lines_for_each_pole():
+    assert len(poles_by_order(chain())) == len(CHAIN.FREQ) // subject.LINES_PER_ORDER
+    assert len(poles_by_order(chain(np.linspace(2, 40, 401)))) == subject.HIGHEST_ORDER
+
+
+def test_lines_must_be_enough_even_above_zero_and_complete():
+    frfs = chain()
+    gap = frfs.without(bands=[(20.0, 24.0)])
+    lacking = replace(frfs, values=np.where(np.arange(60)[:, None, None] == 7, np.nan, frfs.values))
+    for bad, word in (
+        (frfs.in_band(2.0, 10.0), "too few"), (gap, "equally spaced"), (lacking, "every line"),
+        (replace(frfs, freq=frfs.freq - frfs.freq[0]), "0 Hz"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=word):
+            poles_by_order(bad)
+
+
+def test_a_missing_package_is_named_with_what_installs_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "sdypy", None)
+    with pytest.raises(InputError) as fault:
+        poles_by_order(chain())
+    assert fault.value.remedy == "pip install calib[modes]"
+
+
+def test_functions_that_were_not_measured_are_left_out():
+    pairs = CHAIN.repeats_of(CHAIN.truth(CHAIN.TRUE))[0]
+    some = dict(list(pairs.functions.items())[:4])  # of three responses under two references
+    highest = poles_by_order(combine_frfs([replace(pairs, functions=some)]))[-1]
+    assert abs(nearest(highest, TRUE[1]) / TRUE[1] - 1) < 1e-4
