@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from calib.measurement.read import read_modes as read_modes
     from calib.measurement.read_frf import read_frfs as read_frfs
     from calib.measurement.responses import read_responses as read_responses
+    from calib.modal_analysis.identify import modes_from_frfs as modes_from_frfs
     from calib.space import LinearConstraint as LinearConstraint
     from calib.space import Parameter as Parameter
     from calib.space import ParameterSpace as ParameterSpace
@@ -54,6 +55,7 @@ _PLACES = {
     "Sensor": "measurement.modal",
     "StructuralModel": "structure.model",
     "Study": "front.study",
+    "modes_from_frfs": "modal_analysis.identify",
     "read_frfs": "measurement.read_frf",
     "read_modes": "measurement.read",
     "read_responses": "measurement.responses",

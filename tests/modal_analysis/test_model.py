@@ -40,11 +40,12 @@ def test_the_gradient_of_the_squares_is_that_of_differences():
     x = np.concatenate([np.log(np.abs(TRUE) * 1.01), np.log(-TRUE.real / np.abs(TRUE) * 0.9)])
     residual, jacobian = subject._projected(frfs, subject._poles(x), weighed)
     step = 1e-5
-    for k in range(len(x)):
-        sums = [
-            float(np.sum(subject._projected(frfs, subject._poles(x + sign * step * np.eye(len(x))[k]), weighed)[0] ** 2))
-            for sign in (1, -1)
-        ]
+
+    def squares(at):
+        return float(np.sum(subject._projected(frfs, subject._poles(at), weighed)[0] ** 2))
+
+    for k, along in enumerate(step * np.eye(len(x))):
+        sums = squares(x + along), squares(x - along)
         assert 2 * residual @ jacobian[:, k] == pytest.approx((sums[0] - sums[1]) / (2 * step), rel=1e-4)
 
 
