@@ -11,7 +11,7 @@ import pandas as pd
 from calib.errors import InputError
 from calib.mac import align, most_real
 from calib.measurement.average import scaled
-from calib.measurement.frf import AXIS, MeasuredFRFs
+from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.matching import match_modes
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.modal_analysis.adequacy import Adequacy, adequacy, resonances_without_mode
@@ -189,7 +189,8 @@ def _in_order(repeat: MeasuredFRFs, frfs: MeasuredFRFs) -> MeasuredFRFs:
         _places(repeat, own, wanted)
         for own, wanted in ((repeat.responses, frfs.responses), (repeat.references, frfs.references))
     )
-    here = np.ix_(np.searchsorted(repeat.freq, frfs.freq * (1 - AXIS)), i, j)
+    lines = np.abs(repeat.freq[:, None] - frfs.freq).argmin(axis=0)
+    here = np.ix_(lines, i, j)
     return replace(
         repeat, freq=frfs.freq, responses=frfs.responses, references=frfs.references, values=repeat.values[here],
         std=repeat.std[here],

@@ -74,8 +74,8 @@ def test_bad_input_is_one_sentence(chain, tmp_path, capsys, arguments, word):
 
 def test_a_damaged_file_is_refused_by_name(chain, tmp_path, capsys):
     path = chain / "repeat_2.uff"
-    text = path.read_text("utf-8")
-    path.write_text(text[: len(text) // 3], encoding="utf-8")
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 3])
     assert asked(*sorted(chain.glob("repeat_*.uff")), "--into", tmp_path / "identified") == 2
     assert "repeat_2.uff" in capsys.readouterr().err
     assert not (tmp_path / "identified").exists()

@@ -13,7 +13,7 @@ import calib
 from calib.errors import InputError
 from calib.loading import module_of
 from calib.mac import mac
-from calib.measurement.frf import combine_frfs
+from calib.measurement.frf_repeats import combine_frfs
 from calib.modal_analysis.identify import modes_from_frfs
 from models.solar_panel import MASTERS, solar_panel
 

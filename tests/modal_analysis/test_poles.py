@@ -9,7 +9,7 @@ import pytest
 
 from calib.errors import InputError
 from calib.loading import module_of
-from calib.measurement.frf import combine_frfs
+from calib.measurement.frf_repeats import combine_frfs
 from calib.modal_analysis import poles as subject
 from calib.modal_analysis.poles import poles_by_order
 

@@ -12,7 +12,6 @@ import scipy.sparse as sp
 import calib
 from calib.measurement.frf_repeats import FRFRepeat, combine_frfs
 from calib.measurement.modal import Sensor
-from calib.measurement.uff_frf_write import write_uff_frfs
 from calib.structure.affine import Monomial, Term
 from calib.structure.extend import Addition
 
@@ -162,11 +161,21 @@ starts = 1
 
 def write_study(folder, seed=2, **changed):
     """A study of the chain in a folder, its measurement in universal files; ``changed`` as of `by_hand`."""
+    import pyuff  # not the library's own writer, whose faults its reader might share
+
     folder.mkdir(parents=True)
     (folder / "study.toml").write_text(STUDY, encoding="utf-8")
     shutil.copyfile(__file__, folder / "model.py")
-    for k, repeat in enumerate(repeats_of(truth(TRUE, **changed), seed), start=1):
-        write_uff_frfs(folder / f"repeat_{k}.uff", combine_frfs([repeat], synthetic=True), form="binary")
+    units = {"type": 164, "units_code": 1, "units_description": "SI", "temp_mode": 1, "length": 1.0, "force": 1.0}
+    for k, repeat in enumerate(repeats_of(truth(TRUE, **changed), seed)):
+        sets = [{**units, "temp": 1.0, "temp_offset": 273.15}]
+        for ((response, _), (reference, _)), values in repeat.functions.items():
+            sets.append({
+                "type": 58, "func_type": 4, "rsp_node": response, "rsp_dir": 1, "ref_node": reference, "ref_dir": 1,
+                "x": FREQ, "data": values, "abscissa_spacing": 0, "abscissa_spec_data_type": 18, "binary": 0,
+                "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 13,
+            })  # fmt: skip
+        pyuff.UFF(str(folder / f"repeat_{k + 1}.uff")).write_sets(sets, "overwrite")
     places = pd.DataFrame({"node": RESPONSES, "x": np.array(RESPONSES) - 1.0, "y": 0.0, "z": 0.0, "on": ""})
     places.to_csv(folder / "sensors.csv", index=False)
     return folder

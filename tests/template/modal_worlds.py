@@ -6,7 +6,7 @@ code that identifies modes is used.
 
 import numpy as np
 
-from calib.measurement.frf import FRFRepeat, combine_frfs
+from calib.measurement.frf_repeats import FRFRepeat, combine_frfs
 
 PAIR_FREQ = np.linspace(5.0, 25.0, 201)
 CENTRE = (2 * np.pi * 14) ** 2
