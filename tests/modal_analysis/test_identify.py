@@ -54,6 +54,7 @@ def test_without_noise_modes_are_the_eigenvalues_and_eigenvectors():
     np.testing.assert_allclose(found.curves["synthesised"], found.curves["measured"], rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_the_standard_deviations_over_the_repeats_say():
     errors = np.stack([in_std(modes_from_frfs(*chain(seed, 5)).modes) for seed in range(4)])
     # Student's t with four degrees of freedom exceeds 8.6 once in a thousand
@@ -109,6 +110,7 @@ def test_a_resonance_that_no_stable_pole_describes_is_named():
 # -- heavy damping -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_heavily_damped_pair_is_identified_where_noise_allows():
     found = modes_from_frfs(*WORLDS.pair_test(0.1, 0.01))
     freq, damping = WORLDS.freq_and_damping(WORLDS.roots(*WORLDS.heavy_pair(0.1))[0])
