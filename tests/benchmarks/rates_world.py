@@ -178,10 +178,10 @@ class World:
         local: Sequence[Effect],
         count: int | None = None,
     ) -> Basis:
-        settings = self.study.settings.reduction
-        folder, wanted = self.folder / name, Wanted.of(self.study.problem, settings.tolerance, settings.seed)
+        settings, problem, folder = self.study.settings.reduction, self.study.problem, self.folder / name
+        wanted = Wanted.of(replace(problem, mode_count=count or problem.mode_count), settings.tolerance, settings.seed)
         folder.mkdir(parents=True, exist_ok=True)
-        return kept_basis(model, space, effects, local, replace(wanted, count=count or wanted.count), folder)
+        return kept_basis(model, space, effects, local, wanted, folder)
 
     # -- one measurement -----------------------------------------------------------------------------------------------
 
