@@ -84,7 +84,7 @@ def of_the_explanation(folder: Path) -> Iterator[Statement]:
     left, errors = found["adequacy_p_family"], read(folder / "errors.csv", "group", "stage")
     yield "docs/tutorial.md", f"(p = {left:.2f})"
     yield "docs/decision.md", f"p = {left:.2f} over {len(effects)} effects and {n_local} local perturbations"
-    yield "docs/decision.md", f"the fit as a whole has p = {found['adequacy_p_fit']:.3f}"
+    yield "docs/decision.md", f"the worst kind of data or mode shape has p = {found['adequacy_p_fit']:.3f}"
     yield "docs/decision.md", f"{errors['rows']['fit', 'before']:.0f} used values"
     for group, words in (
         ("held_out_sensors", "sensors {:.1f} → {:.1f} standard deviations ({:.1f} expected)"),
