@@ -1,0 +1,407 @@
+"""Frictionless contact with flat ground: complementarity solved by an active set inside Newton's method."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from calib.errors import EvaluationError, InputError
+from models.tire.band import BandFactor
+from models.tire.inflated import TOLERANCE, Inflated
+
+WARNED_ROTATION = 0.35
+REFUSED_ROTATION = 0.6
+"""Of moderate-rotation theory, rad. Half the square stands for one minus the cosine: 1 % too much at the first, 3 % at
+the second, and the sine for the angle: 2 % and 6 %."""
+MAX_STEPS = 30
+SMALLEST_PART = 1 / 16  # of a step, before a curve ends
+
+
+class RotationWarning(UserWarning):
+    """Rotations come near the limit of moderate-rotation theory."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Flat ground below an inflated tire.
+
+    Attributes
+    ----------
+    inflated : Inflated
+    compliance : float
+        Of the tread, m/Pa (thickness over modulus, Winkler); 0 is rigid.
+    """
+
+    inflated: Inflated
+    compliance: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.compliance) or self.compliance < 0.0:
+            raise InputError(f"the tread compliance is {self.compliance:g} m/Pa, allowed is 0 and above")
+        if self.inflated.wall.grid.n_hoop < 8:
+            raise InputError(
+                f"{self.inflated.wall.grid.n_hoop} hoop cells cannot show a contact patch", remedy="take at least 8"
+            )
+
+    @cached_property
+    def nodes(self) -> np.ndarray:
+        """Nodes that can touch the ground, (n_candidates,): the lower half between the beads."""
+        grid = self.inflated.wall.grid
+        lower = (np.cos(grid.theta_node) > 0.0)[None, :]
+        free = (grid.numbers[2][:, :1] >= 0) & lower
+        return np.flatnonzero(np.broadcast_to(free, grid.numbers[2].shape))
+
+    @cached_property
+    def area(self) -> np.ndarray:
+        """Area of the candidates, (n_candidates,), m2."""
+        return self.inflated.wall.grid.area_node.ravel()[self.nodes]
+
+    @cached_property
+    def rows(self) -> sparse.csr_array:
+        """Displacement of the candidates towards the ground, (n_candidates, n_dof).
+
+        The ground's force is vertical and so is this displacement: a force along the wall's normal would not be the
+        derivative of the energy by the deflection.
+        """
+        wall, theta = self.inflated.wall, self._theta
+        return (
+            sparse.diags_array(np.cos(theta)) @ wall.height[self.nodes]
+            - sparse.diags_array(np.sin(theta)) @ wall.around[self.nodes]
+        ).tocsr()
+
+    @cached_property
+    def rest(self) -> np.ndarray:
+        """Height below the axle of the undeformed candidates, (n_candidates,), m."""
+        grid = self.inflated.wall.grid
+        return grid.profile.r(grid.s_node)[self.nodes // grid.n_hoop] * np.cos(self._theta)
+
+    @property
+    def _theta(self) -> np.ndarray:
+        grid = self.inflated.wall.grid
+        return grid.theta_node[self.nodes % grid.n_hoop]
+
+
+@dataclass(frozen=True)
+class Pressed:
+    """Equilibrium of a tire pressed on flat ground.
+
+    Attributes
+    ----------
+    ground : Ground
+    deflection : float
+        Approach of axle and ground after first touch, m.
+    displacement : (n_dof,) ndarray
+        m, inflation included.
+    force : (n_candidates,) ndarray
+        Vertical contact force at each of ``ground.nodes``, N, never negative.
+    stiffness : float
+        Derivative of the load by the deflection, N/m.
+    iterations : int
+        Newton steps.
+    """
+
+    ground: Ground
+    deflection: float
+    displacement: np.ndarray
+    force: np.ndarray = field(repr=False)
+    stiffness: float
+    iterations: int
+
+    @property
+    def load(self) -> float:
+        """Vertical load, N."""
+        return float(self.force.sum())
+
+    @property
+    def loaded_radius(self) -> float:
+        """Distance from axle to ground, m."""
+        return self.ground.inflated.radius - self.deflection
+
+    @property
+    def pressure(self) -> np.ndarray:
+        """Contact pressure over the area of each candidate, (n_candidates,), Pa."""
+        return self.force / self.ground.area
+
+    @property
+    def gap(self) -> np.ndarray:
+        """Gap between each candidate and the ground, (n_candidates,), m; negative by what the tread gives way."""
+        return self.loaded_radius - self.ground.rest - self.ground.rows @ self.displacement
+
+    @property
+    def largest_pressure(self) -> float:
+        """Largest nodal contact pressure, Pa; see `largest_pressure_converges`."""
+        return float(self.pressure.max())
+
+    @property
+    def largest_pressure_converges(self) -> bool:
+        """Whether the largest pressure can converge with the mesh.
+
+        A Kirchhoff shell on rigid ground has a line force at the patch's edge, so the nodal pressure there grows
+        without limit as the mesh is refined; the compliance of a tread spreads it.
+        """
+        return self.ground.compliance > 0.0
+
+    @property
+    def energy(self) -> float:
+        """Potential energy U - pV and that of the tread, J."""
+        wall, p = self.ground.inflated.wall, self.ground.inflated.pressure
+        tread = self.ground.compliance * float((self.force**2 / self.ground.area).sum()) / 2
+        return wall.energy(self.displacement, p) + tread
+
+    @property
+    def largest_rotation(self) -> float:
+        """Largest rotation of the wall, rad, since it was laid out."""
+        return float(np.abs(self.ground.inflated.wall.cells.strains(self.displacement, linear=True)[:, 6:]).max())
+
+
+@dataclass(frozen=True)
+class LoadCurve:
+    """Equilibria in the order they were found.
+
+    Attributes
+    ----------
+    steps : tuple of Pressed
+        Every converged step asked for.
+    failure : str or None
+        Why the curve ends before its last step; None where it is complete.
+    """
+
+    steps: tuple[Pressed, ...]
+    failure: str | None = None
+
+    @property
+    def deflections(self) -> np.ndarray:
+        """(n_steps,), m."""
+        return np.array([step.deflection for step in self.steps])
+
+    @property
+    def loads(self) -> np.ndarray:
+        """(n_steps,), N."""
+        return np.array([step.load for step in self.steps])
+
+    @property
+    def last(self) -> Pressed:
+        """The last equilibrium found.
+
+        Raises
+        ------
+        EvaluationError
+            Where no step converged.
+        """
+        if not self.steps:
+            raise EvaluationError(self.failure or "the load curve has no step")
+        return self.steps[-1]
+
+    def complete(self) -> LoadCurve:
+        """Return the curve itself.
+
+        Raises
+        ------
+        EvaluationError
+            Where it ended early.
+        """
+        if self.failure is not None:
+            raise EvaluationError(self.failure)
+        return self
+
+
+def load_curve(ground: Ground, deflections: np.ndarray) -> LoadCurve:
+    """Press the tire to each deflection in turn, each step starting from the last ones.
+
+    Parameters
+    ----------
+    ground : Ground
+    deflections : (n_steps,) array
+        m, positive and ascending. What is found at a deflection does not depend on the ones before it.
+
+    Returns
+    -------
+    LoadCurve
+        Ends with the last good step, and says why, where Newton's method fails or rotations exceed the theory.
+
+    Raises
+    ------
+    InputError
+        For deflections that do not ascend from above zero or exceed the section.
+    """
+    wanted = np.atleast_1d(np.asarray(deflections, float))
+    if wanted.size == 0 or not np.isfinite(wanted).all() or wanted[0] <= 0.0 or (np.diff(wanted) <= 0.0).any():
+        raise InputError("the deflections must ascend from above 0 m")
+    _check_section(ground, float(wanted[-1]))
+    found: list[Pressed] = []
+    trail = [_untouched(ground)]
+    failure = None
+    for deflection in wanted:
+        try:
+            trail = _follow(ground, trail, float(deflection))
+        except EvaluationError as fault:
+            failure = str(fault)
+            break
+        found.append(trail[-1])
+    rotation = found[-1].largest_rotation if found else 0.0
+    if rotation > WARNED_ROTATION:
+        warnings.warn(
+            f"the wall turns by {rotation:.2f} rad at {found[-1].deflection:g} m; the theory holds for moderate "
+            f"rotations, up to about {WARNED_ROTATION} rad",
+            RotationWarning,
+            stacklevel=2,
+        )
+    return LoadCurve(tuple(found), failure)
+
+
+def press_to_load(ground: Ground, load: float, start: Pressed | None = None, tolerance: float = 1e-8) -> Pressed:
+    """Equilibrium at a wanted load, by Newton's method on the deflection.
+
+    Parameters
+    ----------
+    ground : Ground
+    load : float
+        N.
+    start : Pressed, optional
+        An equilibrium to start from.
+    tolerance : float
+        Of the load, relative.
+
+    Raises
+    ------
+    InputError
+        For a load that is not positive.
+    EvaluationError
+        Where the load is not reached.
+    """
+    if not np.isfinite(load) or load <= 0.0:
+        raise InputError(f"the wanted load is {load:g} N, allowed is above 0")
+    grid = ground.inflated.wall.grid
+    section = float(np.ptp(grid.profile.r(grid.s_node)))
+    trail = [_untouched(ground)] if start is None else [start]
+    step = 0.02 * section
+    for _ in range(60):
+        here = trail[-1]
+        if here.force.any():
+            if abs(here.load - load) <= tolerance * load:
+                return here
+            # A tire stiffens with its patch: long steps from small deflections would overshoot.
+            step = float(np.clip((load - here.load) / here.stiffness, -0.5 * here.deflection, 0.1 * section))
+        target = here.deflection + step
+        _check_section(ground, target)
+        trail = _follow(ground, trail, target)
+    raise EvaluationError(f"the load of {load:g} N is not reached; the last deflection is {trail[-1].deflection:g} m")
+
+
+def _check_section(ground: Ground, deflection: float) -> None:
+    grid = ground.inflated.wall.grid
+    section = float(np.ptp(grid.profile.r(grid.s_node)))
+    if deflection > 0.5 * section:
+        raise InputError(
+            f"a deflection of {deflection:g} m is more than half the section height of {section:g} m",
+            remedy="moderate-rotation theory holds up to about a quarter",
+        )
+
+
+def _untouched(ground: Ground) -> Pressed:
+    return Pressed(ground, 0.0, ground.inflated.displacement, np.zeros(ground.nodes.size), 0.0, 0)
+
+
+def _follow(ground: Ground, trail: list[Pressed], deflection: float) -> list[Pressed]:
+    """Reach a deflection from the last two equilibria, in smaller parts where one step fails; the last two again."""
+    part = 1.0
+    while True:
+        here = trail[-1]
+        target = here.deflection + part * (deflection - here.deflection)
+        if part == 1.0 or abs(target - deflection) < 1e-12:
+            target = deflection
+        start = here.displacement
+        if len(trail) > 1:
+            ahead = (target - here.deflection) / (here.deflection - trail[0].deflection)
+            start = start + min(ahead, 2.0) * (start - trail[0].displacement)
+        try:
+            reached = _equilibrium(ground, start, here.force > 0.0, target)
+        except EvaluationError as fault:
+            part /= 2
+            if part < SMALLEST_PART:
+                raise EvaluationError(
+                    f"no equilibrium found beyond a deflection of {here.deflection:g} m ({fault})"
+                ) from fault
+            continue
+        rotation = reached.largest_rotation
+        if rotation > REFUSED_ROTATION:
+            raise EvaluationError(
+                f"the wall turns by {rotation:.2f} rad at a deflection of {target:g} m, beyond moderate rotations "
+                f"({REFUSED_ROTATION} rad); the last good deflection is {here.deflection:g} m"
+            )
+        trail = [here, reached] if here.force.any() else [reached]
+        if target == deflection:
+            return trail
+        part = 1.0 if part == 1.0 else min(1.0, 2 * part)
+
+
+def _equilibrium(ground: Ground, q: np.ndarray, active: np.ndarray, deflection: float) -> Pressed:
+    wall, p = ground.inflated.wall, ground.inflated.pressure
+    level = ground.inflated.radius - deflection
+    length = wall.grid.profile.length
+    for step in range(1, MAX_STEPS + 1):
+        gradient, band = wall.tangent(q, p)
+        linear = _Linearised(ground, q, gradient, band.factor(), level)
+        was = active
+        change, force, active, stiffness = linear.solve(active)
+        q = q + change
+        largest = np.abs(change).max()
+        if not largest < length / 4:
+            break
+        if largest < TOLERANCE * length and (was == active).all():
+            return Pressed(ground, deflection, q, force, stiffness, step)
+    raise EvaluationError(f"Newton's method does not converge at a deflection of {deflection:g} m")
+
+
+class _Linearised:
+    """The contact problem of one tangent; the response to unit forces is kept from set to set."""
+
+    def __init__(self, ground: Ground, q: np.ndarray, gradient: np.ndarray, factor: BandFactor, level: float):
+        self.ground, self.factor = ground, factor
+        self.free = factor.solve(-gradient)
+        # Intrusion into the ground without contact forces.
+        self.intrusion = ground.rest + ground.rows @ (q + self.free) - level
+        self.known = np.zeros(ground.nodes.size, bool)
+        self.shift = np.zeros((q.size, ground.nodes.size), order="F")
+        self.response = np.zeros((ground.nodes.size, ground.nodes.size), order="F")
+
+    def solve(self, active: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        """Displacement, forces, active set and stiffness of the linear complementarity problem.
+
+        A primal-dual active set (Hintermueller, Ito and Kunisch 2002): forces that pull leave, nodes below the ground
+        enter. Should sets return, one node at a time changes, the worst first.
+        """
+        active = active.copy()
+        for attempt in range(400):
+            self._learn(active)
+            chosen = np.flatnonzero(active)
+            force = np.zeros(active.size)
+            matrix = self.response[np.ix_(chosen, chosen)]
+            matrix = (matrix + matrix.T) / 2 + np.diag(self.ground.compliance / self.ground.area[chosen])
+            stiffness = 0.0
+            if chosen.size:
+                both = np.linalg.solve(matrix, np.stack([self.intrusion[chosen], np.ones(chosen.size)], axis=1))
+                force[chosen], stiffness = both[:, 0], float(both[:, 1].sum())
+            below = self.intrusion - self.response[:, chosen] @ force[chosen]
+            leave, enter = active & (force <= 0.0), ~active & (below > 1e-12)
+            if not (leave.any() or enter.any()):
+                return self.free - self.shift[:, chosen] @ force[chosen], force, active, stiffness
+            if attempt < 40:
+                active = (active & ~leave) | enter
+            elif leave.any():
+                active[np.argmin(np.where(leave, force, np.inf))] = False
+            else:
+                active[np.argmax(np.where(enter, below, -np.inf))] = True
+        raise EvaluationError("the contact set does not settle")
+
+    def _learn(self, active: np.ndarray) -> None:
+        new = np.flatnonzero(active & ~self.known)
+        if new.size:
+            rows = self.ground.rows
+            self.shift[:, new] = self.factor.solve(rows[new].T.toarray(order="F"))
+            self.response[:, new] = rows @ self.shift[:, new]
+            self.known[new] = True

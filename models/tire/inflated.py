@@ -1,0 +1,223 @@
+"""The tire inflated: equilibrium, growth, tangent stiffness and lowest modes, free of the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import linalg
+
+from calib.errors import EvaluationError, InputError
+from models.tire.band import SymmetricBand
+from models.tire.cells import Cells
+from models.tire.grid import Grid
+from models.tire.pressure import EnclosedVolume
+from models.tire.strains import strain_rows
+
+TOLERANCE = 1e-8  # of the meridian length, for the last Newton step
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A tire's wall on a grid, at any pressure: energy U - pV with its derivatives.
+
+    Attributes
+    ----------
+    grid : Grid
+    cells : Cells
+        Elastic energy.
+    volume : EnclosedVolume
+    areal_density : float
+        kg/m2.
+    """
+
+    grid: Grid
+    cells: Cells
+    volume: EnclosedVolume
+    areal_density: float
+
+    @classmethod
+    def build(cls, grid: Grid, stiffness: np.ndarray, areal_density: float) -> Wall:
+        """Compose a wall from the laminate stiffness (2 n_meridian, 6, 6) at ``grid.s_quarter`` and its mass, kg/m2."""
+        rows = strain_rows(grid)
+        return cls(grid, Cells.build(grid, rows, stiffness), EnclosedVolume.build(grid, rows), areal_density)
+
+    @cached_property
+    def _pressure_band(self) -> SymmetricBand:
+        return self.cells.banded(-self.volume.curvature)
+
+    def energy(self, q: np.ndarray, pressure: float) -> float:
+        """Potential energy U - pV, J, at displacements q (n_dof,), m, and the pressure, Pa."""
+        volume = self.volume.load @ q + q @ (self.volume.curvature @ q) / 2
+        return self.cells.energy(q) - pressure * float(volume)
+
+    def gradient(self, q: np.ndarray, pressure: float) -> np.ndarray:
+        """Unbalanced force, (n_dof,), N."""
+        return self.cells.gradient(q) - pressure * (self.volume.load + self.volume.curvature @ q)
+
+    def tangent(self, q: np.ndarray, pressure: float) -> tuple[np.ndarray, SymmetricBand]:
+        """Unbalanced force, N, and tangent stiffness, N/m: elastic, geometric and pressure part."""
+        gradient, band = self.cells.tangent(q)
+        gradient -= pressure * (self.volume.load + self.volume.curvature @ q)
+        return gradient, band + self._pressure_band * pressure
+
+    @cached_property
+    def mass(self) -> np.ndarray:
+        """Lumped mass at each degree of freedom, (n_dof,), kg."""
+        grid = self.grid
+        return self.areal_density * grid.gathered(grid.area_u, grid.area_v, grid.area_node)
+
+    @cached_property
+    def height(self) -> sparse.csr_array:
+        """Outward radial displacement of the nodes from the degrees of freedom, (n_nodes, n_dof)."""
+        return self._turned(self.grid.profile.dz, self.grid.profile.dr)
+
+    @cached_property
+    def axial(self) -> sparse.csr_array:
+        """Axial displacement of the nodes from the degrees of freedom, (n_nodes, n_dof)."""
+        return self._turned(lambda s: -self.grid.profile.dr(s), self.grid.profile.dz)
+
+    def _turned(self, of_w, of_u) -> sparse.csr_array:
+        grid, s = self.grid, self.grid.s_node
+        u, _, w = grid.take
+        normal, along = (grid.both(sparse.diags_array(np.asarray(f(s), float))) for f in (of_w, of_u))
+        return (normal @ w + along @ grid.both(grid.as_down) @ u).tocsr()
+
+    @cached_property
+    def around(self) -> sparse.csr_array:
+        """Hoop displacement of the nodes from the degrees of freedom, (n_nodes, n_dof)."""
+        return (self.grid.both(None, self.grid.at_down) @ self.grid.take[1]).tocsr()
+
+
+@dataclass(frozen=True)
+class Inflated:
+    """Equilibrium under pressure, free of the ground; axisymmetric.
+
+    Attributes
+    ----------
+    wall : Wall
+    pressure : float
+        Pa.
+    displacement : (n_dof,) ndarray
+        m.
+    iterations : int
+        Newton steps on the axisymmetric strip.
+    """
+
+    wall: Wall
+    pressure: float
+    displacement: np.ndarray
+    iterations: int
+
+    @property
+    def radii(self) -> np.ndarray:
+        """Radius of the nodes along the meridian, (n_meridian + 1,), m."""
+        grid = self.wall.grid
+        return grid.profile.r(grid.s_node) + (self.wall.height @ self.displacement).reshape(-1, grid.n_hoop)[:, 0]
+
+    @property
+    def radius(self) -> float:
+        """Largest radius, m: what a deflection is measured from."""
+        return float(self.radii.max())
+
+    @property
+    def growth(self) -> float:
+        """Radius gained by inflation, m."""
+        return self.radius - float(self.wall.grid.profile.r(self.wall.grid.s_node).max())
+
+    @cached_property
+    def stiffness(self) -> SymmetricBand:
+        """Tangent stiffness, N/m, (n_dof, n_dof) in its band."""
+        return self.wall.tangent(self.displacement, self.pressure)[1]
+
+    def modes(self, n_modes: int = 6) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest modes about the inflated state.
+
+        Parameters
+        ----------
+        n_modes : int
+
+        Returns
+        -------
+        frequencies : (n_modes,) ndarray
+            Hz, ascending.
+        shapes : (n_dof, n_modes) ndarray
+            Mass normalised, 1/sqrt(kg).
+
+        Raises
+        ------
+        EvaluationError
+            Where the inflated state is unstable.
+        """
+        n = self.displacement.size
+        if not 1 <= n_modes < n - 1:
+            raise InputError(f"{n_modes} modes are requested of a tire with {n} degrees of freedom")
+        factor = self.stiffness.factor()
+        if not factor.positive_definite:
+            raise EvaluationError("the inflated tire is unstable: its tangent stiffness is not positive definite")
+        # Substituted by sqrt(M) the problem is standard, and the eigenvectors are orthonormal.
+        root = np.sqrt(self.wall.mass)
+        inverse = linalg.LinearOperator((n, n), matvec=lambda x: root * factor.solve(root * np.ravel(x)), dtype=float)
+        start = np.random.default_rng(0).standard_normal(n)
+        largest, vectors = linalg.eigsh(inverse, k=n_modes, which="LA", v0=start)
+        order = np.argsort(-largest)
+        return 1 / (2 * np.pi * np.sqrt(largest[order])), vectors[:, order] / root[:, None]
+
+
+def inflate(wall: Wall, strip: Wall, pressure: float, max_steps: int = 40) -> Inflated:
+    """Inflate by Newton's method on the axisymmetric strip and carry the state over to the whole wall.
+
+    Parameters
+    ----------
+    wall : Wall
+    strip : Wall
+        The same wall with one hoop cell.
+    pressure : float
+        Pa.
+    max_steps : int
+        Newton steps allowed for each part of the pressure.
+
+    Raises
+    ------
+    InputError
+        For a negative pressure.
+    EvaluationError
+        Where no equilibrium is found.
+    """
+    if not np.isfinite(pressure) or pressure < 0.0:
+        raise InputError(f"the inflation pressure is {pressure:g} Pa, allowed is 0 and above")
+    length = strip.grid.profile.length
+    q, steps = np.zeros(strip.grid.n_dof), 0
+    reached, part = 0.0, 1.0
+    while reached < 1.0:
+        trial = _equilibrium(strip, q, pressure * min(1.0, reached + part), length, max_steps)
+        if trial is None:
+            part /= 2
+            if part < 1 / 64:
+                raise EvaluationError(f"no equilibrium of the tire beyond {pressure * reached:g} Pa of {pressure:g} Pa")
+            continue
+        q, used = trial
+        steps += used
+        reached = min(1.0, reached + part)
+    u, v, w = strip.grid.fields(q)
+    return Inflated(wall, pressure, wall.grid.gathered(u, v, w), steps)
+
+
+def _equilibrium(
+    wall: Wall, q: np.ndarray, pressure: float, length: float, max_steps: int
+) -> tuple[np.ndarray, int] | None:
+    """Newton's method at one pressure; None where it does not converge within a third of the meridian."""
+    for step in range(1, max_steps + 1):
+        gradient, band = wall.tangent(q, pressure)
+        try:
+            change = band.factor().solve(-gradient)
+        except EvaluationError:
+            return None
+        q = q + change
+        if not np.abs(q).max() < length / 3:
+            return None
+        if np.abs(change).max() < TOLERANCE * length:
+            return q, step
+    return None

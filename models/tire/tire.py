@@ -1,0 +1,146 @@
+"""A tire: profile, plies, belt and tread, and the wall that follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from calib.errors import InputError
+from models.tire.contact import Ground
+from models.tire.grid import Grid
+from models.tire.inflated import Inflated, Wall, inflate
+from models.tire.laminate import Ply, abd, pantograph
+from models.tire.micromechanics import RULES, CordRubber, isotropic
+from models.tire.profile import Profile, netting_profile
+
+RUBBER_DENSITY = 1150.0
+"""Of cords and rubber alike, kg/m3 (assumed): 4.8 mm weigh 5.52 kg/m2."""
+
+
+@dataclass(frozen=True)
+class Tire:
+    """A bias tire with clamped beads.
+
+    Attributes
+    ----------
+    profile : Profile
+        Of the wall's middle, not inflated.
+    plies : CordRubber
+    crown_angle : float
+        Of the cords from the circumference, rad; over the section it follows the pantograph.
+    n_plies : int
+        Even; their angles alternate.
+    ply_thickness : float
+        m.
+    rule : str
+        Of micromechanics, see `RULES`.
+    belt_thickness : float
+        Of each of two belt plies, m; 0 is none.
+    belt_modulus, belt_angle : float
+        Of the belt's cords, Pa; from the circumference, rad.
+    tread_thickness, tread_modulus : float
+        Of a layer of rubber outside, m, Pa; 0 is none.
+    tread_compliance : float
+        Of the tread under the contact pressure, m/Pa; 0 is rigid.
+    tread_width : float
+        Share of the meridian that belt and tread cover, about the crown.
+    density : float
+        kg/m3.
+    """
+
+    profile: Profile
+    plies: CordRubber
+    crown_angle: float
+    n_plies: int = 4
+    ply_thickness: float = 1.2e-3
+    rule: str = RULES[0]
+    belt_thickness: float = 0.0
+    belt_modulus: float = 2e9
+    belt_angle: float = field(default=np.radians(20.0))
+    tread_thickness: float = 0.0
+    tread_modulus: float = 5e6
+    tread_compliance: float = 0.0
+    tread_width: float = 0.35
+    density: float = RUBBER_DENSITY
+
+    def __post_init__(self) -> None:
+        if self.n_plies < 2 or self.n_plies % 2:
+            raise InputError(f"{self.n_plies} plies cannot alternate their angles in pairs", remedy="take 2, 4, 6, ...")
+        for name in ("belt_thickness", "tread_thickness", "tread_compliance"):
+            if not getattr(self, name) >= 0.0:
+                raise InputError(f"{name} is {getattr(self, name):g}, allowed is 0 and above")
+        if not 0.0 < self.tread_width <= 1.0:
+            raise InputError(f"tread_width is {self.tread_width:g}, allowed is above 0 to 1")
+
+    @cached_property
+    def crown_radius(self) -> float:
+        """Radius of the crown, not inflated, m."""
+        s = np.linspace(0.0, self.profile.length, 2001)
+        return float(self.profile.r(s).max())
+
+    def stiffness(self, s: np.ndarray) -> np.ndarray:
+        """Laminate stiffness at arc lengths s (n,), m: (n, 6, 6) in N/m, N and N m."""
+        wall = self._carcass(s)
+        out = abd(wall)
+        covered = self._covered(s)
+        extra = self._cover()
+        if extra and covered.any():
+            # The reference stays the carcass' middle: what lies outside it brings coupling of its own.
+            out = out + np.where(covered[:, None, None], self._outside(extra), 0.0)
+        return out
+
+    def areal_density(self) -> float:
+        """Mean mass over area, kg/m2."""
+        cover = sum(ply.thickness for ply in self._cover()) * self.tread_width
+        return self.density * (self.n_plies * self.ply_thickness + cover)
+
+    def wall(self, n_meridian: int, n_hoop: int, grading: float = 0.8) -> Wall:
+        """Wall on a grid of so many cells along meridian and hoop."""
+        grid = Grid(self.profile, n_meridian, n_hoop, grading)
+        return Wall.build(grid, self.stiffness(grid.s_quarter), self.areal_density())
+
+    def inflate(self, pressure: float, n_meridian: int = 41, n_hoop: int = 24) -> Inflated:
+        """Equilibrium at a pressure, Pa, free of the ground."""
+        return inflate(self.wall(n_meridian, n_hoop), self.wall(n_meridian, 1), pressure)
+
+    def on_ground(self, pressure: float, n_meridian: int = 41, n_hoop: int = 24) -> Ground:
+        """Inflated tire above flat ground."""
+        return Ground(self.inflate(pressure, n_meridian, n_hoop), self.tread_compliance)
+
+    def _carcass(self, s: np.ndarray) -> Sequence[Ply]:
+        angle = pantograph(self.crown_angle, self.crown_radius, np.minimum(self.profile.r(s), self.crown_radius))
+        elastic = self.plies.ply(self.rule)
+        return [Ply(self.ply_thickness, angle if k % 2 == 0 else -angle, elastic) for k in range(self.n_plies)]
+
+    def _cover(self) -> list[Ply]:
+        out = []
+        if self.belt_thickness > 0.0:
+            cords = CordRubber(self.belt_modulus, self.plies.rubber_modulus, self.plies.cord_fraction)
+            out += [Ply(self.belt_thickness, sign * self.belt_angle, cords.ply(self.rule)) for sign in (1, -1)]
+        if self.tread_thickness > 0.0:
+            out.append(Ply(self.tread_thickness, 0.0, isotropic(self.tread_modulus, self.plies.rubber_poisson)))
+        return out
+
+    def _outside(self, cover: Sequence[Ply]) -> np.ndarray:
+        """Stiffness of layers on the carcass about its middle, (6, 6)."""
+        thickness = sum(ply.thickness for ply in cover)
+        offset = (self.n_plies * self.ply_thickness + thickness) / 2
+        own = abd(cover)
+        a, b, d = own[:3, :3], own[:3, 3:], own[3:, 3:]
+        return np.block([[a, b + offset * a], [b + offset * a, d + 2 * offset * b + offset**2 * a]])
+
+    def _covered(self, s: np.ndarray) -> np.ndarray:
+        return np.abs(np.asarray(s) / self.profile.length - 0.5) <= self.tread_width / 2
+
+
+def base_tire() -> Tire:
+    """A generic small bias tire; chosen here, not a measured one (assumed throughout).
+
+    Netting profile with a crown at 0.33 m, widest at 0.265 m and beads at 0.215 m, cords of 38 degrees at the crown;
+    four plies of 1.2 mm.
+    """
+    angle = np.radians(38.0)
+    return Tire(netting_profile(0.33, 0.265, 0.215, angle), CordRubber(2e9, 5e6, 0.3), angle)
