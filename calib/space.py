@@ -39,6 +39,7 @@ SI_FACTORS: Mapping[str, float] = {
     "Ns/m": 1.0,
     "kNs/m": 1e3,
     "Pa": 1.0,
+    "kPa": 1e3,
     "MPa": 1e6,
     "GPa": 1e9,
     "Hz": 1.0,

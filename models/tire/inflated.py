@@ -29,18 +29,18 @@ class Wall:
     cells : Cells
         Elastic energy.
     volume : EnclosedVolume
-    areal_density : float
-        kg/m2.
+    areal_density : (2 n_meridian,) ndarray
+        At ``grid.s_quarter``, kg/m2.
     """
 
     grid: Grid
     cells: Cells
     volume: EnclosedVolume
-    areal_density: float
+    areal_density: np.ndarray
 
     @classmethod
-    def build(cls, grid: Grid, stiffness: np.ndarray, areal_density: float) -> Wall:
-        """Compose a wall from the laminate stiffness (2 n_meridian, 6, 6) at ``grid.s_quarter`` and its mass, kg/m2."""
+    def build(cls, grid: Grid, stiffness: np.ndarray, areal_density: np.ndarray) -> Wall:
+        """Compose a wall from stiffness (2 n_meridian, 6, 6) and mass (2 n_meridian,) at ``grid.s_quarter``."""
         rows = strain_rows(grid)
         return cls(grid, Cells.build(grid, rows, stiffness), EnclosedVolume.build(grid, rows), areal_density)
 
@@ -67,7 +67,12 @@ class Wall:
     def mass(self) -> np.ndarray:
         """Lumped mass at each degree of freedom, (n_dof,), kg."""
         grid = self.grid
-        return self.areal_density * grid.gathered(grid.area_u, grid.area_v, grid.area_node)
+        weighed = np.asarray(self.areal_density) * grid.rings
+        padded = np.concatenate([[0.0], weighed, [0.0]])
+        half, node = weighed[::2] + weighed[1::2], padded[::2] + padded[1::2]
+        return grid.gathered(
+            half[:, None] * grid.step_node, node[:, None] * grid.step_half, node[:, None] * grid.step_node
+        )
 
     @cached_property
     def height(self) -> sparse.csr_array:

@@ -13,11 +13,13 @@ from models.tire.contact import Ground
 from models.tire.grid import Grid
 from models.tire.inflated import Inflated, Wall, inflate
 from models.tire.laminate import Ply, abd, pantograph
-from models.tire.micromechanics import RULES, CordRubber, isotropic
+from models.tire.micromechanics import RULES, CordRubber, Orthotropic, isotropic
 from models.tire.profile import Profile, netting_profile
 
 RUBBER_DENSITY = 1150.0
 """Of cords and rubber alike, kg/m3 (assumed): 4.8 mm weigh 5.52 kg/m2."""
+BEAD = 0.08
+"""Share of the meridian beside a bead that counts as bead."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,14 @@ class Tire:
         Share of the meridian that belt and tread cover, about the crown.
     density : float
         kg/m3.
+    soft_bead : float
+        Share of the bending stiffness that the wall lacks within `BEAD` of the meridian beside each bead.
+    thin_sidewall : float
+        Share of the carcass that the wall lacks between beads and tread.
+    halpin_tsai : float
+        Share of the way, in logarithms, from the constants of `rule` to those of Halpin and Tsai.
+    crown_mass : float
+        Further mass under the tread, kg/m2.
     """
 
     profile: Profile
@@ -65,10 +75,17 @@ class Tire:
     tread_compliance: float = 0.0
     tread_width: float = 0.35
     density: float = RUBBER_DENSITY
+    soft_bead: float = 0.0
+    thin_sidewall: float = 0.0
+    halpin_tsai: float = 0.0
+    crown_mass: float = 0.0
 
     def __post_init__(self) -> None:
         if self.n_plies < 2 or self.n_plies % 2:
             raise InputError(f"{self.n_plies} plies cannot alternate their angles in pairs", remedy="take 2, 4, 6, ...")
+        for name in ("soft_bead", "thin_sidewall"):
+            if not getattr(self, name) < 1.0:
+                raise InputError(f"{name} is {getattr(self, name):g}, allowed is below 1")
         for name in ("belt_thickness", "tread_thickness", "tread_compliance"):
             if not getattr(self, name) >= 0.0:
                 raise InputError(f"{name} is {getattr(self, name):g}, allowed is 0 and above")
@@ -86,21 +103,27 @@ class Tire:
         wall = self._carcass(s)
         out = abd(wall)
         covered = self._covered(s)
+        bare = ~covered & (self.thin_sidewall != 0.0)
+        out[bare] = out[bare] * (1 - self.thin_sidewall)
+        beside = np.minimum(s, self.profile.length - s) < BEAD * self.profile.length
+        out[np.ix_(beside, range(3, 6), range(3, 6))] *= 1 - self.soft_bead
         extra = self._cover()
         if extra and covered.any():
             # The reference stays the carcass' middle: what lies outside it brings coupling of its own.
             out = out + np.where(covered[:, None, None], self._outside(extra), 0.0)
         return out
 
-    def areal_density(self) -> float:
-        """Mean mass over area, kg/m2."""
-        cover = sum(ply.thickness for ply in self._cover()) * self.tread_width
-        return self.density * (self.n_plies * self.ply_thickness + cover)
+    def areal_density(self, s: np.ndarray) -> np.ndarray:
+        """Mass over area at arc lengths s (n,), m: (n,) in kg/m2."""
+        carcass = self.density * self.n_plies * self.ply_thickness
+        cover = self.density * sum(ply.thickness for ply in self._cover()) + self.crown_mass
+        covered = self._covered(s)
+        return np.where(covered, carcass + cover, carcass * (1 - self.thin_sidewall))
 
     def wall(self, n_meridian: int, n_hoop: int, grading: float = 0.8) -> Wall:
         """Wall on a grid of so many cells along meridian and hoop."""
         grid = Grid(self.profile, n_meridian, n_hoop, grading)
-        return Wall.build(grid, self.stiffness(grid.s_quarter), self.areal_density())
+        return Wall.build(grid, self.stiffness(grid.s_quarter), self.areal_density(grid.s_quarter))
 
     def inflate(self, pressure: float, n_meridian: int = 41, n_hoop: int = 24) -> Inflated:
         """Equilibrium at a pressure, Pa, free of the ground."""
@@ -112,7 +135,8 @@ class Tire:
 
     def _carcass(self, s: np.ndarray) -> Sequence[Ply]:
         angle = pantograph(self.crown_angle, self.crown_radius, np.minimum(self.profile.r(s), self.crown_radius))
-        elastic = self.plies.ply(self.rule)
+        one, other = np.array(self.plies.ply(self.rule)), np.array(self.plies.ply("halpin_tsai"))
+        elastic = Orthotropic(*one ** (1 - self.halpin_tsai) * other**self.halpin_tsai)
         return [Ply(self.ply_thickness, angle if k % 2 == 0 else -angle, elastic) for k in range(self.n_plies)]
 
     def _cover(self) -> list[Ply]:

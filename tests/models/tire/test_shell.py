@@ -20,7 +20,7 @@ def cylinder(n, poisson):
     s = np.linspace(0.0, LENGTH, 21)
     profile = Profile(s, np.column_stack([np.full(21, R), s]))
     stiffness = abd([Ply(H, 0.0, isotropic(MODULUS, poisson))])
-    return Wall.build(Grid(profile, n), np.broadcast_to(stiffness, (2 * n, 6, 6)), 1.0)
+    return Wall.build(Grid(profile, n), np.broadcast_to(stiffness, (2 * n, 6, 6)), np.ones(2 * n))
 
 
 def rigid_motions(grid):
