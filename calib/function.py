@@ -25,7 +25,8 @@ class FunctionModel:
     name : str
     space : ParameterSpace
     function : callable
-        Takes ``{parameter: value}``, every value in its parameter's unit, and returns ``{response: value}``.
+        Takes ``{parameter: value}``, every value in its parameter's unit, and returns ``{response: value}``. It may
+        also return derivatives, see `slope_entry`.
     assumptions : tuple of Assumption
     """
 
@@ -46,6 +47,32 @@ class FunctionModel:
     def fingerprint(self) -> str:
         """Hash over the function: its file, its code and the objects it holds (closure, defaults)."""
         return digest_of(self.name, self.function)[:16]
+
+
+def slope_entry(response: str, parameter: str) -> str:
+    """Name under which a function may return a derivative beside its responses: ``d(load)/d(stiffness)``.
+
+    It is per one of the parameter's own unit. An entry that is missing is found by differences.
+    """
+    return f"d({response})/d({parameter})"
+
+
+@dataclass(frozen=True)
+class _WithoutSlopes:
+    """A function that an effect built upon another: derivatives of the other one are not its own.
+
+    Attributes
+    ----------
+    function : callable
+    """
+
+    function: Callable[[Mapping[str, float]], Mapping[str, float]]
+
+    def __call__(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        result = self.function(values)
+        if not isinstance(result, Mapping) or not any(str(name).startswith("d(") for name in result):
+            return result
+        return {name: value for name, value in result.items() if not str(name).startswith("d(")}
 
 
 F = TypeVar("F", bound=FunctionModel | ModalFunctionModel)
@@ -72,5 +99,7 @@ def extend_function(model: F, effects: Sequence[Effect]) -> F:
                 remedy="return a function of named values, or None", at=defined_at(effect.build),
             )  # fmt: skip
         space = ParameterSpace(model.space.parameters + effect.parameters, model.space.constraints)
+        if built is not None and isinstance(model, FunctionModel):
+            built = _WithoutSlopes(built)
         model = replace(model, space=space, function=built or model.function)
     return model

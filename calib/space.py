@@ -42,6 +42,7 @@ SI_FACTORS: Mapping[str, float] = {
     "kPa": 1e3,
     "MPa": 1e6,
     "GPa": 1e9,
+    "mm/MPa": 1e-9,
     "Hz": 1.0,
     "rad": 1.0,
     "deg": math.pi / 180,

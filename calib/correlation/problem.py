@@ -412,7 +412,7 @@ class FunctionProblem:
             raise wrong(f"the function gave {type(result).__name__}, not responses by name")
         missing = [name for name in self.targets if name not in result]
         if missing:
-            returned = ", ".join(result) or "nothing"
+            returned = ", ".join(name for name in result if not str(name).startswith("d(")) or "nothing"
             raise wrong(f"the function gave no {', '.join(missing)} (it gave {returned})")
         out = {}
         for name, value in result.items():

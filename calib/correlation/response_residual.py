@@ -1,4 +1,4 @@
-"""Whitened residual of scalar responses, with derivatives by differences."""
+"""Whitened residual of scalar responses, with derivatives by the function itself or by differences."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from calib.correlation.responses import ResponseRow, response_rows
 from calib.differences import STEP, central_jacobian
 from calib.errors import EvaluationError, InputError
 from calib.fingerprint import digest_of
-from calib.function import FunctionModel
+from calib.function import FunctionModel, slope_entry
 from calib.outcome import answered
 from calib.space import ParameterSpace
 
@@ -132,7 +132,7 @@ class ResponseResidual:
         return self.of(self.solve(values))
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Central differences, two evaluations per parameter, (n_rows, n_params); integers count as fixed."""
+        """Derivatives that the function returns, else central differences, (n_rows, n_params); see `slope`."""
         return self.slope(values, names, self.solve)
 
     def slope(
@@ -141,8 +141,22 @@ class ResponseResidual:
         names: Sequence[str],
         at: Callable[[Mapping[str, float]], Mapping[str, float]],
     ) -> np.ndarray:
-        """The Jacobian with solutions from ``at``."""
-        return central_jacobian(lambda there: self.of(at(there)), self.problem.space, values, names, self.step)
+        """The Jacobian with solutions from ``at``.
+
+        Where the function returns the derivatives of all measured responses by a parameter, see
+        `calib.function.slope_entry`, they are taken; otherwise two evaluations differ. Integers count as fixed.
+        """
+        space, here = self.problem.space, at(values)
+        entries = {name: [slope_entry(response, name) for response in self.problem.targets] for name in names}
+        known = {
+            name: -np.array([here[entry] for entry in own]) / self.std
+            for name, own in entries.items()
+            if not space[name].integer and all(entry in here for entry in own)
+        }
+        others = [name for name in names if name not in known]
+        found = central_jacobian(lambda there: self.of(at(there)), space, values, others, self.step)
+        columns = known | dict(zip(others, found.T, strict=True))
+        return np.column_stack([columns[name] for name in names]) if names else found
 
     def frequencies(
         self,

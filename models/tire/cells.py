@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +12,36 @@ from models.tire.band import SymmetricBand
 from models.tire.grid import Grid
 from models.tire.strains import StrainRows
 
+_BY_CELL = ("dofs", "rows", "share", "stiffness", "area", "node", "corner")
 STRAINS = ("e1", "e2", "g12", "c1", "c2", "t12")  # the order of N and M
+
+
+@dataclass(frozen=True)
+class BandLayout:
+    """Where the entries of all cells' matrices go in the band of the whole.
+
+    Attributes
+    ----------
+    chosen : (n_entries,) int ndarray
+        Of the raveled (n_cells, n_local, n_local) entries, those of the lower triangle.
+    target : (n_entries,) int ndarray
+        Place of each in the raveled (n_dof, bandwidth + 1) columns.
+    bandwidth : int
+    """
+
+    chosen: np.ndarray
+    target: np.ndarray
+    bandwidth: int
+
+    @classmethod
+    def of(cls, dofs: np.ndarray, used: np.ndarray) -> BandLayout:
+        """Layout for degrees of freedom (n_cells, n_local), of which some entries are used."""
+        row, col = dofs[:, :, None], dofs[:, None, :]
+        valid = used[:, :, None] & used[:, None, :] & (row >= col)
+        chosen = np.flatnonzero(valid)
+        row, col = (np.broadcast_to(x, valid.shape).ravel()[chosen] for x in (row, col))
+        bandwidth = int((row - col).max())
+        return cls(chosen, col * (bandwidth + 1) + (row - col), bandwidth)
 
 
 @dataclass(frozen=True)
@@ -38,7 +67,7 @@ class Cells:
     node, corner : (n_cells,) int ndarray
         Which node and corner the cell joins.
     n_dof : int
-    used : (n_cells, n_local) bool ndarray
+    band : BandLayout
     """
 
     dofs: np.ndarray
@@ -49,7 +78,7 @@ class Cells:
     node: np.ndarray
     corner: np.ndarray
     n_dof: int
-    used: np.ndarray
+    band: BandLayout
 
     @classmethod
     def build(cls, grid: Grid, rows: StrainRows, stiffness: np.ndarray) -> Cells:
@@ -93,7 +122,11 @@ class Cells:
         # A quarter's angle is half the step between its node and the next or last one.
         area = (grid.rings[k] * grid.step_half[along] / 2).ravel()
         share = (np.roll(grid.step_half, 1) / (2 * grid.step_node))[j].ravel()
-        return cls(dofs, local, share, stiffness[k.ravel()], area, node, corner, grid.n_dof, used)
+        return cls(dofs, local, share, stiffness[k.ravel()], area, node, corner, grid.n_dof, BandLayout.of(dofs, used))
+
+    def with_stiffness(self, stiffness: np.ndarray) -> Cells:
+        """The same cells with another laminate stiffness (2 n_meridian, 6, 6), as in `build`."""
+        return replace(self, stiffness=np.repeat(stiffness, len(self.dofs) // len(stiffness), axis=0))
 
     # Kinematics -------------------------------------------------------------------------------------------------------
     def strains(self, q: np.ndarray, linear: bool = False) -> np.ndarray:
@@ -171,7 +204,13 @@ class Cells:
     def _spread(self, local: np.ndarray) -> np.ndarray:
         return np.bincount(self.dofs.ravel(), local.ravel(), minlength=self.n_dof)
 
-    def _band(self, rows: np.ndarray, stiffness: np.ndarray, force: np.ndarray) -> SymmetricBand:
+    def local_tangent(self, q: np.ndarray) -> np.ndarray:
+        """Second derivative of each cell's energy, (n_cells, n_local, n_local), N/m; linear in the stiffness."""
+        strain = self.strains(q)
+        force = np.einsum("ckl,cl->ck", self.stiffness, strain[:, :6]) * self.area[:, None]
+        return self._local(self._tangent_rows(strain), self._weighted, force)
+
+    def _local(self, rows: np.ndarray, stiffness: np.ndarray, force: np.ndarray) -> np.ndarray:
         stress = np.zeros((force.shape[0], 6, 6))
         stress[:, 0, 0] = stress[:, 1, 1] = force[:, 0] / 2
         stress[:, 2, 2], stress[:, 3, 3] = self.share * force[:, 1], (1 - self.share) * force[:, 1]
@@ -179,24 +218,21 @@ class Cells:
         local = np.matmul(rows.transpose(0, 2, 1), np.matmul(stiffness, rows))
         turned = self.rows[:, 6:]
         local += np.matmul(turned.transpose(0, 2, 1), np.matmul(stress, turned))
-        chosen, target, bandwidth = self._map
-        entry = local.ravel()[chosen]
-        flat = np.bincount(target, entry, minlength=(bandwidth + 1) * self.n_dof)
-        return SymmetricBand(flat.reshape(self.n_dof, bandwidth + 1).T)
+        return local
 
-    @cached_property
-    def _map(self) -> tuple[np.ndarray, np.ndarray, int]:
-        row, col = self.dofs[:, :, None], self.dofs[:, None, :]
-        valid = self.used[:, :, None] & self.used[:, None, :] & (row >= col)
-        chosen = np.flatnonzero(valid)
-        row, col = (np.broadcast_to(x, valid.shape).ravel()[chosen] for x in (row, col))
-        bandwidth = int((row - col).max())
-        return chosen, col * (bandwidth + 1) + (row - col), bandwidth
+    def _band(self, rows: np.ndarray, stiffness: np.ndarray, force: np.ndarray) -> SymmetricBand:
+        entry = self._local(rows, stiffness, force).ravel()[self.band.chosen]
+        flat = np.bincount(self.band.target, entry, minlength=(self.band.bandwidth + 1) * self.n_dof)
+        return SymmetricBand(flat.reshape(self.n_dof, self.band.bandwidth + 1).T)
+
+    def every(self, step: int) -> Cells:
+        """Each ``step``-th cell, the first included; with a step of the hoop cells it is one sector."""
+        taken = {name: getattr(self, name)[::step] for name in _BY_CELL}
+        return replace(self, **taken)
 
     def banded(self, matrix: sparse.sparray) -> SymmetricBand:
         """Return a symmetric sparse matrix in the band of the cells."""
-        _, _, bandwidth = self._map
         part = sparse.tril(matrix).tocoo()
-        lower = np.zeros((self.n_dof, bandwidth + 1))
+        lower = np.zeros((self.n_dof, self.band.bandwidth + 1))
         lower[part.col, part.row - part.col] = part.data
         return SymmetricBand(lower.T)

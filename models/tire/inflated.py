@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy import sparse
@@ -17,6 +17,14 @@ from models.tire.pressure import EnclosedVolume
 from models.tire.strains import strain_rows
 
 TOLERANCE = 1e-8  # of the meridian length, for the last Newton step
+
+
+@lru_cache(maxsize=8)
+def _laid_out(grid: Grid) -> tuple[Cells, EnclosedVolume]:
+    """What depends on the grid alone: cells of unit stiffness, and the enclosed volume."""
+    rows = strain_rows(grid)
+    unit = np.broadcast_to(np.eye(6), (2 * grid.n_meridian, 6, 6))
+    return Cells.build(grid, rows, unit), EnclosedVolume.build(grid, rows)
 
 
 @dataclass(frozen=True)
@@ -41,8 +49,8 @@ class Wall:
     @classmethod
     def build(cls, grid: Grid, stiffness: np.ndarray, areal_density: np.ndarray) -> Wall:
         """Compose a wall from stiffness (2 n_meridian, 6, 6) and mass (2 n_meridian,) at ``grid.s_quarter``."""
-        rows = strain_rows(grid)
-        return cls(grid, Cells.build(grid, rows, stiffness), EnclosedVolume.build(grid, rows), areal_density)
+        cells, volume = _laid_out(grid)
+        return cls(grid, cells.with_stiffness(stiffness), volume, areal_density)
 
     @cached_property
     def _pressure_band(self) -> SymmetricBand:
@@ -109,12 +117,18 @@ class Inflated:
         m.
     iterations : int
         Newton steps on the axisymmetric strip.
+    strip : Wall
+        The wall with one hoop cell.
+    strip_displacement : (n_strip_dof,) ndarray
+        m.
     """
 
     wall: Wall
     pressure: float
     displacement: np.ndarray
     iterations: int
+    strip: Wall
+    strip_displacement: np.ndarray
 
     @property
     def radii(self) -> np.ndarray:
@@ -206,8 +220,12 @@ def inflate(wall: Wall, strip: Wall, pressure: float, max_steps: int = 40) -> In
         q, used = trial
         steps += used
         reached = min(1.0, reached + part)
-    u, v, w = strip.grid.fields(q)
-    return Inflated(wall, pressure, wall.grid.gathered(u, v, w), steps)
+    return Inflated(wall, pressure, spread(strip, wall, q), steps, strip, q)
+
+
+def spread(strip: Wall, wall: Wall, q: np.ndarray) -> np.ndarray:
+    """Displacement of a whole wall (n_dof,) from that of its axisymmetric strip (n_strip_dof,)."""
+    return wall.grid.gathered(*strip.grid.fields(q))
 
 
 def _equilibrium(

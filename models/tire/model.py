@@ -1,28 +1,28 @@
-"""The tire as a model of scalar responses: growth, load-deflection curve, patch and frequencies."""
+"""The tire as a model: scalar responses with derivatives, or modes at sensors."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.errors import InputError
-from calib.function import FunctionModel
+from calib.function import FunctionModel, slope_entry
 from calib.space import Parameter, ParameterSpace
 from calib.structure.model import Assumption
-from models.tire.contact import RotationWarning, load_curve, press_to_load
-from models.tire.harmonics import hoop_modes
-from models.tire.inflated import inflate
+from models.tire.derivatives import Change, change
+from models.tire.effects import tire_effects
+from models.tire.grid import Grid
 from models.tire.micromechanics import CordRubber
-from models.tire.patch import bulge, patch_length, patch_width
 from models.tire.profile import netting_profile
+from models.tire.responses import Rig
 from models.tire.tire import Tire
 
 DEFLECTIONS = (4.0, 8.0, 12.0, 16.0, 20.0)
 """mm."""
 ORDERS = (0, 1, 2, 3)
+SHAPING = ("crown_radius", "widest_radius", "bead_radius", "profile_angle")
+"""Parameters that shape the profile: no derivatives are returned for them."""
 KPA, MM, GPA, MPA = 1e3, 1e-3, 1e9, 1e6
 
 
@@ -74,14 +74,16 @@ def tire_on_ground(
     deflections: Sequence[float] = DEFLECTIONS,
     loads: Sequence[float] = (),
     orders: Sequence[int] = ORDERS,
+    derivatives: bool = True,
 ) -> FunctionModel:
     """A bias tire, inflated and pressed on flat ground.
 
     Responses, with a number d for each deflection in mm and F for each load in N: ``radius_inflated`` and
-    ``radius_growth`` (mm); ``load_d`` (N), ``stiffness_d`` (N/mm), ``patch_length_d``, ``patch_width_d`` and
-    ``bulge_d`` (mm), ``centre_d`` (kPa, contact pressure under the crown); ``radius_at_F`` (mm, loaded radius);
-    ``freq_n`` (Hz) for each hoop order n, lowest mode of the inflated tire free of the ground. With tread compliance
-    also ``peak_d`` (kPa); without, the largest pressure grows with the mesh and is no response.
+    ``radius_growth`` (mm); ``load_d`` (N), ``stiffness_d`` (N/mm), ``patch_length_d``, ``patch_width_d``, ``bulge_d``
+    (mm, largest axial displacement of the wall below the axle), ``shoulder_d`` (mm, rise of the tread's edges),
+    ``centre_d`` (kPa, contact pressure under the crown); ``radius_at_F`` (mm, loaded radius); ``freq_n`` (Hz) for each
+    hoop order n, lowest mode of the inflated tire free of the ground. With tread compliance also ``peak_d`` (kPa);
+    without, the largest pressure grows with the mesh and is no response.
 
     Parameters
     ----------
@@ -92,56 +94,63 @@ def tire_on_ground(
     loads : sequence of float
         N, ascending.
     orders : sequence of int
+    derivatives : bool
+        Whether it also returns derivatives, see `calib.function.slope_entry`: of all responses but the stiffness, by
+        all parameters but those that shape the profile, and by those of `tire_effects`. They take about as long as ten
+        further points.
     """
-    if list(deflections) != sorted(set(deflections)) or list(loads) != sorted(set(loads)):
-        raise InputError("the deflections and loads of a tire must ascend", remedy="sort them, each once")
+    space = ParameterSpace(parameters())
+    function = TireFunction(Rig(n_meridian, n_hoop, tuple(deflections), tuple(loads), tuple(orders)), derivatives)
+    return FunctionModel("tire on the ground", space, function, assumptions(n_meridian, n_hoop))
 
-    def function(values: Mapping[str, float]) -> dict[str, float]:
-        return tire_responses(tire_of(values), values["pressure"] * KPA, n_meridian, n_hoop, deflections, loads, orders)
 
-    assumptions = (
+def assumptions(n_meridian: int, n_hoop: int) -> tuple[Assumption, ...]:
+    """What the model takes for granted."""
+    return (
         Assumption("beads", "clamped", "-", "a mounted bead seat is far stiffer than a sidewall"),
-        Assumption("ground", "flat, without friction, met by the middle of the wall", "-", "Bozdog and Olson"),
+        Assumption("ground", "flat, without friction, met by the middle of the wall", "-", "Bozdog and Olson (2005)"),
         Assumption("theory", "no transverse shear, moderate rotations", "-", "a wall that is thin against its radii"),
         Assumption("mesh", f"{n_meridian} x {n_hoop}", "cells", "bead to bead, and around"),
     )
-    return FunctionModel("tire on the ground", ParameterSpace(parameters()), function, assumptions)
 
 
-def tire_responses(
-    tire: Tire,
-    pressure: float,
-    n_meridian: int,
-    n_hoop: int,
-    deflections: Sequence[float],
-    loads: Sequence[float] = (),
-    orders: Sequence[int] = (),
-) -> dict[str, float]:
-    """Responses of `tire_on_ground` at a pressure, Pa."""  # fmt: skip
-    ground = tire.on_ground(pressure, n_meridian, n_hoop)
-    inflated = ground.inflated
-    out = {"radius_inflated": inflated.radius / MM, "radius_growth": inflated.growth / MM}
-    last = None
-    if len(deflections):
-        centre = int(np.argmax(ground.rest))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RotationWarning)  # a search would repeat it at every point
-            curve = load_curve(ground, np.asarray(deflections) * MM).complete()
-        for name, step in zip((f"{d:g}" for d in deflections), curve.steps, strict=True):
-            last = step
-            out |= {
-                f"load_{name}": step.load, f"stiffness_{name}": step.stiffness * MM,
-                f"patch_length_{name}": patch_length(step) / MM, f"patch_width_{name}": patch_width(step) / MM,
-                f"bulge_{name}": bulge(step) / MM, f"centre_{name}": float(step.pressure[centre]) / KPA,
-            }  # fmt: skip
-            if step.largest_pressure_converges:
-                out[f"peak_{name}"] = step.largest_pressure / KPA
-    for load in loads:
-        step = press_to_load(ground, load, last)
-        out[f"radius_at_{load:g}"] = step.loaded_radius / MM
-    if len(orders):
-        cells = max(4 * max(orders), 48)
-        even = inflate(tire.wall(n_meridian, cells, 0.0), tire.wall(n_meridian, 1), pressure)
-        modes = hoop_modes(even, np.array(orders))
-        out |= {f"freq_{n}": float(f) for n, f in zip(orders, modes.frequencies[:, 0], strict=True)}
-    return out
+@dataclass(frozen=True)
+class TireFunction:
+    """The function of `tire_on_ground`.
+
+    Attributes
+    ----------
+    rig : Rig
+    derivatives : bool
+    """
+
+    rig: Rig
+    derivatives: bool
+
+    def __call__(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Responses, and derivatives where wanted."""
+        state = self.rig.solve(tire_of(values), values["pressure"] * KPA)
+        out = self.rig.responses(state)
+        if self.derivatives:
+            varied = _varied(values)
+            ranges = {name: p.upper - p.lower for name, p in varied.items()}
+            changes = {name: self._change(values, p) for name, p in varied.items()}
+            for name, slopes in self.rig.slopes(state, changes, ranges).items():
+                out |= {slope_entry(response, name): slope for response, slope in slopes.items()}
+        return out
+
+    def _change(self, values: Mapping[str, float], p: Parameter) -> Change:
+        places = Grid(tire_of(values).profile, self.rig.n_meridian).s_quarter
+        if p.name == "pressure":
+            n = len(places)
+            return Change(np.zeros((n, 6, 6)), np.zeros(n), pressure=KPA)
+        at = values.get(p.name, p.value)
+        return change(lambda value: tire_of({**values, p.name: value}), at, p.lower, p.upper, places)
+
+
+def _varied(values: Mapping[str, float]) -> dict[str, Parameter]:
+    """Parameters by which derivatives are returned: the model's, magnitudes of effects, nuisances of those in use."""
+    own = [p for p in parameters() if p.name not in SHAPING]
+    for effect in tire_effects():
+        own += effect.parameters if values.get(effect.name) else [effect.magnitude]
+    return {p.name: p for p in own}

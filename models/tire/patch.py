@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.tire.contact import Pressed
+from models.tire.tire import TREAD_WIDTH
 
 
 def patch_length(pressed: Pressed) -> float:
@@ -33,6 +34,14 @@ def bulge(pressed: Pressed) -> float:
     wall, inflated = pressed.ground.inflated.wall, pressed.ground.inflated.displacement
     moved = (wall.axial @ (pressed.displacement - inflated)).reshape(-1, wall.grid.n_hoop)[:, 0]
     return float(np.abs(moved).max())
+
+
+def shoulder(pressed: Pressed) -> float:
+    """Rise of the tread's edges below the axle since inflation, m, the mean of both sides."""
+    wall, inflated = pressed.ground.inflated.wall, pressed.ground.inflated.displacement
+    moved = (wall.height @ (pressed.displacement - inflated)).reshape(-1, wall.grid.n_hoop)[:, 0]
+    edges = np.array([0.5 - TREAD_WIDTH / 2, 0.5 + TREAD_WIDTH / 2]) * wall.grid.profile.length
+    return float(-np.interp(edges, wall.grid.s_node, moved).mean())
 
 
 def _fields(pressed: Pressed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -16,7 +16,7 @@ CODAZZI = 1e-3
 reach 2e-3, while their curvatures are off by their own size; 15 exact points reach 3e-4."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Profile:
     """Meridian of a surface of revolution over its arc length s in [0, length], as a spline with two derivatives.
 
@@ -129,6 +129,7 @@ class Profile:
         return first / np.linalg.norm(first, axis=-1, keepdims=True)
 
 
+@lru_cache(maxsize=8)
 def netting_profile(
     crown_radius: float, widest_radius: float, bead_radius: float, crown_angle: float, samples: int = 400
 ) -> Profile:

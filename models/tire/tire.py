@@ -18,6 +18,8 @@ from models.tire.profile import Profile, netting_profile
 
 RUBBER_DENSITY = 1150.0
 """Of cords and rubber alike, kg/m3 (assumed): 4.8 mm weigh 5.52 kg/m2."""
+TREAD_WIDTH = 0.35
+"""Share of the meridian that belt and tread cover (assumed)."""
 BEAD = 0.08
 """Share of the meridian beside a bead that counts as bead."""
 
@@ -73,7 +75,7 @@ class Tire:
     tread_thickness: float = 0.0
     tread_modulus: float = 5e6
     tread_compliance: float = 0.0
-    tread_width: float = 0.35
+    tread_width: float = TREAD_WIDTH
     density: float = RUBBER_DENSITY
     soft_bead: float = 0.0
     thin_sidewall: float = 0.0

@@ -1,0 +1,52 @@
+"""Derivatives that the tire returns: those of differences of solved equilibria."""
+
+import pytest
+
+from calib.function import slope_entry
+from models.tire.effects import tire_effects
+from models.tire.model import parameters, tire_on_ground
+
+GIVEN = {"n_meridian": 15, "n_hoop": 12, "deflections": (6.0, 12.0), "loads": (700.0,), "orders": (0, 2)}
+ALL = {p.name: p for p in (*parameters(), *(q for e in tire_effects() for q in e.parameters))}
+EXTENDED = {"belt": 0.4, "belt_angle": 20.0, "tread_compliance": 1.0, "soft_bead": 0.3, "thin_sidewall": 0.1}
+
+
+def at(values):
+    return {p.name: p.value for p in parameters()} | values
+
+
+@pytest.fixture(scope="module", params=[{}, EXTENDED], ids=["base", "extended"])
+def found(request):
+    values = at(request.param)
+    return values, tire_on_ground(**GIVEN).function(values)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("pressure", "crown_angle", "E_cord", "t_ply", "density", "cord_fraction"),
+        *("belt", "tread_layer", "tread_compliance", "soft_bead", "thin_sidewall", "halpin_tsai", "crown_mass"),
+    ],
+)
+def test_derivatives_are_those_of_solved_points(found, name):
+    """All but the tread's, whose layer moves the neutral axis: its second derivative spoils one-sided differences."""
+    values, out = found
+    p, middle = ALL[name], values.get(name, 0.0)
+    h = 2e-5 * (p.upper - p.lower)
+    points = [middle - h, middle + h] if middle else [0.0, h, 2 * h]
+    weights = [-0.5, 0.5] if middle else [-1.5, 2.0, -0.5]
+    solve = tire_on_ground(**GIVEN, derivatives=False).function
+    solved = [solve(values | {name: x}) for x in points]
+    names = [key for key in out if slope_entry(key, name) in out]
+    assert {"radius_growth", "load_12", "patch_length_6", "bulge_12", "radius_at_700", "freq_2"} <= set(names)
+    for key in names:
+        difference = sum(w * one[key] for w, one in zip(weights, solved, strict=True)) / h
+        scale = max(abs(difference), 1e-3 * abs(out[key]) / (p.upper - p.lower))
+        assert out[slope_entry(key, name)] == pytest.approx(difference, abs=1e-3 * scale), key
+
+
+def test_derivatives_exist_for_effects_in_use_and_for_the_magnitudes_of_others(found):
+    values, out = found
+    assert (slope_entry("load_12", "belt_angle") in out) == ("belt" in values)
+    assert all(slope_entry("load_12", e.name) in out for e in tire_effects())
+    assert slope_entry("load_12", "crown_radius") not in out and slope_entry("stiffness_12", "E_cord") not in out
