@@ -32,16 +32,17 @@ class Ground:
     Attributes
     ----------
     inflated : Inflated
-    compliance : float
+    compliance : float or (n_candidates,) ndarray
         Of the tread, m/Pa (thickness over modulus, Winkler); 0 is rigid.
     """
 
     inflated: Inflated
-    compliance: float = 0.0
+    compliance: float | np.ndarray = 0.0
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.compliance) or self.compliance < 0.0:
-            raise InputError(f"the tread compliance is {self.compliance:g} m/Pa, allowed is 0 and above")
+        least = np.min(self.compliance)
+        if not np.isfinite(self.compliance).all() or least < 0.0:
+            raise InputError(f"the tread compliance is {least:g} m/Pa, allowed is 0 and above")
         if self.inflated.wall.grid.n_hoop < 8:
             raise InputError(
                 f"{self.inflated.wall.grid.n_hoop} hoop cells cannot show a contact patch", remedy="take at least 8"
@@ -59,6 +60,11 @@ class Ground:
     def area(self) -> np.ndarray:
         """Area of the candidates, (n_candidates,), m2."""
         return self.inflated.wall.grid.area_node.ravel()[self.nodes]
+
+    @property
+    def softness(self) -> np.ndarray:
+        """Indentation of the tread at each candidate per force, (n_candidates,), m/N."""
+        return self.compliance / self.area
 
     @cached_property
     def rows(self) -> sparse.csr_array:
@@ -143,13 +149,13 @@ class Pressed:
         A Kirchhoff shell on rigid ground has a line force at the patch's edge, so the nodal pressure there grows
         without limit as the mesh is refined; the compliance of a tread spreads it.
         """
-        return self.ground.compliance > 0.0
+        return bool(np.min(self.ground.compliance) > 0.0)
 
     @property
     def energy(self) -> float:
         """Potential energy U - pV and that of the tread, J."""
         wall, p = self.ground.inflated.wall, self.ground.inflated.pressure
-        tread = self.ground.compliance * float((self.force**2 / self.ground.area).sum()) / 2
+        tread = float((self.force**2 * self.ground.softness).sum()) / 2
         return wall.energy(self.displacement, p) + tread
 
     @property
@@ -381,7 +387,7 @@ class _Linearised:
             chosen = np.flatnonzero(active)
             force = np.zeros(active.size)
             matrix = self.response[np.ix_(chosen, chosen)]
-            matrix = (matrix + matrix.T) / 2 + np.diag(self.ground.compliance / self.ground.area[chosen])
+            matrix = (matrix + matrix.T) / 2 + np.diag(self.ground.softness[chosen])
             stiffness = 0.0
             if chosen.size:
                 both = np.linalg.solve(matrix, np.stack([self.intrusion[chosen], np.ones(chosen.size)], axis=1))

@@ -94,7 +94,7 @@ class Tangent:
         self.rows = ground.rows[self.active]
         self.shift = self.factor.solve(self.rows.T.toarray(order="F"))
         matrix = self.rows @ self.shift
-        self.matrix = (matrix + matrix.T) / 2 + np.diag(ground.compliance / ground.area[self.active])
+        self.matrix = (matrix + matrix.T) / 2 + np.diag(ground.softness[self.active])
 
     def slope(self, by: Change, radius: float) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of displacement (n_dof,), m, and contact forces (n_candidates,), N, at a fixed deflection.

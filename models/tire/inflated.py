@@ -7,6 +7,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy import sparse
+from scipy.interpolate import CubicSpline
 from scipy.sparse import linalg
 
 from calib.errors import EvaluationError, InputError
@@ -145,6 +146,16 @@ class Inflated:
     def growth(self) -> float:
         """Radius gained by inflation, m."""
         return self.radius - float(self.wall.grid.profile.r(self.wall.grid.s_node).max())
+
+    @property
+    def widening(self) -> float:
+        """Width of the section gained by inflation, m; the widest place lies between nodes."""
+        grid = self.wall.grid
+        before = grid.profile.z(grid.s_node)
+        after = before + (self.wall.axial @ self.displacement).reshape(-1, grid.n_hoop)[:, 0]
+        fine = np.linspace(0.0, grid.profile.length, 40 * grid.n_meridian + 1)
+        widths = [np.ptp(CubicSpline(grid.s_node, z)(fine)) for z in (before, after)]
+        return float(widths[1] - widths[0])
 
     @cached_property
     def stiffness(self) -> SymmetricBand:

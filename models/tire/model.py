@@ -78,12 +78,13 @@ def tire_on_ground(
 ) -> FunctionModel:
     """A bias tire, inflated and pressed on flat ground.
 
-    Responses, with a number d for each deflection in mm and F for each load in N: ``radius_inflated`` and
-    ``radius_growth`` (mm); ``load_d`` (N), ``stiffness_d`` (N/mm), ``patch_length_d``, ``patch_width_d``, ``bulge_d``
-    (mm, largest axial displacement of the wall below the axle), ``shoulder_d`` (mm, rise of the tread's edges),
-    ``centre_d`` (kPa, contact pressure under the crown); ``radius_at_F`` (mm, loaded radius); ``freq_n`` (Hz) for each
-    hoop order n, lowest mode of the inflated tire free of the ground. With tread compliance also ``peak_d`` (kPa);
-    without, the largest pressure grows with the mesh and is no response.
+    Responses, with a number d for each deflection in mm and F for each load in N: ``radius_inflated``, and what crown
+    and width of the section gain by inflation, ``growth_crown`` and ``growth_width`` (mm); ``load_d`` (N),
+    ``stiffness_d`` (N/mm, slope of the load from the deflection before), ``patch_length_d``, ``patch_width_d``,
+    ``bulge_d`` (mm, largest axial displacement of the wall below the axle), ``shoulder_d`` (mm, rise of the tread's
+    edges), ``centre_d`` (kPa, contact pressure under the crown); ``radius_at_F`` (mm, loaded radius); ``freq_n`` (Hz)
+    for each hoop order n, lowest mode of the inflated tire free of the ground. With tread compliance also ``peak_d``
+    (kPa); without, the largest pressure grows with the mesh and is no response.
 
     Parameters
     ----------
@@ -95,9 +96,9 @@ def tire_on_ground(
         N, ascending.
     orders : sequence of int
     derivatives : bool
-        Whether it also returns derivatives, see `calib.function.slope_entry`: of all responses but the stiffness, by
-        all parameters but those that shape the profile, and by those of `tire_effects`. They take about as long as ten
-        further points.
+        Whether it also returns derivatives, see `calib.function.slope_entry`, by all parameters but those that shape
+        the profile, and by those of `tire_effects`. They take about as long as two further points; differences would
+        take thirty.
     """
     space = ParameterSpace(parameters())
     function = TireFunction(Rig(n_meridian, n_hoop, tuple(deflections), tuple(loads), tuple(orders)), derivatives)

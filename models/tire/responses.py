@@ -102,7 +102,6 @@ class Rig:
     def responses(self, state: State) -> dict[str, float]:
         """All responses; see `models.tire.model.tire_on_ground`."""
         out = self._static(state)
-        out |= {f"stiffness_{d}": step.stiffness * MM for d, step in state.steps.items()}
         if state.modes is not None:
             out |= dict(zip(self._frequencies, state.modes.frequencies[:, 0].tolist(), strict=True))
         return out
@@ -112,7 +111,7 @@ class Rig:
         return [f"freq_{order}" for order in self.orders]
 
     def slopes(self, state: State, changes: Mapping[str, Change], ranges: Mapping[str, float]) -> dict[str, dict]:
-        """Derivatives of the responses by each parameter, those of the vertical stiffness excepted.
+        """Derivatives of the responses by each parameter.
 
         Parameters
         ----------
@@ -154,13 +153,21 @@ class Rig:
         """Responses that follow from displacements and contact forces."""
         inflated = state.ground.inflated
         centre = int(np.argmax(state.ground.rest))
-        out = {"radius_inflated": inflated.radius / MM, "radius_growth": inflated.growth / MM}
+        out = {
+            "radius_inflated": inflated.radius / MM, "growth_crown": inflated.growth / MM,
+            "growth_width": inflated.widening / MM,
+        }  # fmt: skip
+        last = (0.0, 0.0)
         for d, step in state.steps.items():
+            # The tangent jumps whenever a node comes to touch; the slope between deflections does not.
+            here = (step.deflection / MM, step.load)
             out |= {
-                f"load_{d}": step.load, f"patch_length_{d}": patch_length(step) / MM,
+                f"load_{d}": step.load, f"stiffness_{d}": (here[1] - last[1]) / (here[0] - last[0]),
+                f"patch_length_{d}": patch_length(step) / MM,
                 f"patch_width_{d}": patch_width(step) / MM, f"bulge_{d}": bulge(step) / MM,
                 f"shoulder_{d}": shoulder(step) / MM, f"centre_{d}": float(step.pressure[centre]) / KPA,
             }  # fmt: skip
+            last = here
             if step.largest_pressure_converges:
                 out[f"peak_{d}"] = step.largest_pressure / KPA
         return out | {f"radius_at_{k}": step.loaded_radius / MM for k, step in state.loaded.items()}

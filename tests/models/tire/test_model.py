@@ -71,7 +71,7 @@ def test_the_largest_pressure_is_a_response_with_a_tread_only():
 @pytest.mark.parametrize(
     ("effect", "response", "sign"),
     [
-        ({"belt": 0.4, "belt_angle": 20.0}, "radius_growth", -1),
+        ({"belt": 0.4, "belt_angle": 20.0}, "growth_crown", -1),
         ({"tread_layer": 6.0}, "load_10", 1),
         ({"tread_compliance": 1.0}, "load_10", -1),
         ({"soft_bead": 0.5}, "load_10", -1),
