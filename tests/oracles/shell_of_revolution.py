@@ -7,7 +7,6 @@ error of the staggered grid nor one of its energy.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Protocol
@@ -129,9 +128,7 @@ def equilibrium(n1: Form, n2: Form, n12: Form, m1: Form, m2: Form, m12: Form) ->
 def operators() -> dict[tuple[int, int, int, int], PolyElement]:
     """Coefficients of the operators that give loads from u, v, w: (load, field, order by s, order by theta)."""
     strain = strains(*(Form.of(atom) for atom in "uvw"))
-    forces = tuple(
-        sum((stiffness(i, j) * strain[j] for j in range(6)), Form({})) for i in range(6)
-    )
+    forces = tuple(sum((stiffness(i, j) * strain[j] for j in range(6)), Form({})) for i in range(6))
     return {
         (m, "uvw".index(atom), a, b): factor
         for m, row in enumerate(adjoint(forces))
@@ -148,7 +145,7 @@ class Surface(Protocol):
     def dr(self, s): ...
     def k2(self, s): ...
     def k1(self, s): ...
-    def k1_slopes(self, s): ...
+    def k1_slopes(self, s): ...  # (3, n): first to third derivative of k1
 
 
 @dataclass(frozen=True)
@@ -188,21 +185,18 @@ class Torus:
         return np.zeros((3, *np.shape(s)))
 
 
-@cache
-def _compiled() -> Callable:
-    gens = RING.symbols
-    values = [factor.as_expr() for factor in operators().values()]
-    return sp.lambdify(gens, values, modules="numpy", cse=True)
-
-
 def coefficients(surface: Surface, s: np.ndarray, laminate: np.ndarray) -> dict[tuple[int, int, int, int], np.ndarray]:
     """Values of `operators` at arc lengths s (n,), for a laminate's stiffness (6, 6)."""
     r = surface.r(s)
-    values = _compiled()(
-        1 / r, surface.dr(s) / r, surface.k2(s), surface.k1(s), *surface.k1_slopes(s),
-        *(laminate[i, j] for i, j in ENTRIES),
-    )  # fmt: skip
-    return {key: np.broadcast_to(value, s.shape) for key, value in zip(operators(), values, strict=True)}
+    geometry = np.stack([1 / r, surface.dr(s) / r, surface.k2(s), surface.k1(s), *surface.k1_slopes(s)])
+    entries = np.array([laminate[i, j] for i, j in ENTRIES])
+    out = {}
+    for key, factor in operators().items():
+        out[key] = np.zeros(s.shape)
+        for powers, number in factor.terms():
+            of_geometry, of_laminate = np.array(powers[: len(geometry)]), np.array(powers[len(geometry) :])
+            out[key] += float(number) * np.prod(entries**of_laminate) * np.prod(geometry.T**of_geometry, axis=1)
+    return out
 
 
 STENCILS = {0: {0: 1.0}, 1: {-1: -0.5, 1: 0.5}, 2: {-1: 1.0, 0: -2.0, 1: 1.0},
