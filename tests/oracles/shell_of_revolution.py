@@ -148,43 +148,6 @@ class Surface(Protocol):
     def k1_slopes(self, s): ...  # (3, n): first to third derivative of k1
 
 
-@dataclass(frozen=True)
-class Torus:
-    """Circular section of radius a about a circle of radius R, m, to an angle on both sides of the crown, rad."""
-
-    centre: float = 0.3
-    a: float = 0.09
-    reach: float = float(np.radians(130.0))
-
-    @property
-    def length(self) -> float:
-        return 2 * self.reach * self.a
-
-    def phi(self, s):
-        return np.asarray(s) / self.a - self.reach
-
-    def r(self, s):
-        return self.centre + self.a * np.cos(self.phi(s))
-
-    def z(self, s):
-        return self.a * np.sin(self.phi(s))
-
-    def dr(self, s):
-        return -np.sin(self.phi(s))
-
-    def dz(self, s):
-        return np.cos(self.phi(s))
-
-    def k1(self, s):
-        return np.full(np.shape(s), 1 / self.a)
-
-    def k2(self, s):
-        return self.dz(s) / self.r(s)
-
-    def k1_slopes(self, s):
-        return np.zeros((3, *np.shape(s)))
-
-
 def coefficients(surface: Surface, s: np.ndarray, laminate: np.ndarray) -> dict[tuple[int, int, int, int], np.ndarray]:
     """Values of `operators` at arc lengths s (n,), for a laminate's stiffness (6, 6)."""
     r = surface.r(s)

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 import pytest
+from meridians import Torus
 from scipy.sparse.linalg import spsolve
 
 from models.tire.grid import Grid
@@ -17,7 +18,7 @@ from models.tire.micromechanics import Orthotropic
 
 pytest.importorskip("sympy", reason="needs sympy: pip install calib[dev]")
 
-from shell_of_revolution import Form, Torus, adjoint, clamped_response, equilibrium, operators
+from shell_of_revolution import Form, adjoint, clamped_response, equilibrium, operators
 
 PRESSURE = 2e5
 CORDS = Orthotropic(1e9, 1e8, 5e7, 0.3)
