@@ -28,18 +28,19 @@ class ClampedCylinder:
 
     def frequency(self, order: int, low: float, high: float, even: bool) -> float:
         """Hz, the only one between two frequencies at which w is even (or odd) about the middle of the length."""
-        return brentq(lambda f: self._misfit(order, f, even), low, high, xtol=1e-9 * high)
+        return brentq(lambda f: self._misfit(order, f, even), low, high, xtol=1e-7 * high)
 
     @cached_property
-    def _factors(self) -> dict[tuple[int, int, int, int], float]:
+    def _factors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Load, field and orders of each derivative, (4, n), and its factor, (n,)."""
         found = coefficients(self.surface, np.zeros(1), self.laminate)
-        return {key: factor[0] for key, factor in found.items() if factor[0]}
+        return np.array(list(found)).T, np.array(list(found.values()))[:, 0]
 
     def _matrix(self, order: int, frequency: float, exponent: complex) -> np.ndarray:
         """Loads over displacements, both exp(exponent s + i order theta)."""
         out = np.zeros((3, 3), complex)
-        for (m, f, a, b), factor in self._factors.items():
-            out[m, f] += factor * exponent**a * (1j * order) ** b
+        (m, f, a, b), factor = self._factors
+        np.add.at(out, (m, f), factor * exponent**a * (1j * order) ** b)
         k, around, n2, p = 1 / self.surface.radius, 1j * order / self.surface.radius, self.n2, self.pressure
         out[1, 1] += (n2 * k - p) * k
         out[1, 2] -= (n2 * k - p) * around

@@ -39,11 +39,13 @@ def test_modes_by_hoop_order_are_those_of_the_whole_wall():
     assert np.sort(each.ravel())[:16] == pytest.approx(whole, rel=1e-9)
     assert whole[-1] < found.frequencies.max(axis=1).min()  # orders and numbers within each are enough
     # The shape of an order, carried around the hoop, lies in the plane of its two modes.
-    grid, order = even.wall.grid, int(np.argmin(found.frequencies[:, 0]))
+    grid, order = even.wall.grid, 2
+    pair = np.abs(whole / found.frequencies[order, 0] - 1) < 1e-8
     ring = np.concatenate([number[number[:, 0] >= 0] for number in grid.numbers])
     carried = np.zeros(grid.n_dof, complex)
     carried[ring] = found.shapes[order, :, :1] * np.exp(1j * order * grid.theta_node)
-    plane = shapes[:, :2].T @ (even.wall.mass * carried)
+    plane = shapes[:, pair].T @ (even.wall.mass * carried)
+    assert pair.sum() == 2
     assert np.linalg.norm(plane) ** 2 == pytest.approx(float((even.wall.mass * np.abs(carried) ** 2).sum()), rel=1e-8)
 
 
@@ -81,7 +83,7 @@ def test_torsion_of_a_clamped_cylinder():
 
 @pytest.mark.parametrize(
     ("order", "cells", "tolerance"),
-    [(3, (16, 32), 8e-4), *(pytest.param(n, (20, 40, 80), 1e-4, marks=pytest.mark.slow) for n in (1, 2, 5))],
+    [(3, (10, 20), 4e-3), *(pytest.param(n, (16, 32, 64), 2e-4, marks=pytest.mark.slow) for n in (1, 2, 5))],
 )
 def test_a_clamped_cylinder_under_pressure_has_its_exact_frequencies(order, cells, tolerance):
     pytest.importorskip("sympy", reason="needs sympy: pip install calib[dev]")
@@ -98,4 +100,4 @@ def test_a_clamped_cylinder_under_pressure_has_its_exact_frequencies(order, cell
     exact = np.array([cylinder.frequency(order, 0.97 * f, 1.03 * f, k % 2 == 0) for k, f in enumerate(limit)])
     assert limit == pytest.approx(exact, rel=tolerance)
     for rate in orders_of(np.abs(np.array(found) - exact))[1:]:
-        assert rate == pytest.approx(np.full(3, 2.0), abs=0.15)
+        assert rate == pytest.approx(np.full(3, 2.0), abs=0.2)
