@@ -1,5 +1,6 @@
 """Modes by hoop order: against those of the whole wall, and against closed forms of ring and cylinder."""
 
+from dataclasses import dataclass, fields, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from meridians import Cylinder
 
 from models.tire import base_tire
+from models.tire.cells import Cells
 from models.tire.grid import Grid
 from models.tire.harmonics import hoop_modes
 from models.tire.inflated import Wall, inflate
@@ -17,13 +19,24 @@ AREAL_DENSITY = 5.0
 RADIUS = 0.3
 
 
+@dataclass(frozen=True)
+class StressedCells(Cells):
+    """Cells that carry given membrane forces N1 and N2 without being strained, N/m."""
+
+    membrane: tuple[float, float] = (0.0, 0.0)
+
+    def local_tangent(self, q):
+        forces = np.zeros((len(self.area), 6))
+        forces[:, :2] = self.area[:, None] * self.membrane
+        return self._local(self.rows[:, :6], self._weighted, forces)
+
+
 def stressed(surface, n, m, laminate, n1, n2, pressure):
     """An undeformed wall under given membrane forces and a pressure: what `hoop_modes` asks of an inflated tire."""
-    grid = Grid(surface, n, m, 0.0)
-    wall = Wall.build(grid, np.broadcast_to(laminate, (2 * n, 6, 6)), np.full(2 * n, AREAL_DENSITY))
-    forces = np.broadcast_to([n1, n2, 0.0, 0.0, 0.0, 0.0], (wall.cells.area.size, 6))
-    stiffness = wall.cells.linear_stiffness() + wall.cells.geometric_stiffness(forces)
-    return SimpleNamespace(wall=wall, stiffness=stiffness + wall.cells.banded(-wall.volume.curvature) * pressure)
+    wall = Wall.build(Grid(surface, n, m, 0.0), np.broadcast_to(laminate, (2 * n, 6, 6)), np.full(2 * n, AREAL_DENSITY))
+    parts = {f.name: getattr(wall.cells, f.name) for f in fields(Cells)}
+    wall = replace(wall, cells=StressedCells(**parts, membrane=(n1, n2)))
+    return SimpleNamespace(wall=wall, pressure=pressure, displacement=np.zeros(wall.grid.n_dof))
 
 
 def orders_of(errors):
