@@ -18,6 +18,8 @@ from models.tire.pressure import EnclosedVolume
 from models.tire.strains import strain_rows
 
 TOLERANCE = 1e-8  # of the meridian length, for the last Newton step
+REFUSED_STRAIN = 0.3
+"""Of a theory of small strains: their squares, which it leaves out, are then 15 % of them."""
 
 
 @lru_cache(maxsize=8)
@@ -214,7 +216,7 @@ def inflate(wall: Wall, strip: Wall, pressure: float, max_steps: int = 40) -> In
     InputError
         For a negative pressure.
     EvaluationError
-        Where no equilibrium is found.
+        Where no stable equilibrium is found, or the wall stretches beyond small strains.
     """
     if not np.isfinite(pressure) or pressure < 0.0:
         raise InputError(f"the inflation pressure is {pressure:g} Pa, allowed is 0 and above")
@@ -226,11 +228,18 @@ def inflate(wall: Wall, strip: Wall, pressure: float, max_steps: int = 40) -> In
         if trial is None:
             part /= 2
             if part < 1 / 64:
-                raise EvaluationError(f"no equilibrium of the tire beyond {pressure * reached:g} Pa of {pressure:g} Pa")
+                raise EvaluationError(
+                    f"no stable equilibrium of the tire beyond {pressure * reached:g} Pa of {pressure:g} Pa"
+                )
             continue
         q, used = trial
         steps += used
         reached = min(1.0, reached + part)
+    stretch = float(np.abs(strip.cells.strains(q)[:, :2]).max())
+    if stretch > REFUSED_STRAIN:
+        raise EvaluationError(
+            f"the wall stretches by {stretch:.0%} at {pressure:g} Pa, beyond small strains ({REFUSED_STRAIN:.0%})"
+        )
     return Inflated(wall, pressure, spread(strip, wall, q), steps, strip, q)
 
 
@@ -242,16 +251,17 @@ def spread(strip: Wall, wall: Wall, q: np.ndarray) -> np.ndarray:
 def _equilibrium(
     wall: Wall, q: np.ndarray, pressure: float, length: float, max_steps: int
 ) -> tuple[np.ndarray, int] | None:
-    """Newton's method at one pressure; None where it does not converge within a third of the meridian."""
+    """Newton's method at one pressure; None without a stable state that moves less than a third of the meridian."""
     for step in range(1, max_steps + 1):
         gradient, band = wall.tangent(q, pressure)
         try:
-            change = band.factor().solve(-gradient)
+            factor = band.factor()
+            change = factor.solve(-gradient)
         except EvaluationError:
             return None
         q = q + change
         if not np.abs(q).max() < length / 3:
             return None
         if np.abs(change).max() < TOLERANCE * length:
-            return q, step
+            return (q, step) if factor.positive_definite else None
     return None

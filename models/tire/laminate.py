@@ -29,8 +29,15 @@ class Ply:
     elastic: Orthotropic
 
     def __post_init__(self) -> None:
-        if not self.thickness > 0.0:
+        if not 0.0 < self.thickness < np.inf:
             raise InputError(f"the thickness of a ply is {self.thickness:g} m, but must be positive")
+        angle = np.asarray(self.angle, float)
+        wrong = angle[~(np.abs(angle) <= np.pi)]
+        if wrong.size:
+            raise InputError(
+                f"the cord angle of a ply is {wrong[0]:g} rad, allowed is half a turn to both sides",
+                remedy="give it in radians",
+            )
 
     @property
     def reduced(self) -> np.ndarray:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from calib.errors import InputError
 
 RULES = ("gough_tangorra", "akasaka_hirano", "halpin_tsai")
@@ -41,8 +43,11 @@ class CordRubber:
 
     def __post_init__(self) -> None:
         for name, value in (("cords", self.cord_modulus), ("rubber", self.rubber_modulus)):
-            if not value > 0.0:
+            if not 0.0 < value < np.inf:
                 raise InputError(f"the modulus of the {name} is {value:g} Pa, but must be positive")
+        for name, value in (("cords", self.cord_poisson), ("rubber", self.rubber_poisson)):
+            if not -1.0 < value <= 0.5:
+                raise InputError(f"Poisson's ratio of the {name} is {value:g}, allowed is above -1 to 0.5")
         if not 0.0 < self.cord_fraction < 1.0:
             raise InputError(f"the cord fraction is {self.cord_fraction:g}, allowed is between 0 and 1")
 
@@ -68,5 +73,15 @@ class CordRubber:
 
 
 def isotropic(modulus: float, poisson: float) -> Orthotropic:
-    """Constants of a layer without cords; modulus in Pa."""
+    """Constants of a layer without cords; modulus in Pa.
+
+    Raises
+    ------
+    InputError
+        For a modulus that is not positive or a Poisson's ratio outside -1 to 0.5.
+    """
+    if not 0.0 < modulus < np.inf:
+        raise InputError(f"the modulus of a layer is {modulus:g} Pa, but must be positive")
+    if not -1.0 < poisson <= 0.5:
+        raise InputError(f"Poisson's ratio of a layer is {poisson:g}, allowed is above -1 to 0.5")
     return Orthotropic(modulus, modulus, modulus / (2 * (1 + poisson)), poisson)

@@ -45,10 +45,20 @@ class Profile:
         Raises
         ------
         InputError
-            For fewer than 7 points, a point that is not finite or on the axis, a point given twice, beads at different
-            radii, a profile that crosses itself, or points too rough for the curvatures of a shell.
+            For radii that are not as many as axial positions, fewer than 7 points, a point that is not finite or on the
+            axis, a point given twice, beads at different radii, a profile that crosses itself, or points too rough for
+            the curvatures of a shell.
         """
-        given = np.column_stack([np.asarray(r, float), np.asarray(z, float)])
+        try:
+            r, z = np.asarray(r, float), np.asarray(z, float)
+        except (TypeError, ValueError):
+            raise InputError("the points of the profile are not numbers") from None
+        if r.ndim != 1 or r.shape != z.shape:
+            raise InputError(
+                f"radii of shape {r.shape} and axial positions of shape {z.shape} make no profile",
+                remedy="give one of each for a point",
+            )
+        given = np.column_stack([r, z])
         if len(given) < 7:
             raise InputError(f"a profile of {len(given)} points is too coarse", remedy="give at least 7, bead to bead")
         wrong = np.flatnonzero(~np.isfinite(given).all(axis=1) | (given[:, 0] <= 0.0))

@@ -24,6 +24,26 @@ BEAD = 0.08
 """Share of the meridian beside a bead that counts as bead."""
 
 
+_POSITIVE = "above 0", lambda value: value > 0.0
+_NOT_NEGATIVE = "0 and above", lambda value: value >= 0.0
+_SHARE = "below 1", lambda value: value < 1.0
+_FINITE = "any finite number", lambda value: True
+_ALLOWED = {
+    "ply_thickness": _POSITIVE,
+    "belt_thickness": _NOT_NEGATIVE,
+    "belt_modulus": _POSITIVE,
+    "tread_thickness": _NOT_NEGATIVE,
+    "tread_modulus": _POSITIVE,
+    "tread_compliance": _NOT_NEGATIVE,
+    "tread_width": ("above 0 to 1", lambda value: 0.0 < value <= 1.0),
+    "density": _POSITIVE,
+    "soft_bead": _SHARE,
+    "thin_sidewall": _SHARE,
+    "halpin_tsai": _FINITE,
+    "crown_mass": _FINITE,
+}
+
+
 @dataclass(frozen=True)
 class Tire:
     """A bias tire with clamped beads.
@@ -61,6 +81,12 @@ class Tire:
         Share of the way, in logarithms, from the constants of `rule` to those of Halpin and Tsai.
     crown_mass : float
         Further mass under the tread, kg/m2.
+
+    Raises
+    ------
+    InputError
+        For an odd number of plies, an unknown rule, angles beyond a right angle, a thickness, modulus or density that
+        is not positive, a share of 1 and more, or a mass that is taken from where there is none.
     """
 
     profile: Profile
@@ -83,16 +109,26 @@ class Tire:
     crown_mass: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.n_plies < 2 or self.n_plies % 2:
+        if not self.n_plies >= 2 or self.n_plies % 2:
             raise InputError(f"{self.n_plies} plies cannot alternate their angles in pairs", remedy="take 2, 4, 6, ...")
-        for name in ("soft_bead", "thin_sidewall"):
-            if not getattr(self, name) < 1.0:
-                raise InputError(f"{name} is {getattr(self, name):g}, allowed is below 1")
-        for name in ("belt_thickness", "tread_thickness", "tread_compliance"):
-            if not getattr(self, name) >= 0.0:
-                raise InputError(f"{name} is {getattr(self, name):g}, allowed is 0 and above")
-        if not 0.0 < self.tread_width <= 1.0:
-            raise InputError(f"tread_width is {self.tread_width:g}, allowed is above 0 to 1")
+        if self.rule not in RULES:
+            raise InputError(f"unknown rule of micromechanics '{self.rule}'", remedy=f"take one of {', '.join(RULES)}")
+        for name, (kind, allowed) in _ALLOWED.items():
+            value = getattr(self, name)
+            if not (np.isfinite(value) and allowed(value)):
+                raise InputError(f"{name} of a tire is {value:g}, allowed is {kind}")
+        if not 0.0 < self.crown_angle < np.pi / 2:
+            raise InputError(
+                f"the crown angle is {np.degrees(self.crown_angle):g} degrees, allowed is above 0 to below 90",
+                remedy="give it in radians, from the circumference",
+            )
+        if not abs(self.belt_angle) <= np.pi / 2:
+            raise InputError(
+                f"the belt angle is {np.degrees(self.belt_angle):g} degrees, allowed is -90 to 90",
+                remedy="give it in radians, from the circumference",
+            )
+        if not np.all(self.areal_density(np.array([0.5 * self.profile.length])) > 0.0):
+            raise InputError(f"crown_mass of a tire is {self.crown_mass:g} kg/m2 and takes more than the tread weighs")
 
     @cached_property
     def crown_radius(self) -> float:
