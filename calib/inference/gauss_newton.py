@@ -146,7 +146,10 @@ class FitResult:
 
     @property
     def history(self) -> pd.DataFrame:
-        """``iteration, misfit, data_misfit, prior_misfit, step, damping``; ``step`` is the largest change over the range."""
+        """``iteration, misfit, data_misfit, prior_misfit, step, damping``.
+
+        ``step`` is the largest change over the range.
+        """
         columns = ["iteration", "misfit", "data_misfit", "prior_misfit", "step", "damping"]
         return pd.DataFrame(list(self.steps), columns=columns)
 
