@@ -154,6 +154,7 @@ def panel_truth():
     return np.sqrt(squares) / (2 * np.pi), np.asarray(twin.sensor_rows(sensors) @ vectors)
 
 
+@pytest.mark.slow
 def test_modes_of_the_solar_array_are_those_of_the_structure_that_was_measured():
     def read(files):
         return calib.read_frfs(files, sensors=MEASURED / "sensors.csv", synthetic=True)
