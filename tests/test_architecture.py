@@ -2,6 +2,7 @@
 
 import ast
 import tomllib
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -53,13 +54,21 @@ def tree_of(file: Path) -> ast.Module:
     return ast.parse(file.read_text("utf-8"))
 
 
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """A statement and all below it; expressions, which hold most of the nodes and no import, are passed over."""
+    yield node
+    for field in ("body", "handlers", "orelse", "finalbody", "cases"):
+        for below in getattr(node, field, ()):
+            yield from statements(below)
+
+
 @cache
 def imports(file: Path, run_only: bool = False) -> set[str]:
     """What a file imports; where asked for without what it imports for types only."""
     found = set()
     tree = tree_of(file)
     typed = [n for n in tree.body if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING" and run_only]
-    for node in (node for part in tree.body if part not in typed for node in ast.walk(part)):
+    for node in (node for part in tree.body if part not in typed for node in statements(part)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:

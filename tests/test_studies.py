@@ -126,6 +126,7 @@ def test_without_the_truth_every_result_is_the_same(tmp_path):
     assert tables["here"] == tables["copy"]
 
 
+@pytest.mark.slow
 def test_unknown_masses_are_reported_as_not_separable(undrawn, tmp_path, capsys):
     question = ["calibrate", str(ROOT / "studies/four_storey_rig_masses"), "--results", str(tmp_path)]
     assert cli.execute([*question, "--method", "gauss-newton", "--quick"]) == 0

@@ -117,8 +117,8 @@ class FitResult:
         Why the fit ended, in words.
     active_limits, active_constraints : tuple of str
         Such as ``K_primary at its upper limit``.
-    history : DataFrame
-        ``iteration, misfit, data_misfit, prior_misfit, step, damping``; ``step`` is the largest change over the range.
+    steps : tuple of tuple
+        Rows of `history`, which few ask for and which takes longer to make than a small model to solve.
     residual : ndarray (n_rows,)
     jacobian : ndarray (n_rows, n_params)
         At the end, for `calib.inference.identify`.
@@ -135,7 +135,7 @@ class FitResult:
     reason: str
     active_limits: tuple[str, ...]
     active_constraints: tuple[str, ...]
-    history: pd.DataFrame
+    steps: tuple[tuple[float, ...], ...]
     residual: np.ndarray
     jacobian: np.ndarray
 
@@ -143,6 +143,15 @@ class FitResult:
     def misfit(self) -> float:
         """Sum of squares that was minimised."""
         return self.data_misfit + self.prior_misfit
+
+    @property
+    def history(self) -> pd.DataFrame:
+        """``iteration, misfit, data_misfit, prior_misfit, step, damping``.
+
+        ``step`` is the largest change over the range.
+        """
+        columns = ["iteration", "misfit", "data_misfit", "prior_misfit", "step", "damping"]
+        return pd.DataFrame(list(self.steps), columns=columns)
 
 
 def fit(
@@ -187,7 +196,8 @@ def fit(
     here = search.at(region.nearest(region.start))
     if here is None:
         raise again(search.fault, f"the fit cannot start: {search.fault}")
-    rows, mu, growth = [], 0.0, 2.0
+    mu, growth = 0.0, 2.0
+    rows: list[tuple[float, ...]] = []
     rows.append((0, here.misfit, here.data, here.prior, 0.0, math.nan))
     iteration, rejected, reason, converged = 0, 0, "", False
     first = math.nan
@@ -224,7 +234,6 @@ def fit(
         size = float(np.max(np.abs(there.x - here.x)))
         rows.append((iteration, there.misfit, there.data, there.prior, size, mu))
         here, slope = there, search.slope(there)
-    columns = ["iteration", "misfit", "data_misfit", "prior_misfit", "step", "damping"]
     limits, constraints = region.active(here.x)
     return FitResult(
         names=region.names,
@@ -238,7 +247,7 @@ def fit(
         reason=reason,
         active_limits=limits,
         active_constraints=constraints,
-        history=pd.DataFrame(rows, columns=columns),
+        steps=tuple(rows),
         residual=here.residual,
         jacobian=slope,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import nnls
@@ -73,7 +74,7 @@ class Region:
             labels=tuple(labels),
         )
 
-    @property
+    @cached_property
     def _inequalities(self) -> tuple[np.ndarray, np.ndarray]:
         """All limits and constraints as ``rows @ x >= least``."""
         one = np.eye(len(self.names))
@@ -112,6 +113,9 @@ class Region:
         target = -(q.T @ np.concatenate([right, np.zeros(n)]))
         rows, least = self._inequalities
         room = np.minimum(least - rows @ x, 0.0)  # the present point is feasible up to rounding
+        free = np.linalg.solve(r, target)
+        if np.all(rows @ free >= room):
+            return free
         # With z = r d - target the problem is to find the shortest z that keeps all constraints.
         transformed = np.linalg.solve(r.T, rows.T).T
         size = np.linalg.norm(transformed, axis=1)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import find_peaks
 
 WIDTHS = 5.0
 """Window around a resonance over its half-power width: at its ends a mode has 1/26 of its power at the peak."""
@@ -54,6 +53,8 @@ def resonances(
     noise : ndarray (n_freq,) or float
         Mean power of the noise; see `ABOVE_NOISE`.
     """
+    from scipy.signal import find_peaks  # slow to import, and not every command looks for resonances
+
     level = 10 * np.log10(np.maximum(power, 1e-300))
     peaks, _ = find_peaks(level, prominence=max(prominence, HALF_POWER))
     loud = peaks[(power >= ABOVE_NOISE * noise)[peaks]]

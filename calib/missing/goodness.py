@@ -57,12 +57,17 @@ def goodness(fit: Fit, labelled: Labelled) -> tuple[pd.DataFrame, pd.DataFrame]:
     modes : DataFrame
         ``mode, kind, chi2, dof, p``.
     """
-    layout = Layout.of(labelled)
-    kept = np.ones((1, len(layout.which)), dtype=bool)
-    found = layout.sums(fit.residual[None] ** 2, row_dof(fit.slope, fit.prior_sd)[None], kept)
+    layout, found = _sums_of(fit, labelled)
     kinds = pd.DataFrame({"kind": list(layout.kinds), **{name: a[0] for name, a in found.kinds.items()}})
     names = {"mode": [mode for mode, _ in layout.blocks], "kind": [kind for _, kind in layout.blocks]}
     return kinds, pd.DataFrame(names | {name: a[0] for name, a in found.modes.items()})
+
+
+def _sums_of(fit: Fit, labelled: Labelled) -> tuple[Layout, Sums]:
+    """Sums of squares of one fit to all rows."""
+    layout = Layout.of(labelled)
+    kept = np.ones((1, len(layout.which)), dtype=bool)
+    return layout, layout.sums(fit.residual[None] ** 2, row_dof(fit.slope, fit.prior_sd)[None], kept)
 
 
 class Sums(NamedTuple):
@@ -182,6 +187,11 @@ def overall(kinds: pd.DataFrame, modes: pd.DataFrame) -> float:
     return float(_overall(worst[:1], np.array([len(kinds)]), worst[1:], np.array([len(shapes)]))[0])
 
 
+def overall_p(fit: Fit, labelled: Labelled) -> float:
+    """What `overall` gives for the tables of `goodness`, without making them."""
+    return float(_sums_of(fit, labelled)[1].overall[0])
+
+
 def misfit_factor(kinds: pd.DataFrame, modes: pd.DataFrame, level: float) -> float:
     """Factor on the standard deviation that brings the worst failing part of the test of `overall` to its expectation.
 
@@ -205,7 +215,12 @@ def noise_scale(modes: pd.DataFrame) -> float:
     that share a factor then test as different in 0.4 to 0.7 % of the cases, at a level of 1 %.
     """
     chi2, dof = modes["chi2"].to_numpy(dtype=float), modes["dof"].to_numpy(dtype=float)
-    used = _of_shapes(modes) & (dof >= 5)
+    return _noise_scale(chi2, dof, _of_shapes(modes))
+
+
+def _noise_scale(chi2: np.ndarray, dof: np.ndarray, of_shapes: np.ndarray) -> float:
+    """See `noise_scale`; all (n_blocks,)."""
+    used = of_shapes & (dof >= 5)
     chi2, dof = chi2[used], dof[used]
     if len(dof) < 4:
         return float("nan")
@@ -246,13 +261,19 @@ def common_scale(fit: Fit, labelled: Labelled, level: float) -> float:
     A bad channel raises the misfit of all mode shapes as an understated standard deviation does, but at one sensor.
     When one stands out at ``level`` (`lone_sensor`), the factor is that of the other sensors.
     """
-    factor = noise_scale(goodness(fit, labelled)[1])
+    factor = _noise_scale_of(fit, labelled)
     lone = lone_sensor(fit, labelled, level) if factor > 1 else None
     if lone is None:
         return factor
     kept = [k for k, row in enumerate(labelled.rows) if row.sensor != lone]
     rest = _Part(np.asarray(fit.residual)[kept], np.asarray(fit.slope)[kept], fit.prior_sd)
-    return noise_scale(goodness(rest, Rows.of(labelled, kept))[1])
+    return _noise_scale_of(rest, Rows.of(labelled, kept))
+
+
+def _noise_scale_of(fit: Fit, labelled: Labelled) -> float:
+    layout, found = _sums_of(fit, labelled)
+    of_shapes = np.array([kind == "shape" for _, kind in layout.blocks], dtype=bool)
+    return _noise_scale(found.modes["chi2"][0], found.modes["dof"][0], of_shapes)
 
 
 class _Part(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from calib.degrees_of_freedom import LEAST_DOF, chance, hat_root
-from calib.missing.goodness import Fit, Layout, goodness, overall
+from calib.missing.goodness import Fit, Layout, overall_p
 from calib.missing.recommendation import as_ratio
 from calib.missing.rules import RULES
 from calib.problem import Label, Labelled
@@ -117,7 +117,7 @@ def suspects(
         `COLUMNS`; data that explain the misfit first, those of fewer rows and larger decrease before others. Empty when
         everything fits and without a converged fit.
     """
-    if not fit.converged or overall(*goodness(fit, labelled)) > level:
+    if not fit.converged or overall_p(fit, labelled) > level:
         return pd.DataFrame(columns=list(COLUMNS))
     e, root, data = np.asarray(fit.residual, dtype=float), hat_root(fit.slope, fit.prior_sd), data_of(labelled.rows)
     layout = Layout.of(labelled)

@@ -8,7 +8,7 @@ import pandas as pd
 from calib.errors import EvaluationError
 from calib.missing.evidence import ln_evidence, ln_wrong
 from calib.missing.explanation import CandidateFit, WrongDatum
-from calib.missing.goodness import goodness, overall
+from calib.missing.goodness import overall_p
 from calib.missing.hypotheses import Altered
 from calib.missing.linearised_fit import FINE, fitted
 from calib.missing.refits import Refits, near_to
@@ -51,7 +51,7 @@ def wrong_datum(fits: Refits, base: CandidateFit, accused: pd.DataFrame, best: C
         slope = fit_problem.jacobian(rest.values, rest.names)[gone]
     except EvaluationError:
         return None
-    p_fit = overall(*goodness(rest, Rows.of(h, kept)))
+    p_fit = overall_p(rest, Rows.of(h, kept))
     if p_fit <= fits.settings.alpha:
         return None
     covariance = np.eye(len(gone)) + slope @ rest.covariance @ slope.T

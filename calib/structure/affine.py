@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -269,9 +270,11 @@ class AffineMatrix:
             {key: (np.searchsorted(keys, _key(rows, cols, n)), data) for key, (rows, cols, data) in options.items()}
             for options in blocks
         ]
+        indptr = np.searchsorted(keys, np.arange(n + 1, dtype=np.int64) * n).astype(np.int32)
+        form = sp.csc_array((np.zeros(len(keys)), (keys % n).astype(np.int32), indptr), shape=(n, n))
+        form.has_sorted_indices = form.has_canonical_format = True
         return _Pattern(
-            indptr=np.searchsorted(keys, np.arange(n + 1, dtype=np.int64) * n).astype(np.int32),
-            indices=(keys % n).astype(np.int32),
+            form=form,
             stack=_stacked(rows, [coo.data for coo in coos], len(keys)),
             picks=tuple(picks),
         )
@@ -295,30 +298,41 @@ class AffineMatrix:
         for term, pick in zip(self.selected, pattern.picks, strict=True):
             where, entries = pick[term.choice(values)]
             data[where] += term.coefficient(values) * entries
-        return sp.csc_array((data, pattern.indices, pattern.indptr), shape=(self.n_dof, self.n_dof))
+        return _with_data(pattern.form, data)
 
     def derivative(self, values: Mapping[str, float], name: str) -> sp.csc_array:
         """Derivative of the matrix with respect to one parameter in SI, shape (n_dof, n_dof).
 
         It holds only entries that the parameter changes. A discrete parameter that selects a vector counts as fixed.
         """
-        parts: list[sp.csr_array] = []
-        for term in self.terms:
-            slope = term.coefficient.derivative(values, name) if name in term.coefficient.names else 0.0
-            if slope:
-                parts.append(slope * term.matrix)
-        for chosen in self.selected:
-            slope = chosen.coefficient.derivative(values, name) if name in chosen.coefficient.names else 0.0
-            if slope:
-                b = sp.csr_array(chosen.vectors[chosen.choice(values)][None])
-                parts.append(sp.csr_array(slope * (b.T @ b)))
-        return sp.csc_array(sum(parts[1:], parts[0]) if parts else (self.n_dof, self.n_dof))
+        terms, selected = self._changed_by.get(name, ((), ()))
+        parts: list[sp.csc_array] = []
+        for term in terms:
+            if slope := term.coefficient.derivative(values, name):
+                # Symmetric, as each term is: the transpose is the same matrix, compressed by columns at no cost.
+                parts.append(_with_data(term.matrix, slope * term.matrix.data).T)
+        for chosen in selected:
+            if slope := chosen.coefficient.derivative(values, name):
+                b = sp.csc_array(chosen.vectors[chosen.choice(values)][:, None])
+                parts.append(sp.csc_array(slope * (b @ b.T)))
+        return sum(parts[1:], parts[0]) if parts else sp.csc_array((self.n_dof, self.n_dof))
+
+    @cached_property
+    def _changed_by(self) -> Mapping[str, tuple[tuple[Term, ...], tuple[SelectedTerm, ...]]]:
+        """Terms that depend on each parameter: most depend on one or none."""
+        terms = [(term, term.coefficient.names) for term in self.terms]
+        selected = [(term, term.coefficient.names) for term in self.selected]
+        known = frozenset().union(*(names for _, names in (*terms, *selected)))
+        return {
+            name: (tuple(t for t, names in terms if name in names), tuple(t for t, names in selected if name in names))
+            for name in known
+        }
 
     def digest(self) -> bytes:
         """Hash over every term, for the model's fingerprint."""
         out = hashlib.sha256(repr((self.n_dof, [(t.name, t.coefficient) for t in self.terms])).encode())
         stack = self._pattern.stack
-        for array in (self._pattern.indptr, self._pattern.indices, stack.indptr, stack.indices, stack.data):
+        for array in (self._pattern.form.indptr, self._pattern.form.indices, stack.indptr, stack.indices, stack.data):
             out.update(np.ascontiguousarray(array).tobytes())
         for term in self.selected:
             out.update(repr((term.name, term.coefficient, term.selectors, sorted(term.vectors))).encode())
@@ -331,10 +345,16 @@ class AffineMatrix:
 class _Pattern:
     """The common sparsity pattern, entries of the terms (n_entries, n_terms) and of every selected vector."""
 
-    indptr: np.ndarray
-    indices: np.ndarray
+    form: sp.csc_array
     stack: sp.csr_array
     picks: tuple[Mapping[tuple[int, ...], tuple[np.ndarray, np.ndarray]], ...]
+
+
+def _with_data(form: Any, data: np.ndarray) -> Any:
+    """A matrix of the same pattern with other entries; making one anew takes longer than to solve a small model."""
+    out = copy.copy(form)
+    out.data = data
+    return out
 
 
 def _stacked(rows: list[np.ndarray], entries: list[np.ndarray], size: int) -> sp.csr_array:

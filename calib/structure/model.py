@@ -238,8 +238,13 @@ class StructuralModel(Analytic):
         """dK, dC, dM with respect to one parameter in its own unit; integer parameters count as fixed."""
         si = self.space.si(self.space.complete(values))
         factor = self.space[name].si_factor
-        stiffness, damping, mass = (m.derivative(si, name) * factor for m in (self.stiffness, self.damping, self.mass))
+        slopes = (m.derivative(si, name) for m in (self.stiffness, self.damping, self.mass))
+        stiffness, damping, mass = (slope * factor if slope.nnz and factor != 1 else slope for slope in slopes)
         return stiffness, damping, mass
+
+    def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
+        """Shapes times the mass matrix, (n_dof, n_modes), the weight of their orthogonality."""
+        return np.asarray(self.mass(self.space.si(self.space.complete(values))) @ shapes)
 
     def modes(self, values: Mapping[str, float], count: int) -> Modes:
         """The ``count`` lowest vibration modes at named values.

@@ -80,6 +80,7 @@ def test_a_point_that_the_basis_misses_is_estimated_seen_and_added(study, result
     assert better.basis.version == 2 and better.path.exists() and not better.misses_at(values)
 
 
+@pytest.mark.slow
 def test_an_explanation_on_the_basis_is_that_at_full_order(study, results):
     answer = explain(study, results)
     assert list(results.path.glob("basis_effects_*.npz"))

@@ -156,7 +156,7 @@ def test_results_of_another_state_of_the_study_are_repeated(found, capsys, file,
     assert "comes first" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("on_paper", [True, False])
+@pytest.mark.parametrize("on_paper", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_results_that_rest_on_adopted_values_are_stale_when_those_change(stages, on_paper):
     def outdated():
         given = StudyFile.read(Path("two")) if on_paper else _two()

@@ -164,6 +164,7 @@ def test_the_measures_can_choose_the_parameters(mast, capsys):
     assert set(read("results/mast", "parameters.csv")["parameter"]) == {"m_top", "K_base"}
 
 
+@pytest.mark.slow
 def test_morris_and_sobol_on_request(mast):
     for method, column in (("morris", "mu_star"), ("sobol", "ST")):
         assert cli.execute(["sensitivity", "mast", "--method", method, "--quick", "--workers", "1"]) == 0
@@ -183,6 +184,7 @@ def test_rows_of_the_reduced_problem_are_not_called_stale(here, capsys):
     assert "another state" not in first + again
 
 
+@pytest.mark.slow
 def test_report_draws_and_tells_from_tables_alone(whole, answered, drawn, unrendered, monkeypatch, capsys):
     told = Path("results/mast/report.html")
     assert f"Report:   {told}" in whole[1]

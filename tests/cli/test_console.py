@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 
 from calib import cli, terminal
+from calib.analyses import explain as explaining
 from calib.analyses.sensitivity import Screening
 from calib.console.printing import printing
 from calib.results import Results
@@ -81,8 +82,15 @@ def test_an_answer_in_four_lines_comes_first_and_is_that_of_the_record(guyed, ca
     assert all(stored.values()) and Path(answer[3][terminal.LABEL :]).exists()
 
 
-def test_an_explanation_fits_on_one_screen_and_tells_all_on_request(guyed, wide, explanation):
-    out = {}
+def test_an_explanation_fits_on_one_screen_and_tells_all_on_request(guyed, wide, explanation, monkeypatch):
+    out, answers = {}, []
+
+    def once(*given, **more):  # what is printed is the subject, so that it is computed once
+        answers[:] = answers or [compute(*given, **more)]
+        return answers[0]
+
+    compute = explaining.explain
+    monkeypatch.setattr(explaining, "explain", once)
     for options in ((), ("--verbose",)):
         stream = wide(80)
         assert cli.execute(["explain", "mast", *options]) == 0

@@ -127,6 +127,7 @@ def test_a_rejected_candidate_fit_is_reported_as_one(guyed, capsys, explanation)
     assert set(pd.read_csv("results/mast/misfit_kinds.csv")["stage"]) == {"base", "attempt"}
 
 
+@pytest.mark.slow
 def test_one_effect_is_told_in_the_singular(guyed, capsys):
     (guyed / "effects.py").write_text(
         (guyed / "effects.py").read_text()

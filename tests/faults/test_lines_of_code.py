@@ -230,7 +230,7 @@ def library():
           ("sd=0.5)", "sd=0.5)⟧")), Study.load),
         ((("BODY", "pass"), ("return (Effect", "return [Effect"), (", build),)", ", build)]"),
           ("def library", "def ⟦library⟧")), Study.load),
-        ((("BODY", "return lambda values: ⟦values['gone']⟧"),), compare),
+        pytest.param((("BODY", "return lambda values: ⟦values['gone']⟧"),), compare, marks=pytest.mark.slow),
         pytest.param((("BODY", "def ⟦bent⟧(values):\n        return {'y': 1.0}\n    return bent"),), compare,
                      marks=pytest.mark.slow),
         pytest.param((("BODY", "def ⟦bent⟧(values):\n        return {'y': 1.0, 'z': float('nan')}\n    return bent"),),

@@ -67,7 +67,7 @@ def test_modes_are_compared_and_fitted_as_in_the_study(rig, tmp_path):
 
 
 @pytest.mark.parametrize("discriminated", [False, True])
-def test_a_parameter_is_identified_where_starts_that_fit_equally_well_agree(discriminated, tmp_path):
+def test_a_parameter_is_identified_where_starts_that_fit_equally_well_agree(discriminated, unrendered, tmp_path):
     """Both roots of ``y = 1`` fit; only an accurate z discriminates between them."""
     space = calib.ParameterSpace((calib.Parameter("a", 0.5, -3.0, 3.0),))
     model = calib.FunctionModel("square", space, lambda v: {"y": v["a"] ** 2, "z": 1 + 0.01 * v["a"]})

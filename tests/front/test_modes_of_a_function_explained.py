@@ -51,6 +51,7 @@ def test_with_the_prop_the_function_is_fitted_as_the_matrices_are(explained):
         assert own.parameters.loc[name, "std"] == pytest.approx(std, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_nothing_is_named_where_nothing_is_missing():
     problem = calib.Problem(as_function(), calib.ModalTest(measured(), mode_count=14))
     assert problem.explain(effects_of_function()).verdict == "nothing_detectable"
@@ -103,6 +104,7 @@ def test_an_effect_that_builds_no_function_is_refused():
             ask([effect])
 
 
+@pytest.mark.slow
 def test_points_at_which_an_effect_fails_are_told():
     def build(model):
         def failing(v):

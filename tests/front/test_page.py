@@ -48,7 +48,7 @@ def test_the_report_holds_every_value(fit, tmp_path):
     assert "Analyses not run" not in text and not re.search(r"""(src|href)=["']http""", text)
 
 
-def test_several_tests_have_a_report_each(tmp_path):
+def test_several_tests_have_a_report_each(unrendered, tmp_path):
     space = calib.ParameterSpace((calib.Parameter("k", 3.0, 1.0, 9.0),))
     model = calib.FunctionModel("spring", space, lambda v: {"u": 1 / v["k"], "w": v["k"] ** 2})
     tests = [calib.ResponseTest({"u": (0.25, 0.001), "w": (16.0, 0.1)}, name=name) for name in ("a", "b")]
@@ -61,7 +61,7 @@ def test_several_tests_have_a_report_each(tmp_path):
         fit.figure("frequency_errors", test="b")
 
 
-def test_what_cannot_be_drawn_or_written_is_refused(fit, tmp_path):
+def test_what_cannot_be_drawn_or_written_is_refused(fit, unrendered, tmp_path):
     for name in ("nothing", "mac"):  # no shapes were measured
         with pytest.raises(calib.InputError):
             fit.figure(name)

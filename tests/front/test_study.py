@@ -1,5 +1,7 @@
 """A study in a folder, run from Python, gives the results of the command."""
 
+import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +17,20 @@ STUDIES = Path(__file__).resolve().parents[2] / "studies"
 
 @pytest.fixture(scope="module")
 def rig(no_drawing, tmp_path_factory):
-    """The four-storey rig: run here, and by the command, each into its own folder; no figures are drawn."""
+    """The four-storey rig: run here, and by the command, each into its own folder; no figures are drawn.
+
+    Of its four cases two are left, which still have to agree.
+    """
     root = tmp_path_factory.mktemp("rig")
-    study = calib.Study.load(STUDIES / "four_storey_rig", root / "here", workers=1, quick=True)
+    own = shutil.copytree(STUDIES / "four_storey_rig", root / "four_storey_rig")
+    text = (own / "study.toml").read_text("utf-8")
+    (own / "study.toml").write_text(re.sub(r"(?m)^.*name = \"R[34]\".*\n", "", text), "utf-8")
+    study = calib.Study.load(own, root / "here", workers=1, quick=True)
     there = ["--results", str(root / "there"), "--workers", "1"]
     with no_drawing():
         answers = study.compare(), study.sensitivity(), study.calibrate()
         for verb, *more in (("compare",), ("sensitivity", "--quick"), ("calibrate", "--quick")):
-            assert cli.execute([verb, str(STUDIES / "four_storey_rig"), *there[: 4 if more else 2], *more]) == 0
+            assert cli.execute([verb, str(own), *there[: 4 if more else 2], *more]) == 0
     return study, answers, root
 
 
@@ -65,7 +73,7 @@ def test_the_problem_of_a_study_is_fitted_as_the_study_is(rig):
     assert set(fit.values) >= set(study.loaded.search_space.free_names)
 
 
-def test_the_problem_of_scalar_responses_is_that_of_the_study():
+def test_the_problem_of_scalar_responses_is_that_of_the_study(functions_in_this_process):
     study = calib.Study.load(STUDIES / "five_mass_chain")
     problem = study.problem
     assert dict(problem.tests.measured.targets) == dict(study.loaded.responses.targets)

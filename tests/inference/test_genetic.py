@@ -75,12 +75,12 @@ def test_same_seed_same_table_whatever_the_global_state():
     assert not np.array_equal(first[1], other[1])
 
 
-def test_finds_the_bottom_of_a_bowl_in_ten_parameters():
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_finds_the_bottom_of_a_bowl_in_ten_parameters(seed):
     space = box(10, -5.0, 15.0)
-    for seed in (1, 2):
-        populations, misfits = play(space, GeneticSettings(), seed, lambda x: np.sum((x - 2.0) ** 2, axis=1))
-        found = populations.reshape(-1, 10)[np.argmin(misfits)]
-        assert np.max(np.abs(found - 2.0)) < 0.02 * 20.0
+    populations, misfits = play(space, GeneticSettings(), seed, lambda x: np.sum((x - 2.0) ** 2, axis=1))
+    found = populations.reshape(-1, 10)[np.argmin(misfits)]
+    assert np.max(np.abs(found - 2.0)) < 0.02 * 20.0
 
 
 def test_the_elite_is_never_lost():
@@ -177,7 +177,9 @@ FEW = ParameterSpace((Parameter("n", 1, 1, 3, integer=True), Parameter("m", 0, 0
 
 
 @pytest.mark.parametrize("repeated", [False, True])
-@pytest.mark.parametrize(("space", "population"), [(box(4, -2.0, 1.0), 9), (MIXED, 12), (FEW, 10)])
+@pytest.mark.parametrize(
+    ("space", "population"), [(box(4, -2.0, 1.0), 9), pytest.param(MIXED, 12, marks=pytest.mark.slow), (FEW, 10)]
+)
 def test_populations_are_those_of_the_loop_written_out(space, population, repeated):
     settings = GeneticSettings(population, 25, elites=2, substitutes=2, crossover=0.7, mutation=0.3)
     initial = sample(space, population, 3).points

@@ -368,6 +368,7 @@ def errors_in_std(found, space, truth):
     return np.array([found.values[n] - truth[n] for n in found.names]) / known.std
 
 
+@pytest.mark.slow
 def test_the_bogie_is_found_within_its_standard_deviation(bogie):
     """From the nominal values, actuators at their places: a few iterations, no limit, errors within the intervals."""
     residual, space, truth = bogie

@@ -161,8 +161,14 @@ def test_what_three_repeats_cannot_decide_is_named_and_kept():
     np.testing.assert_array_equal(robust.freq_std, plain.freq_std)
 
 
-@pytest.mark.parametrize("uneven", [0.0, 0.5])
-@pytest.mark.parametrize("count", [3, pytest.param(5, marks=pytest.mark.slow), 10])
+@pytest.mark.parametrize(
+    ("count", "uneven"),
+    [
+        (3, 0.0),
+        (10, 0.5),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((3, 0.5), (5, 0.0), (5, 0.5), (10, 0.0))),
+    ],
+)
 def test_clean_frequencies_are_rarely_named_and_more_rarely_left_out(count, uneven):
     rng, runs, named, left_out = np.random.default_rng(23), 200, 0, 0
     for k in range(runs):
@@ -206,7 +212,10 @@ def test_the_rate_of_false_alarms():
         assert alarms <= most
 
 
-@pytest.mark.parametrize(("count", "most"), [(3, 1), pytest.param(4, 1, marks=pytest.mark.slow), (5, 2), (10, 2)])
+@pytest.mark.parametrize(
+    ("count", "most"),
+    [(3, 1), pytest.param(4, 1, marks=pytest.mark.slow), (5, 2), pytest.param(10, 2, marks=pytest.mark.slow)],
+)
 def test_groups_by_themselves_are_called_outlying_at_the_level(count, most):
     """Two groups give no prior: one step is an exact test but for Bonferroni, several at most double the level."""
     rng, level, runs = np.random.default_rng(31), 0.05, 500

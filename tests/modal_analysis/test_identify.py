@@ -118,6 +118,7 @@ def test_a_heavily_damped_pair_is_identified_where_noise_allows():
     np.testing.assert_allclose(found.modes.damping_ratio, damping, rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_one_pole_for_a_heavily_damped_pair_is_refused_with_the_advice_to_fit_the_frfs():
     with pytest.raises(InputError) as fault:
         modes_from_frfs(*WORLDS.pair_test(0.03, 0.1))
@@ -154,6 +155,7 @@ def panel_truth():
     return np.sqrt(squares) / (2 * np.pi), np.asarray(twin.sensor_rows(sensors) @ vectors)
 
 
+@pytest.mark.slow
 def test_modes_of_the_solar_array_are_those_of_the_structure_that_was_measured():
     def read(files):
         return calib.read_frfs(files, sensors=MEASURED / "sensors.csv", synthetic=True)

@@ -32,9 +32,7 @@ def trained(ladder):
     ("grounded", "damped"),
     [
         (True, True),
-        (False, False),
-        pytest.param(True, False, marks=pytest.mark.slow),
-        pytest.param(False, True, marks=pytest.mark.slow),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in ((False, False), (True, False), (False, True))),
     ],
 )
 def test_a_trained_basis_keeps_its_tolerance_on_fresh_points(ladder, grounded, damped):

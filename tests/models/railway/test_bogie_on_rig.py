@@ -151,7 +151,7 @@ def test_actuator_places_change_shapes(rig, nominal, mode):
     assert mac(base[:, mode], aside[:, mode]) < 0.95
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("side", ["left", pytest.param("right", marks=pytest.mark.slow)])
 def test_every_actuator_place_is_valid_and_different(rig, side):
     found = []
     for long, lateral in itertools.product(range(2, 9), (-1, 0, 1)):

@@ -141,7 +141,7 @@ def test_rolling_wheels_are_heavier_lengthwise(rigid):
     assert ahead @ mass @ ahead == pytest.approx(2 * 48.0 / 0.43**2)
 
 
-@pytest.mark.parametrize("twin", [False, True])
+@pytest.mark.parametrize("twin", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_gear_case_off_the_middle_turns_on_an_arm(rigid, twin):
     model, centre, mass, e = base(twin), (AXLE_X, AXLE_Y, 0.0), 300.0, 0.2
     ahead, up = (rigid(model, d, {"axle_front"}) for d in (0, 1))
