@@ -17,6 +17,8 @@ _FLATTEST = 1e-6
 """Smallest parallelogram at a corner over the area of the element."""
 _STRAIGHT = 0.1
 """Distortion at which edges take on half of their bending."""
+_ROUNDING = 1e-12
+"""Distortion of rectangles whose coordinates are rounded."""
 
 
 def shape(at: np.ndarray) -> np.ndarray:
@@ -154,7 +156,8 @@ def one_wall(elements: Quads) -> Quads:
     ``a = q / (q + 0.1)`` keeps it below 2.5 % for every shape and lets rectangles keep straight edges.
     """
     worst = elements.distortion.max(initial=0.0)
-    return replace(elements, allman=np.full(len(elements.centre), worst / (worst + _STRAIGHT)))
+    share = worst / (worst + _STRAIGHT) if worst > _ROUNDING else 0.0
+    return replace(elements, allman=np.full(len(elements.centre), share))
 
 
 def _refuse(

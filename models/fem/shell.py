@@ -1,11 +1,8 @@
 """Flat four-node shell element with six motions a node, vectorised over elements.
 
-Membrane: bilinear with the incompatible modes of Taylor, Beresford and Wilson (1976, QM6), exact in the in-plane
-bending of a rectangle. Bending: bilinear rotations with the assumed transverse shear of Bathe and Dvorkin (1985,
-MITC4), free of shear locking. Drilling: rotations about the normal are tied to the in-plane rotation by the penalty of
-Hughes and Brezzi (1989); that rotation includes the incompatible modes (Ibrahimbegovic and Wilson 1991), so that the
-penalty does not stiffen in-plane bending. A warped quadrilateral is projected on its mean plane and rigid arms lead
-from its nodes to the projected corners, so that rigid motions cause no strain.
+Membrane and drilling: see `models.fem.membrane`. Bending: bilinear rotations with the assumed transverse shear of Bathe
+and Dvorkin (1985, MITC4), free of shear locking. A warped quadrilateral is projected on its mean plane and rigid arms
+lead from its nodes to the projected corners, so that rigid motions cause no strain.
 
 Local motions are ``(ux, uy, uz, rx, ry, rz)`` at the four corners in turn, z along the normal.
 """
@@ -16,12 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from models.fem.membrane import membrane
 from models.fem.quad import GAUSS, Quads, shape, slope
 from models.fem.sheet import Sheet
 
 _MID_BOTTOM, _MID_RIGHT, _MID_TOP, _MID_LEFT = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
-_IN_PLANE = (6 * np.arange(4)[:, None] + np.array([0, 1])).ravel()
-_DRILL = 6 * np.arange(4) + 5
+_IN_PLANE = np.r_[(6 * np.arange(4)[:, None] + np.array([0, 1])).ravel(), 6 * np.arange(4) + 5]
 _PLATE = (6 * np.arange(4)[:, None] + np.array([2, 3, 4])).ravel()
 
 
@@ -40,9 +37,8 @@ class Stiffness(NamedTuple):
 
 def stiffness(elements: Quads, sheet: Sheet) -> Stiffness:
     """Element stiffness in local axes, each contribution of shape (n, 24, 24)."""
-    free = _in_plane(elements, sheet, 0.0)
-    tied = _in_plane(elements, sheet, sheet.drilling)
-    return Stiffness(free, _bending(elements, sheet.bending), _shear(elements, sheet.shear), tied - free)
+    flat, drilling = (_placed(blocks, _IN_PLANE) for blocks in membrane(elements, sheet))
+    return Stiffness(flat, _bending(elements, sheet.bending), _shear(elements, sheet.shear), drilling)
 
 
 def _gradients(elements: Quads) -> tuple[np.ndarray, np.ndarray]:
@@ -52,37 +48,6 @@ def _gradients(elements: Quads) -> tuple[np.ndarray, np.ndarray]:
     return np.linalg.solve(jacobian, natural), np.linalg.det(jacobian)
 
 
-def _in_plane(elements: Quads, sheet: Sheet, tie: float) -> np.ndarray:
-    """Membrane and drilling with the incompatible modes condensed out, shape (n, 24, 24).
-
-    The modes' gradients are taken with the Jacobian of the centre, so that constant stresses do no work on them and
-    every shape of element passes the patch test (Taylor, Beresford and Wilson 1976).
-    """
-    gradient, area = _gradients(elements)
-    n = len(area)
-    centre = elements.jacobian(np.zeros((1, 2)))[:, 0]
-    natural = np.zeros((4, 2, 2))  # derivatives of 1 - xi^2 and 1 - eta^2 by xi and eta
-    natural[:, 0, 0], natural[:, 1, 1] = -2 * GAUSS[:, 0], -2 * GAUSS[:, 1]
-    modes = np.einsum("eab,pbm->epam", np.linalg.inv(centre), natural)
-    modes *= (np.linalg.det(centre)[:, None] / area)[:, :, None, None]
-    both = np.concatenate([gradient, modes], axis=3)
-    b = np.zeros((n, 4, 4, 16))  # exx, eyy, 2 exy and drilling angle over (u, v) of corners, modes; then corners' rz
-    order = np.r_[0:4, 6:8]
-    b[:, :, 0, 2 * order] = b[:, :, 2, 2 * order + 1] = both[:, :, 0]
-    b[:, :, 1, 2 * order + 1] = b[:, :, 2, 2 * order] = both[:, :, 1]
-    b[:, :, 3, 2 * order + 1], b[:, :, 3, 2 * order] = both[:, :, 0] / 2, -both[:, :, 1] / 2
-    b[:, :, 3, 8:12] = -shape(GAUSS)
-    rigidity = np.zeros((4, 4))
-    rigidity[:3, :3], rigidity[3, 3] = sheet.membrane, tie
-    k = _integrate(b, rigidity, area)
-    kept, inner = k[:, :12, :12], k[:, 12:, 12:]
-    across = k[:, 12:, :12]
-    out = np.zeros((n, 24, 24))
-    where = np.r_[_IN_PLANE, _DRILL]
-    out[:, where[:, None], where] = kept - np.swapaxes(across, 1, 2) @ np.linalg.solve(inner, across)
-    return out
-
-
 def _bending(elements: Quads, rigidity: np.ndarray) -> np.ndarray:
     """Bending from the bilinear rotations, shape (n, 24, 24)."""
     gradient, area = _gradients(elements)
@@ -90,7 +55,7 @@ def _bending(elements: Quads, rigidity: np.ndarray) -> np.ndarray:
     b[:, :, 0, 2::3] = gradient[:, :, 0]
     b[:, :, 1, 1::3] = -gradient[:, :, 1]
     b[:, :, 2, 2::3], b[:, :, 2, 1::3] = gradient[:, :, 1], -gradient[:, :, 0]
-    return _plate(_integrate(b, rigidity, area))
+    return _placed(_integrate(b, rigidity, area), _PLATE)
 
 
 def _shear(elements: Quads, rigidity: np.ndarray) -> np.ndarray:
@@ -102,7 +67,7 @@ def _shear(elements: Quads, rigidity: np.ndarray) -> np.ndarray:
         rows = [_covariant_shear(elements, at, axis) for at in (low, high)]
         ends.append(np.einsum("ps,sej->epj", weight, np.array(rows)))
     b = np.linalg.solve(jacobian, np.stack(ends, axis=2))
-    return _plate(_integrate(b, rigidity, np.linalg.det(jacobian)))
+    return _placed(_integrate(b, rigidity, np.linalg.det(jacobian)), _PLATE)
 
 
 def _covariant_shear(elements: Quads, at: np.ndarray, axis: int) -> np.ndarray:
@@ -121,9 +86,10 @@ def _integrate(b: np.ndarray, rigidity: np.ndarray, area: np.ndarray) -> np.ndar
     return np.swapaxes(flat, 1, 2) @ weighted
 
 
-def _plate(blocks: np.ndarray) -> np.ndarray:
+def _placed(blocks: np.ndarray, motions: np.ndarray) -> np.ndarray:
+    """Blocks (n, 12, 12) at 12 of the 24 motions."""
     out = np.zeros((len(blocks), 24, 24))
-    out[:, _PLATE[:, None], _PLATE] = blocks
+    out[:, motions[:, None], motions] = blocks
     return out
 
 

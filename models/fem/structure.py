@@ -20,6 +20,7 @@ from models.fem.nodes import MERGE, NodeTable, assemble
 from models.fem.panel import Panel
 from models.fem.quad import Quads, projected
 from models.fem.rbe3 import Rbe3
+from models.fem.walls import evened
 
 
 class ShellMatrices(NamedTuple):
@@ -73,7 +74,7 @@ class Structure(Frame):
                 raise InputError("another part has its name", place=f"RBE3 {rbe3.name!r}", remedy="rename it")
         nodes = self.points[self.corners]
         flat = [projected(nodes[self.panel_of == k], _along(p), p.place) for k, p in enumerate(self.panels)]
-        object.__setattr__(self, "_quads", Quads.joined(flat))
+        object.__setattr__(self, "_quads", evened(Quads.joined(flat), self.corners, self.panel_of))
         if flat:
             self._refuse_gaps()
 
