@@ -83,7 +83,8 @@ class Quads:
 
         Zero for rectangles only. Bent about one natural direction, the two edges along it move sideways by half their
         length squared; where taper makes their lengths differ, that feigns a mean strain across, whose energy grows
-        with the fourth power of length over height. A skew parallelogram hides its diagonals' share.
+        with the fourth power of length over height. Skew counts with the squared cotangent of the angle between the
+        natural directions.
         """
         jacobian = self.jacobian(np.zeros((1, 2)))[:, 0]
         first, second = jacobian[:, 0], jacobian[:, 1]
