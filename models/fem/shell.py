@@ -1,151 +1,25 @@
 """Flat four-node shell element with six motions a node, vectorised over elements.
 
-Membrane: bilinear with the incompatible modes of Taylor, Beresford and Wilson (1976, QM6), exact in the in-plane
-bending of a rectangle. Bending: bilinear rotations with the assumed transverse shear of Bathe and Dvorkin (1985,
-MITC4), free of shear locking. Drilling: rotations about the normal are tied to the in-plane rotation by the penalty of
-Hughes and Brezzi (1989); that rotation includes the incompatible modes (Ibrahimbegovic and Wilson 1991), so that the
-penalty does not stiffen in-plane bending. A warped quadrilateral is projected on its mean plane and rigid arms lead
-from its nodes to the projected corners, so that rigid motions cause no strain.
+Membrane and drilling: see `models.fem.membrane`. Bending: bilinear rotations with the assumed transverse shear of Bathe
+and Dvorkin (1985, MITC4), free of shear locking. A warped quadrilateral is projected on its mean plane and rigid arms
+lead from its nodes to the projected corners, so that rigid motions cause no strain.
 
 Local motions are ``(ux, uy, uz, rx, ry, rz)`` at the four corners in turn, z along the normal.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from calib.errors import InputError
-from models.fem.beam import arm_matrix
+from models.fem.membrane import membrane
+from models.fem.quad import GAUSS, Quads, shape, slope
 from models.fem.sheet import Sheet
 
-CORNER = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-_GAUSS = CORNER / np.sqrt(3.0)
 _MID_BOTTOM, _MID_RIGHT, _MID_TOP, _MID_LEFT = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
-_IN_PLANE = (6 * np.arange(4)[:, None] + np.array([0, 1])).ravel()
-_DRILL = 6 * np.arange(4) + 5
+_IN_PLANE = np.r_[(6 * np.arange(4)[:, None] + np.array([0, 1])).ravel(), 6 * np.arange(4) + 5]
 _PLATE = (6 * np.arange(4)[:, None] + np.array([2, 3, 4])).ravel()
-_FLATTEST = 1e-6
-"""Smallest parallelogram at a corner over the area of the element."""
-
-
-def shape(at: np.ndarray) -> np.ndarray:
-    """Bilinear shape functions at natural coordinates (..., 2), shape (..., 4)."""
-    return np.prod(1 + at[..., None, :] * CORNER, axis=-1) / 4
-
-
-def slope(at: np.ndarray) -> np.ndarray:
-    """Derivatives of the shape functions by the natural coordinates (..., 2), shape (..., 2, 4)."""
-    other = 1 + at[..., None, ::-1] * CORNER[:, ::-1]
-    return np.swapaxes(CORNER * other, -1, -2) / 4
-
-
-@dataclass(frozen=True, eq=False)
-class Quads:
-    """Flat projections of quadrilaterals.
-
-    Attributes
-    ----------
-    corners : ndarray (n, 4, 2)
-        In local axes about the centre, m.
-    centre : ndarray (n, 3)
-    axes : ndarray (n, 3, 3)
-        Local axes as rows, z along the normal.
-    arms : ndarray (n, 4, 3)
-        From the nodes to the projected corners, global axes.
-    """
-
-    corners: np.ndarray
-    centre: np.ndarray
-    axes: np.ndarray
-    arms: np.ndarray
-
-    @cached_property
-    def reach(self) -> np.ndarray:
-        """Largest distance of a corner from the centre, shape (n,), m."""
-        return np.asarray(np.linalg.norm(self.corners, axis=2).max(axis=1))
-
-    @property
-    def area(self) -> np.ndarray:
-        """Areas, shape (n,), m2."""
-        a, b = self.corners[:, 2] - self.corners[:, 0], self.corners[:, 3] - self.corners[:, 1]
-        return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
-
-    @staticmethod
-    def joined(parts: Sequence[Quads]) -> Quads:
-        """Concatenation of several sets."""
-        none = Quads(np.zeros((0, 4, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 4, 3)))
-        return Quads(*(np.concatenate([getattr(q, f.name) for q in (none, *parts)]) for f in fields(Quads)))
-
-    def some(self, which: np.ndarray) -> Quads:
-        """The elements at ``which``."""
-        return Quads(self.corners[which], self.centre[which], self.axes[which], self.arms[which])
-
-    def jacobian(self, at: np.ndarray) -> np.ndarray:
-        """``d(x, y)/d(xi, eta)`` at natural coordinates (m, 2), row by natural coordinate, shape (n, m, 2, 2)."""
-        return np.einsum("pan,enb->epab", slope(at), self.corners)
-
-    def transformation(self) -> np.ndarray:
-        """Local motions of the corners over global motions of the nodes, shape (n, 24, 24)."""
-        t = np.zeros((len(self.centre), 24, 24))
-        for corner in range(4):
-            k = 6 * corner
-            t[:, k : k + 3, k : k + 3] = t[:, k + 3 : k + 6, k + 3 : k + 6] = self.axes
-            t[:, k : k + 3, k + 3 : k + 6] = self.axes @ arm_matrix(self.arms[:, corner])
-        return t
-
-
-def quads(nodes: np.ndarray, along: np.ndarray | None = None, place: str = "shell") -> Quads:
-    """Project quadrilaterals on their mean planes, which are parallel to both diagonals.
-
-    Parameters
-    ----------
-    nodes : ndarray (n, 4, 3)
-        Corners in turn, m.
-    along : ndarray (3,), optional
-        Its projection is the local x axis; without it the mean direction of the first and third edge.
-    place : str
-        Names the elements in messages.
-
-    Raises
-    ------
-    InputError
-        For corners that coincide, lie on a line, or form no convex quadrilateral; for ``along`` normal to an element.
-    """
-    centre = nodes.mean(axis=1)
-    normal = np.cross(nodes[:, 2] - nodes[:, 0], nodes[:, 3] - nodes[:, 1])
-    size = np.linalg.norm(normal, axis=1)
-    longest = np.linalg.norm(nodes - centre[:, None], axis=2).max(axis=1)
-    _refuse(size <= _FLATTEST * longest**2, centre, place, "has no area")
-    normal = normal / size[:, None]
-    first = nodes[:, 1] + nodes[:, 2] - nodes[:, 0] - nodes[:, 3]
-    x = first if along is None else np.broadcast_to(np.asarray(along, dtype=float), first.shape)
-    flat = x - np.einsum("ei,ei->e", x, normal)[:, None] * normal
-    length = np.linalg.norm(flat, axis=1)
-    _refuse(
-        length <= 1e-6 * np.linalg.norm(x, axis=1), centre, place, "is normal to the panel's direction along",
-        "choose a direction within the wall",
-    )  # fmt: skip
-    flat = flat / length[:, None]
-    axes = np.stack([flat, np.cross(normal, flat), normal], axis=1)
-    local = np.einsum("eij,enj->eni", axes, nodes - centre[:, None])
-    back, on = local - np.roll(local, 1, axis=1), np.roll(local, -1, axis=1) - local
-    turn = back[..., 0] * on[..., 1] - back[..., 1] * on[..., 0]
-    _refuse(turn.min(axis=1) <= _FLATTEST * size / 2, centre, place, "is not convex, or two of its corners coincide")
-    return Quads(local[..., :2], centre, axes, -local[..., 2, None] * normal[:, None])
-
-
-def _refuse(
-    bad: np.ndarray, centre: np.ndarray, place: str, problem: str,
-    remedy: str = "give four corners in turn round a convex quadrilateral",
-) -> None:  # fmt: skip
-    if bad.any():
-        x, y, z = centre[np.flatnonzero(bad)[0]]
-        raise InputError(f"the element at ({x:.4g}, {y:.4g}, {z:.4g}) {problem}", place=place, remedy=remedy)
 
 
 class Stiffness(NamedTuple):
@@ -163,47 +37,15 @@ class Stiffness(NamedTuple):
 
 def stiffness(elements: Quads, sheet: Sheet) -> Stiffness:
     """Element stiffness in local axes, each contribution of shape (n, 24, 24)."""
-    free = _in_plane(elements, sheet, 0.0)
-    tied = _in_plane(elements, sheet, sheet.drilling)
-    return Stiffness(free, _bending(elements, sheet.bending), _shear(elements, sheet.shear), tied - free)
+    flat, drilling = (_placed(blocks, _IN_PLANE) for blocks in membrane(elements, sheet))
+    return Stiffness(flat, _bending(elements, sheet.bending), _shear(elements, sheet.shear), drilling)
 
 
 def _gradients(elements: Quads) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of the shape functions by x and y (n, 4, 2, 4) and areas (n, 4) of the Gauss points."""
-    jacobian = elements.jacobian(_GAUSS)
-    natural = np.broadcast_to(slope(_GAUSS), (*jacobian.shape[:2], 2, 4))
+    jacobian = elements.jacobian(GAUSS)
+    natural = np.broadcast_to(slope(GAUSS), (*jacobian.shape[:2], 2, 4))
     return np.linalg.solve(jacobian, natural), np.linalg.det(jacobian)
-
-
-def _in_plane(elements: Quads, sheet: Sheet, tie: float) -> np.ndarray:
-    """Membrane and drilling with the incompatible modes condensed out, shape (n, 24, 24).
-
-    The modes' gradients are taken with the Jacobian of the centre, so that constant stresses do no work on them and
-    every shape of element passes the patch test (Taylor, Beresford and Wilson 1976).
-    """
-    gradient, area = _gradients(elements)
-    n = len(area)
-    centre = elements.jacobian(np.zeros((1, 2)))[:, 0]
-    natural = np.zeros((4, 2, 2))  # derivatives of 1 - xi^2 and 1 - eta^2 by xi and eta
-    natural[:, 0, 0], natural[:, 1, 1] = -2 * _GAUSS[:, 0], -2 * _GAUSS[:, 1]
-    modes = np.einsum("eab,pbm->epam", np.linalg.inv(centre), natural)
-    modes *= (np.linalg.det(centre)[:, None] / area)[:, :, None, None]
-    both = np.concatenate([gradient, modes], axis=3)
-    b = np.zeros((n, 4, 4, 16))  # exx, eyy, 2 exy and drilling angle over (u, v) of corners, modes; then corners' rz
-    order = np.r_[0:4, 6:8]
-    b[:, :, 0, 2 * order] = b[:, :, 2, 2 * order + 1] = both[:, :, 0]
-    b[:, :, 1, 2 * order + 1] = b[:, :, 2, 2 * order] = both[:, :, 1]
-    b[:, :, 3, 2 * order + 1], b[:, :, 3, 2 * order] = both[:, :, 0] / 2, -both[:, :, 1] / 2
-    b[:, :, 3, 8:12] = -shape(_GAUSS)
-    rigidity = np.zeros((4, 4))
-    rigidity[:3, :3], rigidity[3, 3] = sheet.membrane, tie
-    k = _integrate(b, rigidity, area)
-    kept, inner = k[:, :12, :12], k[:, 12:, 12:]
-    across = k[:, 12:, :12]
-    out = np.zeros((n, 24, 24))
-    where = np.r_[_IN_PLANE, _DRILL]
-    out[:, where[:, None], where] = kept - np.swapaxes(across, 1, 2) @ np.linalg.solve(inner, across)
-    return out
 
 
 def _bending(elements: Quads, rigidity: np.ndarray) -> np.ndarray:
@@ -213,19 +55,19 @@ def _bending(elements: Quads, rigidity: np.ndarray) -> np.ndarray:
     b[:, :, 0, 2::3] = gradient[:, :, 0]
     b[:, :, 1, 1::3] = -gradient[:, :, 1]
     b[:, :, 2, 2::3], b[:, :, 2, 1::3] = gradient[:, :, 1], -gradient[:, :, 0]
-    return _plate(_integrate(b, rigidity, area))
+    return _placed(_integrate(b, rigidity, area), _PLATE)
 
 
 def _shear(elements: Quads, rigidity: np.ndarray) -> np.ndarray:
     """Transverse shear, interpolated between the middles of the edges (Bathe and Dvorkin 1985), shape (n, 24, 24)."""
-    jacobian = elements.jacobian(_GAUSS)
+    jacobian = elements.jacobian(GAUSS)
     ends = []
     for axis, low, high in ((0, _MID_BOTTOM, _MID_TOP), (1, _MID_LEFT, _MID_RIGHT)):
-        weight = (1 + np.outer(_GAUSS[:, 1 - axis], [-1.0, 1.0])) / 2
+        weight = (1 + np.outer(GAUSS[:, 1 - axis], [-1.0, 1.0])) / 2
         rows = [_covariant_shear(elements, at, axis) for at in (low, high)]
         ends.append(np.einsum("ps,sej->epj", weight, np.array(rows)))
     b = np.linalg.solve(jacobian, np.stack(ends, axis=2))
-    return _plate(_integrate(b, rigidity, np.linalg.det(jacobian)))
+    return _placed(_integrate(b, rigidity, np.linalg.det(jacobian)), _PLATE)
 
 
 def _covariant_shear(elements: Quads, at: np.ndarray, axis: int) -> np.ndarray:
@@ -244,9 +86,10 @@ def _integrate(b: np.ndarray, rigidity: np.ndarray, area: np.ndarray) -> np.ndar
     return np.swapaxes(flat, 1, 2) @ weighted
 
 
-def _plate(blocks: np.ndarray) -> np.ndarray:
+def _placed(blocks: np.ndarray, motions: np.ndarray) -> np.ndarray:
+    """Blocks (n, 12, 12) at 12 of the 24 motions."""
     out = np.zeros((len(blocks), 24, 24))
-    out[:, _PLATE[:, None], _PLATE] = blocks
+    out[:, motions[:, None], motions] = blocks
     return out
 
 
@@ -261,8 +104,8 @@ def mass(elements: Quads, per_area: float, rotary: float = 0.0) -> np.ndarray:
     rotary : float
         Rotary inertia per area about the local x and y axes, kg; there is none about the normal.
     """
-    area = np.linalg.det(elements.jacobian(_GAUSS))
-    products = np.einsum("pi,pj->pij", shape(_GAUSS), shape(_GAUSS))
+    area = np.linalg.det(elements.jacobian(GAUSS))
+    products = np.einsum("pi,pj->pij", shape(GAUSS), shape(GAUSS))
     block = np.einsum("ep,pij->eij", area, products)
     out = np.zeros((len(area), 24, 24))
     for motion, weight in ((0, per_area), (1, per_area), (2, per_area), (3, rotary), (4, rotary)):

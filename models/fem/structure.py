@@ -18,7 +18,9 @@ from models.fem import shell, surface
 from models.fem.frame import Carrier, Frame, indices_of, known_groups
 from models.fem.nodes import MERGE, NodeTable, assemble
 from models.fem.panel import Panel
+from models.fem.quad import Quads, projected
 from models.fem.rbe3 import Rbe3
+from models.fem.walls import evened
 
 
 class ShellMatrices(NamedTuple):
@@ -62,7 +64,7 @@ class Structure(Frame):
     reach: float = 0.05
     corners: np.ndarray = field(init=False, repr=False, compare=False)
     panel_of: np.ndarray = field(init=False, repr=False, compare=False)
-    _quads: shell.Quads = field(init=False, repr=False, compare=False)
+    _quads: Quads = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -71,8 +73,8 @@ class Structure(Frame):
             if taken[rbe3.name] > 1:
                 raise InputError("another part has its name", place=f"RBE3 {rbe3.name!r}", remedy="rename it")
         nodes = self.points[self.corners]
-        flat = [shell.quads(nodes[self.panel_of == k], _along(p), p.place) for k, p in enumerate(self.panels)]
-        object.__setattr__(self, "_quads", shell.Quads.joined(flat))
+        flat = [projected(nodes[self.panel_of == k], _along(p), p.place) for k, p in enumerate(self.panels)]
+        object.__setattr__(self, "_quads", evened(Quads.joined(flat), self.corners, self.panel_of))
         if flat:
             self._refuse_gaps()
 
@@ -161,11 +163,11 @@ class Structure(Frame):
         return indices_of([(p.body, p.group) for p in self.panels], self.panel_of)
 
     @cached_property
-    def _taken(self) -> dict[str | None, shell.Quads]:
+    def _taken(self) -> dict[str | None, Quads]:
         """Shells of the parts used so far."""
         return {}
 
-    def _quads_of(self, on: str | None) -> shell.Quads:
+    def _quads_of(self, on: str | None) -> Quads:
         """The shells of a part, selected once."""
         if on not in self._taken:
             self._taken[on] = self._quads.some(self._shells_of[on])
@@ -227,7 +229,7 @@ class Structure(Frame):
 
     def _panels(
         self, groups: Iterable[str] | None, chosen: np.ndarray | None
-    ) -> Iterator[tuple[Panel, shell.Quads, np.ndarray, np.ndarray]]:
+    ) -> Iterator[tuple[Panel, Quads, np.ndarray, np.ndarray]]:
         """Panels of the named groups with their elements, transformations and nodes."""
         wanted = None if groups is None else set(groups)
         if wanted is not None:

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.fem import shell
 from models.fem.beam import arm_matrix
+from models.fem.quad import CORNER, Quads, shape, slope
 
 
 class Foot(NamedTuple):
@@ -33,7 +33,7 @@ class Foot(NamedTuple):
     beside: float
 
 
-def foot(elements: shell.Quads, point: np.ndarray) -> Foot:
+def foot(elements: Quads, point: np.ndarray) -> Foot:
     """Nearest place to a point (3,) on the projected elements."""
     away = np.linalg.norm(elements.centre - point, axis=1)
     near = np.flatnonzero(away - elements.reach <= away.min() * (1 + 1e-12))
@@ -50,10 +50,10 @@ def foot(elements: shell.Quads, point: np.ndarray) -> Foot:
     if inside[k]:
         at = _natural(corners[k], p[k, :2])
     else:
-        turn = shell.CORNER[[edge[k], (edge[k] + 1) % 4]]
+        turn = CORNER[[edge[k], (edge[k] + 1) % 4]]
         at = turn[0] + t[k, edge[k]] * (turn[1] - turn[0])
     e = int(near[k])
-    place = elements.centre[e] + shell.shape(at) @ corners[k] @ elements.axes[e, :2]
+    place = elements.centre[e] + shape(at) @ corners[k] @ elements.axes[e, :2]
     return Foot(e, at, place, int(edge[k]), float(beside[k]))
 
 
@@ -61,19 +61,19 @@ def _natural(corners: np.ndarray, p: np.ndarray) -> np.ndarray:
     """Natural coordinates of a point inside a convex quadrilateral, by Newton's method."""
     at = np.zeros(2)
     for _ in range(50):
-        step = np.linalg.solve((shell.slope(at) @ corners).T, p - shell.shape(at) @ corners)
+        step = np.linalg.solve((slope(at) @ corners).T, p - shape(at) @ corners)
         at = np.clip(at + step, -1.0, 1.0)
         if np.abs(step).max() < 1e-14:
             break
     return at
 
 
-def motion(elements: shell.Quads, place: Foot, point: np.ndarray) -> np.ndarray:
+def motion(elements: Quads, place: Foot, point: np.ndarray) -> np.ndarray:
     """Six motions of a point that a rigid arm ties to its foot, over the 24 nodal motions, shape (6, 24).
 
     Bilinear like the element's own displacements and rotations.
     """
-    n = shell.shape(place.at)
+    n = shape(place.at)
     out = np.zeros((6, 24))
     arms = arm_matrix(elements.arms[place.element])
     reach = arm_matrix(point - place.place)

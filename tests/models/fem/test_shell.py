@@ -7,6 +7,7 @@ import pytest
 
 from calib.errors import InputError
 from models.fem import shell
+from models.fem.quad import projected
 from models.fem.sheet import Sheet
 
 SHEET = Sheet(0.02, 70e9, 0.3, 2700.0)
@@ -29,7 +30,7 @@ def turned(points: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def one(sheet: Sheet, nodes: np.ndarray, along=None) -> tuple[np.ndarray, np.ndarray]:
     """Stiffness shares (4, 24, 24) and mass (24, 24) of one element over its nodal motions."""
-    quads = shell.quads(nodes[None], along)
+    quads = projected(nodes[None], along)
     t = quads.transformation()
     heavy = sheet.density * sheet.thickness
     m = shell.mass(quads, heavy, heavy * sheet.thickness**2 / 12)
@@ -47,7 +48,7 @@ def distorted(seed: int, warp: float = 0.0) -> np.ndarray:
 def patch(sheet: Sheet, q: np.ndarray, along=None) -> tuple[np.ndarray, np.ndarray]:
     """Stiffness (48, 48) and places of the patch."""
     points = turned(PATCH, q)
-    quads = shell.quads(points[TURNS], along)
+    quads = projected(points[TURNS], along)
     blocks = shell.to_global(np.sum(shell.stiffness(quads, sheet), axis=0), quads.transformation())
     k = np.zeros((48, 48))
     for nodes, block in zip(TURNS, blocks, strict=True):
@@ -175,7 +176,7 @@ def test_shares_follow_modulus_thickness_and_rmi_exactly():
 def test_mass_holds_total_centre_and_inertia(rigid, seed):
     nodes = distorted(seed)
     _, m = one(SHEET, nodes)
-    quads = shell.quads(nodes[None])
+    quads = projected(nodes[None])
     # Split into triangles: their mean of r r^T is exact with the middles of the edges.
     found = rigid(nodes).T @ m @ rigid(nodes)
     per_area = SHEET.density * SHEET.thickness
@@ -200,7 +201,7 @@ def test_a_warped_element_keeps_its_mass_and_centre(rigid):
     nodes = distorted(4, 0.1)
     _, m = one(SHEET, nodes)
     found = rigid(nodes).T @ m @ rigid(nodes)
-    total = SHEET.density * SHEET.thickness * shell.quads(nodes[None]).area[0]
+    total = SHEET.density * SHEET.thickness * projected(nodes[None]).area[0]
     np.testing.assert_allclose(found[:3, :3], total * np.eye(3), atol=1e-12 * total)
 
 
@@ -229,13 +230,13 @@ BAD = {
 def test_bad_quadrilaterals_are_refused(name):
     nodes, message = BAD[name]
     with pytest.raises(InputError, match=message) as caught:
-        shell.quads(np.array([nodes], dtype=float), place="panel car/floor")
+        projected(np.array([nodes], dtype=float), place="panel car/floor")
     assert "panel car/floor" in str(caught.value)
 
 
 def test_a_direction_square_to_the_wall_is_refused():
     with pytest.raises(InputError, match="normal to the panel's direction"):
-        shell.quads(np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]], dtype=float), np.array([0, 0, 1.0]))
+        projected(np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]], dtype=float), np.array([0, 0, 1.0]))
 
 
 @pytest.mark.parametrize(
