@@ -205,7 +205,12 @@ def offset_of(model: StructuralModel, values: Mapping[str, float]) -> float:
     """Factor of the mass that keeps the inner product regular; 0 without rigid-body motions and mechanisms."""
     if not _rigid_count(model, values):
         return 0.0
-    return float((0.1 * 2 * np.pi * _reference_modes(model, values).natural_freq[0]) ** 2)
+    return float((0.1 * 2 * np.pi * lowest_freq(model, values)) ** 2)
+
+
+def lowest_freq(model: StructuralModel, values: Mapping[str, float]) -> float:
+    """Lowest frequency in Hz of the reference model, without selected terms and damping."""
+    return float(_reference_modes(model, values).natural_freq[0])
 
 
 def _reference_modes(model: StructuralModel, values: Mapping[str, float]) -> Modes:
