@@ -21,6 +21,8 @@ from calib.structure.inertia import symmetric_factor
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.perturbations import LOCAL, Perturbation
+from calib.structure.reduced import ReducedModel
+from calib.structure.refinement import modes_near
 from calib.structure.space_filling import space_filling_points
 
 _POINTS = 2
@@ -29,6 +31,8 @@ _STRONG = 2.0
 """Largest sampled magnitude, over the plausible one."""
 _ERROR = 3e-5
 """Squared projection error of every vector, relative to the strain energy of its mode."""
+_REFINED = 0.1 * _ERROR
+"""Accuracy of eigenvalues of refined modes: about the squared error of their shapes."""
 _BATCH = 20
 """Perturbations per batch: principal directions of all at once cost far more and save few vectors."""
 _TOGETHER = 80
@@ -71,9 +75,10 @@ def effect_basis(
     stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / _TOGETHER)
     for number, effect in enumerate(effects):
         progress(stage, number, len(effects) + batches)
-        extended = extend(model, [effect])
-        count = basis.count + extended.n_dof - model.n_dof
-        solved = [extended.modes({**point, **own}, count) for point in points for own in _sampled(effect)]
+        known = ReducedModel(model, replace(basis, vectors=vectors)).extended([effect])
+        solved = [
+            modes_near(known, {**point, **own}, known.n_modes, _REFINED) for point in points for own in _sampled(effect)
+        ]
         vectors = growth.widened(vectors, np.hstack([_unit(growth, m, model.n_dof, basis) for m in solved]), _ERROR)
     nominal = model.modes(middle, basis.count)
     for first in range(0, len(perturbations), _TOGETHER):
