@@ -62,6 +62,13 @@ Workers = Annotated[
 Verbose = Annotated[
     bool, typer.Option("--verbose", "-v", help="Also assumptions, secondary tables and the list of files.")
 ]
+CachePath = Annotated[
+    Path | None,
+    typer.Option(
+        "--cache", metavar="DIR", callback=lambda path: path and _possible(path),
+        help="Folder of the reduced bases that studies share [default: calib in the user's cache folder].",
+    ),
+]  # fmt: skip
 CaseName = Annotated[
     str | None, typer.Option("--case", metavar="NAME", help="Only this case; its results go to a sub-folder.")
 ]
@@ -182,24 +189,27 @@ def calibrate(
     method: Annotated[
         CalibrationMethod | None, typer.Option("--method", help="Method [default: that of the study].")
     ] = None,
+    cache: CachePath = None,
     verbose: Verbose = False,
 ) -> None:
     """Fit the parameters in several independent cases, and compare the model before and after.
 
     Interrupt it at any time: the same command resumes it and ends with the same result.
     """
-    with _study("calibrate", study, results, verbose, workers, quick) as loaded:
+    with _study("calibrate", study, results, verbose, workers, quick, cache=cache) as loaded:
         loaded.calibrate(case, method=method.value if method else None)
 
 
 @app.command(short_help="Find which physical effect the model lacks.")
-def explain(study: StudyPath, results: ResultsPath = RESULTS, verbose: Verbose = False) -> None:
+def explain(
+    study: StudyPath, results: ResultsPath = RESULTS, cache: CachePath = None, verbose: Verbose = False
+) -> None:
     """Find which physical effect the model lacks: a verdict, its evidence, and the recommended next measurement.
 
     Calibrates by least squares, tests every effect of the study's library and every local perturbation of the model,
     fits the most promising ones, and tests the remaining misfit.
     """
-    with _study("explain", study, results, verbose) as loaded:
+    with _study("explain", study, results, verbose, cache=cache) as loaded:
         loaded.explain()
 
 
@@ -269,6 +279,7 @@ def run(
     results: ResultsPath = RESULTS,
     workers: Workers = None,
     quick: Quick = False,
+    cache: CachePath = None,
     verbose: Verbose = False,
 ) -> None:
     """Run every analysis: compare, sensitivity, calibrate, explain, add the named effects; draw, write report.html.
@@ -276,7 +287,7 @@ def run(
     'explain' runs where the study has a library of effects. Effects that it names are added: the extended study is
     written among the results and calibrated too, and the errors before and after are reported.
     """
-    with _study("run", study, results, verbose, workers, quick) as loaded:
+    with _study("run", study, results, verbose, workers, quick, cache=cache) as loaded:
         loaded.run()
 
 
@@ -302,14 +313,17 @@ def _study(
     workers: int | None = None,
     quick: bool = False,
     load: bool = True,
+    cache: Path | None = None,
 ) -> Iterator[Study]:
     """The study of a command, which prints its answer at the end; ``load`` reads its model and data at once."""
+    from calib.analyses.basis_cache import using
+    from calib.console.cached import tell_cache
     from calib.console.printing import printing
     from calib.front.study import Study
     from calib.threads import one_thread
 
     # The matrices are small: several threads of one product wait for each other. Only loaded libraries are limited.
-    with one_thread(), printing(verb, verbose) as listener:
+    with using(cache) as notes, tell_cache(notes, verbose), one_thread(), printing(verb, verbose) as listener:
         if load:
             yield Study.load(path, results, workers=workers, quick=quick, listener=listener)
         else:

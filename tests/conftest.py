@@ -2,7 +2,10 @@
 
 import contextlib
 import gc
+import itertools
 import os
+import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -12,6 +15,8 @@ from typing import Any
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[variable] = "1"
 os.environ["MPLBACKEND"] = "Agg"
+# No test reads or fills the user's cache of reduced bases; this folder is for fixtures that several tests share.
+os.environ["CALIB_CACHE"] = tempfile.mkdtemp(prefix="calib-cache-")
 
 import opensees_code
 import pytest
@@ -24,6 +29,9 @@ from calib.written import replacing
 # A busy machine makes any deadline fail; a submitted change must not fail by the luck of one draw.
 settings.register_profile("calib", deadline=None, max_examples=20, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("calib")
+
+
+_NUMBERS = itertools.count()
 
 
 def pytest_collection_finish() -> None:
@@ -47,6 +55,19 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return str(file if file.parent.name == "tests" else file.parent)
 
     return ByFolder(config, log)
+
+
+def pytest_unconfigure() -> None:
+    """Delete the cache of shared fixtures."""
+    shutil.rmtree(os.environ["CALIB_CACHE"], ignore_errors=True)
+
+
+@pytest.fixture(autouse=True)
+def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Every test has an empty cache of reduced bases of its own; the folder is made when something is kept."""
+    folder = tmp_path_factory.getbasetemp() / f"cache-{next(_NUMBERS)}"
+    monkeypatch.setenv("CALIB_CACHE", str(folder))
+    return folder
 
 
 @pytest.fixture(scope="session")

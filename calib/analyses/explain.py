@@ -126,7 +126,7 @@ def adapter_of(study: Study, home: Results, progress: Progress, local: tuple[Per
         return ScalarAdapter(scalar, own, facts, study.unseen)
     if isinstance(problem, FRFProblem):
         assert local is not None
-        basis = basis_of(study, home, [one.effect for one in local], progress)
+        basis = basis_of(study, home, local, progress)
         return FRFAdapter.of(
             FRFResidual(problem), study.candidates, local, space, facts, study.unseen, basis, worthwhile(study)
         )

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 
+from calib.analyses.basis_cache import kept_basis, key_of
 from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.reduction import Reducible, Wanted, reduction_of, training, worthwhile
+from calib.analyses.reduction import Reducible, Wanted, parameter_key, reduction_of, training, worthwhile
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.effect import Effect
-from calib.errors import InputError, ToleranceError
+from calib.errors import ToleranceError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.results import Results
 from calib.space import ParameterSpace
 from calib.stage import Progress, unheard
 from calib.structure.basis import Basis
+from calib.structure.effect_basis import weight_key
 from calib.structure.extend import extend
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation, perturbations
@@ -59,7 +59,7 @@ def modal_hypotheses(
 ) -> tuple[ModelHypotheses[ModalResidual], tuple[Perturbation, ...]]:
     """Hypotheses of a study with modes, and its local perturbations, by default those of its own test.
 
-    A basis trained earlier is loaded from the results folder.
+    A basis trained earlier is read from the results folder, or from the cache.
     """
     problem = study.problem
     assert isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel)
@@ -67,11 +67,13 @@ def modal_hypotheses(
     if local is None:
         local = local_perturbations(model, [problem.measured], study.search_space.values)
     effects, perturbed = study.candidates, tuple(a.effect for a in local)
-    variants = Variants(model, effects, perturbed, basis_of(study, results, perturbed, progress))
+    variants = Variants(model, effects, perturbed, basis_of(study, results, local, progress))
     return ModelHypotheses(ModalResidual(problem), variants, study.search_space.without(study.condition)), local
 
 
-def basis_of(study: Study, results: Results, local: Sequence[Effect], progress: Progress = unheard) -> Basis | None:
+def basis_of(
+    study: Study, results: Results, local: Sequence[Perturbation], progress: Progress = unheard
+) -> Basis | None:
     """A basis for a study with its effects and local perturbations.
 
     None where none is worthwhile, or none reaches its tolerance: then the full model is used, and the adapter notes it.
@@ -90,39 +92,39 @@ def basis_of(study: Study, results: Results, local: Sequence[Effect], progress: 
     settings = study.settings.reduction
     space, wanted = study.search_space, Wanted.of(problem, settings.tolerance, settings.seed)
     with training(study), contextlib.suppress(ToleranceError):
-        return kept_basis(
+        return effects_basis(
             problem.model, space, study.candidates, local, wanted, results.path, search_basis, progress
         )  # fmt: skip
     return None
 
 
-def kept_basis(
+def effects_basis(
     model: StructuralModel,
     space: ParameterSpace,
     effects: Sequence[Effect],
-    local: Sequence[Effect],
+    local: Sequence[Perturbation],
     wanted: Wanted,
-    folder: Path,
+    folder: Path | None = None,
     base: Callable[[], Basis] | None = None,
     progress: Progress = unheard,
 ) -> Basis:
-    """A basis for the effects and local perturbations of a model, loaded from a folder or trained and stored there.
+    """A basis for the effects and local perturbations of a model, kept in a folder and in the cache, or trained.
 
-    The folder holds one such basis. ``base`` returns a basis of the model alone; by default one is trained.
+    The folder holds one such basis. ``base`` returns a basis of the model alone; by default that of the cache.
     EvaluationError when the model cannot be solved at some training point.
     """
-    digest = hashlib.sha256(extend(model, [*effects, *local]).fingerprint.encode())
-    digest.update(repr([(e.name, e.parameters, e.grid) for e in effects]).encode())
-    digest.update(repr(wanted.key).encode())
-    digest.update(repr(space.parameters).encode())
-    path = folder / f"basis_effects_{digest.hexdigest()[:16]}.npz"
-    if path.exists():
-        with suppress(InputError):
-            return Basis.load(path)
-    own = base() if base else wanted.trained(model, space, progress)
-    basis = wanted.with_effects(model, own, space, effects, local, progress)
-    for old in folder.glob("basis_effects_*.npz"):
-        if is_own(old):
+    own = wanted.key(model, space)
+    whole = extend(model, [*effects, *(one.effect for one in local)])
+    sampled = [(e.name, [parameter_key(p) for p in e.parameters], e.plausible, e.grid) for e in effects]
+    key = key_of(whole, own, sampled, [weight_key(one) for one in local])
+    path = None if folder is None else folder / f"basis_effects_{key}.npz"
+
+    def trained() -> Basis:
+        of_model = base() if base else kept_basis(None, own, lambda: wanted.trained(model, space, progress))
+        return wanted.with_effects(model, of_model, space, effects, local, progress)
+
+    basis = kept_basis(path, key, trained)
+    for old in () if folder is None else folder.glob("basis_effects_*.npz"):
+        if old != path and is_own(old):
             old.unlink(missing_ok=True)
-    basis.save(path)
     return basis

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.analyses.basis_cache import kept_basis, key_of
 from calib.analyses.user_function import ledger_keys_of_modes
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.problem import ModalProblem
@@ -20,7 +20,7 @@ from calib.evaluate import Evaluator
 from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.results import Results
-from calib.space import ParameterSpace
+from calib.space import Parameter, ParameterSpace
 from calib.stage import Progress, unheard
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis, frf_effect_basis
@@ -28,6 +28,7 @@ from calib.structure.frf_target import FRFTarget
 from calib.structure.growth import Target
 from calib.structure.mode_target import ModeTarget
 from calib.structure.model import StructuralModel
+from calib.structure.perturbations import Perturbation
 from calib.structure.reduced import ReducedModel
 from calib.structure.training import enrich_basis, train
 from calib.study import Study
@@ -76,16 +77,14 @@ class Wanted:
         target = ModeTarget(problem.mode_count, freq_max, DAMPING_MAX, tolerance)
         return cls(target, problem.model.space.names, seed)
 
-    @property
-    def key(self) -> tuple[object, ...]:
-        """Everything that a basis records of its requirements."""
-        one = self.target
-        return one.count, one.freq_max, one.damping_max, one.tolerance, one.request, self.seed
+    def key(self, model: StructuralModel, space: ParameterSpace) -> str:
+        """Hash of everything that a basis depends on: model, target, limits, constraints and seed.
 
-    def met_by(self, basis: Basis) -> bool:
-        """Whether a basis was trained for this."""
-        own = basis.count, basis.freq_max, basis.damping_max, basis.tolerance, basis.request, basis.seed
-        return own == self.key
+        Measured values are not among it, except for the standard deviations of FRFs, the unit of their target's error.
+        """
+        one, own = self.target, self.within(space)
+        wanted = one.count, one.freq_max, one.damping_max, one.tolerance, one.request, self.seed
+        return key_of(model, wanted, [parameter_key(p) for p in own.parameters], own.constraints)
 
     def within(self, space: ParameterSpace) -> ParameterSpace:
         """Those parameters of a search over which the basis is trained: gains of channels, say, are not."""
@@ -102,13 +101,18 @@ class Wanted:
         basis: Basis,
         space: ParameterSpace,
         effects: Sequence[Effect],
-        local: Sequence[Effect],
+        local: Sequence[Perturbation],
         progress: Progress = unheard,
     ) -> Basis:
         """The next version of a basis, for effects and local perturbations; see `calib.structure.effect_basis`."""
         if isinstance(self.target, FRFTarget):
             return frf_effect_basis(model, basis, self.within(space), effects, self.target, self.seed, progress)
         return effect_basis(model, basis, space, effects, local, self.seed, progress)
+
+
+def parameter_key(p: Parameter) -> tuple[object, ...]:
+    """What of a parameter a basis depends on: neither its prior nor any words."""
+    return p.name, p.value, p.lower, p.upper, p.unit, p.distribution, p.integer
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +194,7 @@ class Reduction:
 
 
 def reduction_of(study: Study, home: Results, progress: Progress = unheard) -> Reduction | None:
-    """Load the basis of a study's search, or train it; None where full order is fast enough.
+    """The basis of a study's search, kept or trained; None where full order is fast enough.
 
     Raises
     ------
@@ -203,19 +207,17 @@ def reduction_of(study: Study, home: Results, progress: Progress = unheard) -> R
     if not worthwhile(study):
         return None
     assert isinstance(problem, Reducible) and isinstance(problem.model, StructuralModel)
-    wanted, path = Wanted.of(problem, settings.tolerance, settings.seed), _file(home, 1)
-    basis = _loaded(path) if path.exists() else None
-    if basis is not None and _serves(basis, problem.model, study.search_space, wanted):
-        return Reduction(problem, problem.reduced(basis), wanted.target, path)
-    digest = hashlib.sha256(repr((problem.model.fingerprint, wanted.key, study.search_space)).encode()).hexdigest()[:16]
-    _raise_known(home, digest)
+    model, path = problem.model, _file(home, 1)
+    wanted = Wanted.of(problem, settings.tolerance, settings.seed)
+    key = wanted.key(model, study.search_space)
+    _raise_known(home, key)
     with training(study):
         try:
-            basis = wanted.trained(problem.model, study.search_space, progress)
+            basis = kept_basis(path, key, lambda: wanted.trained(model, study.search_space, progress))
         except ToleranceError as fault:
-            home.write_json(_UNREACHED, {"asked": digest, "problem": fault.problem})
+            home.write_json(_UNREACHED, {"asked": key, "problem": fault.problem})
             raise
-    return _on(problem, wanted.target, basis, home)
+    return Reduction(problem, problem.reduced(basis), wanted.target, path)
 
 
 _UNREACHED = "basis_unreached"
@@ -231,11 +233,6 @@ def _raise_known(home: Results, digest: str) -> None:
         return
     if same:
         raise ToleranceError(str(known.get("problem")), place="reduced model")
-
-
-def _serves(basis: Basis, model: StructuralModel, space: ParameterSpace, wanted: Wanted) -> bool:
-    of_model = ParameterSpace(tuple(p for p in space.parameters if p.name in model.space), space.constraints)
-    return basis.model_fingerprint == model.fingerprint and wanted.met_by(basis) and basis.covers(of_model)
 
 
 @contextlib.contextmanager

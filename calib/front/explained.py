@@ -17,7 +17,7 @@ from calib.analyses.function_hypotheses import function_hypotheses
 from calib.analyses.group_adapter import FRFAdapter, ScalarAdapter
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.joint_adapter import together
-from calib.analyses.library import local_perturbations
+from calib.analyses.library import effects_basis, local_perturbations
 from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.record import check_repeats, disagreements_table
 from calib.analyses.reduction import WORTHWHILE_DOFS, Reducible, Wanted
@@ -198,6 +198,5 @@ def _basis(
         return None, False
     wanted = Wanted.of(used, ReductionSettings().tolerance, seed)
     with suppress(ToleranceError):
-        own = wanted.trained(model, used.space)
-        return wanted.with_effects(model, own, used.space, effects, [a.effect for a in local]), True
+        return effects_basis(model, used.space, effects, local, wanted), True
     return None, True

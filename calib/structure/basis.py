@@ -15,7 +15,7 @@ from calib.errors import InputError
 from calib.space import ParameterSpace
 from calib.written import replacing
 
-_FORMAT = "calib reduced basis 2"
+_FORMAT = "calib reduced basis 3"
 _ARRAYS = ("vectors", "reference", "lower", "upper", "samples", "checks")
 CHECK_COLUMNS = ("round", "size", "indicator", "error")
 
@@ -53,6 +53,8 @@ class Basis:
         Hash of the FRFs it was trained for; empty for modes.
     seed, version : int
         The version is incremented whenever vectors are added.
+    key : str
+        Hash of everything that it depends on, under which it is kept; empty where it is not.
     """
 
     vectors: np.ndarray
@@ -71,6 +73,7 @@ class Basis:
     seed: int
     version: int = 1
     request: str = ""
+    key: str = ""
 
     def __post_init__(self) -> None:
         for name in _ARRAYS:
@@ -159,21 +162,27 @@ class Basis:
             "seed": self.seed,
             "version": self.version,
             "request": self.request,
+            "key": self.key,
         }
         return json.dumps(fields, sort_keys=True)
 
     def save(self, path: Path) -> None:
         """Write one ``.npz`` file, atomically."""
         try:
-            with replacing(path) as draft, draft.open("wb") as file:
-                np.savez(
-                    file,
-                    header=np.array(self._header()),
-                    digest=np.array(self.digest),
-                    **{name: getattr(self, name) for name in _ARRAYS},
-                )
+            with replacing(path) as draft:
+                self.write(draft)
         except OSError as fault:
             raise InputError(f"the reduced basis cannot be written ({fault})", place=path) from None
+
+    def write(self, path: Path) -> None:
+        """Write one ``.npz`` file; OSError when it cannot be written."""
+        with path.open("wb") as file:
+            np.savez(
+                file,
+                header=np.array(self._header()),
+                digest=np.array(self.digest),
+                **{name: getattr(self, name) for name in _ARRAYS},
+            )
 
     @staticmethod
     def load(path: Path) -> Basis:

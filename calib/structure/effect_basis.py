@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from calib.effect import Effect
 from calib.space import ParameterSpace
@@ -15,9 +16,13 @@ from calib.structure.basis import Basis
 from calib.structure.derivatives import mode_derivatives
 from calib.structure.extend import extend
 from calib.structure.frf_target import FRFTarget
-from calib.structure.growth import Growth, next_round
+from calib.structure.growth import Growth, lowest_freq, next_round
+from calib.structure.inertia import symmetric_factor
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
+from calib.structure.perturbations import LOCAL, Perturbation
+from calib.structure.reduced import ReducedModel
+from calib.structure.refinement import modes_near
 from calib.structure.space_filling import space_filling_points
 
 _POINTS = 2
@@ -26,6 +31,8 @@ _STRONG = 2.0
 """Largest sampled magnitude, over the plausible one."""
 _ERROR = 3e-5
 """Squared projection error of every vector, relative to the strain energy of its mode."""
+_REFINED = 0.1 * _ERROR
+"""Accuracy of eigenvalues of refined modes: about the squared error of their shapes."""
 _BATCH = 20
 """Perturbations per batch: principal directions of all at once cost far more and save few vectors."""
 _TOGETHER = 80
@@ -37,7 +44,7 @@ def effect_basis(
     basis: Basis,
     space: ParameterSpace,
     effects: Sequence[Effect],
-    perturbations: Sequence[Effect],
+    perturbations: Sequence[Perturbation],
     seed: int,
     progress: Progress = unheard,
 ) -> Basis:
@@ -45,7 +52,8 @@ def effect_basis(
 
     The principal directions of the following are added: shapes of the model with each effect, at its plausible and at
     twice its plausible magnitude or at all points of its grid, at a few points of the space; and derivatives of the
-    shapes by every perturbation, times its plausible magnitude, at the middle of the space.
+    shapes by every perturbation, times its plausible magnitude, at the middle of the space. That of a grounded spring
+    is scaled by the lowest frequency of the model instead: no measured frequency enters.
 
     Parameters
     ----------
@@ -54,8 +62,10 @@ def effect_basis(
     basis : Basis
     space : ParameterSpace
         Effects are sampled at its middle and a few points.
-    effects, perturbations : sequence of Effect
-        Modes are solved with each effect, derivatives are taken by each perturbation.
+    effects : sequence of Effect
+        Modes are solved with each.
+    perturbations : sequence of Perturbation
+        Derivatives are taken by each.
     seed : int
     progress : callable
         Called before every effect and every batch of perturbations.
@@ -65,15 +75,17 @@ def effect_basis(
     stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / _TOGETHER)
     for number, effect in enumerate(effects):
         progress(stage, number, len(effects) + batches)
-        extended = extend(model, [effect])
-        count = basis.count + extended.n_dof - model.n_dof
-        solved = [extended.modes({**point, **own}, count) for point in points for own in _sampled(effect)]
+        known = ReducedModel(model, replace(basis, vectors=vectors)).extended([effect])
+        solved = [
+            modes_near(known, {**point, **own}, known.n_modes, _REFINED) for point in points for own in _sampled(effect)
+        ]
         vectors = growth.widened(vectors, np.hstack([_unit(growth, m, model.n_dof, basis) for m in solved]), _ERROR)
     nominal = model.modes(middle, basis.count)
     for first in range(0, len(perturbations), _TOGETHER):
         progress(stage, len(effects) + first // _TOGETHER, len(effects) + batches)
         some = perturbations[first : first + _TOGETHER]
-        slopes = _derivatives(growth, extend(model, some), middle, nominal, some, basis)
+        wider = extend(model, [one.effect for one in some])
+        slopes = _derivatives(growth, wider, middle, nominal, some, basis)
         for k in range(0, len(slopes), _BATCH):
             vectors = growth.widened(vectors, np.hstack(slopes[k : k + _BATCH]), _ERROR)
     return replace(basis, vectors=vectors, version=basis.version + 1)
@@ -146,7 +158,7 @@ def _derivatives(
     model: StructuralModel,
     point: Mapping[str, float],
     modes: Modes,
-    perturbations: Sequence[Effect],
+    perturbations: Sequence[Perturbation],
     basis: Basis,
 ) -> list[np.ndarray]:
     """Derivatives of a model's modes by each perturbation, (n_dof, m) with real and imaginary parts.
@@ -154,9 +166,44 @@ def _derivatives(
     Perturbations add no degrees of freedom and have magnitude 0 at the point.
     """
     chosen = np.flatnonzero(modes.natural_freq <= basis.freq_max)
-    slopes = mode_derivatives(model, point, modes, [a.name for a in perturbations], chosen)
+    slopes = mode_derivatives(model, point, modes, [a.effect.name for a in perturbations], chosen)
     shapes = modes.shapes[:, chosen]
     size = np.sqrt(np.einsum("ij,ij->j", shapes.conj(), growth.matrix @ shapes).real)
     usable = slopes.regular & (modes.damping_ratio[chosen] < basis.damping_max)
-    columns = [a.plausible * slopes.shapes[q][:, usable] / size[usable] for q, a in enumerate(perturbations)]
+    weights = _weights(growth, model, point, perturbations)
+    columns = [weight * slope[:, usable] / size[usable] for weight, slope in zip(weights, slopes.shapes, strict=True)]
     return [np.hstack([c.real, c.imag]) if np.iscomplexobj(c) else c for c in columns]
+
+
+def weight_key(perturbation: Perturbation) -> tuple[str, float]:
+    """Name of a perturbation, and what its weight in a basis depends on beside the model."""
+    return perturbation.effect.name, LOCAL if _grounded(perturbation) else perturbation.effect.plausible
+
+
+def _grounded(perturbation: Perturbation) -> bool:
+    return bool(perturbation.sensor) and perturbation.kind == "stiffness"
+
+
+def _weights(
+    growth: Growth, model: StructuralModel, point: Mapping[str, float], perturbations: Sequence[Perturbation]
+) -> list[float]:
+    """Magnitude by which each derivative is weighed.
+
+    The plausible one of a grounded spring is scaled by a measured frequency; here by the lowest of the reference
+    model, so that measurements of other values need no other basis.
+    """
+    found = []
+    if any(_grounded(one) for one in perturbations):
+        stiffness, _, mass = growth.model.matrices(point)
+        shift = (2 * np.pi * lowest_freq(growth.model, growth.reference)) ** 2
+        factor = symmetric_factor(sp.csc_array(stiffness + shift * mass))
+    for one in perturbations:
+        if not _grounded(one):
+            found.append(one.effect.plausible)
+            continue
+        (matrix,) = (term.matrix for term in model.stiffness.terms if term.name == one.effect.name)
+        touched = np.unique(matrix.indices)
+        forces = np.zeros((growth.model.n_dof, len(touched)))
+        forces[touched] = matrix[touched][:, touched].toarray()  # b b^T: the trace of its responses is the flexibility
+        found.append(LOCAL / float(np.trace(factor.solve(forces)[touched])))
+    return found

@@ -97,7 +97,13 @@ class FRFTarget:
         """Unit forces at references and responses, (n_dof, n_references + n_responses)."""
         return np.vstack([self.references, self.responses]).T
 
-    def snapshots(self, model: StructuralModel, energy: sp.csc_array, values: Mapping[str, float]) -> np.ndarray:
+    def snapshots(
+        self,
+        model: StructuralModel,
+        energy: sp.csc_array,
+        values: Mapping[str, float],
+        known: ReducedModel | None = None,
+    ) -> np.ndarray:
         """Undamped modes of the model at named values; see `calib.structure.growth.Target.snapshots`."""
         full = loaded(model, self.loads)
         assert isinstance(full, StructuralModel)
@@ -106,7 +112,9 @@ class FRFTarget:
         size = np.sqrt(np.einsum("ij,ij->j", shapes, energy @ shapes))
         return np.asarray(shapes / size * np.sqrt(self.tolerance / _SHAPE))
 
-    def missing(self, reduced: ReducedModel, energy: sp.csc_array, values: Mapping[str, float]) -> np.ndarray:
+    def missing(
+        self, reduced: ReducedModel, energy: sp.csc_array, values: Mapping[str, float], unseen: bool = False
+    ) -> np.ndarray:
         """Solutions of the full model at the lines where the estimate has its largest maxima.
 
         The error of a function is at most the product of the errors of both solutions in the energy norm, times an
@@ -145,7 +153,7 @@ class FRFTarget:
         found = error_estimate(reduced, _of(reduced, values), self.freq, responses, references)
         return self._in_std(found).max(axis=(1, 2))
 
-    def error(self, reduced: ReducedModel, values: Mapping[str, float]) -> float:
+    def error(self, reduced: ReducedModel, values: Mapping[str, float], counted: bool = False) -> float:
         """Largest error over all functions and lines against the full model, in standard deviations."""
         responses, references = (_wider(rows, reduced.model.n_dof) for rows in (self.responses, self.references))
         vectors = reduced.basis.vectors

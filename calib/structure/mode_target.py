@@ -11,9 +11,12 @@ import scipy.sparse as sp
 from calib.structure.certificate import mode_errors
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
+from calib.structure.refinement import modes_near, refined_modes, undamped_count_agrees
 
 _NEAR = 1.15
 """Modes up to this multiple of the highest wanted frequency are included: they may be lower at other points."""
+_REFINED = 0.01
+"""Accuracy of refined modes, over the tolerance."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +47,18 @@ class ModeTarget:
         """None, (n_dof, 0): no force of its own needs a static response."""
         return np.zeros((model.n_dof, 0))
 
-    def snapshots(self, model: StructuralModel, energy: sp.csc_array, values: Mapping[str, float]) -> np.ndarray:
+    def snapshots(
+        self,
+        model: StructuralModel,
+        energy: sp.csc_array,
+        values: Mapping[str, float],
+        known: ReducedModel | None = None,
+    ) -> np.ndarray:
         """Real columns that span the modes at named values, each mode of unit energy; see `Target.snapshots`."""
-        modes = model.modes(values, self.count)
+        if known is None:
+            modes = model.modes(values, self.count)
+        else:
+            modes = modes_near(known, values, self.count, _REFINED * self.tolerance)
         shapes = modes.shapes[:, modes.natural_freq <= _NEAR * self.freq_max]
         size = np.einsum("ij,ij->j", shapes.conj(), energy @ shapes).real
         if not modes.is_complex:
@@ -60,9 +72,11 @@ class ModeTarget:
         """The reduced model itself."""
         return reduced
 
-    def missing(self, reduced: ReducedModel, energy: sp.csc_array, values: Mapping[str, float]) -> np.ndarray:
+    def missing(
+        self, reduced: ReducedModel, energy: sp.csc_array, values: Mapping[str, float], unseen: bool = False
+    ) -> np.ndarray:
         """What a reduced model lacks at named values: the modes there."""
-        return self.snapshots(reduced.model, energy, values)
+        return self.snapshots(reduced.model, energy, values, None if unseen else reduced)
 
     def estimate(self, reduced: ReducedModel, values: Mapping[str, float]) -> float:
         """Largest error indicator of the modes that must meet the tolerance."""
@@ -70,6 +84,12 @@ class ModeTarget:
         relevant = (modes.natural_freq <= self.freq_max) & (modes.damping_ratio < self.damping_max)
         return float(np.max(reduced.indicator(values, modes)[relevant], initial=0.0))
 
-    def error(self, reduced: ReducedModel, values: Mapping[str, float]) -> float:
+    def error(self, reduced: ReducedModel, values: Mapping[str, float], counted: bool = False) -> float:
         """Largest error of an eigenvalue or shape against the full model; infinite for a missed mode."""
+        if counted and undamped_count_agrees(reduced, values, self.count):
+            refined = refined_modes(reduced, values, self.count, _REFINED * self.tolerance)
+            if refined is not None:
+                found = mode_errors(reduced, values, self.count, refined).worst
+                if found <= self.tolerance:
+                    return found
         return mode_errors(reduced, values, self.count).worst

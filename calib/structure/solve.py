@@ -73,8 +73,8 @@ def solve_modes(
             raise EvaluationError(f"the {label} matrix holds entries that are not finite")
     if not mass.diagonal().max(initial=0.0) > 0:
         raise EvaluationError("the model has no mass")
-    rotational_share = _rotational_share(mass, rotational)
-    shift = _shift(stiffness, mass, rotational)
+    rotational_share = rotational_share_of(mass, rotational)
+    shift = small_shift(stiffness, mass, rotational)
     try:
         if damping is None or not np.any(damping.data):
             return _real_modes(stiffness, mass, count, shift, rotational_share)
@@ -85,7 +85,7 @@ def solve_modes(
         raise EvaluationError(f"the eigenproblem could not be solved ({fault})") from fault
 
 
-def _shift(stiffness: sp.csc_array, mass: sp.csc_array, rotational: np.ndarray | None = None) -> float:
+def small_shift(stiffness: sp.csc_array, mass: sp.csc_array, rotational: np.ndarray | None = None) -> float:
     """Small positive shift in rad/s, far below the vibration modes and above the rounding error of zero eigenvalues.
 
     Rotations of thin shells have very little inertia: a shift scaled by their local eigenvalues would exceed the modes
@@ -100,7 +100,8 @@ def _shift(stiffness: sp.csc_array, mass: sp.csc_array, rotational: np.ndarray |
     return float(np.sqrt(_SHIFT * max(largest, 1e-300)))
 
 
-def _rotational_share(mass: sp.csc_array, rotational: np.ndarray | None) -> RotationalShare:
+def rotational_share_of(mass: sp.csc_array, rotational: np.ndarray | None) -> RotationalShare:
+    """Share of a shape's kinetic energy in the marked degrees of freedom, (n_dof,) bool."""
     rotational_share = np.zeros(mass.shape[0], dtype=bool) if rotational is None else rotational
 
     def share(shape: np.ndarray) -> float:

@@ -14,10 +14,13 @@ from calib.structure.basis import CHECK_COLUMNS, Basis
 from calib.structure.growth import POD, SAFETY, Growth, Target, next_round, offset_of, sampled_rows
 from calib.structure.mode_target import ModeTarget
 from calib.structure.model import StructuralModel
+from calib.structure.reduced import ReducedModel
 from calib.structure.space_filling import box, levels, middle, space_filling_points
 
 _FRESH = 24
 """Validation points of each space in a round of checks."""
+_FIRST = 4
+"""Snapshot points solved at full order; those after them start from a reduced model."""
 _ROUNDS = 16
 
 
@@ -40,6 +43,9 @@ def train_basis(
     parts); and the modes at the validation points where `ReducedModel.indicator` is largest, until a round of new
     points passes and its worst points agree with the full model without a missed mode. Points that were not solved rest
     on the indicator alone; `calib.structure.certificate` measures the error.
+
+    After the first snapshots, modes are refined from the basis known so far (`calib.structure.refinement`) where their
+    number is confirmed by the law of inertia, and solved at full order elsewhere.
 
     Parameters
     ----------
@@ -117,10 +123,14 @@ def train(
     growth = Growth(model, basis)
     vectors = growth.statics(target.forces(model))
     points = [p for space in several for p in space_filling_points(space, samples or _sample_count(space), rng)]
-    solved = []
+    solved: list[np.ndarray] = []
+    known: ReducedModel | None = None
     for k, p in enumerate(points):
         progress("training the reduced basis", k, len(points))
-        solved.append(target.snapshots(model, growth.matrix, p))
+        if k >= _FIRST and k.bit_count() == 1:  # what is known so far, at 4, 8, 16 ... points
+            so_far = growth.widened(vectors, np.hstack(solved), POD * target.tolerance)
+            known = ReducedModel(model, replace(basis, vectors=so_far))
+        solved.append(target.snapshots(model, growth.matrix, p, known))
     vectors = growth.widened(vectors, np.hstack(solved), POD * target.tolerance)
     basis = replace(basis, vectors=vectors, samples=sampled_rows(basis, points))
     for number in range(1, _ROUNDS + 1):

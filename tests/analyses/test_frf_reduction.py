@@ -45,9 +45,11 @@ def test_a_basis_is_trained_over_model_and_loads_but_not_over_gains(study, resul
     assert set(wanted.names) == {"k", "c", "m", "mass_1", "mass_3", "mass_4"}
     assert [p.name for p in wanted.within(study.search_space).parameters] == list(wanted.names)
     assert found.basis.names == ("k", "c", "m") and found.basis.tolerance == TOLERANCE
-    assert wanted.met_by(found.basis) and not wanted.met_by(replace(found.basis, seed=2))
+    key = found.basis.key
+    assert wanted.key(study.model, study.search_space) == key
+    assert replace(wanted, seed=2).key(study.model, study.search_space) != key
     other = replace(study.problem, measured=replace(study.problem.measured, std=2 * study.problem.measured.std))
-    assert not Wanted.of(other, 1e-5, 1).met_by(found.basis)
+    assert Wanted.of(other, 1e-5, 1).key(study.model, study.search_space) != key
 
 
 def test_the_stored_basis_is_loaded_and_serves_workers(study, results, monkeypatch):
@@ -102,7 +104,7 @@ def test_an_explanation_on_the_basis_is_that_at_full_order(study, results):
 def adapter_on(study, results, vectors, monkeypatch):
     """The adapter of the study on so many vectors of its basis."""
     local = local_perturbations(study.model, [study.problem.measured], study.search_space.values)
-    basis = basis_of(study, results, [one.effect for one in local])
+    basis = basis_of(study, results, local)
     poor = replace(basis, vectors=basis.vectors[:, :vectors])
     monkeypatch.setattr("calib.analyses.explain.basis_of", lambda *a: poor)
     return adapter_of(study, results, lambda *a: None, local)

@@ -1,11 +1,13 @@
 """Hypotheses of a study, and the reduced basis that is stored for them."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from calib.analyses import reduction
+from calib.analyses.basis_cache import BasisCache, using
 from calib.analyses.library import modal_hypotheses
 from calib.analyses.reduction import reduction_of
 from calib.correlation.problem import ModalProblem
@@ -90,12 +92,13 @@ def test_the_stored_basis_agrees_with_the_model_itself(study, results, small_pay
         assert np.abs(one.jacobian(there, names) - slope).max() < 0.02 * np.abs(slope).max()
 
 
-def test_the_basis_of_a_search_is_reused_and_left_unchanged(study, results, small_pays, monkeypatch):
+def test_the_basis_of_a_search_is_reused_and_left_unchanged(study, results, small_pays, monkeypatch, own_cache):
     modal_hypotheses(study, results)
     trained = []
     monkeypatch.setattr(reduction, "train", lambda *a, **k: trained.append(a))
     assert reduction_of(study, results).basis.version == 1 and not trained
     bases(results)[0].unlink()
+    shutil.rmtree(own_cache)
     modal_hypotheses(study, results)
     assert len(small_pays) == 2 and not trained
 
@@ -132,14 +135,20 @@ def test_the_basis_does_not_depend_on_the_measurement(study, results, small_pays
 
 
 @pytest.mark.parametrize("content", [b"", b"rubbish", None])
-def test_a_damaged_basis_is_trained_anew(study, results, small_pays, content):
+def test_a_damaged_basis_is_trained_anew(study, results, small_pays, content, own_cache):
     modal_hypotheses(study, results)
     (path,) = bases(results)
-    path.write_bytes(path.read_bytes()[:200] if content is None else content)
-    found, _ = modal_hypotheses(study, results)
+    key = path.stem.removeprefix("basis_effects_")
+    for file in (path, own_cache / f"basis_{key}.npz"):
+        file.write_bytes(file.read_bytes()[:200] if content is None else content)
+    with using(None) as notes:
+        found, _ = modal_hypotheses(study, results)
     assert len(small_pays) == 2 and found.variants.basis is not None
-    modal_hypotheses(study, results)
-    assert len(small_pays) == 2
+    assert len(notes) == 1 and key in notes[0]
+    with using(None) as notes:
+        modal_hypotheses(study, results)
+    assert len(small_pays) == 2 and notes == []
+    assert BasisCache(own_cache).find(key).digest == found.variants.basis.digest
 
 
 def test_the_user_may_switch_the_basis_off(study, results, small_pays):

@@ -21,7 +21,7 @@ from rates_scenarios import FIFTY, OWN, Scenario, fifty_effects, scenarios
 from rates_subject import ROOT, Subject
 
 from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.library import kept_basis
+from calib.analyses.library import effects_basis
 from calib.analyses.reduction import Wanted
 from calib.correlation.held_out import held_out_errors
 from calib.correlation.problem import ModalProblem
@@ -37,7 +37,7 @@ from calib.space import ParameterSpace
 from calib.structure.basis import Basis
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
-from calib.structure.perturbations import perturbations
+from calib.structure.perturbations import Perturbation, perturbations
 from calib.structure.variants import Variants
 from calib.study import Study
 
@@ -143,10 +143,11 @@ class World:
         """The model with each library of effects."""
         held = self.study.settings.held_out.sensors
         used = [s for s in self.specimen.layout if s.name not in held]
-        local = tuple(a.effect for a in perturbations(self.model, used, self.space.values, 10.0))
+        tested = perturbations(self.model, used, self.space.values, 10.0)
+        local = tuple(a.effect for a in tested)
         own = self.library
         many = (*own, *fifty_effects(self.model, 50 - len(own)))
-        basis = self._basis("own", self.model, self.space, own, local)
+        basis = self._basis("own", self.model, self.space, own, tested)
         # Those that lengthen the library scale a few parts; the basis holds what each part does.
         return {OWN: Variants(self.model, own, local, basis), FIFTY: Variants(self.model, many, local, basis)}
 
@@ -175,13 +176,13 @@ class World:
         model: StructuralModel,
         space: ParameterSpace,
         effects: Sequence[Effect],
-        local: Sequence[Effect],
+        local: Sequence[Perturbation],
         count: int | None = None,
     ) -> Basis:
         settings, problem, folder = self.study.settings.reduction, self.study.problem, self.folder / name
         wanted = Wanted.of(replace(problem, mode_count=count or problem.mode_count), settings.tolerance, settings.seed)
         folder.mkdir(parents=True, exist_ok=True)
-        return kept_basis(model, space, effects, local, wanted, folder)
+        return effects_basis(model, space, effects, local, wanted, folder)
 
     # -- one measurement -----------------------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from calib.structure.attach import hung_masses, outer_term
 from calib.structure.derivatives import mode_derivatives
 from calib.structure.effect_basis import effect_basis
 from calib.structure.extend import Addition, extend
-from calib.structure.growth import Growth
+from calib.structure.growth import Growth, lowest_freq
 from calib.structure.perturbations import perturbations
 from calib.structure.reduced import ReducedModel, reference_matrix
 from calib.structure.training import train_basis
@@ -52,7 +52,7 @@ def made(ladder):
     model = ladder(N)
     trained = train_basis(model, model.space, COUNT, seed=1, tolerance=1e-5)
     sensors = [Sensor(k, "x", (float(k), 0.0, 0.0)) for k in (20, 45, 77, 110)]
-    local = [a.effect for a in perturbations(model, sensors, {}, 0.5)]
+    local = perturbations(model, sensors, {}, lowest_freq(model, trained.reference_values))
     return model, trained, effect_basis(model, trained, model.space, EFFECTS, local, seed=2), local
 
 
@@ -97,6 +97,7 @@ def test_vectors_are_orthonormal_in_the_energy_product(made):
 def test_derivatives_by_local_perturbations_are_represented(made):
     """Change of each shape by a plausible magnitude, relative to the energy of that shape."""
     model, trained, enriched, local = made
+    local = [one.effect for one in local]
     wider = extend(model, local)
     values = {p.name: p.value for p in model.space.parameters}
     modes = wider.modes(values, COUNT)
