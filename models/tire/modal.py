@@ -4,23 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.errors import InputError
-from calib.measurement.modal import Sensor
 from calib.space import ParameterSpace
 from calib.structure.modal_function import ModalFunctionModel
 from models.tire.harmonics import HoopModes, hoop_modes, rings
 from models.tire.inflated import Inflated, inflate
 from models.tire.model import KPA, assumptions, parameters, tire_of
-from models.tire.tire import Tire
 
 STATIONS = 12
 """Places around the hoop, the first at the exciter, below the axle."""
 SHOULDER, SIDE = 0.35, 0.2
 """Where the other sensors stand, over the meridian from one bead."""
 N_MODES = 8
+
+
+class Station(NamedTuple):
+    """A sensor: node, direction, hoop angle from the exciter, rad, and part of the meridian from one bead."""
+
+    node: int
+    direction: str
+    angle: float
+    part: float
+
+
+_ROWS = ((0, 0.5, STATIONS, "xz"), (20, SHOULDER, STATIONS // 2, "xyz"), (40, SIDE, STATIONS // 2, "xyz"))
+LAYOUT = tuple(
+    Station(first + k + 1, direction, 2 * np.pi * k / STATIONS, part)
+    for first, part, count, directions in _ROWS for k in range(count) for direction in directions
+)  # fmt: skip
+"""Sensors of `tire_modes`."""
 
 
 def tire_modes(
@@ -54,25 +70,12 @@ def tire_modes(
             f"{n_modes} modes are wanted, but {n_each} of {len(orders)} hoop orders are solved",
             remedy="solve more orders",
         )
-    layout = _layout(tire_of(ParameterSpace(parameters()).values))
-    function = ModesFunction(n_meridian, orders, n_each, n_modes, layout)
+    function = ModesFunction(n_meridian, orders, n_each, n_modes)
     return ModalFunctionModel(
-        "inflated tire", ParameterSpace(parameters()), function, layout, n_modes, damped=False,
+        "inflated tire", ParameterSpace(parameters()), function, [f"{s.node}{s.direction}" for s in LAYOUT], n_modes,
+        damped=False,
         assumptions=assumptions(n_meridian, 12 * max(orders)),
     )  # fmt: skip
-
-
-def _layout(tire: Tire) -> tuple[Sensor, ...]:
-    angles = 2 * np.pi * np.arange(STATIONS) / STATIONS
-    rows = [(0, 0.5, range(STATIONS), "xz"), (20, SHOULDER, range(6), "xyz"), (40, SIDE, range(6), "xyz")]
-    out = []
-    for first, part, stations, directions in rows:
-        s = part * tire.profile.length
-        radius, across = float(tire.profile.r(s)), float(tire.profile.z(s))
-        for k in stations:
-            place = (float(radius * np.sin(angles[k])), across, float(-radius * np.cos(angles[k])))
-            out += [Sensor(first + k + 1, direction, place) for direction in directions]
-    return tuple(out)
 
 
 @dataclass(frozen=True)
@@ -84,14 +87,12 @@ class ModesFunction:
     n_meridian : int
     orders : tuple of int
     n_each, n_modes : int
-    layout : tuple of Sensor
     """
 
     n_meridian: int
     orders: tuple[int, ...]
     n_each: int
     n_modes: int
-    layout: tuple[Sensor, ...]
 
     def __call__(self, values: Mapping[str, float]) -> dict[str, np.ndarray]:
         """Frequencies, Hz, and shapes at the sensors of the modes that the exciter moves."""
@@ -122,11 +123,9 @@ class ModesFunction:
         radial, axial = p.dz(s) * w + p.dr(s) * u_node, p.dz(s) * u_node - p.dr(s) * w
         crown = _between(grid.profile.length / 2, s, radial)
         turn = np.conj(crown) / abs(crown) if abs(crown) > 1e-9 * np.abs(radial).max() else 1.0
-        out = np.empty(len(self.layout))
-        for row, sensor in enumerate(self.layout):
-            assert sensor.point is not None
-            angle = np.arctan2(sensor.point[0], -sensor.point[2])
-            place = grid.profile.length * (0.5 if sensor.node <= 20 else SHOULDER if sensor.node <= 40 else SIDE)
+        out = np.empty(len(LAYOUT))
+        for row, sensor in enumerate(LAYOUT):
+            place, angle = grid.profile.length * sensor.part, sensor.angle
             wave = turn * np.exp(1j * order * angle)
             out_r, out_a, out_v = ((_between(place, s, one) * wave).real for one in (radial, axial, v_node))
             out[row] = {
