@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -126,7 +127,11 @@ class Cells:
 
     def with_stiffness(self, stiffness: np.ndarray) -> Cells:
         """The same cells with another laminate stiffness (2 n_meridian, 6, 6), as in `build`."""
-        return replace(self, stiffness=np.repeat(stiffness, len(self.dofs) // len(stiffness), axis=0))
+        return replace(self, stiffness=self.each(stiffness))
+
+    def each(self, stiffness: np.ndarray) -> np.ndarray:
+        """Stiffness of every cell, (n_cells, 6, 6), from that along the meridian, (2 n_meridian, 6, 6)."""
+        return np.repeat(stiffness, len(self.dofs) // len(stiffness), axis=0)
 
     # Kinematics -------------------------------------------------------------------------------------------------------
     def strains(self, q: np.ndarray, linear: bool = False) -> np.ndarray:
@@ -167,9 +172,18 @@ class Cells:
 
     def gradient(self, q: np.ndarray) -> np.ndarray:
         """Derivative of the energy, (n_dof,), N."""
+        return self.at(q)(self.stiffness)
+
+    def at(self, q: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """The derivative of the energy as a linear function of the stiffness, (n_cells, 6, 6)."""
         strain = self.strains(q)
-        force = np.einsum("ckl,cl->ck", self.stiffness, strain[:, :6]) * self.area[:, None]
-        return self._spread(np.einsum("ckm,ck->cm", self._tangent_rows(strain), force))
+        rows = self._tangent_rows(strain)
+
+        def gradient(stiffness: np.ndarray) -> np.ndarray:
+            force = np.matmul(stiffness, strain[:, :6, None])[:, :, 0] * self.area[:, None]
+            return self._spread(np.matmul(force[:, None, :], rows)[:, 0, :])
+
+        return gradient
 
     def tangent(self, q: np.ndarray) -> tuple[np.ndarray, SymmetricBand]:
         """Gradient (n_dof,), N, and second derivative of the energy, N/m."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
 from scipy import sparse
 
 from calib.errors import EvaluationError, InputError
 from models.tire.band import BandFactor
-from models.tire.inflated import TOLERANCE, Inflated
+from models.tire.grid import Grid
+from models.tire.inflated import TOLERANCE, Inflated, node_motion
 
 WARNED_ROTATION = 0.35
 REFUSED_ROTATION = 0.6
@@ -48,15 +49,12 @@ class Ground:
                 f"{self.inflated.wall.grid.n_hoop} hoop cells cannot show a contact patch", remedy="take at least 8"
             )
 
-    @cached_property
+    @property
     def nodes(self) -> np.ndarray:
         """Nodes that can touch the ground, (n_candidates,): the lower half between the beads."""
-        grid = self.inflated.wall.grid
-        lower = (np.cos(grid.theta_node) > 0.0)[None, :]
-        free = (grid.numbers[2][:, :1] >= 0) & lower
-        return np.flatnonzero(np.broadcast_to(free, grid.numbers[2].shape))
+        return _candidates(self.inflated.wall.grid)[0]
 
-    @cached_property
+    @property
     def area(self) -> np.ndarray:
         """Area of the candidates, (n_candidates,), m2."""
         return self.inflated.wall.grid.area_node.ravel()[self.nodes]
@@ -66,29 +64,31 @@ class Ground:
         """Indentation of the tread at each candidate per force, (n_candidates,), m/N."""
         return self.compliance / self.area
 
-    @cached_property
+    @property
     def rows(self) -> sparse.csr_array:
         """Displacement of the candidates towards the ground, (n_candidates, n_dof).
 
         The ground's force is vertical and so is this displacement: a force along the wall's normal would not be the
         derivative of the energy by the deflection.
         """
-        wall, theta = self.inflated.wall, self._theta
-        return (
-            sparse.diags_array(np.cos(theta)) @ wall.height[self.nodes]
-            - sparse.diags_array(np.sin(theta)) @ wall.around[self.nodes]
-        ).tocsr()
-
-    @cached_property
-    def rest(self) -> np.ndarray:
-        """Height below the axle of the undeformed candidates, (n_candidates,), m."""
-        grid = self.inflated.wall.grid
-        return grid.profile.r(grid.s_node)[self.nodes // grid.n_hoop] * np.cos(self._theta)
+        return _candidates(self.inflated.wall.grid)[1]
 
     @property
-    def _theta(self) -> np.ndarray:
-        grid = self.inflated.wall.grid
-        return grid.theta_node[self.nodes % grid.n_hoop]
+    def rest(self) -> np.ndarray:
+        """Height below the axle of the undeformed candidates, (n_candidates,), m."""
+        return _candidates(self.inflated.wall.grid)[2]
+
+
+@lru_cache(maxsize=8)
+def _candidates(grid: Grid) -> tuple[np.ndarray, sparse.csr_array, np.ndarray]:
+    """Nodes, rows and heights of a grid's candidates, see `Ground`."""
+    lower = (np.cos(grid.theta_node) > 0.0)[None, :]
+    free = (grid.numbers[2][:, :1] >= 0) & lower
+    nodes = np.flatnonzero(np.broadcast_to(free, grid.numbers[2].shape))
+    theta = grid.theta_node[nodes % grid.n_hoop]
+    height, _, around = node_motion(grid)
+    rows = sparse.diags_array(np.cos(theta)) @ height[nodes] - sparse.diags_array(np.sin(theta)) @ around[nodes]
+    return nodes, rows.tocsr(), grid.profile.r(grid.s_node)[nodes // grid.n_hoop] * np.cos(theta)
 
 
 @dataclass(frozen=True)

@@ -64,11 +64,17 @@ def change(tire: Callable[[float], Tire], value: float, lower: float, upper: flo
     )
 
 
-def inflated_slope(inflated: Inflated, by: Change) -> np.ndarray:
-    """Derivative of the displacement of the axisymmetric strip, (n_strip_dof,), m."""
-    strip, q = inflated.strip, inflated.strip_displacement
-    _, band = strip.tangent(q, inflated.pressure)
-    return band.factor().solve(-_force(strip, q, by))
+class StripTangent:
+    """Tangent of the inflated strip, factorised once for all parameters."""
+
+    def __init__(self, inflated: Inflated):
+        strip, q = inflated.strip, inflated.strip_displacement
+        self.factor = strip.tangent(q, inflated.pressure)[1].factor()
+        self.force = _Force(strip, q)
+
+    def slope(self, by: Change) -> np.ndarray:
+        """Derivative of the displacement of the axisymmetric strip, (n_strip_dof,), m."""
+        return self.factor.solve(-self.force.by(by))
 
 
 def along(inflated: Inflated, slope: np.ndarray, by: Change, step: float) -> Inflated:
@@ -89,7 +95,7 @@ class Tangent:
         self.pressed = pressed
         ground = pressed.ground
         _, band = ground.inflated.wall.tangent(pressed.displacement, ground.inflated.pressure)
-        self.factor = band.factor()
+        self.factor, self.force = band.factor(), _Force(ground.inflated.wall, pressed.displacement)
         self.active = np.flatnonzero(pressed.force > 0.0)
         self.rows = ground.rows[self.active]
         self.shift = self.factor.solve(self.rows.T.toarray(order="F"))
@@ -108,7 +114,7 @@ class Tangent:
             Derivative of the inflated radius, from which the deflection is measured, m.
         """
         ground = self.pressed.ground
-        free = self.factor.solve(-_force(ground.inflated.wall, self.pressed.displacement, by))
+        free = self.factor.solve(-self.force.by(by))
         given = by.compliance * self.pressed.force[self.active] / ground.area[self.active]
         force = np.linalg.solve(self.matrix, self.rows @ free - radius - given)
         every = np.zeros(ground.nodes.size)
@@ -133,7 +139,7 @@ def frequency_slopes(inflated: Inflated, modes: HoopModes, slope: np.ndarray, by
         On a grid with ``grading = 0``.
     modes : HoopModes
     slope : (n_strip_dof,) ndarray
-        From `inflated_slope`.
+        From `StripTangent`.
     by : Change
     step : float
         By which the state is moved to difference its geometric stiffness.
@@ -154,10 +160,16 @@ def frequency_slopes(inflated: Inflated, modes: HoopModes, slope: np.ndarray, by
     return out
 
 
-def _force(wall: Wall, q: np.ndarray, by: Change) -> np.ndarray:
-    """Derivative of the unbalanced force at fixed displacements, (n_dof,), N."""
-    volume = wall.volume
-    return wall.cells.with_stiffness(by.stiffness).gradient(q) - by.pressure * (volume.load + volume.curvature @ q)
+class _Force:
+    """Derivative of the unbalanced force at fixed displacements; the elastic part is linear in the stiffness."""
+
+    def __init__(self, wall: Wall, q: np.ndarray):
+        self.cells, self.elastic = wall.cells, wall.cells.at(q)
+        self.pressed = wall.volume.load + wall.volume.curvature @ q
+
+    def by(self, change: Change) -> np.ndarray:
+        """(n_dof,), N."""
+        return self.elastic(self.cells.each(change.stiffness)) - change.pressure * self.pressed
 
 
 def _with_stiffness(wall: Wall, by: Change) -> Wall:

@@ -85,26 +85,35 @@ class Wall:
             half[:, None] * grid.step_node, node[:, None] * grid.step_half, node[:, None] * grid.step_node
         )
 
-    @cached_property
+    @property
     def height(self) -> sparse.csr_array:
         """Outward radial displacement of the nodes from the degrees of freedom, (n_nodes, n_dof)."""
-        return self._turned(self.grid.profile.dz, self.grid.profile.dr)
+        return node_motion(self.grid)[0]
 
-    @cached_property
+    @property
     def axial(self) -> sparse.csr_array:
         """Axial displacement of the nodes from the degrees of freedom, (n_nodes, n_dof)."""
-        return self._turned(lambda s: -self.grid.profile.dr(s), self.grid.profile.dz)
+        return node_motion(self.grid)[1]
 
-    def _turned(self, of_w, of_u) -> sparse.csr_array:
-        grid, s = self.grid, self.grid.s_node
-        u, _, w = grid.take
-        normal, along = (grid.both(sparse.diags_array(np.asarray(f(s), float))) for f in (of_w, of_u))
-        return (normal @ w + along @ grid.both(grid.as_down) @ u).tocsr()
-
-    @cached_property
+    @property
     def around(self) -> sparse.csr_array:
         """Hoop displacement of the nodes from the degrees of freedom, (n_nodes, n_dof)."""
-        return (self.grid.both(None, self.grid.at_down) @ self.grid.take[1]).tocsr()
+        return node_motion(self.grid)[2]
+
+
+@lru_cache(maxsize=8)
+def node_motion(grid: Grid) -> tuple[sparse.csr_array, sparse.csr_array, sparse.csr_array]:
+    """Radial, axial and hoop displacement of the nodes, see `Wall.height`."""
+    u, v, w = grid.take
+    u_node = grid.both(grid.as_down) @ u
+
+    def turned(of_w: np.ndarray, of_u: np.ndarray) -> sparse.csr_array:
+        normal, along = (grid.both(sparse.diags_array(np.asarray(factor, float))) for factor in (of_w, of_u))
+        return (normal @ w + along @ u_node).tocsr()
+
+    slope, across = grid.profile.dr(grid.s_node), grid.profile.dz(grid.s_node)
+    around = (grid.both(None, grid.at_down) @ v).tocsr()
+    return turned(across, slope), turned(-np.asarray(slope), across), around
 
 
 @dataclass(frozen=True)
@@ -133,7 +142,7 @@ class Inflated:
     strip: Wall
     strip_displacement: np.ndarray
 
-    @property
+    @cached_property
     def radii(self) -> np.ndarray:
         """Radius of the nodes along the meridian, (n_meridian + 1,), m."""
         grid = self.wall.grid
@@ -156,8 +165,9 @@ class Inflated:
         before = grid.profile.z(grid.s_node)
         after = before + (self.wall.axial @ self.displacement).reshape(-1, grid.n_hoop)[:, 0]
         fine = np.linspace(0.0, grid.profile.length, 40 * grid.n_meridian + 1)
-        widths = [np.ptp(CubicSpline(grid.s_node, z)(fine)) for z in (before, after)]
-        return float(widths[1] - widths[0])
+        both = CubicSpline(grid.s_node, np.stack([before, after], axis=1))(fine)
+        gained = np.ptp(both, axis=0)
+        return float(gained[1] - gained[0])
 
     @cached_property
     def stiffness(self) -> SymmetricBand:

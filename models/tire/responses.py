@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.errors import InputError
 from models.tire.contact import Ground, Pressed, RotationWarning, load_curve, press_to_load
-from models.tire.derivatives import Change, Tangent, along, frequency_slopes, inflated_slope
+from models.tire.derivatives import Change, StripTangent, Tangent, along, frequency_slopes
 from models.tire.harmonics import HoopModes, hoop_modes
 from models.tire.inflated import Inflated, inflate
 from models.tire.patch import bulge, patch_length, patch_width, shoulder
@@ -123,11 +123,11 @@ class Rig:
         """
         tangents = {k: Tangent(step) for k, step in state.steps.items()}
         at_load = {k: Tangent(step) for k, step in state.loaded.items()}
-        out = {}
+        out, strip = {}, StripTangent(state.ground.inflated)
         for name, by in changes.items():
             h = 1e-6 * ranges[name]
             inflated = state.ground.inflated
-            slope = inflated_slope(inflated, by)
+            slope = strip.slope(by)
             there, back = (along(inflated, slope, by, x) for x in (h, -h))
             radius = (there.radius - back.radius) / (2 * h)
             pressed = {k: tangent.slope(by, radius) for k, tangent in tangents.items()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -160,7 +160,7 @@ class Tire:
 
     def wall(self, n_meridian: int, n_hoop: int, grading: float = 0.8) -> Wall:
         """Wall on a grid of so many cells along meridian and hoop."""
-        grid = Grid(self.profile, n_meridian, n_hoop, grading)
+        grid = _grid(self.profile, n_meridian, n_hoop, grading)
         return Wall.build(grid, self.stiffness(grid.s_quarter), self.areal_density(grid.s_quarter))
 
     def inflate(self, pressure: float, n_meridian: int = 41, n_hoop: int = 24) -> Inflated:
@@ -196,6 +196,12 @@ class Tire:
 
     def _covered(self, s: np.ndarray) -> np.ndarray:
         return np.abs(np.asarray(s) / self.profile.length - 0.5) <= self.tread_width / 2
+
+
+@lru_cache(maxsize=16)
+def _grid(profile: Profile, n_meridian: int, n_hoop: int, grading: float) -> Grid:
+    """The same grid for all tires of a shape: its operators are made once."""
+    return Grid(profile, n_meridian, n_hoop, grading)
 
 
 def base_tire() -> Tire:
