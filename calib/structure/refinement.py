@@ -47,9 +47,9 @@ def refined_modes(
     count : int
         Number of modes, at most those that the basis was trained for.
     accuracy : float
-        Relative eigenvalue error: the steps end where its estimate, ``|R^H K^-1 R|/|lambda|`` before the last step
-        times the square of the ratio by which that step reduced the residual, is below: an estimate, not a bound. Nearly critical modes, with a
-        damping ratio above that of the basis, are exempt.
+        Relative eigenvalue error: the steps end where its estimate is below, ``|R^H K^-1 R|/|lambda|`` before the last
+        step times the square of the ratio by which that step reduced the residual. It is no bound. Nearly critical
+        modes, with a damping ratio above that of the basis, are exempt.
 
     Returns
     -------
