@@ -30,6 +30,7 @@ from calib.structure.mode_target import ModeTarget
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
 from calib.structure.reduced import ReducedModel
+from calib.structure.refinement import modes_near
 from calib.structure.training import enrich_basis, train
 from calib.study import Study
 
@@ -169,13 +170,16 @@ class Reduction:
     def misses_at(self, values: Mapping[str, float]) -> bool:
         """Whether reduced and full responses at a point differ by more than the tolerance.
 
-        Of modes by `FIRST_ORDER` times as much, relative in frequency, absolute in MAC.
+        Of modes by `FIRST_ORDER` times as much, relative in frequency, absolute in MAC; full ones are refined where a
+        count confirms their number.
         """
         if isinstance(self.problem, FRFProblem):
             loaded = self.problem.loaded_model
             assert isinstance(loaded, ReducedModel)
             return self.target.error(loaded, values) > self.basis.tolerance
-        mine, truth = self.problem.evaluate(values), self.full.evaluate(values)
+        assert isinstance(self.problem.model, ReducedModel)
+        refined = modes_near(self.problem.model, values, self.full.mode_count, 0.1 * self.basis.tolerance)
+        mine, truth = self.problem.evaluate(values), self.full.responses(self.full.compare(values, refined))
         parts = [0.0]
         for mode in self.problem.measured.names:
             freq, mac = f"natural_freq_{mode}", f"mac_{mode}"

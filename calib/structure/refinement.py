@@ -15,10 +15,10 @@ from calib.structure.eigenvalues import is_zero
 from calib.structure.inertia import count_below, symmetric_factor
 from calib.structure.modes import Modes
 from calib.structure.reduced import ReducedModel
-from calib.structure.solve import rotational_share_of, small_shift
+from calib.structure.solve import rotational_share_of
 from calib.structure.solve_dense import solve_dense
 
-STEPS = 3
+STEPS = 4
 """Corrections before refinement gives up."""
 ACCURACY = 1e-8
 """Estimated relative eigenvalue error at which refinement ends, unless told otherwise."""
@@ -35,7 +35,7 @@ def refined_modes(
 
     Each step solves for the correction ``d = -K^-1 R`` of every mode, with the residual
     ``R = (lambda^2 M + lambda C + K) psi`` and one real factor of K for all modes and steps, and projects the model on
-    the shapes and corrections together (block Rayleigh-Ritz; a Davidson step with the static inverse as
+    the shapes and all corrections together (block Rayleigh-Ritz; a Davidson method with the static inverse as
     preconditioner, Saad 2011, section 8.2). An eigenvalue's error is of second order in that of its shape.
 
     Modes that the reduced model lacks stay unknown: `undamped_count_agrees` or a solution at full order finds them.
@@ -47,9 +47,9 @@ def refined_modes(
     count : int
         Number of modes, at most those that the basis was trained for.
     accuracy : float
-        Relative eigenvalue error: the steps end where its estimate, ``|R^H K^-1 R|/|lambda|`` before the last step
-        times the square of the ratio by which that step reduced the residual, is below. Nearly critical modes, with a
-        damping ratio above that of the basis, are exempt.
+        Relative eigenvalue error: the steps end where its estimate is below, ``|R^H K^-1 R|/|lambda|`` before the last
+        step times the square of the ratio by which that step reduced the residual. It is no bound. Nearly critical
+        modes, with a damping ratio above that of the basis, are exempt.
 
     Returns
     -------
@@ -65,9 +65,8 @@ def refined_modes(
     found = reduced.modes(values, count)
     stiffness, damping, mass = full.matrices(values)
     rotational = full.dofs.direction >= 3
-    shift = small_shift(stiffness, mass, rotational)
     try:
-        factor = symmetric_factor(sp.csc_array(stiffness + shift * damping + shift**2 * mass))
+        factor = symmetric_factor(sp.csc_array(stiffness + reduced.basis.offset * mass))
     except RuntimeError as fault:
         raise EvaluationError(f"the eigenproblem could not be solved ({fault})") from fault
     scale = np.sqrt(np.maximum(stiffness.diagonal(), 1e-12 * stiffness.diagonal().max()))[:, None]
@@ -76,13 +75,13 @@ def refined_modes(
         found.natural_freq, found.damped_freq, found.damping_ratio, reduced.lift(found.shapes), found.excluded
     )
     rest = _residual(modes, stiffness, damping, mass)
+    parts = [scale * reduced.lift(_rigid(reduced, values)), scale * _real(modes.shapes)]
     for _ in range(STEPS):
         correction = _both_parts(factor, rest)
         before = np.abs(np.einsum("ij,ij->j", rest.conj(), correction)) / _size(modes)
-        space = np.hstack([modes.shapes, correction])
-        space = np.hstack([space.real, space.imag]) if np.iscomplexobj(space) else space
-        space = scale * space
-        space = space[:, (lengths := np.linalg.norm(space, axis=0)) > 0] / lengths[lengths > 0]
+        parts.append(scale * _real(correction))
+        space = np.hstack([part / np.maximum(np.linalg.norm(part, axis=0), 1e-300) for part in parts])
+        # Orthonormal where K is nearly diagonal; columns that depend on others become any further direction.
         basis = la.qr(space, mode="economic", check_finite=False)[0] / scale
 
         def shared(shape: np.ndarray, basis: np.ndarray = basis) -> float:
@@ -111,7 +110,7 @@ def undamped_count_agrees(reduced: ReducedModel, values: Mapping[str, float], co
     """
     full = reduced.model
     k, _, m = reduced.matrices(values)
-    shift = _SHIFT * float(np.max(np.diag(k)[heavy := np.diag(m) > 0] / np.diag(m)[heavy]))
+    shift = _regular(k, m)
     # K and M are exchanged so that massless motions cause no infinite eigenvalues.
     inverse = la.eigvalsh(m, k + shift * m, check_finite=False)[::-1]
     squares = 1.0 / inverse[inverse > 1e-14 * inverse[0]] - shift
@@ -137,6 +136,28 @@ def modes_near(reduced: ReducedModel, values: Mapping[str, float], count: int, a
         if refined is not None:
             return refined
     return reduced.model.modes(values, count)
+
+
+def _rigid(reduced: ReducedModel, values: Mapping[str, float]) -> np.ndarray:
+    """Rigid-body motions and mechanisms over the basis, (size, n): a correction moves along them, and may not alone."""
+    if not reduced.basis.offset:
+        return np.zeros((reduced.n_dof, 0))
+    k, _, m = reduced.matrices(values)
+    shift = _regular(k, m)
+    inverse, shapes = la.eigh(m, k + shift * m, check_finite=False)
+    squares = 1.0 / np.maximum(inverse, 1e-300) - shift
+    return np.asarray(shapes[:, is_zero(squares, float(np.sqrt(shift)))])
+
+
+def _regular(k: np.ndarray, m: np.ndarray) -> float:
+    """Square of a small shift that keeps a dense factor regular."""
+    heavy = np.diag(m) > 0
+    return _SHIFT * float(np.max(np.diag(k)[heavy] / np.diag(m)[heavy]))
+
+
+def _real(columns: np.ndarray) -> np.ndarray:
+    """Real and imaginary parts of complex columns side by side; real columns as they are."""
+    return np.hstack([columns.real, columns.imag]) if np.iscomplexobj(columns) else columns
 
 
 def _size(modes: Modes) -> np.ndarray:

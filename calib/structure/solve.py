@@ -74,7 +74,7 @@ def solve_modes(
     if not mass.diagonal().max(initial=0.0) > 0:
         raise EvaluationError("the model has no mass")
     rotational_share = rotational_share_of(mass, rotational)
-    shift = small_shift(stiffness, mass, rotational)
+    shift = _shift(stiffness, mass, rotational)
     try:
         if damping is None or not np.any(damping.data):
             return _real_modes(stiffness, mass, count, shift, rotational_share)
@@ -85,7 +85,7 @@ def solve_modes(
         raise EvaluationError(f"the eigenproblem could not be solved ({fault})") from fault
 
 
-def small_shift(stiffness: sp.csc_array, mass: sp.csc_array, rotational: np.ndarray | None = None) -> float:
+def _shift(stiffness: sp.csc_array, mass: sp.csc_array, rotational: np.ndarray | None = None) -> float:
     """Small positive shift in rad/s, far below the vibration modes and above the rounding error of zero eigenvalues.
 
     Rotations of thin shells have very little inertia: a shift scaled by their local eigenvalues would exceed the modes

