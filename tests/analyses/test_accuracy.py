@@ -101,6 +101,7 @@ def test_an_invalid_claim_is_refused(mast, edited, tmp_path, claim):
 # -- use ---------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_compare_calibrate_and_explain_weight_by_the_same_standard_deviation(mast, edited, tmp_path):
     """A hidden guy rope shifts frequencies by a few per cent: with a claimed accuracy of 10 % nothing is detectable."""
     stated = Study.load(mast.write_study(tmp_path / "stated", {"guy": 9000.0}))

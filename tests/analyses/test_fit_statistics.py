@@ -90,6 +90,7 @@ def test_two_values_that_two_unknowns_cannot_reach_do_not_fit(line):
     assert found.fits is False
 
 
+@pytest.mark.slow
 def test_calibration_and_explanation_agree_after_an_extension(guyed, tmp_path):
     """The explanation of the extended study finds nothing more."""
     study = guyed[0]

@@ -172,6 +172,7 @@ def test_a_basis_says_the_same_and_twice_the_same_bytes(explained, guyed, monkey
     assert (one["z"] - other["z"][one.index]).abs().max() < 0.1
 
 
+@pytest.mark.slow
 def test_held_out_data_are_told_and_enter_no_fit(guyed, capsys, edit, explanation):
     edit(guyed, "modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x"]')
     assert cli.execute(["explain", "mast", "--verbose"]) == 0

@@ -109,6 +109,7 @@ def test_python_gives_the_same_from_the_folder(ran, here, table):
     pd.testing.assert_frame_equal(answer, table("comparison_before"), rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_report_draws_it_from_tables_alone(ran, here, unrendered, drawn, monkeypatch):
     shutil.copytree(ran[0], here, dirs_exist_ok=True)
     monkeypatch.setattr("calib.correlation.frf_residual.frf", lambda *a, **k: pytest.fail("it solved"))

@@ -106,7 +106,8 @@ class Recorder(Listener):
 
 
 @pytest.mark.parametrize("method", ["genetic", "gauss-newton"])
-def test_every_part_of_a_calibration_tells_how_far_it_is(guyed, undrawn, method):
+def test_every_part_of_a_calibration_tells_how_far_it_is(guyed, edit, undrawn, method):
+    edit(guyed, "[calibration]", "[calibration]\npopulation = 10\ngenerations = 5")
     listener = Recorder()
     Study.load("mast", workers=1, quick=True, listener=listener).calibrate(method=method)
     stages = [stage for stage, _, _ in listener.told]

@@ -58,7 +58,9 @@ def test_few_repeats_beside_a_known_error_reject_as_often_as_the_level_says(tmp_
     assert np.mean(missed) < 0.02 and np.mean(alone) > 0.2
 
 
-@pytest.mark.parametrize(("repeats", "modes"), [pytest.param(10, 60, marks=pytest.mark.slow), (20, 12)])
+@pytest.mark.parametrize(
+    ("repeats", "modes"), [pytest.param(*case, marks=pytest.mark.slow) for case in ((10, 60), (20, 12))]
+)
 def test_a_correct_model_of_many_repeats_is_rejected_as_often_as_the_level_says(tmp_path, repeats, modes):
     """Each frequency keeps the standard deviation of its own repeats, however different from the others."""
     path = tmp_path / "modes.csv"

@@ -143,6 +143,7 @@ def test_dots_are_the_factors_of_the_seeds(drawn_tables):
     assert [segment[0, 1] for segment in true.get_segments()] == list(article.FACTORS)
 
 
+@pytest.mark.slow
 def test_figures_are_drawn_from_a_folder_and_from_nothing_else(drawn_tables, tmp_path):
     assert figures.save_all(tmp_path) == []
     for name, table in drawn_tables.items():

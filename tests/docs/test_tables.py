@@ -32,6 +32,7 @@ def test_every_column_of_every_table_is_documented(undrawn, tmp_path, name):
     assert name == "function" or stale(tmp_path / "results") == {}
 
 
+@pytest.mark.slow
 def test_every_column_of_every_table_of_frfs_is_documented_and_there(undrawn, tmp_path):
     FRFS["write"](tmp_path / "chain")
     results = tmp_path / "results"

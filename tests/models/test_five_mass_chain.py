@@ -264,6 +264,7 @@ def test_the_tutorials_structural_effect_is_neutral_at_0_and_has_the_derivative_
     np.testing.assert_allclose(slopes.natural_freq[0], difference, rtol=1e-4, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_tutorials_structural_effect_can_be_seen_with_its_data(sling):
     """A score of 4 at a fifth of the plausible size, about the nominal values: least squares with priors by hand."""
     study = Study.load(BOGIE)

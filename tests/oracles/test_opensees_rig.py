@@ -182,7 +182,8 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("positions", [CASES[1], pytest.param(CASES[0], marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("positions", [CASES[1], CASES[0]])
 def test_bogie_on_its_rig(opensees, monkeypatch, positions):
     count = 10
     for mass, allowed, least_mac in ((beam.mass, 3e-3, 0.998), (torsion_as_polar, 1e-5, 0.999999)):

@@ -78,6 +78,24 @@ OF_ALL = {"parameters", "ranked_effects", "confounding", "errors_before_after"}
 """Figures of what all tests say together."""
 
 
+def test_a_calibration_draws_each_test_by_itself_and_all_together(own, monkeypatch, tmp_path):
+    drawn, results = {}, tmp_path / "results"
+
+    def planned(figures, *given):
+        drawn[str(figures.folder.folder.relative_to(results))] = set(figures.plan)
+        return []
+
+    monkeypatch.setattr(Figures, "save", planned)
+    asked = ["calibrate", str(own), "--case", "C1", "--workers", "1", "--results", str(results)]
+    assert cli.execute(asked) == 0
+    assert list(drawn) == [f"frame{end}/case_C1" for end in (".empty", ".loaded", "")]
+    assert drawn["frame/case_C1"] == {"parameters"}
+    assert (
+        drawn["frame.empty/case_C1"] == drawn["frame.loaded/case_C1"] > {"parameters", "model", "modes", "comparison"}
+    )
+
+
+@pytest.mark.slow
 def test_the_run_draws_each_test_by_itself_and_all_together(run, unrendered, tmp_path):
     _, results, drawn, reported = run
     assert drawn == [f"{name}{end}" for name in ("frame_extended", "frame") for end in (".empty", ".loaded", "")]

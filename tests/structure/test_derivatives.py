@@ -131,6 +131,7 @@ def test_every_kind_of_parameter_on_random_systems(monkeypatch, seed, damped, de
             close(part[q], target, 5e-6)
 
 
+@pytest.mark.slow
 def test_the_bogie_at_full_order():
     model = bogie_on_rig()
     values = {**model.space.values, "K_primary": 700.0}

@@ -114,6 +114,7 @@ def test_a_basis_records_what_it_was_trained_for_and_how_well_it_is_met(made, tm
     assert Basis.load(tmp_path / "basis.npz").digest == basis.digest
 
 
+@pytest.mark.slow
 def test_a_function_that_does_not_matter_asks_for_nothing(made):
     model, target, basis = made
     one = target.std.copy()

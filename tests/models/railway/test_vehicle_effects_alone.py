@@ -137,6 +137,7 @@ def test_a_hung_unit_is_a_rigid_body_on_its_feet(alone, rigid_car, name, item, m
     np.testing.assert_allclose(felt, expected, atol=1e-6 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_few_patterns_of_seats_do_what_sixty_seats_do(alone, rigid_car):
     # Sixty oscillators and ten, each with the lowest undamped modes of the car on rigid seats.
     masses = passenger_seats(sprung=False).masses
