@@ -136,6 +136,22 @@ class Orthogonality:
         table.insert(0, "mode", list(self.names))
         return table
 
+    def modes_table(self, residual: np.ndarray) -> pd.DataFrame:
+        """One row per measured mode: how far its expansion and the mass matrix can be trusted.
+
+        Columns ``mode, residual, imaginary, reduction, tam_error, reason``; the residual is that of `ExpandedShapes`.
+        """
+        return pd.DataFrame(
+            {
+                "mode": list(self.names),
+                "residual": residual,
+                "imaginary": self.imaginary,
+                "reduction": self.by,
+                "tam_error": self.tam_error,
+                "reason": [self.refused.get(name, self.instead) for name in self.names],
+            }
+        )
+
     @property
     def sentence(self) -> str:
         """How many entries pass the usual reading."""
