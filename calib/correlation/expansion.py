@@ -25,7 +25,7 @@ from calib.structure.expansion import Expansion, serep_expansion, static_expansi
 from calib.structure.model import StructuralModel
 
 KEPT, LEAK = 0.9, 0.1
-"""Cross-orthogonality that a pair should reach, and that other shapes should not exceed."""
+"""Cross-orthogonality that a pair should reach, and that other shapes should not exceed; with two decimals."""
 
 By = Literal["static", "SEREP"]
 WAYS: tuple[By, ...] = ("static", "SEREP")
@@ -156,18 +156,18 @@ class Orthogonality:
     def sentence(self) -> str:
         """How many entries pass the usual reading."""
         paired = self.pairs[:, None] == self.model_modes
-        known = np.isfinite(self.cross)
-        pairs, others = paired & known, ~paired & known
-        upper = np.triu(np.isfinite(self.own), 1)
+        cross, own = np.round(self.cross, 2), np.round(self.own, 2)
+        pairs, others = paired & np.isfinite(cross), ~paired & np.isfinite(cross)
+        upper = np.triu(np.isfinite(own), 1)
         words = (
-            f"Cross-orthogonality ({self.by} reduction): {np.sum(self.cross[pairs] >= KEPT)} of {pairs.sum()} pairs "
-            f"reach {KEPT}, and {np.sum(self.cross[others] > LEAK)} of {others.sum()} other entries exceed {LEAK}."
+            f"Cross-orthogonality ({self.by} reduction): {np.sum(cross[pairs] >= KEPT)} of {pairs.sum()} pairs "
+            f"reach {KEPT}, and {np.sum(cross[others] > LEAK)} of {others.sum()} other entries exceed {LEAK}."
         )
         if not upper.any():
             return words
         i, j = np.unravel_index(np.argmax(np.where(upper, self.own, -1.0)), self.own.shape)
         return (
-            f"{words} Among the measured shapes {np.sum(self.own[upper] > LEAK)} of {upper.sum()} entries exceed "
+            f"{words} Among the measured shapes {np.sum(own[upper] > LEAK)} of {upper.sum()} entries exceed "
             f"{LEAK}; the largest is {self.own[i, j]:.2f} ({self.names[i]}, {self.names[j]})."
         )
 
