@@ -115,7 +115,8 @@ def _correlations_of_shapes(folder: Folder, effects: str) -> Iterator[Drawing]:
     for stage in _STAGES:
         names = tuple(f"{kind}_orthogonality_{stage}" for kind in ("cross", "self"))
         if all((folder / f"{name}.csv").exists() for name in names):
-            cross, own = (read_table(folder / f"{name}.csv", ["mode"], others_are_numbers=True) for name in names)
+            cross = read_table(folder / f"{names[0]}.csv", ["mode"], ["model_mode"], others_are_numbers=True)
+            own = read_square(folder / f"{names[1]}.csv", "mode")
             caption = f"mass-orthogonality of the measured shapes, {stage_words(stage, effects)}"
             yield Drawing(f"orthogonality_{stage}", caption, bound(orthogonality_figure, cross, own), names)
     before, after = (_comac(folder / f"comac_{stage}.csv") for stage in _STAGES)

@@ -55,7 +55,9 @@ def draw_self_orthogonality(table: pd.DataFrame, ax: Axes | None = None, *, key:
     key : bool
     """
     heads = [str(c) for c in table.columns if c != "mode"]
-    return _draw(table, heads, np.eye(len(table), dtype=bool), "measured mode", ax, key)
+    return _draw(
+        table, heads, table["mode"].astype(str).to_numpy()[:, None] == np.array(heads), "measured mode", ax, key
+    )
 
 
 def orthogonality_figure(cross: pd.DataFrame, own: pd.DataFrame) -> Figure:
