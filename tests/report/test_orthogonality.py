@@ -14,9 +14,9 @@ from calib.report.style import VERMILLION, new_figure
 @pytest.fixture
 def cross():
     """The second mode is not paired; 0.898 and 0.104 are read as 0.90 and 0.10, which pass."""
-    table = pd.DataFrame([[0.898, 0.104], [0.3, np.nan], [0.106, 0.894]], columns=["2 (11.70 Hz)", "12 (16.20 Hz)"])
+    table = pd.DataFrame([[0.898, 0.104], [0.3, np.nan], [0.106, 0.894]], columns=["1 (11.70 Hz)", "12 (16.20 Hz)"])
     table.insert(0, "mode", ["1BT", "2BT", "3BT"])
-    table.insert(1, "model_mode", [2.0, np.nan, 12.0])
+    table.insert(1, "model_mode", [1.0, np.nan, 12.0])
     return table
 
 
@@ -42,7 +42,7 @@ def test_pairs_below_and_others_above_the_limits_have_a_frame(cross, own):
     ax = draw_cross_orthogonality(cross)
     assert cells(ax) == {(0, 0): "0.90", (0, 1): "0.10", (1, 0): "0.30", (2, 0): "0.11", (2, 1): "0.89"}
     assert framed(ax) == [(1, 0), (2, 0), (2, 1)]
-    assert [t.get_text() for t in ax.get_xticklabels()] == ["2 (11.70 Hz)", "12 (16.20 Hz)"]
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["1 (11.70 Hz)", "12 (16.20 Hz)"]
     assert framed(draw_self_orthogonality(own)) == [(0, 1), (1, 0)]
     np.testing.assert_array_equal(draw_self_orthogonality(own).images[0].get_array(), own.drop(columns="mode"))
 
