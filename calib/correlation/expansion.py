@@ -69,7 +69,7 @@ class ExpandedShapes:
         parts = [pd.DataFrame(columns=["mode", "point", *motion])]
         for i, name in enumerate(found.measured.names):
             if name not in self.refused:
-                moved = np.real(found.model.displacement(self.shapes[:, [i]])[:, :, 0])
+                moved = np.real(found.model.displacement(self.shapes[:, [i]] * found.turns[i])[:, :, 0])
                 part = pd.DataFrame(moved, columns=motion).rename_axis("point").reset_index()
                 part.insert(0, "mode", name)
                 parts.append(part)

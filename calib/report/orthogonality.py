@@ -19,6 +19,10 @@ KEPT, LEAK = 0.9, 0.1
 _LABEL = "orthogonality (–)"
 _BESIDE = 9
 """Columns up to which both matrices stand beside each other."""
+_SHORT = 14
+"""Characters of a mode's name up to which they do."""
+_CHARACTER = 0.075
+"""Width of a character of a label, inches."""
 
 
 def draw_cross_orthogonality(table: pd.DataFrame, ax: Axes | None = None, *, key: bool = True) -> Axes:
@@ -62,9 +66,10 @@ def draw_self_orthogonality(table: pd.DataFrame, ax: Axes | None = None, *, key:
 
 def orthogonality_figure(cross: pd.DataFrame, own: pd.DataFrame) -> Figure:
     """Draw both matrices, beside each other while they are small."""
-    rows, columns = len(cross), max(cross.shape[1] - 2, own.shape[1] - 1)
-    height = matrix_height(rows, columns) + 0.35
-    beside = columns <= _BESIDE
+    columns = max(cross.shape[1] - 2, own.shape[1] - 1)
+    longest = max((len(str(mode)) for mode in cross["mode"]), default=0)
+    height = matrix_height(len(cross), _BESIDE) + 0.35  # room for upright labels
+    beside = columns <= _BESIDE and longest <= _SHORT
     figure = new_figure(height if beside else 2 * height)
     axes = figure.subplots(1, 2) if beside else figure.subplots(2, 1)
     draw_cross_orthogonality(cross, axes[0], key=False)
@@ -98,7 +103,8 @@ def _draw(table: pd.DataFrame, heads: list[str], paired: np.ndarray, across: str
                     (j - 0.46, i - 0.44), 0.92, 0.88, fill=False, edgecolor=VERMILLION, linewidth=1.4, gid="fails"
                 )
             )
-    ax.set_xticks(range(columns), heads, rotation=90 if columns > 6 else 0)
+    wide = _CHARACTER * sum(len(head) + 2 for head in heads) > room
+    ax.set_xticks(range(columns), heads, rotation=90 if wide else 0)
     ax.set_yticks(range(rows), table["mode"].astype(str))
     ax.set_xlabel(across)
     ax.set_ylabel("measured mode")
