@@ -2,29 +2,12 @@
 
 import numpy as np
 import pandas as pd
-import pytest
 from matplotlib.colors import to_hex
 
 from calib.correlation import expansion
 from calib.report import orthogonality
 from calib.report.orthogonality import draw_cross_orthogonality, draw_self_orthogonality, orthogonality_figure
 from calib.report.style import VERMILLION, new_figure
-
-
-@pytest.fixture
-def cross():
-    """The second mode is not paired; 0.898 and 0.104 are read as 0.90 and 0.10, which pass."""
-    table = pd.DataFrame([[0.898, 0.104], [0.3, np.nan], [0.106, 0.894]], columns=["1 (11.70 Hz)", "12 (16.20 Hz)"])
-    table.insert(0, "mode", ["1BT", "2BT", "3BT"])
-    table.insert(1, "model_mode", [1.0, np.nan, 12.0])
-    return table
-
-
-@pytest.fixture
-def own():
-    table = pd.DataFrame([[1.0, 0.12, 0.02], [0.12, 1.0, 0.05], [0.02, 0.05, 1.0]], columns=["1BT", "2BT", "3BT"])
-    table.insert(0, "mode", ["1BT", "2BT", "3BT"])
-    return table
 
 
 def cells(ax):
