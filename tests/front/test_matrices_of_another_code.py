@@ -129,6 +129,9 @@ def test_matrices_of_another_code_are_compared_and_calibrated(measured):
 
     assert before["mac"].notna().all() and before["freq_error"].abs().mean() > 3 * after["freq_error"].abs().mean()
     assert after["freq_error"].abs().max() < 4e-3 and after["mac"].min() > 0.97
+    checked = fit.compare().orthogonality()
+    for name, values in (("cross_orthogonality", checked.cross), ("self_orthogonality", checked.own)):
+        np.testing.assert_allclose(fit.figure(name).images[0].get_array(), values, atol=1e-9)
     off = (fit.parameters["value"] - fit.parameters.index.map(truth)) / fit.parameters["std"]
     assert off.abs().max() < 3.5 and (off**2).mean() < 2.5
     assert fit.parameters["value"]["EI_1"] < 0.85 and fit.statistics.fits
