@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -11,10 +12,11 @@ import pandas as pd
 from calib.analyses.answers import of_comparison
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.recorded import traced
-from calib.analyses.state import GEOMETRY
+from calib.analyses.state import GEOMETRY, ORTHOGONALITY
 from calib.analyses.uncertainty import std_notes
 from calib.answer import Answer
 from calib.correlation.compare import FAR_ERROR, Comparison
+from calib.correlation.expansion import ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
 from calib.correlation.frf_comparison import FRFComparison
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.mesh import geometry_tables
@@ -28,6 +30,7 @@ from calib.measurement.check import SensorFinding
 from calib.measurement.modal import MeasuredModes
 from calib.outcome import answered, as_cause
 from calib.results import Results
+from calib.structure.model import StructuralModel
 from calib.study import Study
 
 
@@ -71,6 +74,32 @@ class ComparisonResult:
     std_notes: tuple[str, ...] = ()
 
     @property
+    def orthogonality(self) -> Orthogonality | None:
+        """Mass-orthogonality of measured shapes; None without shapes, matrices or a way to expand them."""
+        return self._orthogonality if isinstance(self._orthogonality, Orthogonality) else None
+
+    @cached_property
+    def _orthogonality(self) -> Orthogonality | str:
+        """The same, or why there is none; empty where it is not to be expected."""
+        found = self.comparison
+        if found is None or not (found.measured.has_shapes and isinstance(found.model, StructuralModel)):
+            return ""
+        try:
+            return orthogonality(found)
+        except (InputError, EvaluationError) as fault:
+            return str(fault)
+
+    @cached_property
+    def expanded(self) -> ExpandedShapes | None:
+        """Measured shapes on the whole model by its paired modes, else by static expansion; None as above."""
+        if self.orthogonality is None or self.comparison is None:
+            return None
+        try:
+            return expanded_shapes(self.comparison)
+        except InputError:
+            return expanded_shapes(self.comparison, self.orthogonality.by)
+
+    @property
     def answer(self) -> Answer:
         """What was found, how sure that is, and what to do next."""
         return of_comparison(self)
@@ -106,6 +135,11 @@ class ComparisonResult:
         if self.chosen:
             listed = ", ".join(f"{mode} with model mode {number}" for mode, number in self.chosen.items())
             out.append(f"Paired as the study says and not as computed: {listed}.")
+        checked = self._orthogonality
+        if isinstance(checked, Orthogonality):
+            out.append(checked.sentence)
+        elif checked:
+            out.append(f"Mass-orthogonality is not known: {checked}")
         return (*out, "Where it fails: " + found.sentence())
 
     @property
@@ -255,6 +289,18 @@ def write_comparison(results: Results, answer: ComparisonResult, stage: str) -> 
         results.write_table(f"mac_{stage}", answer.comparison.mac_table())
         results.write_table(f"comac_{stage}", answer.comparison.comac_table())
         results.write_table(f"shapes_{stage}", answer.comparison.shapes_table())
+        _write_orthogonality(results, answer, stage)
+
+
+def _write_orthogonality(results: Results, answer: ComparisonResult, stage: str) -> None:
+    """Write the tables of expanded shapes and of their orthogonality; earlier ones go where there are none."""
+    checked, expanded = answer.orthogonality, answer.expanded
+    if checked is None or expanded is None:
+        results.remove(*(f"{name}_{stage}.csv" for name in ORTHOGONALITY))
+        return
+    tables = (checked.cross_table(), checked.self_table(), checked.modes_table(expanded.residual), expanded.table())
+    for name, table in zip(ORTHOGONALITY, tables, strict=True):
+        results.write_table(f"{name}_{stage}", table)
 
 
 def write_model_modes(results: Results, comparison: Comparison, stage: str) -> None:

@@ -26,8 +26,15 @@ RECORDED = ("measured.csv", "sensors.csv", "repeat_disagreements.csv", "assumpti
 """Tables that every analysis overwrites."""
 
 
+ORTHOGONALITY = ("cross_orthogonality", "self_orthogonality", "expansion", "expanded_shapes")
+"""Tables of `calib.correlation.expansion`, without their stage."""
+
+
 def _of_stages(*stages: str) -> tuple[str, ...]:
-    kinds = ("comparison", "frf", "frf_lines", "where_it_fails", "mac", "comac", "shapes", "model_modes", "deflection")
+    kinds = (
+        "comparison", "frf", "frf_lines", "where_it_fails", "mac", "comac", "shapes", "model_modes", "deflection",
+        *ORTHOGONALITY,
+    )  # fmt: skip
     return tuple(f"{kind}_{stage}.csv" for kind in kinds for stage in stages)
 
 

@@ -14,7 +14,7 @@ from scipy import special
 
 from calib.correlation.pairing import Pairing
 from calib.correlation.standard_deviations import StandardDeviations, dof_behind, known_std
-from calib.mac import align, comac, is_real, noise_mac, relative_motion
+from calib.mac import align, comac, is_real, most_real, noise_mac, relative_motion
 from calib.measurement.modal import MeasuredModes
 from calib.structure.modal_model import ModalModel
 from calib.structure.modes import Modes
@@ -135,6 +135,20 @@ class Comparison:
                 out[i] = align(np.ones(1), motion[[np.argmax(np.abs(motion))]])
         return out
 
+    @cached_property
+    def turns(self) -> np.ndarray:
+        """Factors of modulus 1 that turn every measured shape to its most real phase, (n_measured,); 1 without shapes.
+
+        What is drawn is the real part: in another phase it would be little but noise. The largest entry is positive.
+        """
+        out = np.ones(self.measured.n_modes, dtype=complex)
+        for i, shape in enumerate(self.measured.shapes.T if self.measured.has_shapes else ()):
+            if np.nanmax(np.abs(shape), initial=0.0) > 0:
+                k = int(np.nanargmax(np.abs(shape)))
+                turned = most_real(shape)[k]
+                out[i] = np.sign(turned.real or 1.0) * turned / shape[k]
+        return out
+
     @property
     def aligned_shapes(self) -> np.ndarray:
         """Model shapes at the sensors, scaled and phase-aligned to the measured ones, (n_sensors, n_measured)."""
@@ -192,13 +206,14 @@ class Comparison:
         return table.sort_values("comac", kind="stable", ignore_index=True)
 
     def shapes_table(self) -> pd.DataFrame:
-        """One row per mode and sensor: measured shape and the model's, scaled and phase-aligned to it."""
-        aligned, sensors = self.aligned_shapes, self._sensor_columns()
+        """One row per mode and sensor: measured shape in its most real phase, and the model's, aligned to it."""
+        measured, aligned = self.measured.shapes * self.turns, self.aligned_shapes * self.turns
+        sensors = self._sensor_columns()
         parts = []
         for i, name in enumerate(self.measured.names):
             part = sensors.assign(
-                measured_re=self.measured.shapes[:, i].real,
-                measured_im=self.measured.shapes[:, i].imag,
+                measured_re=measured[:, i].real,
+                measured_im=measured[:, i].imag,
                 model_re=aligned[:, i].real,
                 model_im=aligned[:, i].imag,
             )
@@ -212,7 +227,7 @@ class Comparison:
         ``u, v, w`` are the real part of the paired model shape in the scale and phase of `shapes_table`; ``point`` is
         its number in the mesh, from 0.
         """
-        factors, parts = self.factors, [pd.DataFrame(columns=["mode", "point", *_MOTION])]
+        factors, parts = self.factors * self.turns, [pd.DataFrame(columns=["mode", "point", *_MOTION])]
         for i in self.pairing.paired:
             shape = self.modes.shapes[:, [self.pairing.model_index[i]]]
             motion = np.real(self.model.displacement(shape)[:, :, 0] * factors[i])

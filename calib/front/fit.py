@@ -102,7 +102,8 @@ class Fit(Shown, Generic[P]):
         Parameters
         ----------
         name : str
-            ``frequency_errors``, ``mac``, ``mac_matrix``, ``comac`` (before and after the fit) or ``parameters``.
+            ``frequency_errors``, ``mac``, ``comac`` (before and after the fit), ``mac_matrix``,
+            ``cross_orthogonality``, ``self_orthogonality`` (after it) or ``parameters``.
         ax : Axes, optional
             Axes to draw on; a new figure by default.
         test : str

@@ -12,6 +12,7 @@ from calib.analyses.answers import of_fit
 from calib.analyses.calibration_tables import tables_of
 from calib.analyses.compare import ComparisonResult, before_and_after, comparison_of, write_comparison
 from calib.analyses.record import assumptions_of, made_with, sensors_table
+from calib.correlation.expansion import orthogonality
 from calib.errors import InputError
 from calib.front.posed import Solved
 from calib.front.responses import own
@@ -29,7 +30,9 @@ CASE = "fit"
 """Name of the only case of a fit in tables."""
 
 
-FIGURES = ("frequency_errors", "mac", "mac_matrix", "comac", "parameters")
+FIGURES = (
+    "frequency_errors", "mac", "mac_matrix", "comac", "cross_orthogonality", "self_orthogonality", "parameters",
+)  # fmt: skip
 """Figures of a fit."""
 
 
@@ -56,6 +59,7 @@ def chosen(fit: Solved, name: str) -> tuple[Model, Test]:
 def draw(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
     """See `calib.front.fit.Fit.figure`."""
     from calib.report.comparison import draw_comac, draw_frequency_error, draw_mac, draw_mac_matrix
+    from calib.report.orthogonality import draw_cross_orthogonality, draw_self_orthogonality
     from calib.report.parameters import draw_parameters
 
     if name not in FIGURES:
@@ -75,6 +79,10 @@ def draw(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
     assert before.comparison is not None and after.comparison is not None
     if name == "mac_matrix":
         return draw_mac_matrix(after.comparison.mac_table(), ax)
+    if name == "cross_orthogonality":
+        return draw_cross_orthogonality(orthogonality(after.comparison).cross_table(), ax)
+    if name == "self_orthogonality":
+        return draw_self_orthogonality(orthogonality(after.comparison).self_table(), ax)
     return draw_comac(before.comparison.comac_table(), after.comparison.comac_table(), ax)
 
 

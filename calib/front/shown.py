@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -13,6 +13,9 @@ import pandas as pd
 
 from calib.analyses import compare
 from calib.answer import LABEL
+from calib.correlation.compare import Comparison
+from calib.correlation.expansion import By, ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
+from calib.errors import InputError
 from calib.joint import said, stacked
 
 
@@ -68,6 +71,63 @@ class Compared(Shown):
         """One row per measured mode or response, with a column ``test`` where there are several."""
         tables = {name: answer.table for name, answer in self.by_test.items()}
         return stacked(tables) if len(tables) > 1 else next(iter(tables.values()))
+
+    def orthogonality(self, test: str = "", by: By | None = None) -> Orthogonality:
+        """Mass-orthogonality of the measured shapes, to the model's and among themselves.
+
+        Parameters
+        ----------
+        test : str
+            Name of the test, where there are several.
+        by : {"static", "SEREP"}, optional
+            Expansion behind the mass matrix at the sensors; by default static where that exists.
+
+        Returns
+        -------
+        Orthogonality
+            With ``cross_table()``, ``self_table()`` and a ``sentence``.
+
+        Raises
+        ------
+        InputError, EvaluationError
+            Where shapes or matrices are missing, or the shapes cannot be expanded.
+        """
+        return orthogonality(self._modes(test), by)
+
+    def expanded(self, test: str = "", by: By = "SEREP", modes: Sequence[int] = ()) -> ExpandedShapes:
+        """Measured shapes at all degrees of freedom of the model.
+
+        Parameters
+        ----------
+        test : str
+            Name of the test, where there are several.
+        by : {"SEREP", "static"}
+        modes : sequence of int
+            Model modes for SEREP, counted from 1; by default the paired ones.
+
+        Returns
+        -------
+        ExpandedShapes
+            With ``shapes`` (n_dof, n_modes), the ``residual`` of each at the sensors, and a ``table()`` of the mesh.
+
+        Raises
+        ------
+        InputError, EvaluationError
+            As `orthogonality`.
+        """
+        return expanded_shapes(self._modes(test), by, modes)
+
+    def _modes(self, test: str) -> Comparison:
+        """The comparison of the modes of one test; InputError where there is no such."""
+        if not test and len(self.by_test) == 1:
+            (test,) = self.by_test
+        if test not in self.by_test:
+            what = f"there is no test {test!r}" if test else f"there are {len(self.by_test)} tests"
+            raise InputError(what, place="comparison", remedy=f"name one of them: {', '.join(self.by_test)}")
+        found = self.by_test[test].comparison
+        if found is None:
+            raise InputError("it has no modes", place=f"test {test}", remedy="name a test of modes")
+        return found
 
     def __repr__(self) -> str:
         return f"Compared({', '.join(f'{name}: {len(answer.table)} rows' for name, answer in self.by_test.items())})"

@@ -22,6 +22,7 @@ from calib.report.frf_tables import kind_of, read_stages
 from calib.report.mesh import read_mesh
 from calib.report.model import face_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
+from calib.report.orthogonality import orthogonality_figure
 from calib.report.parameters import draw_parameters
 from calib.report.places import places_figure
 from calib.report.responses import draw_responses
@@ -105,12 +106,19 @@ def _frfs(folder: Folder, stages: Sequence[str], effects: str) -> Iterator[Drawi
 
 
 def _correlations_of_shapes(folder: Folder, effects: str) -> Iterator[Drawing]:
-    """MAC of all pairs of modes, and CoMAC."""
+    """MAC of all pairs of modes, mass-orthogonality, and CoMAC."""
     for stage in _STAGES:
         path = folder / f"mac_{stage}.csv"
         if path.exists():
             mac = read_table(path, ["mode"], others_are_numbers=True)
             yield Drawing(path.stem, f"MAC, {stage_words(stage, effects)}", bound(draw_mac_matrix, mac), (path.stem,))
+    for stage in _STAGES:
+        names = tuple(f"{kind}_orthogonality_{stage}" for kind in ("cross", "self"))
+        if all((folder / f"{name}.csv").exists() for name in names):
+            cross = read_table(folder / f"{names[0]}.csv", ["mode"], ["model_mode"], others_are_numbers=True)
+            own = read_square(folder / f"{names[1]}.csv", "mode")
+            caption = f"mass-orthogonality of the measured shapes, {stage_words(stage, effects)}"
+            yield Drawing(f"orthogonality_{stage}", caption, bound(orthogonality_figure, cross, own), names)
     before, after = (_comac(folder / f"comac_{stage}.csv") for stage in _STAGES)
     if before is not None or after is not None:
         draw = bound(draw_comac, before, after, effects=effects)
@@ -148,9 +156,15 @@ def _shapes_on_mesh(folder: Folder, compared: Mapping[str, pd.DataFrame | None],
             draw = bound(model_modes_figure, some, motion, mesh)
             yield Drawing(f"model_modes_{stage}{page}", caption, draw, (f"model_modes_{stage}",))
         if (measured := shapes.get(stage)) is not None:
-            draw = bound(mode_shapes_figure, measured, motion, mesh, compared[stage])
+            path = folder / f"expanded_shapes_{stage}.csv"
+            expanded = (
+                read_table(path, ["mode"], columns, complete=columns, may_be_empty=True) if path.exists() else None
+            )
+            draw = bound(mode_shapes_figure, measured, motion, mesh, compared[stage], expanded)
             caption = f"mode shapes, {words}: measured/model"
-            yield Drawing(f"mode_shapes_{stage}", caption, draw, (f"shapes_{stage}",))
+            yield Drawing(
+                f"mode_shapes_{stage}", caption, draw, existing(folder, [f"shapes_{stage}", f"expanded_shapes_{stage}"])
+            )
 
 
 def _every_mode(folder: Folder, effects: str) -> Iterator[Drawing]:

@@ -28,7 +28,7 @@ from calib.report.scene import (
 from calib.report.style import BLUE, MEASURED, REST
 from calib.report.wireframe import wireframe
 
-_PALE = "#D6E6F2"
+_PALE, _PALE_MEASURED = "#D6E6F2", "#F7DFD0"
 _AXES = ["x", "y", "z"]
 _MANY = 1000
 """Elements in all panels from which they are painted as pixels in SVG and PDF, which would be large otherwise."""
@@ -62,29 +62,21 @@ def draw_mode_shape(
         ``deformed``. Model and measurement have the same scale, that of `motion_scale`.
     """
     ax = new_axes(ax)
-    rest, motion, parts = places(mesh), motions(mesh, deflection), pieces(mesh)
-    seen = np.unique(parts.corners)
     place, measured = measured_motions(shapes)
-    at, moves = np.concatenate([rest[seen], place]), np.concatenate([motion[seen], measured])
-    scale = motion_scale(at, moves, thickness(mesh))
-    plot_lines(ax, rest[parts.strokes], color=REST, linewidth=0.8, gid="undeformed", zorder=1)
-    if len(deflection):
-        is_face = (parts.kind == FACE)[:, None]
-        faces = np.where(is_face, to_rgba(_PALE), 0.0)
-        edges = np.where(is_face, to_rgba(_PALE), to_rgba(BLUE))
-        draw_pieces(
-            ax, (rest + scale * motion)[parts.corners], parts.kind, faces, edges, _WIDTHS[parts.kind], "deformed"
-        )
-    moved = place + scale * measured
-    plot_lines(ax, np.stack([place, moved], axis=1), color=MEASURED, linewidth=0.8, gid="motion", zorder=3)
-    ends = plot_coordinates(moved).T
-    ax.plot(*ends, linestyle="none", marker="o", markersize=3.0, color=MEASURED, gid="measured", zorder=4)
-    frame_panel(ax, np.concatenate([rest[seen], (rest + scale * motion)[seen], place, moved]), title)
+    motion = motions(mesh, deflection) if len(deflection) else None
+    _draw_mesh(ax, mesh, motion, place, measured, BLUE, _PALE, "deformed", title)
     return ax
 
 
-def draw_measured_shape(shapes: pd.DataFrame, mesh: Mesh, ax: Axes3D | None = None, *, title: str = "") -> Axes3D:
-    """Draw one measured mode alone: the test's wireframe at rest and moved.
+def draw_measured_shape(
+    shapes: pd.DataFrame,
+    mesh: Mesh,
+    ax: Axes3D | None = None,
+    *,
+    expanded: pd.DataFrame | None = None,
+    title: str = "",
+) -> Axes3D:
+    """Draw one measured mode alone: the test's wireframe at rest and moved, or its expansion to the whole mesh.
 
     Parameters
     ----------
@@ -93,16 +85,24 @@ def draw_measured_shape(shapes: pd.DataFrame, mesh: Mesh, ax: Axes3D | None = No
     mesh : Mesh
         Tells which sensors are neighbours, and the size of the drawing.
     ax : Axes3D, optional
+    expanded : DataFrame, optional
+        Motions of the mesh in this mode as measured: ``point, u, v, w``. Where there are any, the mesh takes the place
+        of the wireframe; its distance from the dots is what the expansion leaves unexplained.
     title : str
         Written above the panel.
 
     Returns
     -------
     Axes3D
-        Lines with the gids ``undeformed`` and ``wireframe``, and dots with the gid ``measured``.
+        Lines with the gids ``undeformed`` and ``wireframe``, or pieces with the gid ``expanded``; dots with the gid
+        ``measured``.
     """
     ax = new_axes(ax)
     place, measured = measured_motions(shapes)
+    if expanded is not None and len(expanded):
+        motion = motions(mesh, expanded)
+        _draw_mesh(ax, mesh, motion, place, measured, MEASURED, _PALE_MEASURED, "expanded", title)
+        return ax
     rest = seen_places(mesh)
     lines = wireframe(mesh, place)
     at = np.concatenate([rest, place])
@@ -116,9 +116,13 @@ def draw_measured_shape(shapes: pd.DataFrame, mesh: Mesh, ax: Axes3D | None = No
 
 
 def mode_shapes_figure(
-    shapes: pd.DataFrame, deflection: pd.DataFrame, mesh: Mesh, comparison: pd.DataFrame | None = None
+    shapes: pd.DataFrame,
+    deflection: pd.DataFrame,
+    mesh: Mesh,
+    comparison: pd.DataFrame | None = None,
+    expanded: pd.DataFrame | None = None,
 ) -> Figure:
-    """Draw every measured mode: the test's wireframe beside the model, from tables with a column ``mode``.
+    """Draw every measured mode: the test beside the model, from tables with a column ``mode``.
 
     Parameters
     ----------
@@ -127,6 +131,8 @@ def mode_shapes_figure(
     mesh : Mesh
     comparison : DataFrame, optional
         Columns ``mode, natural_freq_measured, natural_freq_model, mac`` for the titles of the panels.
+    expanded : DataFrame, optional
+        As for `draw_measured_shape`, for all modes; a mode without is drawn as the wireframe of its sensors.
     """
     modes = list(dict.fromkeys(shapes["mode"]))
     rest = seen_places(mesh)
@@ -135,10 +141,11 @@ def mode_shapes_figure(
     facts = {} if comparison is None else {str(row["mode"]): row for row in comparison.to_dict("records")}
     for mode, left, right in zip(modes, cells[::2], cells[1::2], strict=True):
         found, (test, model) = shapes[shapes["mode"] == mode], _panel_titles(mode, facts)
-        draw_measured_shape(found, mesh, figure.add_subplot(left, projection="3d"), title=test)
+        whole = None if expanded is None else expanded[expanded["mode"] == mode]
+        beside = draw_measured_shape(found, mesh, figure.add_subplot(left, projection="3d"), expanded=whole, title=test)
         motion = deflection[deflection["mode"] == mode]
         ax = draw_mode_shape(found, motion, mesh, figure.add_subplot(right, projection="3d"), title=model)
-        for drawn in ax.collections:
+        for drawn in (*beside.collections, *ax.collections):
             drawn.set_rasterized(len(modes) * len(mesh.elements) > _MANY)
     show_axes(figure)
     write_size(figure, rest)
@@ -150,6 +157,36 @@ def mode_shapes_figure(
     low = 0.06 / float(figure.get_size_inches()[1])
     figure.legend(handles=handles, loc="lower right", bbox_to_anchor=(0.99, low), ncols=3, borderaxespad=0.0)
     return figure
+
+
+def _draw_mesh(
+    ax: Axes3D,
+    mesh: Mesh,
+    motion: np.ndarray | None,
+    place: np.ndarray,
+    measured: np.ndarray,
+    colour: str,
+    pale: str,
+    gid: str,
+    title: str,
+) -> None:
+    """Draw the mesh at rest and moved, with the measured motion (n_places, 3) of the sensors in the same scale."""
+    rest, parts = places(mesh), pieces(mesh)
+    seen = np.unique(parts.corners)
+    moves = np.zeros_like(rest) if motion is None else motion
+    at = np.concatenate([rest[seen], place])
+    scale = motion_scale(at, np.concatenate([moves[seen], measured]), thickness(mesh))
+    plot_lines(ax, rest[parts.strokes], color=REST, linewidth=0.8, gid="undeformed", zorder=1)
+    if motion is not None:
+        is_face = (parts.kind == FACE)[:, None]
+        faces = np.where(is_face, to_rgba(pale), 0.0)
+        edges = np.where(is_face, to_rgba(pale), to_rgba(colour))
+        draw_pieces(ax, (rest + scale * moves)[parts.corners], parts.kind, faces, edges, _WIDTHS[parts.kind], gid)
+    moved = place + scale * measured
+    plot_lines(ax, np.stack([place, moved], axis=1), color=MEASURED, linewidth=0.8, gid="motion", zorder=3)
+    ends = plot_coordinates(moved).T
+    ax.plot(*ends, linestyle="none", marker="o", markersize=3.0, color=MEASURED, gid="measured", zorder=4)
+    frame_panel(ax, np.concatenate([rest[seen], (rest + scale * moves)[seen], place, moved]), title)
 
 
 def measured_motions(shapes: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:

@@ -75,11 +75,25 @@ def test_shapes_overlay_and_keep_their_mac(found):
         rows = table[table["mode"] == name]
         model = (rows["model_re"] + 1j * rows["model_im"]).to_numpy()
         measured = (rows["measured_re"] + 1j * rows["measured_im"]).to_numpy()
-        np.testing.assert_array_equal(measured, found.measured.shapes[:, i])
+        turn = measured / found.measured.shapes[:, i]
+        np.testing.assert_allclose(turn, turn[0])
+        assert abs(turn[0]) == pytest.approx(1.0) and measured[np.argmax(np.abs(measured))].real > 0
+        # No other phase has a smaller imaginary part: the moments about the real axis are principal ones.
+        parts = np.array([measured.real, measured.imag])
+        assert np.linalg.norm(measured.imag) ** 2 == pytest.approx(np.linalg.eigvalsh(parts @ parts.T)[0])
         assert mac(measured, model)[0, 0] == pytest.approx(found.pairing.mac[i])
         # Least squares leaves a residual at right angles to the fitted shape.
         assert abs(np.vdot(model, measured - model)) < 1e-12
     assert table.iloc[2][["sensor", "node", "direction", "x"]].tolist() == ["2x", 2, "x", 1.0]
+
+
+def test_what_is_drawn_does_not_depend_on_the_phase_of_the_measured_shape(found):
+    """Only the real part is drawn, which would be little but noise in another phase."""
+    shapes = found.measured.shapes * np.exp(1j * np.array([0.3, 1.5, 1.6, -3.0]))
+    turned = dataclasses.replace(found, measured=dataclasses.replace(found.measured, shapes=shapes))
+    for table in ("shapes_table", "deflection_table"):
+        one, other = (getattr(x, table)().select_dtypes("number") for x in (found, turned))
+        np.testing.assert_allclose(other, one, atol=1e-12)
 
 
 def test_deflections_pass_through_the_sensors(found):

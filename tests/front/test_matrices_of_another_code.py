@@ -129,6 +129,23 @@ def test_matrices_of_another_code_are_compared_and_calibrated(measured):
 
     assert before["mac"].notna().all() and before["freq_error"].abs().mean() > 3 * after["freq_error"].abs().mean()
     assert after["freq_error"].abs().max() < 4e-3 and after["mac"].min() > 0.97
+    checked = fit.compare().orthogonality()
+    for name, values in (("cross_orthogonality", checked.cross), ("self_orthogonality", checked.own)):
+        np.testing.assert_allclose(fit.figure(name).images[0].get_array(), values, atol=1e-9)
     off = (fit.parameters["value"] - fit.parameters.index.map(truth)) / fit.parameters["std"]
     assert off.abs().max() < 3.5 and (off**2).mean() < 2.5
     assert fit.parameters["value"]["EI_1"] < 0.85 and fit.statistics.fits
+
+
+def test_measured_shapes_are_expanded_and_checked_from_a_notebook(measured):
+    _, modes = measured
+    frame = Frame(4)
+    model = calib.StructuralModel.from_matrices(frame.stiffness, frame.mass, dofs=frame.dofs, name="frame")
+    compared = calib.Problem(model, calib.ModalTest(modes, name="hammer")).compare()
+    expanded = compared.expanded()
+    assert expanded.shapes.shape == (model.n_dof, modes.n_modes) and expanded.residual.max() < 0.1
+    assert compared.expanded("hammer", modes=[1, 2, 3]).residual[0] < 0.1
+    cross = compared.orthogonality().cross_table()
+    assert cross["mode"].tolist() == list(modes.names) and np.diagonal(compared.orthogonality().cross).min() > 0.9
+    with pytest.raises(calib.InputError, match="hammer"):
+        compared.expanded("shaker")

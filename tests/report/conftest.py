@@ -46,6 +46,23 @@ def mac() -> pd.DataFrame:
 
 
 @pytest.fixture
+def cross() -> pd.DataFrame:
+    """The second mode is not paired; 0.898 and 0.104 are read as 0.90 and 0.10, which pass."""
+    table = pd.DataFrame([[0.898, 0.104], [0.3, np.nan], [0.106, 0.894]], columns=["1 (11.70 Hz)", "12 (16.20 Hz)"])
+    table.insert(0, "mode", ["1BT", "2BT", "3BT"])
+    table.insert(1, "model_mode", [1.0, np.nan, 12.0])
+    return table
+
+
+@pytest.fixture
+def own() -> pd.DataFrame:
+    """Orthogonality of the measured shapes; one of three pairs leaks."""
+    table = pd.DataFrame([[1.0, 0.12, 0.02], [0.12, 1.0, 0.05], [0.02, 0.05, 1.0]], columns=["1BT", "2BT", "3BT"])
+    table.insert(0, "mode", ["1BT", "2BT", "3BT"])
+    return table
+
+
+@pytest.fixture
 def comac() -> pd.DataFrame:
     return pd.DataFrame({"sensor": ["1y", "2y", "2z", "3y"], "comac": [0.9, 0.4, 0.99, 0.7]})
 

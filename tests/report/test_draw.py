@@ -16,6 +16,7 @@ ALL = [
     "comparison",
     "mac_before",
     "mac_after",
+    "orthogonality_after",
     "comac",
     "model",
     "model_modes_after",
@@ -33,13 +34,15 @@ OF_THE_MODEL = ("mesh_points", "mesh_elements", "shapes_after", "deflection_afte
 @pytest.fixture
 def folder(
     tmp_path, before, after, mac, comac, shapes, mesh, deflection, model_modes, modes, sensitivity, parameters,
-    convergence,
+    convergence, cross, own,
 ):  # fmt: skip
     tables = {
         "comparison_before": before,
         "comparison_after": after,
         "mac_before": mac,
         "mac_after": mac,
+        "cross_orthogonality_after": cross,
+        "self_orthogonality_after": own,
         "comac_before": comac,
         "comac_after": comac,
         "shapes_after": shapes,
@@ -134,7 +137,7 @@ def test_figures_show_the_tables(folder, saved, before, convergence):
 def test_missing_tables_have_no_figures(folder, saved):
     for name in ("comparison_after", "mac_before", "deflection_after", "sensitivity", "parameters"):
         (folder / f"{name}.csv").unlink()
-    left = ["comparison", "mac_after", "comac", "model", "modes", "convergence"]
+    left = ["comparison", "mac_after", "orthogonality_after", "comac", "model", "modes", "convergence"]
     assert [p.stem for p in Figures(folder, "Bogie", False).save()] == left
     (folder / "mesh_points.csv").unlink()
     left.remove("model")
@@ -184,6 +187,8 @@ def damage(folder, name, old, new):
         ("comparison_after", "freq_error", "frequency_error", "freq_error", ""),
         ("comparison_after", "2BT", "1BT", "mode", "line 3"),
         ("mac_after", "0.11", "a lot", "1 (6.12 Hz)", "line 3"),
+        ("cross_orthogonality_after", "model_mode", "partner", "model_mode", ""),
+        ("self_orthogonality_after", "0.05", "small", "3BT", "line 3"),
         ("comac_before", "0.4", "inf", "comac", "line 3"),
         ("deflection_after", "1,0.0,", "1,,", "u", "line 3"),
         ("mesh_points", "1,2.0", "0,2.0", "point", "line 3"),

@@ -107,6 +107,21 @@ def test_the_test_stands_beside_the_model_of_every_mode(shapes, deflection, mesh
         assert len(ends) and all(np.linalg.norm(dots - end, axis=1).min() < 1e-9 for end in ends)
 
 
+def test_the_measured_shape_is_drawn_on_the_whole_mesh_where_it_is_expanded(shapes, deflection, mesh, pixels):
+    """Its distance from the sensors' dots remains: the expansion explains half of the motion."""
+    expanded = deflection.assign(v=0.5, u=0.0, w=0.0)
+    figure = mode_shapes_figure(shapes, deflection, mesh, None, expanded)
+    test, model, other = figure.axes[0], figure.axes[1], figure.axes[2]
+    scale = 0.1 * np.sqrt(2.0**2 + 0.5**2 + 2.0**2)
+    moved = (REST + scale * np.array([0.0, 0.5, 0.0]))[[[2, 3, 3, 2], [0, 1, 1, 0]]]
+    np.testing.assert_allclose(pixels.seen(test, "expanded"), pixels.expected(test, moved), atol=1e-6)
+    np.testing.assert_allclose(drawn(test, "measured"), [[0, 0.5 + scale, 1], [2, 0.5 + scale, 1]], atol=1e-12)
+    assert not [line for line in test.lines if line.get_gid() == "wireframe"]
+    assert [c.get_gid() for c in model.collections] == ["deformed"]
+    # The other mode has no expansion and keeps the wireframe.
+    assert not other.collections and [line for line in other.lines if line.get_gid() == "wireframe"]
+
+
 def test_an_unpaired_mode_shows_the_mesh_at_rest_and_the_measurement(shapes, deflection, mesh):
     figure = mode_shapes_figure(shapes, deflection, mesh)
     first, second = figure.axes[1], figure.axes[3]

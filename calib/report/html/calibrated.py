@@ -5,7 +5,14 @@ from __future__ import annotations
 import pandas as pd
 
 from calib.report.correlation import STRONG, others, strongest
-from calib.report.html.compared import error_picture, mac_picture, mode_table, plain_blocks, shapes_picture
+from calib.report.html.compared import (
+    error_picture,
+    mac_picture,
+    mode_table,
+    orthogonality_blocks,
+    plain_blocks,
+    shapes_picture,
+)
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import counted, fixed, flag, percent, significant, with_unit, yes
@@ -165,6 +172,7 @@ def _after(results: StudyResults, best: str) -> list[Block]:
         mode_table(stages["after"], f"The model {words} (case {best})"),
         *error_picture(results, stages),
         *mac_picture(results, "after"),
+        *orthogonality_blocks(results, "after"),
         *shapes_picture(results, "after"),
     ]
 

@@ -23,6 +23,13 @@ TERMS = (
     ("margin", "EMAC of the pair minus that of the next best candidate; a small margin means a doubtful pair"),
     ("CoMAC", "coordinate MAC: agreement of the shapes at one sensor over all modes"),
 )
+EXPANSION = (
+    ("cross-orthogonality", "as the MAC, but by mass: at least 0.9 for pairs and at most 0.1 for others is usual"),
+    ("residual of the expansion", "share of the measured shape that the paired shapes of the model cannot form"),
+    ("imaginary part", "share of the measured shape that is out of phase; the orthogonality leaves it out"),
+    ("error of the reduction", "of the model's own shape, known at the sensors only; where it is large, the "
+                               "orthogonality tells little"),
+)  # fmt: skip
 
 
 def section(results: StudyResults) -> Section | None:
@@ -42,6 +49,7 @@ def section(results: StudyResults) -> Section | None:
         Terms(TERMS if table["mac"].notna().any() else ()),
         *([] if results.compared("after") is not None else error_picture(results, {"before": table})),
         *mac_picture(results, "before"),
+        *orthogonality_blocks(results, "before"),
         *_viewer(results),
         *shapes_picture(results, "before"),
         *comac_picture(results),
@@ -104,6 +112,34 @@ def mac_picture(results: StudyResults, stage: str) -> list[Picture]:
     return results.picture(f"mac_{stage}", caption, alt)
 
 
+def orthogonality_blocks(results: StudyResults, stage: str) -> list[Block]:
+    """Matrices of cross- and self-orthogonality, and how far they and the expanded shapes can be trusted."""
+    found = results.table(f"expansion_{stage}", ["mode", "reduction"], ["residual", "imaginary", "tam_error"],
+                          blank=["reason"])  # fmt: skip
+    if found is None:
+        return []
+    words = results.in_words(stage)
+    caption = f"Mass-orthogonality of the measured shapes, {words}: (a) to those of the model, (b) among themselves. "
+    caption += "Frames mark pairs below 0.9 and others above 0.1."
+    rows = tuple(
+        (
+            str(r["mode"]),
+            percent(r["residual"], 1),
+            percent(r["imaginary"], 1),
+            str(r["reduction"]),
+            percent(r["tam_error"], 1),
+            str(r["reason"]),
+        )
+        for r in found.to_dict("records")
+    )
+    heads = ("mode", "residual of the expansion, %", "imaginary part, %", "reduction", "error of the reduction, %", "")
+    return [
+        *results.picture(f"orthogonality_{stage}", caption, f"Two matrices. {caption}"),
+        Table(f"Expansion of the measured shapes and reduction of the mass matrix, {words}", heads, rows, (3, 5)),
+        *([Terms(EXPANSION)] if stage == "before" else []),
+    ]
+
+
 def _viewer(results: StudyResults) -> list[Viewer]:
     found = scene(results)
     if found is None:
@@ -127,8 +163,15 @@ def shapes_picture(results: StudyResults, stage: str) -> list[Picture]:
     if stage == "before" and results.has("shapes_after"):
         return []
     words = results.in_words(stage)
-    caption = f"All mode shapes, {words}: left the test, its sensors joined to their neighbours along the "
-    caption += "mesh, right the model with the measured motion."
+    caption = f"All mode shapes, {words}: left the test, "
+    if results.has(f"expanded_shapes_{stage}"):
+        caption += (
+            "its shape expanded to the whole mesh by the paired shapes of the model; dots off the mesh show what "
+        )
+        caption += "these cannot explain. "
+    else:
+        caption += "its sensors joined to their neighbours along the mesh. "
+    caption += "Right the model with the measured motion."
     return results.picture(f"mode_shapes_{stage}", caption, f"Mode shapes, {words}, measured and computed.")
 
 
