@@ -182,6 +182,25 @@ def test_an_error_of_a_held_out_channel_is_no_parameter_of_the_fit(wrong_channel
     assert "mass_3" in problem_of(wrong_channel, nuisances=[mass], held_out=["3x"]).space
 
 
+def test_channels_of_one_name_in_two_tests_have_a_gain_each():
+    """Response 3x reads 5 % too much in one test and 4 % too little in the other."""
+    off, gain = {"first": 5.0, "second": -4.0}, ChannelError("gain", "3x", prior_sd=5.0)
+    tests = []
+    for seed, (name, percent) in enumerate(off.items(), start=4):
+        frfs, factor = WORLD.measured(seed), np.array([1.0, 1 + percent / 100, 1.0])[:, None]
+        both = replace(frfs, values=frfs.values * factor, std=frfs.std * factor)
+        tests.append(calib.FRFTest(both, nuisances=[gain], name=name))
+    for problem in (
+        calib.Problem(WORLD.chain(), tests),
+        calib.Problem.join(*(calib.Problem(WORLD.chain(), test) for test in tests)),
+    ):
+        fit = problem.calibrate(progress=False)
+        for name, percent in off.items():
+            own = fit.parameters.loc[f"gain_3x in test {name}"]
+            assert abs(own["value"] - percent) < 4 * own["std"] and own["std"] < 0.3
+        assert "gain_3x" not in problem.space and (fit.errors["p"] > CHANCE).all()
+
+
 # -- refused -----------------------------------------------------------------------------------------------------------
 
 
