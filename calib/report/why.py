@@ -35,6 +35,8 @@ PRIOR = "prior"
 RESPONSES = "responses"
 """Heading of the bars of scalar responses, whatever their kinds."""
 _NAMED = 3
+_LINE_OF_WORDS = 0.1
+"""Height of a name over the half height of its panel."""
 _WORTH_WORDS = 2.0
 """Standard deviations from which a dot of a dense cloud has words under the mouse."""
 _LINE = 0.17
@@ -123,13 +125,15 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     Returns
     -------
     Axes
-        Dots, those of imaginary parts open, the three largest signatures with mode and sensor; on the line the effect
+        Dots, those of imaginary parts open, the largest signatures with mode and sensor; on the line the effect
         explains all of the residual, on the horizontal axis nothing of it is there.
     """
     ax = own_axes(ax, 4.0)
     x, y = (table[name].to_numpy(dtype=float) for name in ("signature", "residual"))
     imaginary = (table["part"] == "im").to_numpy(dtype=bool)
-    names = [f"{r['mode']} {r['sensor']}" + (" im" if r["part"] == "im" else "") for r in table.to_dict("records")]
+    names = [
+        f"{_shown(r['mode'])} {r['sensor']}" + (" im" if r["part"] == "im" else "") for r in table.to_dict("records")
+    ]
     reach = 1.12 * float(np.max(np.abs([*x, *y]), initial=1.0))
     ax.plot([-reach, reach], [-reach, reach], color=BLACK, linewidth=0.9, linestyle="--", gid="equal", zorder=2)
     for gid, some in (("re", ~imaginary), ("im", imaginary)):
@@ -140,7 +144,7 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     words = [f"{n}: signature {fixed(a, 1)} σ, residual {fixed(b, 1)} σ" for n, a, b in zip(names, x, y, strict=True)]
     large = np.maximum(np.abs(x), np.abs(y)) >= (_WORTH_WORDS if len(x) > DENSE else 0.0)
     hover_points(ax, x[large], y[large], [text for text, shown in zip(words, large, strict=True) if shown])
-    for k in np.argsort(-np.abs(x), kind="stable")[:_NAMED]:
+    for k in _apart(x, y, reach):
         side = -1 if x[k] > 0 else 1
         ax.annotate(names[k], (x[k], y[k]), xytext=(5 * side, 4), textcoords="offset points", fontsize=7,
                     ha="right" if side < 0 else "left", color=GREY)  # fmt: skip
@@ -149,6 +153,23 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     ax.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="signature (σ)", ylabel="residual (σ)")
     ax.set_aspect("equal", adjustable="box", anchor="N")
     return ax
+
+
+def _shown(mode: str) -> str:
+    """A mode's name, or a line of an FRF in four digits."""
+    freq = mode.removesuffix(" Hz")
+    return f"{float(freq):.4g} Hz" if freq != mode else mode
+
+
+def _apart(x: np.ndarray, y: np.ndarray, reach: float) -> list[int]:
+    """Rows of the largest signatures whose names do not meet: neighbouring lines of FRFs lie close together."""
+    chosen: list[int] = []
+    for k in np.argsort(-np.abs(x), kind="stable").tolist():
+        if all(abs(y[k] - y[j]) > _LINE_OF_WORDS * reach or x[k] * x[j] < 0 for j in chosen):
+            chosen.append(k)
+        if len(chosen) == _NAMED:
+            break
+    return chosen
 
 
 def why_figure(
