@@ -1,4 +1,4 @@
-"""A study with a test of modes and one of FRFs of the same chain, whose model lacks a spring; synthetic measurements."""
+"""A test of modes and one of FRFs of one chain, whose model lacks a spring; synthetic measurements."""
 
 from pathlib import Path
 
