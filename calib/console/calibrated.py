@@ -110,9 +110,10 @@ def _parameters(result: Calibration) -> Iterator[Rows]:
 def _by_test(table: pd.DataFrame) -> Rows:
     """Standard deviation of every parameter from each test alone and from all, and that of its prior."""
     tests = list(dict.fromkeys(table["test"]))
-    wide = table.pivot(index="parameter", columns="test", values="std").reindex(table["parameter"].unique())
-    prior = table.groupby("parameter", sort=False)["prior_sd"].first()
-    rows = [(name, f"{prior[name]:.3g}", *(f"{own[test]:.3g}" for test in tests)) for name, own in wide.iterrows()]
+    rows = []
+    for name, own in table.groupby("parameter", sort=False):
+        std = own.set_index("test")["std"]
+        rows.append((str(name), f"{own['prior_sd'].iloc[0]:.3g}", *(f"{std[test]:.3g}" for test in tests)))
     title = "Standard deviations from the data of each test alone, at the joint fit:"
     return Rows.of(title, ("parameter", "prior", *tests), rows, most=20)
 

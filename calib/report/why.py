@@ -35,8 +35,8 @@ PRIOR = "prior"
 RESPONSES = "responses"
 """Heading of the bars of scalar responses, whatever their kinds."""
 _NAMED = 3
-_LINE_OF_WORDS = 0.1
-"""Height of a name over the half height of its panel."""
+_LINE_OF_WORDS = 0.06
+"""Height of a name over that of its panel."""
 _WORTH_WORDS = 2.0
 """Standard deviations from which a dot of a dense cloud has words under the mouse."""
 _LINE = 0.17
@@ -125,7 +125,7 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     Returns
     -------
     Axes
-        Dots, those of imaginary parts open, the largest signatures with mode and sensor; on the line the effect
+        Dots, those of imaginary parts open, the three largest signatures with mode and sensor; on the line the effect
         explains all of the residual, on the horizontal axis nothing of it is there.
     """
     ax = own_axes(ax, 4.0)
@@ -144,10 +144,7 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     words = [f"{n}: signature {fixed(a, 1)} σ, residual {fixed(b, 1)} σ" for n, a, b in zip(names, x, y, strict=True)]
     large = np.maximum(np.abs(x), np.abs(y)) >= (_WORTH_WORDS if len(x) > DENSE else 0.0)
     hover_points(ax, x[large], y[large], [text for text, shown in zip(words, large, strict=True) if shown])
-    for k in _apart(x, y, reach):
-        side = -1 if x[k] > 0 else 1
-        ax.annotate(names[k], (x[k], y[k]), xytext=(5 * side, 4), textcoords="offset points", fontsize=7,
-                    ha="right" if side < 0 else "left", color=GREY)  # fmt: skip
+    _name_largest(ax, x, y, names)
     for line in (ax.axhline, ax.axvline):
         line(0.0, color=GREY, linewidth=0.6)
     ax.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="signature (σ)", ylabel="residual (σ)")
@@ -161,15 +158,17 @@ def _shown(mode: str) -> str:
     return f"{float(freq):.4g} Hz" if freq != mode else mode
 
 
-def _apart(x: np.ndarray, y: np.ndarray, reach: float) -> list[int]:
-    """Rows of the largest signatures whose names do not meet: neighbouring lines of FRFs lie close together."""
-    chosen: list[int] = []
-    for k in np.argsort(-np.abs(x), kind="stable").tolist():
-        if all(abs(y[k] - y[j]) > _LINE_OF_WORDS * reach or x[k] * x[j] < 0 for j in chosen):
-            chosen.append(k)
-        if len(chosen) == _NAMED:
-            break
-    return chosen
+def _name_largest(ax: Axes, x: np.ndarray, y: np.ndarray, names: Sequence[str]) -> None:
+    """Name the largest signatures in the corners that dots on the diagonal leave empty, each with a line to its dot."""
+    largest = np.argsort(-np.abs(x), kind="stable")[:_NAMED]
+    for above in (True, False):
+        rows = sorted((k for k in largest.tolist() if (y[k] >= 0) == above), key=lambda k: -abs(y[k]))
+        for n, k in enumerate(rows):
+            at = (0.02, 0.97 - _LINE_OF_WORDS * n) if above else (0.98, 0.03 + _LINE_OF_WORDS * n)
+            ax.annotate(names[k], (x[k], y[k]), xytext=at, textcoords="axes fraction", fontsize=7, color=GREY,
+                        ha="left" if above else "right", va="top" if above else "bottom",
+                        arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.5, "shrinkA": 1, "shrinkB": 2},
+                        )  # fmt: skip
 
 
 def why_figure(

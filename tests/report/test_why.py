@@ -1,7 +1,10 @@
+import itertools
+
 import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.colors import to_hex
+from matplotlib.text import Text
 
 from calib.report.alike import draw_alike, most_alike, place_words
 from calib.report.figures import Figures
@@ -90,7 +93,20 @@ def test_shapes_are_dots_of_signature_and_residual_on_equal_scales(table):
     assert ax.get_xlim() == ax.get_ylim() and np.array_equal(*line(ax, "equal").get_data())
     largest = rows.loc[rows["signature"].abs().sort_values(ascending=False).index[:3]]
     expected = [f"{r.mode} {r.sensor}" + (" im" if r.part == "im" else "") for r in largest.itertuples()]
-    assert [t.get_text() for t in ax.texts] == expected
+    assert sorted(t.get_text() for t in ax.texts) == sorted(expected)
+
+
+def test_names_of_lines_have_four_digits_and_do_not_meet():
+    """Neighbouring lines of one resonance have nearly the same signature."""
+    rows = pd.DataFrame({
+        "mode": ["15.2237288 Hz", "15.2541 Hz", "15.3 Hz"], "sensor": "1x/2x", "part": "re",
+        "signature": [9.0, 9.1, 9.2], "residual": [8.0, 8.1, 8.1],
+    })  # fmt: skip
+    ax = draw_shapes(rows)
+    assert {t.get_text() for t in ax.texts} == {"15.22 Hz 1x/2x", "15.25 Hz 1x/2x", "15.3 Hz 1x/2x"}
+    ax.figure.canvas.draw()
+    boxes = [Text.get_window_extent(t) for t in ax.texts]
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
 
 
 def test_the_share_is_of_the_sum_of_squares(table):
