@@ -1,14 +1,24 @@
 """What to measure next of FRFs: promised gains are those of the tests that are then made; synthetic measurements."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import calib
+from calib.analyses.imagined_frfs import _noise
 from calib.loading import module_of
 
 WORLD = module_of(Path(__file__).parents[1] / "template/frf_chain.py")
+
+
+def test_the_noise_of_a_test_is_a_share_and_a_floor():
+    frfs = made(1).used
+    size = np.abs(frfs.values)
+    known = replace(frfs, std=np.hypot(0.03 * size, 0.004))
+    assert _noise(known) == pytest.approx((0.03, 0.004), rel=1e-6)
+    assert _noise(replace(frfs, std=0.03 * size)) == pytest.approx((0.03, 0.0), abs=1e-6)
 
 
 def made(seed, references=(1,), responses=(1, 3, 4), repeats=4, **given):
@@ -50,10 +60,8 @@ USED_TOO = {
 }
 
 
-@pytest.mark.parametrize(
-    "measurement",
-    [name if name.startswith("sensor") else pytest.param(name, marks=pytest.mark.slow) for name in USED_TOO],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("measurement", USED_TOO)
 def test_held_out_data_give_what_they_promise(gains, measurement):
     """The score of an effect rises as its standard deviation falls; noise of the data themselves is in the latter."""
     left = {part: given for part, given in PARTS.items() if part != USED_TOO[measurement]}

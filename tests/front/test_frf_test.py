@@ -137,6 +137,16 @@ def test_a_hidden_spring_is_named_with_its_stiffness(explained):
     assert abs(row["magnitude"] - WORLD.HIDDEN) < 4 * std and std < 0.05 * WORLD.HIDDEN
 
 
+def test_no_candidate_measurement_takes_information_away(explained):
+    """Both sensors in use are forces already, of which one is held out: there is none to add."""
+    table = explained.explanation.tables["next_measurement"]
+    assert set(table["kind"]) == {"sensor", "held out", "repeats", "bench"}
+    assert (table["gain"] >= 1 - 1e-9).all() and set(table["effect"]) == {"ground_2", "mass_3"}
+    own = table[table["effect"] == "ground_2"].set_index("measurement")["gain"]
+    for held in ("sensor 3x", "force at 4x", "the 10 lines from 20.03 to 25.83 Hz"):
+        assert own[f"{held}, held-out so far"] > 1.01
+
+
 def test_nothing_is_named_where_nothing_is_missing(right):
     found = right.explain(WORLD.effects(), progress=False)
     assert found.verdict == "nothing_detectable" and not found.named
