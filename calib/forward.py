@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from calib.correlation.frf_nuisance import Nuisance, concerned, of_every_channel
+from calib.correlation.frf_nuisance import Nuisance, belonging_to, concerned, of_every_channel
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.problem import FunctionProblem, ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
@@ -179,7 +179,7 @@ def used_frfs(study: StudyFile, whole: MeasuredFRFs) -> MeasuredFRFs:
 
 def nuisances_of(study: StudyFile, whole: MeasuredFRFs) -> tuple[Nuisance, ...]:
     """The nuisances that a study names, of all channels and transducers of the test, held-out ones included."""
-    return of_every_channel(whole, **study.settings.measurement.nuisances.model_dump())
+    return belonging_to(study.test, of_every_channel(whole, **study.settings.measurement.nuisances.model_dump()))
 
 
 def used_modes(study: StudyFile, whole: MeasuredModes) -> MeasuredModes:

@@ -106,8 +106,9 @@ def _merged(layers: Sequence[Layer]) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for layer in reversed(layers):
         own = layer.data if layer is layers[0] else {k: v for k, v in layer.data.items() if k != "base"}
-        if "tests" in own:  # measurements are described in one way: that of the file above
-            out.pop("measurement", None)
+        if "tests" in own:  # measurements are described in one way: that of the file above, held-out data included
+            for key in _OF_ONE_TEST:
+                out.pop(key, None)
         if "measurement" in own:
             out.pop("tests", None)
         out = _over(own, out)
@@ -149,6 +150,8 @@ def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
     return table(data)
 
 
+_OF_ONE_TEST = ("measurement", "held_out", "pairing")
+"""Keys that describe the measurement of a study without ``[[tests]]``."""
 _PATHS = ("files", "shapes", "sensors", "responses", "depends_on", "study")
 _FUNCTIONS = ("model", "effects")
 _WITH_PATHS = ("measurement", "adopted")

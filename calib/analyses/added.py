@@ -59,6 +59,8 @@ class Added:
     modes : DataFrame
         ``added_modes.csv``: ``mode, held_out, damped_freq_measured`` and ``damped_freq_, error_, mac_`` of the stages
         ``initial`` (nominal values), ``before`` (calibrated) and ``after`` (calibrated with the added effects).
+    test : str
+        Name of the test, where there are several.
     """
 
     effects: tuple[Effect, ...]
@@ -68,6 +70,7 @@ class Added:
     errors: pd.DataFrame
     parameters: pd.DataFrame
     modes: pd.DataFrame
+    test: str = ""
 
 
 def to_add(found: Explanation) -> CandidateFit | None:
@@ -147,7 +150,7 @@ def write_added(
     words += ["Both are quick runs: confirm them with full ones."] if quick else []
     own = _own_modes(study, effects, extended, after)
     told = own_sentence(own)
-    answer = Added(effects, " ".join(words), benefit, told, errors, parameters, modes)
+    answer = Added(effects, " ".join(words), benefit, told, errors, parameters, modes, study.test)
     begin_analysis(results, "extend")
     results.write_table("added_errors", errors)
     results.write_table("added_parameters", parameters)

@@ -270,6 +270,7 @@ def keep(
     refined = bool(searched) and study.settings.calibration.refine
     raw = agreement(searched, space, expected_misfit(study, before)) if refined else None
     begin_analysis(results, "calibrate")
+    results.remove("std_by_test.csv")
     write_comparison(results, best.answer, "after")
     for name, table in tables.items():
         results.write_table(name, table)

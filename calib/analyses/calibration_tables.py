@@ -33,6 +33,7 @@ def tables_of(
         "confounded": best.identification.confounded,
         "unseen_directions": best.identification.directions,
         "predictions": best.predictions.assign(std_from=best.rests_on),
+        **({"std_by_test": best.by_test.assign(std_from=best.rests_on)} if len(best.by_test) else {}),
     }
 
 

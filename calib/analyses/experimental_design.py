@@ -8,8 +8,9 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
+from calib.analyses.candidate_places import TOGETHER
 from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.imagined_measurement import TOGETHER, ImaginedMeasurement
+from calib.analyses.imagined_measurement import ImaginedMeasurement
 from calib.correlation.residual import ModalResidual, Row
 from calib.effect import Effect
 from calib.measurement.modal import Sensor
@@ -20,6 +21,7 @@ from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.recommendation import ExperimentalDesign, Linearisation
 from calib.missing.samples import posterior_samples
 from calib.missing.score import Scores
+from calib.space import ParameterSpace
 from calib.stage import Progress, unheard
 
 BENCH = 0.03
@@ -111,23 +113,55 @@ def _options(
     of_sensor: dict[str, np.ndarray] = {}
     for name in imagined.extra:
         of_sensor[name] = np.array([row.sensor == name and row.mode in imagined.modes for row in labels])
-    if of_sensor:
-        chosen: dict[tuple[str, ...], None] = {}
-        if competing is not None:
-            apart = {
-                name: competing.difference(CandidateMeasurement(name, "sensor", rows=rows))
-                for name, rows in of_sensor.items()
-            }
-            chosen.setdefault(_largest(apart))
-        gains = [_gains_of_sensors(linearisation, here, of_sensor) for linearisation in linearisations]
-        for k in range(linearisations[0].columns.shape[1]):
-            chosen.setdefault(_largest({n: sum(float(g[n][k]) for g in gains) for n in of_sensor}))
-        for several in chosen:
-            places = ", ".join(imagined.extra[name] for name in several)
-            rows = np.logical_or.reduce([of_sensor[name] for name in several])
-            out.append(CandidateMeasurement(f"{len(several)} more sensors at {places}", "sensor", rows=rows))
+    out += best_sensors(of_sensor, imagined.extra, here, linearisations, competing)
+    return [*out, *bench_tests(hypotheses.space, fit)]
+
+
+def best_sensors(
+    of_sensor: Mapping[str, np.ndarray],
+    words: Mapping[str, str],
+    here: np.ndarray,
+    linearisations: Sequence[Linearisation],
+    competing: CompetingModels | None,
+) -> list[CandidateMeasurement]:
+    """Groups of `TOGETHER` further sensors: the best for every effect, and for the difference of competing models.
+
+    Parameters
+    ----------
+    of_sensor : mapping from str to ndarray (n_rows,), bool
+        Rows that each sensor adds.
+    words : mapping from str to str
+        Place and direction of each.
+    here : ndarray (n_rows,), bool
+        Measured rows.
+    linearisations : sequence of Linearisation
+    competing : CompetingModels or None
+    """
+    if not of_sensor:
+        return []
+    chosen: dict[tuple[str, ...], None] = {}
+    if competing is not None:
+        apart = {
+            name: competing.difference(CandidateMeasurement(name, "sensor", rows=rows))
+            for name, rows in of_sensor.items()
+        }
+        chosen.setdefault(_largest(apart))
+    gains = [_gains_of_sensors(linearisation, here, of_sensor) for linearisation in linearisations]
+    for k in range(linearisations[0].columns.shape[1]):
+        chosen.setdefault(_largest({n: sum(float(g[n][k]) for g in gains) for n in of_sensor}))
+    out = []
+    for several in chosen:
+        places = ", ".join(words[name] for name in several)
+        rows = np.logical_or.reduce([of_sensor[name] for name in several])
+        out.append(CandidateMeasurement(f"{len(several)} more sensors at {places}", "sensor", rows=rows))
+    return out
+
+
+def bench_tests(space: ParameterSpace, fit: LinearisedFit) -> list[CandidateMeasurement]:
+    """A test of each part by itself, to `BENCH`, where that says more than its prior."""
+    out = []
     for name in fit.names:
-        p = hypotheses.space[name] if name in hypotheses.space else None
+        p = space[name] if name in space else None
         if p is not None and abs(p.value) > 0 and BENCH * abs(p.value) < p.prior_width:
             label = f"{p.description or name} ({name}) tested by itself to {100 * BENCH:.0f} %"
             out.append(CandidateMeasurement(label, "bench", prior_sd={name: BENCH * abs(p.value)}))

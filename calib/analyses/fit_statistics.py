@@ -12,6 +12,7 @@ from typing import TypeAlias
 import numpy as np
 import pandas as pd
 
+from calib.analyses.std_by_test import COLUMNS, std_by_test
 from calib.analyses.uncertainty import assumed_words, in_one
 from calib.degrees_of_freedom import effective_dof
 from calib.errors import EvaluationError
@@ -116,6 +117,8 @@ class FitStatistics:
         Data without which the model fits, see `calib.missing.suspect.suspects`; empty without a converged fit.
     assumed : str
         Assumed standard deviations that this rests on; see `calib.analyses.uncertainty.assumed_words`.
+    by_test : DataFrame
+        What each of several tests alone would determine, see `calib.analyses.std_by_test.std_by_test`; empty for one.
     """
 
     values: dict[str, float]
@@ -134,6 +137,7 @@ class FitStatistics:
     ends: tuple[FitResult, ...]
     suspects: pd.DataFrame
     assumed: str
+    by_test: pd.DataFrame
 
     def verdicts(
         self, space: ParameterSpace, spread: Mapping[str, float], differing: Mapping[str, float] | None = None
@@ -330,11 +334,14 @@ def _statistics(
     identification = identify(space, names, slope, values=values, held=held, birge=birge)
     predictions = prediction_interval(*problem.frequencies(values, names), identification.posterior.covariance)
     suspected = suspects(at, problem, alpha)
+    by_test = pd.DataFrame(columns=list(COLUMNS))
+    if isinstance(problem, JointProblem):
+        by_test = std_by_test(space, names, slope, [row.test for row in problem.rows], held, birge)
     return FitStatistics(
         values=values, misfit=misfit, prior_misfit=float(own @ own), dof=dof, p_fit=p_fit, alpha=alpha,
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
         predictions=predictions, fit=fit, ends=ends, suspects=suspected,
-        assumed=terms.assumed,
+        assumed=terms.assumed, by_test=by_test,
     )  # fmt: skip
 
 

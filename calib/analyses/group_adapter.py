@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.explanation_result import MeasurementFacts
+from calib.analyses.frf_design import frf_design
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.one_test import OneTest
 from calib.analyses.verify import group_errors, held_out_rows, std_behind, whitened
@@ -16,10 +17,12 @@ from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.mesh import geometry_tables
 from calib.correlation.response_residual import ResponseResidual
 from calib.effect import Effect
-from calib.forward import Unseen
-from calib.missing.explanation import CandidateFit
+from calib.forward import Unseen, UnseenFRFs
+from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.recommendation import ExperimentalDesign
 from calib.problem import Pair
 from calib.space import ParameterSpace
+from calib.stage import Progress, unheard
 from calib.structure.basis import Basis
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
@@ -101,6 +104,16 @@ class FRFAdapter(GroupAdapter):
 
     def _measuring(self, names: tuple[str, ...]) -> Pair:
         return super()._measuring(names) if self.hypotheses.variants.basis is None else self.at_full_order(names)
+
+    def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:
+        """Candidate measurements, from the credible models."""
+        if (doubted := self.doubted(found)) is None:
+            return None
+        held_out = {group: own.measured for group, own in self.held_out.items() if isinstance(own, UnseenFRFs)}
+        return frf_design(
+            self.hypotheses, found.believed, *doubted, found.noise_scale, held_out, self.facts.samples,
+            self.facts.seed, progress,
+        )  # fmt: skip
 
     def labels(self) -> pd.DataFrame:
         """Labels of the rows of data; ``mode`` is the line, such as ``12.5 Hz``, and ``part`` is ``re`` or ``im``."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.analyses.candidate_places import in_words, spread, where_acting
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
@@ -14,22 +15,17 @@ from calib.correlation.standard_deviations import StandardDeviations
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.measurement.accuracy import Accuracy
-from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
-from calib.missing.candidate_measurement import at_effect
+from calib.measurement.modal import MeasuredModes, Sensor
 from calib.missing.competing import CompetingModel
 from calib.missing.explanation import CandidateFit
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.recommendation import HELD_OUT, Linearisation
 from calib.missing.score import Scores
 from calib.problem import Problem
-from calib.structure.effect_places import effect_places
-from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 
 PLACES = 40
 """Candidate locations of a further sensor, in three directions each."""
-TOGETHER = 4
-"""Sensors in one candidate measurement."""
 MORE_MODES = 3
 """Candidate modes beyond those measured."""
 NEAR = 0.1
@@ -116,15 +112,16 @@ class ImaginedMeasurement:
         self.columns = [int(index[i]) for i in self.paired]
         freq, window = self.found.modes.natural_freq, problem.freq_window or (0.0, np.inf)
         free = [j for j in range(len(freq)) if j not in self.columns and window[0] <= freq[j] <= window[1]]
-        further = [j for j in free if self.found.modes.damping_ratio[j] < OVERDAMPED][:MORE_MODES]
-        self.more = _modes_in_words(freq[further].tolist(), held_out)
-        self.columns += further
+        more = [j for j in free if self.found.modes.damping_ratio[j] < OVERDAMPED][:MORE_MODES]
+        self.more = _modes_in_words(freq[more].tolist(), held_out)
+        self.columns += more
         self.held = held_sensors if measured.has_shapes else ()
-        spread = self._places() if measured.has_shapes else ()
-        self.extra = {s.name: _in_words(s) for s in spread}
-        label = 1 + max((s.node for s in (*self.sensors, *self.held, *spread)), default=0)
-        at = self._at(acting, label) if measured.has_shapes else {}
-        self.places = (*self.held, *spread, *(s for own in at.values() for s in own))
+        model = hypotheses.variants.model
+        further = spread(model, (*self.sensors, *self.held), PLACES) if measured.has_shapes else ()
+        self.extra = {s.name: in_words(s) for s in further}
+        label = 1 + max((s.node for s in (*self.sensors, *self.held, *further)), default=0)
+        at = where_acting(model, acting, label) if measured.has_shapes else {}
+        self.places = (*self.held, *further, *(s for own in at.values() for s in own))
         self.together = {words: frozenset(s.name for s in own) for words, own in at.items()}
         if self.held:
             several = "sensor" + "s" * (len(self.held) > 1)
@@ -132,48 +129,6 @@ class ImaginedMeasurement:
             self.together[f"{several} {names}{HELD_OUT}"] = frozenset(s.name for s in self.held)
         self.measurement = self._measurement()
         self._fit_problems: dict[tuple[str, ...], Problem[ModalResidual]] = {}
-
-    def _places(self) -> tuple[Sensor, ...]:
-        """Sensors spread over the structure: each one at the node farthest from all earlier ones."""
-        model = self.hypotheses.variants.model
-        points = model.mesh.points
-        there = (*self.sensors, *self.held)
-        known = np.array([s.point for s in there if s.point is not None]).reshape(-1, 3)
-        distance = np.linalg.norm(points[:, None] - known[None], axis=2).min(axis=1) if len(known) else np.inf
-        distance = np.broadcast_to(distance, (len(points),)).copy()
-        first = max((s.node for s in there), default=0) + 1
-        out: list[Sensor] = []
-        for k in range(min(PLACES, len(points))):
-            n = int(np.argmax(distance))
-            if distance[n] <= 1e-6:
-                break
-            distance = np.minimum(distance, np.linalg.norm(points - points[n], axis=1))
-            x, y, z = (round(float(c), 4) for c in points[n])
-            out += [s for d in DIRECTIONS[:3] if self._moves(s := Sensor(first + k, d, (x, y, z)))]
-        return tuple(out)
-
-    def _at(self, acting: Sequence[Effect], label: int) -> dict[str, tuple[Sensor, ...]]:
-        """Sensors in three directions at the nodes nearest to where each effect acts, by their names in words."""
-        model, out = self.hypotheses.variants.model, {}
-        for effect in acting if isinstance(model, StructuralModel) else ():
-            own: list[Sensor] = []
-            points = np.where(model.mesh.placed[:, None], model.mesh.points, np.inf)
-            for place in effect_places(model, effect)[:TOGETHER]:
-                node = points[np.argmin(np.linalg.norm(points - np.array(place), axis=1))]
-                x, y, z = (round(float(c), 4) for c in node)
-                own += [s for d in DIRECTIONS[:3] if self._moves(s := Sensor(label, d, (x, y, z)))]
-                label += 1
-            if own:
-                places = ", ".join(dict.fromkeys(_place(s) for s in own))
-                out[f"{at_effect(effect.name)}, {places}"] = tuple(own)
-        return out
-
-    def _moves(self, sensor: Sensor) -> bool:
-        try:
-            self.hypotheses.variants.model.sensor_rows([sensor])
-        except InputError:
-            return False
-        return True
 
     def _measurement(self) -> MeasuredModes:
         modes, cols, known = self.found.modes, self.columns, self.hypotheses.pair.problem.measured
@@ -294,12 +249,3 @@ def _modes_in_words(freqs: Sequence[float], held_out: Mapping[str, float]) -> li
         words.append(f"mode {near[0]}{HELD_OUT}" if known else f"the mode computed at {freq:.3g} Hz")
     same = {w: words.count(w) for w in words}
     return [w if same[w] == 1 else f"{w} ({words[: k + 1].count(w)} of {same[w]})" for k, w in enumerate(words)]
-
-
-def _in_words(sensor: Sensor) -> str:
-    return f"{_place(sensor)} {sensor.direction}"
-
-
-def _place(sensor: Sensor) -> str:
-    assert sensor.point is not None
-    return f"({', '.join(f'{c:.2f}' for c in sensor.point)})"

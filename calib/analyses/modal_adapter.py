@@ -78,12 +78,9 @@ class ModalAdapter(OneTest):
         held_out = {name: freq for name, freq in every if name not in self.problem.measured.names}
         used = {sensor.name for sensor in self.problem.measured.sensors}
         held_sensors = tuple(sensor for sensor in whole.sensors if sensor.name not in used)
-        candidates = [e for g in found.groups for e in g.effects]
-        named = found.base_adequacy.named
-        if found.verdict == "none_explains" and found.perturbation is not None:  # to locate the unexplained misfit
-            candidates, named = list(found.perturbation.effects), found.base_adequacy.perturbations
-        if not candidates:
+        if (doubted := self.doubted(found)) is None:
             return None
+        candidates, named = doubted
         samples, seed = self.facts.samples, self.facts.seed
         return modal_design(
             self.hypotheses, found.believed, candidates, named, found.noise_scale, held_out, samples, seed, progress,

@@ -14,9 +14,11 @@ import pandas as pd
 from calib.analyses.discretisation_error import DiscretisationError
 from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.hypotheses import Failure, ModelHypotheses
+from calib.effect import Effect
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.recommendation import ExperimentalDesign
 from calib.missing.refits import DEFAULT
+from calib.missing.score import Scores
 from calib.outcome import Outcome
 from calib.stage import Progress, unheard
 from calib.structure.effect_places import effect_places
@@ -130,6 +132,16 @@ class OneTest(ABC):
     def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:
         """None: further responses of a function are unknown."""
         return None
+
+    def doubted(self, found: Explanation) -> tuple[list[Effect], Scores] | None:
+        """Effects for which candidate measurements are proposed, with their scores; None where there are none.
+
+        Where nothing explains the misfit, local perturbations that locate it.
+        """
+        if found.verdict == "none_explains" and found.perturbation is not None:
+            return list(found.perturbation.effects), found.base_adequacy.perturbations
+        candidates = [e for g in found.groups for e in g.effects]
+        return (candidates, found.base_adequacy.named) if candidates else None
 
     def discretisation_error(self, found: Explanation) -> DiscretisationError | None:
         """None: there is no mesh."""

@@ -49,7 +49,8 @@ def assumed_frfs(frfs: MeasuredFRFs) -> tuple[Assumption, ...]:
 
 def claimed_frf(frfs: MeasuredFRFs) -> str:
     """The claimed accuracy of FRFs in words; empty without."""
-    return f"{frfs.accuracy.words('SI')} of FRFs" if frfs.accuracy.given else ""
+    words = "at each line by itself; errors that lines share make the true intervals wider"
+    return f"{frfs.accuracy.words('SI')} of FRFs, {words}" if frfs.accuracy.given else ""
 
 
 def assumed_words(study: Study) -> str:

@@ -33,6 +33,7 @@ def entries(study: StudyFile, result: Fitted) -> list[Entry]:
     if isinstance(result, JointCalibration):
         return [
             *_parameters(result.any),
+            _by_test(result.any.best.statistics.by_test),
             *map(Words, result.sentences),
             *_retried(result.any),
             *suspects(result.any.best.statistics.suspects),
@@ -104,6 +105,17 @@ def _parameters(result: Calibration) -> Iterator[Rows]:
     heads = ("parameter", f"value in {best.name}", "std", "of range", "spread", "identified")
     yield Rows.of("", heads, rows, left=("identified",), most=20)
     yield Rows.of("Why:", ("parameter", "verdict"), reasons, left=("verdict",), when="verbose")
+
+
+def _by_test(table: pd.DataFrame) -> Rows:
+    """Standard deviation of every parameter from each test alone and from all, and that of its prior."""
+    tests = list(dict.fromkeys(table["test"]))
+    rows = []
+    for name, own in table.groupby("parameter", sort=False):
+        std = own.set_index("test")["std"]
+        rows.append((str(name), f"{own['prior_sd'].iloc[0]:.3g}", *(f"{std[test]:.3g}" for test in tests)))
+    title = "Standard deviations from the data of each test alone, at the joint fit:"
+    return Rows.of(title, ("parameter", "prior", *tests), rows, most=20)
 
 
 def _changes(result: Calibration) -> Iterator[Rows]:

@@ -127,7 +127,8 @@ def of_added(result: Added, written: Extension, folder: Results) -> list[Entry]:
         for r in by_group(result.errors).to_dict("records")
     ]  # fmt: skip
     heads = ("data", "rows", "before", "after", "of a correctly specified model", "p before", "p after")
-    title = "Both models calibrated in the same way; rms errors in standard deviations:"
+    own = f"Test {result.test}: both" if result.test else "Both"
+    title = f"{own} models calibrated in the same way; rms errors in standard deviations:"
     return [
         Rows.of(title, heads, rows),
         Words(result.sentence),

@@ -117,7 +117,8 @@ class _Printing(Listener):
             entries += [Words("\nFigures, each beside its table:"), *(Words(f"  {path}") for path in figures)]
         self._add(*entries)
         if page is not None:
-            self._pages.append((f"{study.settings.title}: {self.verb}{_label(study)}", page))
+            title = study.settings.title.removesuffix(f": {study.test}")  # the answer is that of all tests
+            self._pages.append((f"{title}: {self.verb}{_label(study)}", page))
             if self._told[-1].answer is not None:
                 self._told[-1] = replace(self._told[-1], place=page.path)
 

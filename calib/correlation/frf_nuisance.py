@@ -7,7 +7,7 @@ delay)`` of each channel. Masses and stingers change the model. At zero nothing 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -49,6 +49,8 @@ class ChannelError:
         The channel of a reference measures the force, by which the motion is divided.
     prior_sd : float, optional
         In %, degrees or s; `CHANNEL_SD` by default, a delay has none.
+    test : str
+        Name of its test, where there are several; see `belonging_to`.
 
     Raises
     ------
@@ -60,6 +62,7 @@ class ChannelError:
     sensor: str
     side: Literal["response", "reference"] = "response"
     prior_sd: float | None = None
+    test: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
         place = f"error of channel {self.sensor}"
@@ -74,13 +77,13 @@ class ChannelError:
 
     @property
     def parameter(self) -> Parameter:
-        """Such as ``gain_12z``, or ``gain_force_3z`` of a reference."""
+        """Such as ``gain_12z``, ``gain_force_3z`` of a reference, or of one of several tests ``gain_12z in test A``."""
         sd = CHANNEL_SD[self.kind] if self.prior_sd is None else self.prior_sd
         force, lower = "force_" if self.side == "reference" else "", -_LIMIT * sd
         return Parameter(
-            f"{self.kind}_{force}{self.sensor}", 0.0, max(lower, _WEAKEST) if self.kind == "gain" else lower,
-            _LIMIT * sd, _UNITS[self.kind], prior_sd=sd,
-            description=f"{self.kind} of the channel of {self.side} {self.sensor}",
+            f"{self.kind}_{force}{self.sensor}{_in(self.test)}", 0.0,
+            max(lower, _WEAKEST) if self.kind == "gain" else lower, _LIMIT * sd, _UNITS[self.kind], prior_sd=sd,
+            description=f"{self.kind} of the channel of {self.side} {self.sensor}{_in(self.test)}",
         )  # fmt: skip
 
     def factor(self, value: float, freq: np.ndarray) -> np.ndarray:
@@ -110,6 +113,8 @@ class AddedMass:
         kg, of the data sheet: the nominal value.
     prior_sd : float, optional
         kg; `MASS_SD` of the mass by default.
+    test : str
+        As of `ChannelError`.
 
     Raises
     ------
@@ -120,6 +125,7 @@ class AddedMass:
     sensor: Sensor
     mass: float
     prior_sd: float | None = None
+    test: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
         place = f"added mass at {self.sensor.name}"
@@ -134,8 +140,9 @@ class AddedMass:
         """Such as ``mass_12``."""
         sd = MASS_SD * self.mass if self.prior_sd is None else self.prior_sd
         return Parameter(
-            f"mass_{self.sensor.node}", self.mass, max(0.0, self.mass - _LIMIT * sd), self.mass + _LIMIT * sd, "kg",
-            prior_sd=sd, description=f"mass of the accelerometer at node {self.sensor.node}",
+            f"mass_{self.sensor.node}{_in(self.test)}", self.mass,
+            max(0.0, self.mass - _LIMIT * sd), self.mass + _LIMIT * sd, "kg", prior_sd=sd,
+            description=f"mass of the accelerometer at node {self.sensor.node}{_in(self.test)}",
         )  # fmt: skip
 
     def load(self, model: StructuralModel) -> Load:
@@ -156,6 +163,8 @@ class Stinger:
     directions : tuple of str
         Of x, y, z; by default the two across the reference. The force along it is measured, so that a stiffness there
         is no error unless the force gauge sits at the exciter's end.
+    test : str
+        As of `ChannelError`.
 
     Raises
     ------
@@ -166,6 +175,7 @@ class Stinger:
     sensor: Sensor
     prior_sd: float
     directions: tuple[str, ...] = ()
+    test: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
         place = f"stinger at {self.sensor.name}"
@@ -177,8 +187,9 @@ class Stinger:
     def parameter(self) -> Parameter:
         """Such as ``stinger_3z``."""
         return Parameter(
-            f"stinger_{self.sensor.name}", 0.0, 0.0, _LIMIT * self.prior_sd, "N/m", prior_sd=self.prior_sd,
-            description=f"stiffness of the stinger at {self.sensor.name}",
+            f"stinger_{self.sensor.name}{_in(self.test)}", 0.0, 0.0, _LIMIT * self.prior_sd, "N/m",
+            prior_sd=self.prior_sd,
+            description=f"stiffness of the stinger at {self.sensor.name}{_in(self.test)}",
         )  # fmt: skip
 
     def load(self, model: StructuralModel) -> Load:
@@ -228,6 +239,14 @@ def of_every_channel(
     if stinger is not None:
         out += [Stinger(sensor, stinger) for sensor in measured.references]
     return tuple(out)
+
+
+def belonging_to(test: str, nuisances: Sequence[Nuisance]) -> tuple[Nuisance, ...]:
+    """The same nuisances as those of one of several tests, whose name their parameters bear.
+
+    Another test has its own cables, amplifiers and mountings: even a channel of the same name is another one there.
+    """
+    return tuple(replace(nuisance, test=test) for nuisance in nuisances)
 
 
 def require_positive(prior_sd: float | None, place: str) -> None:
@@ -284,6 +303,10 @@ class Channels:
         """Functions of a channel, as an index that leaves (n_freq, n_others)."""
         index = _names(self.measured, error.side).index(error.sensor)
         return (slice(None), index) if error.side == "response" else (slice(None), slice(None), index)
+
+
+def _in(test: str) -> str:
+    return f" in test {test}" if test else ""
 
 
 def _names(measured: MeasuredFRFs, side: str) -> tuple[str, ...]:

@@ -64,6 +64,14 @@ class Fit(Shown, Generic[P]):
         return self.parameters[shown].reset_index()
 
     @property
+    def std_by_test(self) -> Any:
+        """What each of several tests alone would determine; see `calib.analyses.std_by_test.std_by_test`.
+
+        ``parameter, unit, test, std, prior_sd``, with rows of ``all tests``; empty for one test.
+        """
+        return self.statistics.by_test
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """Goodness of fit, identifiability of each parameter, and whether starts and searches agree."""
         each = (f"{name}: {sentence}" for name, sentence in self.parameters["sentence"].items())

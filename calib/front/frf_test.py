@@ -39,8 +39,8 @@ class FRFTest:
     held_out_bands : sequence of (float, float)
         Likewise bands of lines, Hz.
     nuisances : sequence of Nuisance
-        Errors of the test itself that a fit may find, each with its prior; see `calib.correlation.frf_nuisance`. Those
-        of the same name in several tests are one parameter: the same channel.
+        Errors of the test itself that a fit may find, each with its prior; see `calib.correlation.frf_nuisance`. In a
+        problem with several tests their parameters bear the test's name.
     name, condition
         As in `calib.ModalTest`.
     accuracy : str, float or mapping, optional

@@ -23,7 +23,7 @@ from calib.front.responses import own
 from calib.front.search import refined, searched
 from calib.front.sensitivity import Assessed, assessed
 from calib.front.shown import Compared
-from calib.front.test import TESTS, Model, Test, under
+from calib.front.test import TESTS, Model, Test, beside, under
 from calib.function import FunctionModel, extend_function
 from calib.given import integer, objects
 from calib.given import names as names_of
@@ -122,16 +122,22 @@ class Problem:
     @property
     def pairs(self) -> tuple[tuple[Model, Test], ...]:
         """Every test with its model, whose parameters are fixed as the test's condition says."""
-        first = tuple((under(self.model, test.name, test.condition), test) for test in self._tests)
-        return (*first, *(pair for problem in self.beside for pair in problem.pairs))
+        return tuple((under(model, test.name, test.condition), test) for model, test in self._given)
+
+    @property
+    def _given(self) -> tuple[tuple[Model, Test], ...]:
+        """Every test with its model, no condition applied, joined problems after this one."""
+        own = tuple((self.model, test) for test in self._tests)
+        every = (*own, *(pair for problem in self.beside for pair in problem._given))
+        return tuple((model, beside(test)) for model, test in every) if len(every) > 1 else every
 
     @property
     def by_model(self) -> tuple[tuple[Model, tuple[Test, ...]], ...]:
         """Every model, no condition applied, with all of its tests."""
         out: dict[str, tuple[Model, tuple[Test, ...]]] = {}
-        for model, tests in ((self.model, self._tests), *(pair for p in self.beside for pair in p.by_model)):
+        for model, test in self._given:
             known, before = out.get(model.fingerprint, (model, ()))
-            out[model.fingerprint] = (known, (*before, *tests))
+            out[model.fingerprint] = (known, (*before, test))
         return tuple(out.values())
 
     @property

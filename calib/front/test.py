@@ -11,6 +11,7 @@ import pandas as pd
 
 from calib.analyses.uncertainty import assumed_responses, claimed_words
 from calib.analyses.verify import errors_of
+from calib.correlation.frf_nuisance import belonging_to
 from calib.correlation.problem import FunctionProblem, ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
@@ -275,6 +276,11 @@ def model_of(study: Study) -> Model:
     space = study.search_space
     own = {name: value for name, value in space.values.items() if name not in study.model.space}
     return replace(study.model, space=space.without(own))
+
+
+def beside(test: Test) -> Test:
+    """The test as one of several: parameters of its own bear its name."""
+    return replace(test, nuisances=belonging_to(test.name, test.nuisances)) if isinstance(test, FRFTest) else test
 
 
 def space_of(model: Model, test: Test) -> ParameterSpace:

@@ -16,7 +16,7 @@ class CandidateMeasurement:
     ----------
     name : str
         In words.
-    kind : {"sensor", "mode", "repeats", "bench"}
+    kind : {"sensor", "mode", "reference", "held out", "repeats", "bench"}
     rows : ndarray (n_rows,), bool or None
         Rows that it adds to the measured ones.
     scale : float

@@ -43,7 +43,7 @@ _LEAST_DOF = 0.5
 """Fewest degrees of freedom for which chi2 per degree of freedom is written."""
 _UNNAMED = "responses"
 """Row name in a table that has no modes."""
-_WORDS = {"freq": "frequency"}
+_WORDS = {"freq": "frequency", "frf": "FRFs"}
 _MOST = 16.0
 """Upper end of the colour scale of -log10 p."""
 _COLOURS = (AFTER, WITH, PURPLE, ORANGE, SKY)
@@ -117,7 +117,7 @@ def draw_where_it_fails(
         whole.set_gid("attempt")
         ax.add_patch(whole)
     ax.set_xlabel("in the cells: χ² / degrees of freedom")
-    ax.set_ylabel("" if modes == [_UNNAMED] else "mode")
+    ax.set_ylabel("" if modes == [_UNNAMED] or _WORDS["frf"] in kinds else "mode")
     if bar:
         _unlikely_bar(image, [ax])
     return ax

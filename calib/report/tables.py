@@ -49,6 +49,7 @@ KEYS = {
     "sensors": ("sensor",),
     "shapes": ("mode", "sensor"),
     "pulls": ("model", "parameter"),
+    "std_by_test": ("parameter", "test"),
     "verdicts": ("parameter",),
     "versions": ("version", "group"),
     "where_it_fails": ("kind", "what"),

@@ -26,6 +26,7 @@ from calib.report.style import (
     REST,
     SKY,
     WITH,
+    YELLOW,
     added,
     legend_above,
     new_figure,
@@ -50,6 +51,8 @@ _STAGES: dict[str, dict[str, Any]] = {
 _KINDS = {
     "sensor": ("further sensor", SKY),
     "mode": ("further mode", ORANGE),
+    "reference": ("further force", AFTER),
+    "held out": ("held-out data", YELLOW),
     "repeats": ("more repeats", GREEN),
     "bench": ("bench test", PURPLE),
 }

@@ -35,6 +35,8 @@ PRIOR = "prior"
 RESPONSES = "responses"
 """Heading of the bars of scalar responses, whatever their kinds."""
 _NAMED = 3
+_LINE_OF_WORDS = 0.06
+"""Height of a name over that of its panel."""
 _WORTH_WORDS = 2.0
 """Standard deviations from which a dot of a dense cloud has words under the mouse."""
 _LINE = 0.17
@@ -129,7 +131,9 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     ax = own_axes(ax, 4.0)
     x, y = (table[name].to_numpy(dtype=float) for name in ("signature", "residual"))
     imaginary = (table["part"] == "im").to_numpy(dtype=bool)
-    names = [f"{r['mode']} {r['sensor']}" + (" im" if r["part"] == "im" else "") for r in table.to_dict("records")]
+    names = [
+        f"{_shown(r['mode'])} {r['sensor']}" + (" im" if r["part"] == "im" else "") for r in table.to_dict("records")
+    ]
     reach = 1.12 * float(np.max(np.abs([*x, *y]), initial=1.0))
     ax.plot([-reach, reach], [-reach, reach], color=BLACK, linewidth=0.9, linestyle="--", gid="equal", zorder=2)
     for gid, some in (("re", ~imaginary), ("im", imaginary)):
@@ -140,15 +144,31 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     words = [f"{n}: signature {fixed(a, 1)} σ, residual {fixed(b, 1)} σ" for n, a, b in zip(names, x, y, strict=True)]
     large = np.maximum(np.abs(x), np.abs(y)) >= (_WORTH_WORDS if len(x) > DENSE else 0.0)
     hover_points(ax, x[large], y[large], [text for text, shown in zip(words, large, strict=True) if shown])
-    for k in np.argsort(-np.abs(x), kind="stable")[:_NAMED]:
-        side = -1 if x[k] > 0 else 1
-        ax.annotate(names[k], (x[k], y[k]), xytext=(5 * side, 4), textcoords="offset points", fontsize=7,
-                    ha="right" if side < 0 else "left", color=GREY)  # fmt: skip
+    _name_largest(ax, x, y, names)
     for line in (ax.axhline, ax.axvline):
         line(0.0, color=GREY, linewidth=0.6)
     ax.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="signature (σ)", ylabel="residual (σ)")
     ax.set_aspect("equal", adjustable="box", anchor="N")
     return ax
+
+
+def _shown(mode: str) -> str:
+    """A mode's name, or a line of an FRF in four digits."""
+    freq = mode.removesuffix(" Hz")
+    return f"{float(freq):.4g} Hz" if freq != mode else mode
+
+
+def _name_largest(ax: Axes, x: np.ndarray, y: np.ndarray, names: Sequence[str]) -> None:
+    """Name the largest signatures in the corners that dots on the diagonal leave empty, each with a line to its dot."""
+    largest = np.argsort(-np.abs(x), kind="stable")[:_NAMED]
+    for above in (True, False):
+        rows = sorted((k for k in largest.tolist() if (y[k] >= 0) == above), key=lambda k: -abs(y[k]))
+        for n, k in enumerate(rows):
+            at = (0.02, 0.97 - _LINE_OF_WORDS * n) if above else (0.98, 0.03 + _LINE_OF_WORDS * n)
+            ax.annotate(names[k], (x[k], y[k]), xytext=at, textcoords="axes fraction", fontsize=7, color=GREY,
+                        ha="left" if above else "right", va="top" if above else "bottom",
+                        arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.5, "shrinkA": 1, "shrinkB": 2},
+                        )  # fmt: skip
 
 
 def why_figure(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -19,8 +19,6 @@ Form = Literal["spring", "damper", "mass", "support", "part"]
 _KINDS = ("stiffness", "damping", "mass")
 _FEW = 24
 """Most degrees of freedom that a spring, a damper or a lumped mass takes part in."""
-_RANK = 3
-"""Largest rank of a spring's or a damper's matrix: one direction, two or three; a beam element has six."""
 _LITTLE = 1e-9
 """Eigenvalue of a spring's matrix, over its largest, below which it is zero."""
 
@@ -88,6 +86,8 @@ def model_places(model: _Structure) -> tuple[ModelPlace, ...]:
         ModelPlace(p.name, _form(model, p.kind, p.matrix), p.kind, _scaling(model, p.coefficient.names), p.place)
         for p in model.parts
     ]
+    larger = {place.name for place in found if place.form == "part"}  # of a clamped beam too, whose mass is at one node
+    found = [replace(place, form="part") if place.name in larger else place for place in found]
     found = [place for place in found if place.parameters or place.form != "part"]
     placed = {(name, place.kind) for place in found for name in place.parameters}
     for kind in _KINDS:
@@ -118,15 +118,21 @@ def _terms(model: _Structure, matrix: AffineMatrix) -> Iterator[tuple[str, tuple
 
 
 def _form(model: _Structure, kind: str, matrix: sp.csr_array) -> Form:
-    """What a piece of K, C or M looks like in a drawing."""
+    """What a piece of K, C or M looks like in a drawing.
+
+    A spring acts along the translations that its nodes have, and a lumped mass moves as one point does. A beam has
+    more: in a plane its stiffness has rank three, as a spring in space has.
+    """
     used = np.unique(sp.csr_array(matrix).indices)
     if not 0 < len(used) <= _FEW:
         return "part"
-    dense = matrix[used][:, used].toarray()
+    values = np.abs(np.linalg.eigvalsh(matrix[used][:, used].toarray()))
+    rank = int(np.sum(values > _LITTLE * values.max()))
+    nodes = np.unique(model.dofs.node[used])
+    moves = np.diff(model.dofs.expansion.indptr).reshape(-1, 6)[nodes[nodes >= 0]].any(axis=0)
     if kind == "mass":
-        return "mass" if len(np.unique(model.dofs.node[used])) <= 2 else "part"
-    values = np.abs(np.linalg.eigvalsh(dense))
-    if np.sum(values > _LITTLE * values.max()) > _RANK:
+        return "mass" if len(nodes) == 1 or (len(nodes) == 2 and rank <= moves.sum()) else "part"
+    if rank > max(1, moves[:3].sum()):
         return "part"
     return "damper" if kind == "damping" else "spring"
 

@@ -137,6 +137,16 @@ def test_a_hidden_spring_is_named_with_its_stiffness(explained):
     assert abs(row["magnitude"] - WORLD.HIDDEN) < 4 * std and std < 0.05 * WORLD.HIDDEN
 
 
+def test_no_candidate_measurement_takes_information_away(explained):
+    """Both sensors in use are forces already, of which one is held out: there is none to add."""
+    table = explained.explanation.tables["next_measurement"]
+    assert set(table["kind"]) == {"sensor", "held out", "repeats", "bench"}
+    assert (table["gain"] >= 1 - 1e-9).all() and set(table["effect"]) == {"ground_2", "mass_3"}
+    own = table[table["effect"] == "ground_2"].set_index("measurement")["gain"]
+    for held in ("sensor 3x", "force at 4x", "the 10 lines from 20.03 to 25.83 Hz"):
+        assert own[f"{held}, held-out so far"] > 1.01
+
+
 def test_nothing_is_named_where_nothing_is_missing(right):
     found = right.explain(WORLD.effects(), progress=False)
     assert found.verdict == "nothing_detectable" and not found.named
@@ -180,6 +190,25 @@ def test_an_error_of_a_held_out_channel_is_no_parameter_of_the_fit(wrong_channel
     assert "gain_3x" not in problem_of(wrong_channel, nuisances=[gain], held_out=["3x"]).space
     mass = AddedMass(Sensor(3, "x"), 0.1)  # it loads the structure, whatever is fitted
     assert "mass_3" in problem_of(wrong_channel, nuisances=[mass], held_out=["3x"]).space
+
+
+def test_channels_of_one_name_in_two_tests_have_a_gain_each():
+    """Response 3x reads 5 % too much in one test and 4 % too little in the other."""
+    off, gain = {"first": 5.0, "second": -4.0}, ChannelError("gain", "3x", prior_sd=5.0)
+    tests = []
+    for seed, (name, percent) in enumerate(off.items(), start=4):
+        frfs, factor = WORLD.measured(seed), np.array([1.0, 1 + percent / 100, 1.0])[:, None]
+        both = replace(frfs, values=frfs.values * factor, std=frfs.std * factor)
+        tests.append(calib.FRFTest(both, nuisances=[gain], name=name))
+    for problem in (
+        calib.Problem(WORLD.chain(), tests),
+        calib.Problem.join(*(calib.Problem(WORLD.chain(), test) for test in tests)),
+    ):
+        fit = problem.calibrate(progress=False)
+        for name, percent in off.items():
+            own = fit.parameters.loc[f"gain_3x in test {name}"]
+            assert abs(own["value"] - percent) < 4 * own["std"] and own["std"] < 0.3
+        assert "gain_3x" not in problem.space and (fit.errors["p"] > CHANCE).all()
 
 
 # -- refused -----------------------------------------------------------------------------------------------------------

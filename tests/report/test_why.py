@@ -90,7 +90,19 @@ def test_shapes_are_dots_of_signature_and_residual_on_equal_scales(table):
     assert ax.get_xlim() == ax.get_ylim() and np.array_equal(*line(ax, "equal").get_data())
     largest = rows.loc[rows["signature"].abs().sort_values(ascending=False).index[:3]]
     expected = [f"{r.mode} {r.sensor}" + (" im" if r.part == "im" else "") for r in largest.itertuples()]
-    assert [t.get_text() for t in ax.texts] == expected
+    assert sorted(t.get_text() for t in ax.texts) == sorted(expected)
+
+
+def test_names_of_lines_have_four_digits_and_do_not_meet():
+    """Neighbouring lines of one resonance have nearly the same signature."""
+    rows = pd.DataFrame({
+        "mode": ["15.2237288 Hz", "15.2541 Hz", "15.3 Hz"], "sensor": "1x/2x", "part": "re",
+        "signature": [9.0, 9.1, 9.2], "residual": [8.0, 8.1, 8.1],
+    })  # fmt: skip
+    ax = draw_shapes(rows)
+    assert {t.get_text() for t in ax.texts} == {"15.22 Hz 1x/2x", "15.25 Hz 1x/2x", "15.3 Hz 1x/2x"}
+    heights = np.sort([t.xyann[1] for t in ax.texts])  # over that of the panel, 2.5 inches
+    assert np.diff(heights).min() * 2.5 * 72 > 1.2 * ax.texts[0].get_fontsize()
 
 
 def test_the_share_is_of_the_sum_of_squares(table):

@@ -9,6 +9,7 @@ from calib.structure.model import StructuralModel
 from calib.structure.places import ModelPlace
 from models.four_storey_rig import four_storey_rig
 from models.railway.rig import bogie_on_rig
+from models.solar_panel import solar_panel
 
 LINK = np.array([[1.0, -1.0], [-1.0, 1.0]])
 
@@ -51,6 +52,13 @@ def test_without_coordinates_there_is_no_place():
         stiffness={"k": LINK}, mass=np.eye(2), dofs=[(1, "x"), (2, "x")], parameters=[Parameter("k", 1e4, 1e3, 1e5)]
     )
     assert model.places == ()
+
+
+def test_beams_without_motions_in_their_plane_are_no_springs():
+    """Bending and torsion alone give a beam the rank of a spring in space, and a clamped one half the motions."""
+    places = [p for p in solar_panel().places if p.name.startswith("beam")]
+    assert {p.parameters for p in places} == {(f"E_beam_{k}",) for k in (17, 18, 19, 20)}
+    assert {p.form for p in places} == {"part"}
 
 
 def test_every_parameter_of_the_bogie_has_its_places():

@@ -91,9 +91,12 @@ def measured(
     return combine_frfs(repeats_of(true, seed, repeats, share, floor, responses, references), synthetic=True)
 
 
-def modes(seed, count=4, repeats=6, responses=RESPONSES, values=TRUE):
-    """A modal test of the same chain: frequencies, damping ratios and shapes from the roots of its state matrix."""
-    k, c, m = by_hand(values)
+def modes(seed, count=4, repeats=6, responses=RESPONSES, values=TRUE, **changed):
+    """A modal test of the same chain: frequencies, damping ratios and shapes from the roots of its state matrix.
+
+    ``changed`` as of `by_hand`.
+    """
+    k, c, m = by_hand(values, **changed)
     state = np.block([[np.zeros((N, N)), np.eye(N)], [-np.linalg.solve(m, k), -np.linalg.solve(m, c)]])
     roots, vectors = np.linalg.eig(state)
     order = np.flatnonzero(roots.imag > 0)

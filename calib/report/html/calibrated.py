@@ -62,6 +62,7 @@ def section(results: StudyResults) -> Section | None:
         *(Words(words, "reported") for words in results.sentences("calibrate")),
         Terms(TERMS),
         *_verdicts(results, best),
+        *_by_test(results),
         *_parameter_picture(results, table, best),
         *_convergence(results),
         *_after(results, best),
@@ -135,6 +136,28 @@ def _verdicts(results: StudyResults, best: str) -> list[Block]:
     )
     heads = ("parameter", f"value in {best}", "std", "position in its range, %", "spread, %", "identified", "verdict")
     return [Table("Identifiability of the parameters", heads, rows, (5, 6))]
+
+
+def _by_test(results: StudyResults) -> list[Block]:
+    """What each of several tests alone would determine."""
+    table = results.table("std_by_test", ["parameter", "unit", "test"], ["std", "prior_sd"])
+    if table is None:
+        return []
+    tests = list(dict.fromkeys(table["test"]))
+    rows = tuple(
+        (
+            str(name),
+            with_unit(own["prior_sd"].iloc[0], str(own["unit"].iloc[0]), 3),
+            *(significant(std) for std in own.set_index("test")["std"].reindex(tests)),
+        )
+        for name, own in table.groupby("parameter", sort=False)
+    )
+    caption = (
+        "Standard deviations of the parameters from the data of each test alone, and from all tests, at the joint fit. "
+        "Errors of different rows count as independent: where lines of FRFs share errors, such as places of sensors, "
+        "the true standard deviations are larger."
+    )
+    return [Table(caption, ("parameter", "prior", *tests), rows)]
 
 
 def _parameter_picture(results: StudyResults, table: pd.DataFrame, best: str) -> list[Picture]:
