@@ -36,7 +36,7 @@ def shorter(path: str, style: str) -> str:
     parts = [_arcs(part) if _CIRCLE.fullmatch(part) else part for part in _SUBPATH.findall(path)]
     if "fill: none" not in style or "dasharray" in style:
         return "".join(parts) or path
-    out = []
+    out: list[str] = []
     for lines, run in groupby(parts, lambda part: _SEGMENTS.fullmatch(part) is not None):
         same = list(run)
         out += _joined([_points(part) for part in same]) if lines else same
