@@ -1,6 +1,8 @@
 """The dependencies of ARCHITECTURE.md: which part may import which."""
 
 import ast
+import itertools
+import re
 import tomllib
 from collections.abc import Iterator
 from functools import cache
@@ -9,6 +11,7 @@ from pathlib import Path
 import calib
 
 ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "ARCHITECTURE.md"
 
 # From the bottom up: a part may import itself and anything of a lower rank.
 RANKS = (
@@ -119,6 +122,31 @@ def test_only_the_report_imports_plotting_libraries():
     for part, file in parts():
         if part != "report":
             assert not {name.split(".")[0] for name in imports(file, run_only=True)} & {"matplotlib", "jinja2"}, file
+
+
+def test_the_page_names_every_part_and_every_folder_on_one_page():
+    """As files stand on one page: 1000 words are about that."""
+    page = PAGE.read_text("utf-8")
+    tree = page.split("```")[1]
+    for part, file in parts():
+        name = part if (ROOT / "calib" / part).is_dir() else f"{part}.py"
+        assert file.name == "__init__.py" or re.search(rf"(?<![\w.]){re.escape(name)}", tree), name
+    assert len(page.split()) <= 1000
+
+
+def test_the_page_points_its_arrows_as_the_code_does():
+    arrows = PAGE.read_text("utf-8").split("## Dependencies")[1].split("`cli`")[1].split("\n\n")[0]
+    told = [re.findall(r"`(\w+)`", step) for step in f"`cli`{arrows}".split("→")]
+    assert len(told) > 10
+    for above, below in itertools.pairwise(told):
+        assert min(RANK[name] for name in above) > max(RANK[name] for name in below), (above, below)
+
+
+def test_every_file_says_what_it_holds():
+    """The list of modules in the documents is made of these sentences."""
+    for file in [*(ROOT / "calib").rglob("*.py"), *(ROOT / "models").rglob("*.py")]:
+        words = (ast.get_docstring(tree_of(file)) or "").split("\n\n")[0]
+        assert words and words.count("\n") < 2, f"{file}: {words}"
 
 
 def test_the_version_is_told_once():

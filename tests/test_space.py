@@ -1,4 +1,5 @@
 import math
+import re
 
 import numpy as np
 import pytest
@@ -90,4 +91,13 @@ def test_selecting_a_fixed_parameter_is_refused():
 
 
 def test_units_are_multiples_of_si():
-    assert SI_FACTORS["kN/m"] == 1e3 and SI_FACTORS["MN/m"] == 1e6 and SI_FACTORS["%"] == 0.01
+    """Composed units are what the units in them make."""
+    single = {"-": 1, "%": 0.01, "t": 1e3, "kg": 1, "m": 1, "mm": 1e-3, "N": 1, "kN": 1e3, "MN": 1e6,
+              "Pa": 1, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "Hz": 1, "rad": 1, "deg": math.pi / 180, "s": 1}  # fmt: skip
+    symbol = re.compile(f"({'|'.join(sorted(map(re.escape, single), key=len, reverse=True))})([234]?)")
+    for unit, factor in SI_FACTORS.items():
+        over, _, under = unit.partition("/")
+        assert "".join(found[0] for found in symbol.finditer(over + under)) == over + under, unit
+        made = [math.prod(single[u] ** int(n or 1) for u, n in symbol.findall(part)) for part in (over, under)]
+        assert factor == pytest.approx(made[0] / made[1], rel=1e-12), unit
+    assert {"N", "kN", "Nm2", "m2", "mm4"} <= set(SI_FACTORS)  # EA, EI, areas and second moments

@@ -323,8 +323,10 @@ def _held_out_modes(modes: pd.DataFrame) -> str:
         for mode, was, now in zip(known["mode"], before, after, strict=True)
         if now > was
     ]
-    fell, plural = len(known) - len(grew), "s" * (len(known) > 1)
-    words = f"The frequency error of {fell} of {len(known)} held-out mode{plural} falls"
+    fell = len(known) - len(grew)
+    if not fell:
+        return f"The frequency error grows in every held-out mode: {', '.join(grew)}."
+    words = f"The frequency error falls in {fell} of {len(known)} held-out mode{'s' * (len(known) > 1)}"
     return f"{words}; it grows for {', '.join(grew)}." if grew else f"{words}."
 
 

@@ -10,6 +10,8 @@ import numpy as np
 from calib.errors import InputError
 from calib.given import names, number, values
 
+UNNAMED = "test"
+"""Name of a test that was given none."""
 Claimed = str | float | Mapping[str, str | float] | None
 
 
@@ -17,10 +19,15 @@ def named(test: Any) -> str:
     """Validate the fields that all kinds of test share; returns the place for error messages."""
     if not isinstance(test.name, str) or not test.name:
         raise InputError(f"its name is {test.name!r}", place="test", remedy='give one, such as name="loaded"')
-    place = f"test {test.name}"
+    place = place_of(test)
     object.__setattr__(test, "held_out", names(test.held_out, f"{place}, held_out"))
     object.__setattr__(test, "condition", values(test.condition, f"{place}, condition"))
     return place
+
+
+def place_of(test: Any) -> str:
+    """The test as an error names it; one that was given no name is "the test"."""
+    return f"test {test.name}" if test.name != UNNAMED else "the test"
 
 
 def band(given: object, place: str) -> tuple[float, float]:

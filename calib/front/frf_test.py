@@ -15,7 +15,7 @@ from calib.correlation.frf_nuisance import AddedMass, ChannelError, Nuisance, St
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.errors import InputError
 from calib.forward import Unseen, unseen_frfs
-from calib.front.checked import Claimed, band, named
+from calib.front.checked import UNNAMED, Claimed, band, named, place_of
 from calib.given import names, objects
 from calib.measurement.accuracy import frf_claim
 from calib.measurement.disagreements import Disagreement
@@ -53,7 +53,7 @@ class FRFTest:
     held_out_references: tuple[str, ...] = ()
     held_out_bands: Sequence[tuple[float, float]] = ()
     nuisances: Sequence[Nuisance] = ()
-    name: str = "test"
+    name: str = UNNAMED
     condition: Mapping[str, float] = field(default_factory=dict)
     accuracy: Claimed = None
 
@@ -99,7 +99,7 @@ class FRFTest:
         """The forward problem of a model, without held-out FRFs."""
         if not isinstance(model, StructuralModel):
             raise InputError(
-                f"the model {model.name} has no matrices", place=f"test {self.name}",
+                f"the model {model.name} has no matrices", place=place_of(self),
                 remedy="give a StructuralModel; matrices of other codes make one too",
             )  # fmt: skip
         return FRFProblem(model, self.used, concerned(self.nuisances, self.used))

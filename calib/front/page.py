@@ -14,6 +14,7 @@ from calib.analyses.compare import ComparisonResult, before_and_after, compariso
 from calib.analyses.record import assumptions_of, made_with, sensors_table
 from calib.correlation.expansion import orthogonality
 from calib.errors import InputError
+from calib.front.checked import place_of
 from calib.front.posed import Solved
 from calib.front.responses import own
 from calib.front.test import ModalTest, Model, Test
@@ -68,9 +69,9 @@ def draw(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
     if name == "parameters":
         return draw_parameters(_tables(fit)["parameters"], ax, prior=fit.problem.space.frame())
     if not isinstance(selected, ModalTest):
-        raise InputError("it has no modes", place=f"test {selected.name}", remedy="draw its parameters")
+        raise InputError("it has no modes", place=place_of(selected), remedy="draw its parameters")
     if name != "frequency_errors" and not selected.used.has_shapes:
-        raise InputError("no shapes were measured", place=f"test {selected.name}", remedy="draw the frequency errors")
+        raise InputError("no shapes were measured", place=place_of(selected), remedy="draw the frequency errors")
     before, after = compared(fit, selected, model)
     if name == "frequency_errors":
         return draw_frequency_error(before.table, after.table, ax)

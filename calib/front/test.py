@@ -18,7 +18,7 @@ from calib.correlation.response_residual import ResponseResidual
 from calib.correlation.standard_deviations import assumptions
 from calib.errors import InputError
 from calib.forward import Unseen, unseen_responses
-from calib.front.checked import Claimed, band, named
+from calib.front.checked import UNNAMED, Claimed, band, named, place_of
 from calib.front.frf_test import FRFTest
 from calib.function import FunctionModel
 from calib.given import by_name, integer, names, number, objects
@@ -64,7 +64,7 @@ class ModalTest:
 
     modes: MeasuredModes
     held_out: tuple[str, ...] = ()
-    name: str = "test"
+    name: str = UNNAMED
     condition: Mapping[str, float] = field(default_factory=dict)
     accuracy: Claimed = None
     clusters: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -110,7 +110,7 @@ class ModalTest:
         if isinstance(model, FunctionModel):
             raise InputError(
                 f"the model {model.name} has no modes",
-                place=f"test {self.name}",
+                place=place_of(self),
                 remedy="give a ResponseTest, or a ModalFunctionModel",
             )
         used = self.used
@@ -174,7 +174,7 @@ class ResponseTest:
 
     responses: Mapping[str, float | tuple[float, float | None]] | MeasuredResponses
     held_out: tuple[str, ...] = ()
-    name: str = "test"
+    name: str = UNNAMED
     condition: Mapping[str, float] = field(default_factory=dict)
     accuracy: Claimed = None
 
@@ -190,7 +190,7 @@ class ResponseTest:
     @cached_property
     def measured(self) -> MeasuredResponses:
         """All measured responses, with few repeats pooled and the claimed accuracy added."""
-        place, given = f"test {self.name}", self.responses
+        place, given = place_of(self), self.responses
         if not isinstance(given, MeasuredResponses):
             read = by_name(given, f"{place}, responses")
             given = MeasuredResponses({n: _value(v, f"{place}, response {n}") for n, v in read.items()}, {})
@@ -205,9 +205,7 @@ class ResponseTest:
     def problem(self, model: Model) -> FunctionProblem:
         """The forward problem of a model, without held-out responses."""
         if not isinstance(model, FunctionModel):
-            raise InputError(
-                f"the model {model.name} returns modes", place=f"test {self.name}", remedy="give a ModalTest"
-            )
+            raise InputError(f"the model {model.name} returns modes", place=place_of(self), remedy="give a ModalTest")
         measured = self.measured
         used = {n: t for n, t in measured.targets.items() if n not in self.held_out}
         return FunctionProblem(

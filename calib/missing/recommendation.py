@@ -20,7 +20,7 @@ WORTHWHILE = 1.2
 MOST = 3
 """Invisible effects for which a measurement is recommended: more do not fit into a sentence."""
 _MEASURED = "measured and held out so far"
-HELD_OUT = ", held-out so far"
+HELD_OUT = ", held out so far"
 """End of the name of a measured mode, or of sensors, held out for verification."""
 COLUMNS = (
     "measurement", "kind", "effect", "gain", "gain_low", "gain_high", "magnitude_min", "ln_bayes", "ln_bayes_low",

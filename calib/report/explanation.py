@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from calib.report.numbers import fixed, flag, short, significant
+from calib.report.numbers import fixed, flag, probability, short, significant
 from calib.report.style import (
     BLACK,
     BLUE,
@@ -172,15 +172,9 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     hover_points(ax, np.where(known, ratio, np.nan), at, words)
     never = np.isposinf(ratio)
     ax.plot(np.full(never.sum(), high * 1.9), at[never], ">", color=GREY, markersize=6, gid="never")
-    for row, (z, probability) in enumerate(zip(rows["z"], rows["model_probability"], strict=True)):
+    for row, (z, share) in enumerate(zip(rows["z"], rows["model_probability"], strict=True)):
         colour = BLACK if seen[row] else GREY
-        _beside(
-            ax,
-            row,
-            "–" if pd.isna(z) else f"{z:.1f}",
-            "–" if pd.isna(probability) else f"{100.0 * probability:.1f} %",
-            colour,
-        )
+        _beside(ax, row, "–" if pd.isna(z) else f"{z:.1f}", probability(share), colour)
     _beside(ax, -0.8, "z", "probability", GREY)
     _name_rows(ax, rows)
     ax.set_xlabel("smallest visible magnitude /\nplausible magnitude (–)")
@@ -303,9 +297,9 @@ def _handles(rows: pd.DataFrame) -> list[Artist]:
     return handles
 
 
-def _beside(ax: Axes, row: float, z: str, probability: str, colour: str) -> None:
+def _beside(ax: Axes, row: float, z: str, likely: str, colour: str) -> None:
     """Write two columns at the right of a row."""
-    for words, shift in ((z, 32), (probability, 84)):
+    for words, shift in ((z, 32), (likely, 84)):
         ax.annotate(
             words.replace("-", "−"),
             (1.0, row),

@@ -58,6 +58,13 @@ def chance(p: float) -> str:
     return "< 0.001" if p < 1e-3 else f"{p:.2g}"
 
 
+def probability(share: float) -> str:
+    """A probability as a verdict states it, which claims no certainty: in whole percent, within 1 and 99."""
+    if math.isnan(share):
+        return UNKNOWN
+    return "> 99 %" if share > 0.99 else "< 1 %" if share < 0.01 else f"{100 * share:.0f} %"
+
+
 def counted(number: int, thing: str) -> str:
     """Format a count with its noun in singular or plural."""
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"

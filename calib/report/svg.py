@@ -18,6 +18,8 @@ from matplotlib.collections import Collection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from calib.report.svg_paths import PNG, shorter, smaller
+
 _HOVER = "hover:"
 """Scheme of the addresses that carry words: Matplotlib writes an artist's address into the SVG and nothing else."""
 _FAMILY = "'DejaVu Sans', Verdana, Arial, sans-serif"
@@ -162,6 +164,8 @@ def _own_names(root: ElementTree.Element, name: str) -> None:
 
 def _shorten(attributes: dict[str, str]) -> None:
     """Remove digits finer than a hundredth, turns by no angle, the font of the whole figure, and breaks of lines."""
+    if "d" in attributes:
+        attributes["d"] = shorter(attributes["d"], attributes.get("style", ""))
     for key, value in [*attributes.items()]:
         if key in ("style", "d", "transform", "x", "y", "points"):
             value = _FINEST.sub(r"\1", value)
@@ -174,6 +178,7 @@ def _shorten(attributes: dict[str, str]) -> None:
             value = _COMMAND.sub(r"\1", value).strip()
         elif key == _LINK:
             value = "".join(value.split())
+            value = smaller(value) if value.startswith(PNG) else value
         if value:
             attributes[key] = value
         else:

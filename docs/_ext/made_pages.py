@@ -5,6 +5,7 @@ A line ``<!-- made: NAME ARGUMENTS -->`` in a page is replaced by what the funct
 
 from __future__ import annotations
 
+import ast
 import importlib
 import json
 import re
@@ -197,6 +198,27 @@ def rates(subject: str) -> str:
     return f"Runs of {'; '.join(made)}.\n\n{table(header, rows)}"
 
 
+# -- modules -----------------------------------------------------------------------------------------------------------
+
+
+def modules() -> str:
+    """Every file of the code with the first sentence of its docstring, by folder."""
+    parts = []
+    for root in ("calib", "models"):
+        files = sorted((DOCS.parent / root).rglob("*.py"))
+        for folder in sorted({file.parent for file in files}):
+            own = [file for file in files if file.parent == folder]
+            words = {file.name: _first_paragraph(file) for file in own}
+            parts.append(f"## `{folder.relative_to(DOCS.parent).as_posix()}/`\n\n{words.pop('__init__.py', '')}\n")
+            parts.append(table(("file", "what it holds"), ([f"`{name}`", said] for name, said in words.items())))
+    return "\n".join(parts)
+
+
+def _first_paragraph(file: Path) -> str:
+    words = ast.get_docstring(ast.parse(file.read_text("utf-8"))) or ""
+    return _code(words.split("\n\n")[0].replace("\n", " "))
+
+
 # -- Python interface --------------------------------------------------------------------------------------------------
 
 
@@ -214,7 +236,7 @@ def api() -> str:
 
 
 PARTS: dict[str, Callable[..., str]] = {
-    "keys": keys, "commands": commands, "tables": results, "rates": rates, "api": api,
+    "keys": keys, "commands": commands, "tables": results, "rates": rates, "modules": modules, "api": api,
 }  # fmt: skip
 
 

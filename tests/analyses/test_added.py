@@ -63,8 +63,9 @@ def test_a_held_out_mode_that_gets_worse_is_named():
         }
     )
     words = _held_out_modes(modes)
-    assert words == "The frequency error of 1 of 2 held-out modes falls; it grows for 4B (0.03 -> 0.70 %)."
-    assert _held_out_modes(modes.iloc[[2]]) == "The frequency error of 1 of 1 held-out mode falls."
+    assert words == "The frequency error falls in 1 of 2 held-out modes; it grows for 4B (0.03 -> 0.70 %)."
+    assert _held_out_modes(modes.iloc[[2]]) == "The frequency error falls in 1 of 1 held-out mode."
+    assert _held_out_modes(modes.iloc[[1]]) == "The frequency error grows in every held-out mode: 4B (0.03 -> 0.70 %)."
     assert _held_out_modes(modes.iloc[[0, 3]]) == _held_out_modes(pd.DataFrame()) == ""
 
 

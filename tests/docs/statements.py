@@ -101,7 +101,7 @@ def of_the_explanation(folder: Path) -> Iterator[Statement]:
     own = re.search(r"computed at (\S+ Hz)", "\n".join(gains.index.get_level_values(0)))
     assert own is not None
     yield "docs/tutorial.md", f"a mode of its own at {own[1]}"
-    best = gains["mode 9BT, held-out so far"].max()
+    best = gains["mode 9BT, held out so far"].max()
     yield "docs/tutorial.md", f"{IN_WORDS[int((~effects['visible']).sum())]} other effects"
     yield "docs/tutorial.md", f"Mode 9BT, held out so far, would raise the score of one of them {IN_WORDS[round(best)]}"
 

@@ -131,3 +131,10 @@ def test_an_answer_without_names_is_a_failure_in_words():
     problem = calib.Problem(calib.FunctionModel("a", SPACE, lambda v: None), responses())
     with pytest.raises(calib.EvaluationError, match="NoneType"):
         problem.compare()
+
+
+@pytest.mark.parametrize(("name", "place"), [({}, "the test"), ({"name": "loaded"}, "test loaded")])
+def test_an_error_names_the_test(name, place):
+    with pytest.raises(calib.InputError) as found:
+        modal(held_out=["B"], **name)
+    assert str(found.value).startswith(f"{place}: held-out mode or sensor 'B' was not measured")

@@ -356,7 +356,7 @@ VERIFIES = f" {AVERAGED} {USED}"
 
 def test_a_held_out_mode_is_recommended_with_the_best_new_measurement():
     held = f"mode 4BT{HELD_OUT}"
-    table = table_of((held, "E0", 5.0), ("mode 9BT, held-out so far", "E0", 4.0), ("A", "E0", 2.0), ("B", "E0", 1.9))
+    table = table_of((held, "E0", 5.0), ("mode 9BT, held out so far", "E0", 4.0), ("A", "E0", 2.0), ("B", "E0", 1.9))
     sentence = _sentence(table, None, ["E0"])
     assert sentence == (
         f"To see further effects, {USE_4BT}: 5 times the score of E0, or measure A: 2 times the score of E0.{VERIFIES}"

@@ -139,7 +139,7 @@ def test_visibility_is_the_smallest_over_the_plausible_magnitude(effects):
     assert list(lines["never"].get_ydata()) == [4]
     assert ax.get_xscale() == "log" and lines["plausible"].get_xdata()[0] == 1.0
     beside = [t.get_text() for t in sorted(ax.texts, key=lambda t: t.xy[1])]
-    assert beside == ["z", "probability", "10.0", "80.0 %", "9.0", "20.0 %", "−1.2", "–", "0.6", "–", "–", "–"]
+    assert beside == ["z", "probability", "10.0", "80 %", "9.0", "20 %", "−1.2", "–", "0.6", "–", "–", "–"]
 
 
 def test_both_panels_have_the_same_rows(effects):

@@ -10,6 +10,7 @@ from calib.report.numbers import (
     percent,
     place,
     places,
+    probability,
     short,
     significant,
     with_unit,
@@ -85,3 +86,9 @@ def test_places_have_signs_and_their_number():
     corners = [(1.0, 0.0, 2.0), (-1.0, 0.0, 2.0), (1.0, 0.0, -2.0)]
     assert places(corners, 3, "; ") == "; ".join(map(place, corners))
     assert places(corners, 1) == f"{place(corners[0])} and 2 more" and places([], 3) == ""
+
+
+def test_no_probability_claims_certainty():
+    given = (1.0, 0.994, 0.99, 0.896, 0.01, 0.0099, 0.0, float("nan"))
+    told = ["> 99 %", "> 99 %", "99 %", "90 %", "1 %", "< 1 %", "< 1 %", "–"]
+    assert [probability(share) for share in given] == told

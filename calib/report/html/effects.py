@@ -9,7 +9,7 @@ from calib.report.alike import place_words
 from calib.report.explanation import COLLINEAR, ranked
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
-from calib.report.numbers import counted, fixed, flag, percent, place, places, significant, with_unit
+from calib.report.numbers import counted, fixed, flag, percent, place, places, probability, significant, with_unit
 from calib.report.scene import PLACE
 from calib.report.why import PRIOR, further_parameters, share, squares
 
@@ -137,7 +137,7 @@ def _effect_rows(table: pd.DataFrame) -> Table:
                 str(r["name"]),
                 fixed(r["z"], 1),
                 fixed(r["ln_bayes"], 1),
-                "–" if np.isnan(r["model_probability"]) else f"{100 * r['model_probability']:.1f} %",
+                probability(r["model_probability"]),
                 fixed(r["unabsorbed"], 2),
                 magnitude,
                 "never" if np.isinf(r["magnitude_min"]) else with_unit(r["magnitude_min"], unit, 2),

@@ -226,4 +226,4 @@ def test_held_out_sensors_are_a_candidate_to_be_used(everything):
     candidates, sensors = (pd.read_csv(everything / f"{name}.csv") for name in ("next_measurement", "sensors"))
     held = sensors.loc[sensors["held_out"], "sensor"]
     own = candidates[candidates["kind"] == "sensor"]["measurement"].unique()
-    assert [name for name in own if "held-out" in name] == [f"sensors {', '.join(held)}, held-out so far"]
+    assert [name for name in own if "held out" in name] == [f"sensors {', '.join(held)}, held out so far"]
