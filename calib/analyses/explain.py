@@ -24,6 +24,7 @@ from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.reduction import worthwhile
 from calib.analyses.state import ADDED
+from calib.correlation.fault_library import modal_faults
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
@@ -131,7 +132,8 @@ def adapter_of(study: Study, home: Results, progress: Progress, local: tuple[Per
             FRFResidual(problem), study.candidates, local, space, facts, study.unseen, basis, worthwhile(study)
         )
     if isinstance(problem.model, ModalFunctionModel):  # which may be behind a ledger
-        modal, own = function_hypotheses(problem.model, ModalResidual(problem), study.candidates, space, study.test)
+        modal_pair = ModalResidual(problem, faults=modal_faults(problem.model, problem.measured, test=study.test))
+        modal, own = function_hypotheses(problem.model, modal_pair, study.candidates, space, study.test)
     else:
         modal, own = modal_hypotheses(study, home, progress, local)
     return ModalAdapter(modal, own, facts, study.whole_problem(), study.finer_model, reduced=worthwhile(study))

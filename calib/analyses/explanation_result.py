@@ -117,7 +117,7 @@ def summary(study: AnyStudy, answer: ExplanationResult) -> dict[str, object]:
     errors: dict[str, dict[str, float | None]] = {group: {"before": None, "after": None} for group in GROUPS}
     for row in answer.errors[answer.errors["stage"] != "attempt"].to_dict("records"):
         errors[str(row["group"])][str(row["stage"])] = float(row["rms"])
-    chosen, fits = found.chosen, found.chosen_adequacy
+    chosen, fits = found.chosen, found.chosen_adequacy if found.fault_adequacy is None else found.fault_adequacy
     return {
         "study": study.name,
         "synthetic": study.synthetic,
@@ -141,6 +141,8 @@ def summary(study: AnyStudy, answer: ExplanationResult) -> dict[str, object]:
         "local_perturbation": None if found.perturbation is None else _local_perturbation(found.perturbation),
         "refused": found.refused or None,
         "measurement_fault": None if found.fault is None else _local_perturbation(found.fault),
+        "faults": 0 if check.faults is None else len(set(check.faults.owners)),
+        "blamed": [_local_perturbation(t) for t in found.blamed],
         "wrong_datum": None if found.datum is None else _wrong_datum(found, found.datum),
         "evaluations": found.evaluations,
         "begun_anew": found.begun_anew,

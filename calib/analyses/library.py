@@ -9,6 +9,7 @@ from pathlib import Path
 from calib.analyses.basis_cache import kept_basis, key_of
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.reduction import Reducible, Wanted, parameter_key, reduction_of, training, worthwhile
+from calib.correlation.fault_library import modal_faults
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.effect import Effect
@@ -68,7 +69,8 @@ def modal_hypotheses(
         local = local_perturbations(model, [problem.measured], study.search_space.values)
     effects, perturbed = study.candidates, tuple(a.effect for a in local)
     variants = Variants(model, effects, perturbed, basis_of(study, results, local, progress))
-    return ModelHypotheses(ModalResidual(problem), variants, study.search_space.without(study.condition)), local
+    pair = ModalResidual(problem, faults=modal_faults(model, problem.measured, test=study.test))
+    return ModelHypotheses(pair, variants, study.search_space.without(study.condition)), local
 
 
 def basis_of(

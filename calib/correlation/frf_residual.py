@@ -13,6 +13,7 @@ from calib.correlation.frf_comparison import FRFComparison, frac_and_amplitude
 from calib.correlation.frf_nuisance import ChannelError, Channels, Nuisance, require_channels
 from calib.degrees_of_freedom import KNOWN, beside_known
 from calib.errors import InputError
+from calib.fault import Fault
 from calib.fingerprint import digest_of
 from calib.measurement.frf import MeasuredFRFs
 from calib.outcome import answered
@@ -287,6 +288,11 @@ class FRFResidual:
     def told_by_responses(self) -> bool:
         """The solution cannot be restored from its responses."""
         return False
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """None."""
+        return ()
 
     def with_model(self, model: StructuralModel | ReducedModel, added: int | None = None) -> FRFResidual:
         """The same measured FRFs and nuisances with another model; ``added`` concerns modes and is ignored."""

@@ -61,3 +61,12 @@ def local_perturbation(candidate_fit: CandidateFit) -> LocalPerturbation:
     (effect,) = candidate_fit.effects
     p, (value, std) = effect.magnitude, candidate_fit.magnitude(effect.name)
     return LocalPerturbation(effect, value, max(value - WIDE * std, p.lower), min(value + WIDE * std, p.upper))
+
+
+def fault_words(candidate_fit: CandidateFit) -> str:
+    """A fitted fault of the measurement in words, such as ``sensor 12y reads 10 % low (95 %: -0.12 to -0.08)``."""
+    found = local_perturbation(candidate_fit)
+    if found.effect.told is None:
+        return found.told
+    size = interval_words(found.value, found.low, found.high, found.effect.magnitude.unit)
+    return f"{found.effect.told(found.value)} ({found.effect.name} {size.replace('about ', '', 1)})"
