@@ -39,6 +39,7 @@ from calib.missing import explain as engine
 from calib.missing.accuracy import changing, less_accurate
 from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.fault_table import faults_table
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Altered, Hypotheses
 from calib.missing.pattern import parameter_table, pattern_table, place_table
@@ -252,7 +253,10 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     }
     last = "explained" if found.names_something else "attempt"
     stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
+    stages |= {"explained": found.blamed[0]} if found.blamed else {}
+    units = {e.name: e.magnitude.unit for e in adapter.hypotheses.faults}
     tables = {
+        "faults": faults_table(found, adapter.places(), units),
         "perturbations": _perturbations(adapter, found),
         "confounding": confounding_table(found),
         "pulls": pull_table(found),

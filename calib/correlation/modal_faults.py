@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
-from calib.effect import Effect
 from calib.fault import Fault
 from calib.measurement.modal import Sensor
 
@@ -74,14 +73,15 @@ class ModalFault(Fault):
 class Readings:
     """What faulty channels read of the modes of a model.
 
-    Shapes are those of one measured mode and its partner, over all sensors; motions of sources have one row per entry
-    of ``sources``. Faults of several kinds add up, so that products of two magnitudes are left out.
+    Shapes are over all sensors, motions of sources have one row per entry of ``sources``. Faults of several kinds add up, so that products of two magnitudes are left out.
 
     Attributes
     ----------
     faults : tuple of ModalFault
     omega : ndarray (n_measured,)
         Measured circular frequencies, rad/s, which set the phase of a delay.
+    sources : tuple of Sensor
+        Motions of which a faulty channel reads a share.
     """
 
     faults: tuple[ModalFault, ...]
@@ -99,14 +99,15 @@ class Readings:
     def __contains__(self, name: str) -> bool:
         return name in self._by_name
 
-    def shape(self, at: Mapping[str, float], i: int, shape: np.ndarray, motions: np.ndarray) -> np.ndarray:
-        """Reading of the shape of measured mode i.
+    def shape(self, at: Mapping[str, float], omega: float, shape: np.ndarray, motions: np.ndarray) -> np.ndarray:
+        """Reading of a shape.
 
         Parameters
         ----------
         at : mapping from str to float
             Magnitudes in their own units; missing ones are 0.
-        i : int
+        omega : float
+            Circular frequency of the mode, rad/s.
         shape : ndarray (n_sensors, ...)
             The model's motion at the sensors, or its derivative: the reading is linear in it, but for `modulus`.
         motions : ndarray (n_sources, ...)
@@ -117,7 +118,7 @@ class Readings:
             fault = self._by_name[name]
             si = magnitude * fault.effect.magnitude.si_factor
             for share in fault.shares:
-                out[share.sensor] += share.weight(si, self.omega[i]) * motions[self._rows[share.source]]
+                out[share.sensor] += share.weight(si, omega) * motions[self._rows[share.source]]
         return out
 
     def shape_slope(self, at: Mapping[str, float], name: str, i: int, size: int, motions: np.ndarray) -> np.ndarray:
@@ -129,6 +130,10 @@ class Readings:
             slope = share.slope(at.get(name, 0.0) * factor, self.omega[i]) * factor
             out[share.sensor] += slope * motions[self._rows[share.source]]
         return out
+
+    def reach_shapes(self, at: Mapping[str, float]) -> bool:
+        """Whether any of these faults changes shapes, apart from moduli with a sign."""
+        return any(self._by_name[name].shares for name in at)
 
     def modulus(self, at: Mapping[str, float]) -> float:
         """How far real shapes are moduli with a sign: 0 for the part in phase, 1 for the modulus."""
@@ -153,13 +158,3 @@ class Readings:
     def active(self, values: Mapping[str, float]) -> dict[str, float]:
         """Magnitudes among named values that are not 0."""
         return {name: values[name] for name in self._by_name if values.get(name, 0.0) != 0}
-
-
-def no_faults(omega: np.ndarray) -> Readings:
-    """Readings of sound channels."""
-    return Readings((), omega)
-
-
-def as_effects(faults: Sequence[Fault]) -> tuple[Effect, ...]:
-    """The faults as candidates."""
-    return tuple(fault.effect for fault in faults)

@@ -206,7 +206,20 @@ class ModalResidual:
         """Comparison at named values; EvaluationError when the model cannot be solved there."""
         at = self._readings.active(values)
         found = self.problem.compare({name: value for name, value in values.items() if name not in self._readings})
-        return replace(found, faults=at) if at else found
+        return self._with_faults(found, at) if at else found
+
+    def _with_faults(self, found: Comparison, at: Mapping[str, float]) -> Comparison:
+        """A comparison with faults: modes are paired by what the sensors read."""
+        readings, problem = self._readings, self.problem
+        if not problem.measured.has_shapes or not readings.reach_shapes(at):
+            return replace(found, faults=at)
+        motions, omega = self._sources @ found.modes.shapes, 2 * np.pi * found.modes.natural_freq
+        read = np.column_stack(
+            [readings.shape(at, w, v, m) for w, v, m in zip(omega, found.sensor_shapes.T, motions.T, strict=True)]
+        )
+        shares = problem.energy_shares(found.values, found.modes)
+        pairing, mac, emac = problem.pair(problem.measured.shapes, read, shares, found.modes)
+        return replace(found, faults=at, pairing=pairing, mac=mac, emac=emac)
 
     def responses(self, solution: Comparison) -> dict[str, float]:
         """See `ModalProblem.responses`."""
@@ -389,7 +402,7 @@ class ModalResidual:
         if not found.faults:
             return change
         n = len(self.problem.measured.sensors)
-        return self._readings.shape(found.faults, i, change[:n], change[n:])
+        return self._readings.shape(found.faults, self._readings.omega[i], change[:n], change[n:])
 
     def _fault_slope(self, found: Comparison, name: str, motions: np.ndarray) -> np.ndarray:
         """Derivative of the residual by the magnitude of a fault, (n_rows,)."""
@@ -439,4 +452,5 @@ class ModalResidual:
         shape = found.sensor_shapes[:, j]
         if not found.faults:
             return shape
-        return self._readings.shape(found.faults, i, shape, self._sources @ found.modes.shapes[:, j])
+        omega = self._readings.omega[i]
+        return self._readings.shape(found.faults, omega, shape, self._sources @ found.modes.shapes[:, j])

@@ -13,10 +13,10 @@ from calib.effect import Effect
 from calib.missing.collinear import Group
 from calib.missing.evidence import expected_ln_bayes, ln_bayes_linear, model_probabilities, rescaled
 from calib.missing.explanation import CandidateFit, Explanation
-from calib.missing.local import WIDE, fault_words, local_perturbation
+from calib.missing.local import WIDE
 from calib.missing.plausible import pulls
 from calib.missing.rules import RULES
-from calib.missing.score import correlation, noise_limit
+from calib.missing.score import correlation
 from calib.missing.visible import smallest_visible
 
 UNTESTED = "not tested: the model fails with it"
@@ -191,45 +191,3 @@ def candidate_fits_table(found: Explanation) -> pd.DataFrame:
             for t in candidate_fits
         ]
     )
-
-
-FAULT_COLUMNS = (
-    "fault", "kind", "sensor", "x", "y", "z", "unit", "score", "unabsorbed", "magnitude", "low", "high", "magnitude_min",
-    "ln_bayes", "fitted", "blamed", "told", "limit",
-)  # fmt: skip
-
-
-def faults_table(found: Explanation, places: Mapping[str, tuple[str, tuple[float, float, float], str]]) -> pd.DataFrame:
-    """One row per fault of the measurement, largest score first; `docs/tables.toml` lists the columns.
-
-    Parameters
-    ----------
-    found : Explanation
-    places : mapping from str to (kind, (x, y, z), sensor)
-        Of every fault, by name; m.
-    """
-    scores = found.base_adequacy.faults
-    if scores is None:
-        return pd.DataFrame(columns=list(FAULT_COLUMNS))
-    known = {e.name: e for t in found.faults for e in t.effects}
-    fits, blamed = {t.names[0]: t for t in found.faults}, {t.names[0] for t in found.blamed}
-    rows: list[dict[str, object]] = []
-    for k, name in enumerate(scores.owners):
-        kind, (x, y, z), sensor = places[name]
-        size = float(scores.size[k])
-        row: dict[str, object] = {
-            "fault": name, "kind": kind, "sensor": sensor, "x": x, "y": y, "z": z, "unit": "",
-            "score": scores.z[k] if scores.signed[k] else max(scores.z[k], 0.0), "unabsorbed": scores.unabsorbed[k],
-            "magnitude": scores.z[k] / size if size > 0 else math.nan, "low": math.nan, "high": math.nan,
-            "magnitude_min": RULES.detectable / size if size > 0 else math.inf,
-            "ln_bayes": math.nan, "fitted": name in fits, "blamed": name in blamed, "told": "",
-        }  # fmt: skip
-        if name in fits:
-            fitted = local_perturbation(fits[name])
-            row |= {"magnitude": fitted.value, "low": fitted.low, "high": fitted.high}
-            row |= {"ln_bayes": found.ln_bayes(fits[name]), "unit": known[name].magnitude.unit}
-            row["told"] = fault_words(fits[name])
-        rows.append(row)
-    table = pd.DataFrame(rows).assign(limit=noise_limit(scores.magnitude))
-    order = np.argsort(-table["score"].abs().to_numpy(dtype=float), kind="stable")
-    return table.iloc[order][list(FAULT_COLUMNS)].reset_index(drop=True)
