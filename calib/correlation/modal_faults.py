@@ -73,7 +73,8 @@ class ModalFault(Fault):
 class Readings:
     """What faulty channels read of the modes of a model.
 
-    Shapes are over all sensors, motions of sources have one row per entry of ``sources``. Faults of several kinds add up, so that products of two magnitudes are left out.
+    Shapes are over all sensors, motions of sources have one row per entry of ``sources``. Faults add up, so that
+    products of two magnitudes are left out.
 
     Attributes
     ----------
