@@ -98,7 +98,7 @@ def _suspects(folder: Folder) -> Iterator[Drawing]:
         folder, "faults", ["fault", "kind"], ["score", "limit"], flags=["blamed"], blank=["sensor", "told"]
     )  # fmt: skip
     if faults is not None:
-        caption = "scores of the faults of the measurement, by sensor"
+        caption = "scores of faults of the measurement"
         yield Drawing("suspects", caption, bound(draw_suspects, faults), ("faults",))
 
 

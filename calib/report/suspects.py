@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -40,8 +42,8 @@ def draw_suspects(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     Parameters
     ----------
     table : DataFrame
-        Columns ``fault, kind, sensor`` (empty for the whole test), ``score``, ``limit`` that noise alone exceeds in 1 % of
-        all cases, ``blamed`` whether the verdict names it, ``told`` what its fit means.
+        Columns ``fault, kind, sensor`` (empty for the whole test), ``score``, ``limit`` that noise alone exceeds in 1 %
+        of all cases, ``blamed`` whether the verdict names it, ``told`` what its fit means.
     ax : Axes, optional
 
     Returns
@@ -71,7 +73,7 @@ def draw_suspects(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     blamed = rows[[flag(b) for b in rows["blamed"]]]
     if len(blamed):
         heights = [place[name] for name in blamed["at"]]
-        ring = {"s": 110, "facecolors": "none", "edgecolors": VERMILLION, "linewidths": 1.6}
+        ring: dict[str, Any] = {"s": 110, "facecolors": "none", "edgecolors": VERMILLION, "linewidths": 1.6}
         ax.scatter(blamed["score"], heights, label="named by the verdict", gid="blamed", zorder=4, **ring)
     ax.set_yticks(range(len(place)), list(place))
     ax.set_ylim(len(place) - 0.4, -0.6)

@@ -22,21 +22,17 @@ def section(results: StudyResults) -> Section | None:
     limit = float(table["limit"].iloc[0])
     blamed = [str(r["told"]) for r in table.to_dict("records") if flag(r["blamed"])]
     beyond = int((table["score"].abs() > limit).sum())
-    found = (
-        f"The verdict names {'; or '.join(blamed)}."
-        if blamed
-        else "No fault of the measurement is named. "
-        + (
-            "None stands out."
-            if not beyond
-            else f"{beyond} of {len(table)} scores lie beyond the limit: what is missing in the model takes some of them "
-            "along."
-        )
-    )
+    if blamed:
+        found = f"The verdict names {'; or '.join(blamed)}."
+    elif beyond:
+        scores = f"{beyond} of {len(table)} scores lie beyond the limit"
+        found = f"None is named; {scores}: what the model lacks takes some of them along."
+    else:
+        found = "None is named, and none stands out."
     intro = (
-        f"{len(table)} faults that the measurement itself may have were tested beside the effects: of every sensor its "
-        "gain, its axis, its place and cross-talk, and what the analysis adds. A fault that explains the data better than "
-        "every effect is named instead of it and never added to the model. "
+        f"{len(table)} faults that the measurement itself may have were tested beside the effects, of single sensors and "
+        "of the whole test. A fault that explains the data better than every effect is named instead of it, and never "
+        "added to the model. "
     )
     rows = tuple(
         (
