@@ -130,7 +130,14 @@ def adapter_of(study: Study, home: Results, progress: Progress, local: tuple[Per
         assert local is not None
         basis = basis_of(study, home, local, progress)
         return FRFAdapter.of(
-            FRFResidual(problem), study.candidates, local, space, facts, study.unseen, basis, worthwhile(study)
+            FRFResidual(problem).suspected(),
+            study.candidates,
+            local,
+            space,
+            facts,
+            study.unseen,
+            basis,
+            worthwhile(study),
         )
     if isinstance(problem.model, ModalFunctionModel):  # which may be behind a ledger
         modal_pair = ModalResidual(problem, faults=modal_faults(problem.model, problem.measured, test=study.test))

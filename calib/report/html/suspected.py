@@ -30,9 +30,9 @@ def section(results: StudyResults) -> Section | None:
     else:
         found = "None is named, and none stands out."
     intro = (
-        f"{len(table)} faults that the measurement itself may have were tested beside the effects, of single sensors and "
-        "of the whole test. A fault that explains the data better than every effect is named instead of it, and never "
-        "added to the model. "
+        f"{len(table)} faults that the measurement itself may have were tested beside the effects, of single sensors "
+        "and of the whole test. A fault that explains the data better than every effect is named instead of it, and "
+        "never added to the model. "
     )
     rows = tuple(
         (
