@@ -19,12 +19,11 @@ from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.function_hypotheses import function_hypotheses
 from calib.analyses.group_adapter import FRFAdapter, ScalarAdapter
 from calib.analyses.joint_adapter import JointAdapter, together
-from calib.analyses.library import basis_of, local_perturbations, modal_hypotheses
+from calib.analyses.library import basis_of, faults_of, local_perturbations, modal_hypotheses
 from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.reduction import worthwhile
 from calib.analyses.state import ADDED
-from calib.correlation.fault_library import modal_faults
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
@@ -35,6 +34,7 @@ from calib.function import FunctionModel
 from calib.inference.leave_one_out import leave_one_out
 from calib.joint import TEST
 from calib.loading import Model, with_effects
+from calib.measurement.corrections import correctable
 from calib.missing import explain as engine
 from calib.missing.accuracy import changing, less_accurate
 from calib.missing.accuracy import sentence as accuracy_sentence
@@ -140,7 +140,7 @@ def adapter_of(study: Study, home: Results, progress: Progress, local: tuple[Per
             worthwhile(study),
         )
     if isinstance(problem.model, ModalFunctionModel):  # which may be behind a ledger
-        modal_pair = ModalResidual(problem, faults=modal_faults(problem.model, problem.measured, test=study.test))
+        modal_pair = ModalResidual(problem, faults=faults_of(study))
         modal, own = function_hypotheses(problem.model, modal_pair, study.candidates, space, study.test)
     else:
         modal, own = modal_hypotheses(study, home, progress, local)
@@ -246,7 +246,11 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
     named = " and ".join(found.credible) if found.verdict == "effect" else ""
-    more = (suspect_sentence(found.suspects, named), accuracy_sentence(accuracy, found.alpha))
+    more = (
+        correction_offered(found),
+        "" if found.blamed else suspect_sentence(found.suspects, named),
+        accuracy_sentence(accuracy, found.alpha),
+    )
     told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed)
     words = (*told.sentences, *filter(None, more))
     errors = errors.assign(std_from="assumed" if facts.assumed else "stated")
@@ -283,6 +287,18 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     seconds = time.perf_counter() - started
     traces = tuple(reason.first.trace for reason in reasons(adapter.failed())[:SHOWN] if reason.first.trace)
     return ExplanationResult(found, told.answer, words, tuple(notes), effects, errors, tables, figures, seconds, traces)
+
+
+def correction_offered(found: Explanation) -> str:
+    """How the data can be corrected for the fault that is named, in words; empty where none is or none can be."""
+    fault = next(iter(found.blamed), None)
+    if fault is None or not correctable(fault.names[0]):
+        return ""
+    (name,) = fault.names
+    return (
+        f'Or correct what was read, while the files stay as they are: write corrected = {{ "{name}" = '
+        f"{fault.fit.values[name]:.3g} }} under [measurement]."
+    )
 
 
 def _confirmed(adapter: Adapter, found: Explanation) -> tuple[Explanation, pd.DataFrame, list[str], dict[str, object]]:

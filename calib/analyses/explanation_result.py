@@ -56,9 +56,16 @@ class MeasurementFacts:
         """The facts about a study's measurement."""
         own = study.settings.explain
         return cls(
-            assumed_words(study), accuracy_words(study), (*std_notes(study), *check_repeats(study)),
+            assumed_words(study), accuracy_words(study),
+            (*corrections(study), *std_notes(study), *check_repeats(study)),
             disagreements_table(study), study.held_sd, own.seed, own.samples,
         )  # fmt: skip
+
+
+def corrections(study: Study) -> tuple[str, ...]:
+    """Notes on the faults that are taken out of the measurement on reading."""
+    faults = study.settings.measurement.corrected
+    return tuple(f"The measurement is corrected for {name} = {by:g}." for name, by in faults.items())
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from calib.analyses.basis_cache import kept_basis, key_of
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.reduction import Reducible, Wanted, parameter_key, reduction_of, training, worthwhile
 from calib.correlation.fault_library import modal_faults
+from calib.correlation.modal_faults import ModalFault
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.effect import Effect
@@ -69,8 +70,15 @@ def modal_hypotheses(
         local = local_perturbations(model, [problem.measured], study.search_space.values)
     effects, perturbed = study.candidates, tuple(a.effect for a in local)
     variants = Variants(model, effects, perturbed, basis_of(study, results, local, progress))
-    pair = ModalResidual(problem, faults=modal_faults(model, problem.measured, test=study.test))
+    pair = ModalResidual(problem, faults=faults_of(study))
     return ModelHypotheses(pair, variants, study.search_space.without(study.condition)), local
+
+
+def faults_of(study: Study) -> tuple[ModalFault, ...]:
+    """Faults that the measured modes of a study may have."""
+    problem, set_ups = study.problem, study.settings.measurement.set_ups
+    assert isinstance(problem, ModalProblem)
+    return modal_faults(problem.model, problem.measured, set_ups, study.test)
 
 
 def basis_of(

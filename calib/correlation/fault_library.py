@@ -27,7 +27,7 @@ PHASE = 0.3
 """Plausible phase of a delay at the highest measured frequency, rad."""
 ROTATION = 15.0
 """Plausible misalignment of a sensor's axis, deg; an axis taken for another one is a check of its own."""
-SHIFT = 30.0
+SHIFT = 100.0
 """Plausible error of a sensor's place along the structure, mm, but no more than `FAR` of the way to the next nodes."""
 FAR = 0.5
 CROSS_TALK = 0.1
