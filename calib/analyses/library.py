@@ -20,6 +20,7 @@ from calib.measurement.modal import MeasuredModes
 from calib.results import Results
 from calib.space import ParameterSpace
 from calib.stage import Progress, unheard
+from calib.structure.accelerometers import accelerometers
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import weight_key
 from calib.structure.extend import extend
@@ -38,6 +39,8 @@ def local_perturbations(
 ) -> tuple[Perturbation, ...]:
     """Local perturbations of a model of matrices: of its parts, and at every sensor of its tests.
 
+    The last one is a fault of the tests, the mass of their accelerometers.
+
     Parameters
     ----------
     model : StructuralModel
@@ -50,7 +53,8 @@ def local_perturbations(
     """
     placed = {s.name: s for one in measured for s in one.sensors if s.point is not None}
     values = {name: value for name, value in values.items() if name in model.space}
-    return perturbations(model, list(placed.values()), values, min(one.lowest_freq for one in measured), of)
+    sensors, lowest = list(placed.values()), min(one.lowest_freq for one in measured)
+    return (*perturbations(model, sensors, values, lowest, of), *accelerometers(model, sensors, values, of))
 
 
 def modal_hypotheses(

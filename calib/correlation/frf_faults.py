@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -15,10 +15,12 @@ from calib.fault import NOWHERE, Fault
 from calib.measurement.frf import MeasuredFRFs
 
 GAIN, TURN = 100.0, 60.0
-"""Plausible gain (%) and phase (deg) of a fault; a swapped sign is a phase of 180 deg."""
+"""Plausible gain (%) and phase (deg) of a fault; a swapped sign is a gain of -200 %."""
+_SWAPPED = -300.0
+"""Smallest gain error, %: at -200 the sign is swapped."""
 _LOOK = {
-    "gain": "Check its calibration and its mounting.",
-    "phase": "Check its sign, its filter and its conditioning.",
+    "gain": "Check its calibration, its mounting and its sign.",
+    "phase": "Check its filter and its conditioning.",
     "delay": "Check its filter and its sampling.",
 }
 
@@ -68,6 +70,8 @@ def _effect(error: ChannelError) -> Effect:
         "gain": partial(_gain, what), "phase": partial(_phase, what), "delay": partial(_delay, what)
     }  # fmt: skip
     p = error.parameter
+    if error.kind == "gain":
+        p = replace(p, lower=_SWAPPED)
 
     def build(model: object) -> object:
         raise NotImplementedError(f"{p.name} is no part of a model")
@@ -83,8 +87,6 @@ def _gain(what: str, percent: float) -> str:
 
 
 def _phase(what: str, angle: float) -> str:
-    if abs(abs(angle) - 180) < 20:
-        return f"{what} has the wrong sign"
     return f"{what} {'leads' if angle > 0 else 'lags'} by {abs(angle):.2g} deg"
 
 

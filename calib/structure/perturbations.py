@@ -55,8 +55,6 @@ def perturbations(
 ) -> tuple[Perturbation, ...]:
     """Local perturbations: every part of a model scaled, a grounded spring and an added mass at every sensor.
 
-    The last one is an error of the measurement: the same mass at every sensor's node, that of its accelerometer.
-
     Parameters
     ----------
     model : StructuralModel
@@ -86,7 +84,6 @@ def perturbations(
                 _at_sensor(sensor, row, "stiffness", LOCAL / float(flexibility), suffix),
                 _at_sensor(sensor, row, "mass", HEAVY * total, suffix),
             ]
-        found += _accelerometers(model, sensors, mass, suffix)
     return tuple(found)
 
 
@@ -116,31 +113,6 @@ def _at_sensor(sensor: Sensor, row: np.ndarray, kind: str, size: float, suffix: 
     magnitude = Parameter(name, 0.0, 0.0, 20 * size, unit, prior_sd=size)
     assert sensor.point is not None
     return Perturbation(_effect(name, magnitude, build, f"{words} of this size"), kind, sensor.point, sensor.name)
-
-
-def _accelerometers(
-    model: StructuralModel, sensors: Sequence[Sensor], mass: sp.sparray, suffix: str
-) -> list[Perturbation]:
-    """One mass at every node with a sensor, in all three translations: an error of the measurement."""
-    nodes = {sensor.point: sensor for sensor in sensors if sensor.direction in DIRECTIONS[:3]}
-    if not nodes:
-        return []
-    rows = np.vstack([model.translations(sensor) for sensor in nodes.values()])
-    moved = [np.flatnonzero(model.dofs.direction == k) for k in range(3)]
-    total = max(float(sp.csc_array(mass)[own][:, own].sum()) for own in moved)
-    name, size = f"mass of the accelerometers{suffix}", HEAVY * total / len(nodes)
-
-    def build(model: StructuralModel) -> Addition:
-        own = [row for row in rows if row.any()]
-        return Addition(mass=(outer_term(name, own, Monomial(1.0, ((name, 1.0),)), model.n_dof - rows.shape[1]),))
-
-    magnitude = Parameter(name, 0.0, 0.0, 20 * size, "kg", prior_sd=size)
-    effect = replace(
-        _effect(name, magnitude, build, "The accelerometers weigh nothing."), of_measurement=True,
-        look_for="Weigh one with its mount and cable, and add it to the model of the test.",
-        told=lambda by: f"accelerometers of {by:.2g} kg each weigh on the structure",
-    )  # fmt: skip
-    return [Perturbation(effect, "mass", (np.nan, np.nan, np.nan))]
 
 
 def _effect(name: str, magnitude: Parameter, build: Callable[[StructuralModel], Addition], lacks: str) -> Effect:
