@@ -43,6 +43,8 @@ class Effect:
         Part of the model that is scaled by 1 + magnitude; empty for an added one.
     of_measurement : bool
         Whether it is a measurement error, not an effect missing in the model.
+    told : callable, optional
+        What a fitted magnitude of a measurement error means, such as ``sensor 12y reads 10 % low``.
     phrase : str
         Completes "The model lacks ...", such as ``a brake unit hung on the crossbar``; by default the title, quoted.
 
@@ -63,6 +65,7 @@ class Effect:
     part: str = ""
     of_measurement: bool = False
     phrase: str = ""
+    told: Callable[[float], str] | None = None
 
     def __post_init__(self) -> None:
         place, p = f"effect {self.name}", self.magnitude

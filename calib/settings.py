@@ -107,6 +107,11 @@ class MeasurementSettings(_Section):
     accuracy: str | float | dict[str, str | float] | None = None
     """Claimed accuracy beside the repeatability: a share such as ``"1 %"``, or by kind or response a share or a
     number in the unit of the value."""
+    set_ups: dict[str, tuple[str, ...]] = {}
+    """Sensors of measured modes that were scaled together, by the name of their set-up."""
+    corrected: dict[str, float] = {}
+    """Faults of measured modes that are taken out on reading, as an explanation names them, such as
+    ``{ "gain of sensor 12y" = -0.1 }``; the files stay as they are."""
     synthetic: bool = False
     """Whether the measurement is computed; every figure then says so."""
 

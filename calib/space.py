@@ -57,6 +57,7 @@ SI_FACTORS: Mapping[str, float] = {
     "rad": 1.0,
     "deg": math.pi / 180,
     "s": 1.0,
+    "ms": 1e-3,
 }
 """Factor from the named unit to SI."""
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from calib.errors import InputError
 from calib.fingerprint import code_files, digest_of
 from calib.measurement.accuracy import Accuracy, frf_claim
+from calib.measurement.corrections import corrected
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.read import read_modes
@@ -160,6 +161,7 @@ class StudyFile:
             pooling=given.pooling,
             synthetic=given.synthetic,
         )
+        measured = corrected(measured, given.corrected, self.place("measurement", "corrected"))
         return replace(measured, accuracy=Accuracy.of(given.accuracy))
 
     def _lines_of(self, frfs: MeasuredFRFs) -> MeasuredFRFs:

@@ -21,7 +21,7 @@ RANKS = (
     {"given", "mac", "degrees_of_freedom", "outcome", "table", "fingerprint"},
     {"space"},
     {"effect", "differences", "measurement", "sampling", "worker", "named_values"},
-    {"structure"},
+    {"structure", "fault"},
     {"function", "modal_analysis"},
     {"correlation"},
     {"settings", "evaluate", "results", "problem"},

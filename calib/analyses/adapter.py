@@ -63,7 +63,7 @@ class Adapter(Protocol):
         ...
 
     def places(self) -> dict[str, tuple[str, tuple[float, float, float], str]]:
-        """Kind, location (m) and sensor of every local perturbation, by name."""
+        """Kind, location (m) and sensor of every local perturbation and fault of a measurement, by name."""
         ...
 
     def labels(self) -> pd.DataFrame:

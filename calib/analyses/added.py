@@ -92,6 +92,7 @@ def nothing_added(found: Explanation) -> str:
         "noise_underestimated": "Correct the standard deviation of the measurement first: nothing is added.",
         "indistinguishable": untold,
         "two_effects": untold,
+        "measurement": "The measurement is what does not fit, so nothing is added to the model: correct it first.",
         "unconfirmed": f"The best-fitting explanation, {named}, is not confirmed: "
         f"{'no local perturbation competed with it' if found.uncontested else 'held-out data contradict it'}, so "
         "nothing is added. 'calib extend' adds it anyway.",

@@ -19,7 +19,7 @@ from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.function_hypotheses import function_hypotheses
 from calib.analyses.group_adapter import FRFAdapter, ScalarAdapter
 from calib.analyses.joint_adapter import JointAdapter, together
-from calib.analyses.library import basis_of, local_perturbations, modal_hypotheses
+from calib.analyses.library import basis_of, faults_of, local_perturbations, modal_hypotheses
 from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.reduction import worthwhile
@@ -34,10 +34,12 @@ from calib.function import FunctionModel
 from calib.inference.leave_one_out import leave_one_out
 from calib.joint import TEST
 from calib.loading import Model, with_effects
+from calib.measurement.corrections import correctable
 from calib.missing import explain as engine
 from calib.missing.accuracy import changing, less_accurate
 from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.fault_table import faults_table
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Altered, Hypotheses
 from calib.missing.pattern import parameter_table, pattern_table, place_table
@@ -128,10 +130,18 @@ def adapter_of(study: Study, home: Results, progress: Progress, local: tuple[Per
         assert local is not None
         basis = basis_of(study, home, local, progress)
         return FRFAdapter.of(
-            FRFResidual(problem), study.candidates, local, space, facts, study.unseen, basis, worthwhile(study)
+            FRFResidual(problem).suspected(),
+            study.candidates,
+            local,
+            space,
+            facts,
+            study.unseen,
+            basis,
+            worthwhile(study),
         )
     if isinstance(problem.model, ModalFunctionModel):  # which may be behind a ledger
-        modal, own = function_hypotheses(problem.model, ModalResidual(problem), study.candidates, space, study.test)
+        modal_pair = ModalResidual(problem, faults=faults_of(study))
+        modal, own = function_hypotheses(problem.model, modal_pair, study.candidates, space, study.test)
     else:
         modal, own = modal_hypotheses(study, home, progress, local)
     return ModalAdapter(modal, own, facts, study.whole_problem(), study.finer_model, reduced=worthwhile(study))
@@ -236,7 +246,11 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
     named = " and ".join(found.credible) if found.verdict == "effect" else ""
-    more = (suspect_sentence(found.suspects, named), accuracy_sentence(accuracy, found.alpha))
+    more = (
+        correction_offered(found),
+        "" if found.blamed else suspect_sentence(found.suspects, named),
+        accuracy_sentence(accuracy, found.alpha),
+    )
     told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed)
     words = (*told.sentences, *filter(None, more))
     errors = errors.assign(std_from="assumed" if facts.assumed else "stated")
@@ -250,7 +264,10 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     }
     last = "explained" if found.names_something else "attempt"
     stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
+    stages |= {"explained": found.blamed[0]} if found.blamed else {}
+    units = {e.name: e.magnitude.unit for e in adapter.hypotheses.faults}
     tables = {
+        "faults": faults_table(found, adapter.places(), units),
         "perturbations": _perturbations(adapter, found),
         "confounding": confounding_table(found),
         "pulls": pull_table(found),
@@ -270,6 +287,18 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     seconds = time.perf_counter() - started
     traces = tuple(reason.first.trace for reason in reasons(adapter.failed())[:SHOWN] if reason.first.trace)
     return ExplanationResult(found, told.answer, words, tuple(notes), effects, errors, tables, figures, seconds, traces)
+
+
+def correction_offered(found: Explanation) -> str:
+    """How the data can be corrected for the fault that is named, in words; empty where none is or none can be."""
+    fault = next(iter(found.blamed), None)
+    if fault is None or not correctable(fault.names[0]):
+        return ""
+    (name,) = fault.names
+    return (
+        f'Or correct what was read, while the files stay as they are: write corrected = {{ "{name}" = '
+        f"{fault.fit.values[name]:.3g} }} under [measurement]."
+    )
 
 
 def _confirmed(adapter: Adapter, found: Explanation) -> tuple[Explanation, pd.DataFrame, list[str], dict[str, object]]:

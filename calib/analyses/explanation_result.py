@@ -56,9 +56,16 @@ class MeasurementFacts:
         """The facts about a study's measurement."""
         own = study.settings.explain
         return cls(
-            assumed_words(study), accuracy_words(study), (*std_notes(study), *check_repeats(study)),
+            assumed_words(study), accuracy_words(study),
+            (*corrections(study), *std_notes(study), *check_repeats(study)),
             disagreements_table(study), study.held_sd, own.seed, own.samples,
         )  # fmt: skip
+
+
+def corrections(study: Study) -> tuple[str, ...]:
+    """Notes on the faults that are taken out of the measurement on reading."""
+    faults = study.settings.measurement.corrected
+    return tuple(f"The measurement is corrected for {name} = {by:g}." for name, by in faults.items())
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +124,7 @@ def summary(study: AnyStudy, answer: ExplanationResult) -> dict[str, object]:
     errors: dict[str, dict[str, float | None]] = {group: {"before": None, "after": None} for group in GROUPS}
     for row in answer.errors[answer.errors["stage"] != "attempt"].to_dict("records"):
         errors[str(row["group"])][str(row["stage"])] = float(row["rms"])
-    chosen, fits = found.chosen, found.chosen_adequacy
+    chosen, fits = found.chosen, found.chosen_adequacy if found.fault_adequacy is None else found.fault_adequacy
     return {
         "study": study.name,
         "synthetic": study.synthetic,
@@ -141,6 +148,8 @@ def summary(study: AnyStudy, answer: ExplanationResult) -> dict[str, object]:
         "local_perturbation": None if found.perturbation is None else _local_perturbation(found.perturbation),
         "refused": found.refused or None,
         "measurement_fault": None if found.fault is None else _local_perturbation(found.fault),
+        "faults": 0 if check.faults is None else len(set(check.faults.owners)),
+        "blamed": [_local_perturbation(t) for t in found.blamed],
         "wrong_datum": None if found.datum is None else _wrong_datum(found, found.datum),
         "evaluations": found.evaluations,
         "begun_anew": found.begun_anew,

@@ -47,7 +47,7 @@ def function_hypotheses(
     given: Any = replace(model, space=whole)
     cached = kept(given)
     if isinstance(model, ModalFunctionModel):
-        perturbations = modal_function_perturbations(model, whole, pair.problem.measured.sensors, test, names)
+        perturbations = modal_function_perturbations(model, whole, test, names)
     else:
         measured = {name: value for name, (value, _) in pair.problem.targets.items()}
         perturbations = response_perturbations(whole, measured, test, names)

@@ -11,7 +11,6 @@ import numpy as np
 
 from calib.effect import Effect
 from calib.function import FunctionModel
-from calib.measurement.modal import Sensor
 from calib.measurement.responses import response_kinds
 from calib.space import Parameter, ParameterSpace
 from calib.structure.modal_function import ModalFunctionModel
@@ -78,22 +77,19 @@ def response_perturbations(
 def modal_function_perturbations(
     model: ModalFunctionModel,
     space: ParameterSpace,
-    sensors: Sequence[Sensor],
     test: str = "",
     held: Collection[str] = (),
 ) -> tuple[Perturbation, ...]:
     """Local perturbations of a function of modes, without integer parameters.
 
     A change of every held parameter; a change of every fitted parameter in frequencies, damping ratios or shapes only;
-    and as measurement errors the scale of all frequencies and of all damping ratios, and the gain of every sensor.
+    and as measurement errors the scale of all frequencies and of all damping ratios.
 
     Parameters
     ----------
     model : ModalFunctionModel
     space, test, held
         As in `response_perturbations`.
-    sensors : sequence of Sensor
-        Of the measured shapes.
     """
     parts = {"frequency": _frequencies_of, "damping": _damping_of, "shape": _shapes_of}
     scales: dict[str, Alter] = {"frequency": _higher, "damping": _more_damped}
@@ -103,9 +99,6 @@ def modal_function_perturbations(
     found += [
         _misread(f"scale of {kind}{_of(test)}", kind, _modes, scale, lower=-0.5) for kind, scale in scales.items()
     ]
-    for sensor in sensors:
-        row = int(np.argmax(model.sensor_rows([sensor])[0]))
-        found.append(_gain(sensor, row, _of(test)))
     return tuple(found)
 
 
@@ -170,22 +163,6 @@ def _misread(
     magnitude = Parameter(name, 0.0, lower, 1.0, "-", prior_sd=FAULT)
     return Perturbation(
         _fault(f"{name}, in parts of {size}", lacks, look_for, magnitude, read, alter), "response", _NOWHERE
-    )
-
-
-def _gain(sensor: Sensor, row: int, of_test: str) -> Perturbation:
-    """A gain error of one sensor."""
-
-    def alter(modes: Modes, by: float) -> Modes:
-        shapes = modes.shapes.copy()
-        shapes[row] *= 1 + by
-        return replace(modes, shapes=shapes)
-
-    name = f"gain of sensor {sensor.name}{of_test}"
-    magnitude = Parameter(name, 0.0, LESS, MORE, "-", prior_sd=RELATIVE)
-    lacks, look_for = "All sensors have the right gain.", "Its calibration and its mounting."
-    return Perturbation(
-        _fault(name, lacks, look_for, magnitude, _modes, alter), "response", sensor.point or _NOWHERE, sensor.name
     )
 
 

@@ -13,6 +13,7 @@ from calib.analyses.frf_start import linear_starts
 from calib.differences import STEP
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
+from calib.fault import Fault
 from calib.outcome import Outcome, key_of
 from calib.own_code import defined_at
 from calib.problem import Counts, Label, Pair, Problem
@@ -94,6 +95,11 @@ class VariantPair(Pair, Protocol):
 
     def unpaired(self, solution: Any) -> frozenset[str]:
         """Measured modes for which a solution has no partner; none where nothing is paired."""
+        ...
+
+    @property
+    def faults(self) -> Sequence[Fault]:
+        """Faults of this measurement; their magnitudes are in its space."""
         ...
 
 
@@ -186,10 +192,19 @@ class ModelHypotheses(Generic[P]):
         """Named candidates."""
         return tuple(e for e in self.variants.effects if e.name not in self.without)
 
-    @property
+    @cached_property
     def perturbations(self) -> tuple[Effect, ...]:
         """Unnamed local perturbations."""
-        return self.variants.perturbations
+        return tuple(e for e in self.variants.perturbations if not (self.pair.faults and e.of_measurement))
+
+    @cached_property
+    def faults(self) -> tuple[Effect, ...]:
+        """Faults of the measurement: those of the test, and those that a model has for it.
+
+        Where a test offers none, those of the model count as local perturbations.
+        """
+        own = tuple(fault.effect for fault in self.pair.faults)
+        return (*own, *(e for e in self.variants.perturbations if e.of_measurement)) if own else ()
 
     @property
     def evaluations(self) -> int:
@@ -227,11 +242,12 @@ class ModelHypotheses(Generic[P]):
         return self.fit_problem(()).std_dof
 
     def fit_problem(self, names: tuple[str, ...]) -> VariantProblem[P]:
-        """The model with the named effects or perturbations added; InputError for an unknown name."""
+        """The model with the named effects, perturbations or faults added; InputError for an unknown name."""
         key = tuple(sorted(names))
         if key not in self._fit_problems:
-            model = self.variants.with_effects(names)
-            pair = self.pair.with_model(model, self.variants.added(names) if names else None)
+            of_test = {fault.effect.name for fault in self.pair.faults}
+            own = tuple(name for name in names if name not in of_test)
+            pair = self.pair.with_model(self.variants.with_effects(own), self.variants.added(own) if own else None)
             space = fit_problem_space(self.space, [self._known[n] for n in key])
             self._fit_problems[key] = VariantProblem(
                 pair, space, remembered=_REMEMBERED, counts=self.counts, hypotheses=self
@@ -251,7 +267,7 @@ class ModelHypotheses(Generic[P]):
 
     @cached_property
     def _known(self) -> dict[str, Effect]:
-        return {e.name: e for e in (*self.effects, *self.perturbations)}
+        return {e.name: e for e in (*self.effects, *self.perturbations, *self.faults)}
 
     # -- user code -----------------------------------------------------------------------------------------------------
 

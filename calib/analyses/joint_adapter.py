@@ -95,7 +95,7 @@ class JointAdapter:
         return None
 
     def places(self) -> dict[str, tuple[str, tuple[float, float, float], str]]:
-        """Kind, location (m) and sensor of every local perturbation, by name."""
+        """Kind, location (m) and sensor of every local perturbation and fault of a measurement, by name."""
         return {name: place for adapter in self.adapters.values() for name, place in adapter.places().items()}
 
     def labels(self) -> pd.DataFrame:

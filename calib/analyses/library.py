@@ -9,6 +9,8 @@ from pathlib import Path
 from calib.analyses.basis_cache import kept_basis, key_of
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.reduction import Reducible, Wanted, parameter_key, reduction_of, training, worthwhile
+from calib.correlation.fault_library import modal_faults
+from calib.correlation.modal_faults import ModalFault
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.effect import Effect
@@ -18,6 +20,7 @@ from calib.measurement.modal import MeasuredModes
 from calib.results import Results
 from calib.space import ParameterSpace
 from calib.stage import Progress, unheard
+from calib.structure.accelerometers import accelerometers
 from calib.structure.basis import Basis
 from calib.structure.effect_basis import weight_key
 from calib.structure.extend import extend
@@ -36,6 +39,8 @@ def local_perturbations(
 ) -> tuple[Perturbation, ...]:
     """Local perturbations of a model of matrices: of its parts, and at every sensor of its tests.
 
+    The last one is a fault of the tests, the mass of their accelerometers.
+
     Parameters
     ----------
     model : StructuralModel
@@ -48,7 +53,8 @@ def local_perturbations(
     """
     placed = {s.name: s for one in measured for s in one.sensors if s.point is not None}
     values = {name: value for name, value in values.items() if name in model.space}
-    return perturbations(model, list(placed.values()), values, min(one.lowest_freq for one in measured), of)
+    sensors, lowest = list(placed.values()), min(one.lowest_freq for one in measured)
+    return (*perturbations(model, sensors, values, lowest, of), *accelerometers(model, sensors, values, of))
 
 
 def modal_hypotheses(
@@ -68,7 +74,15 @@ def modal_hypotheses(
         local = local_perturbations(model, [problem.measured], study.search_space.values)
     effects, perturbed = study.candidates, tuple(a.effect for a in local)
     variants = Variants(model, effects, perturbed, basis_of(study, results, local, progress))
-    return ModelHypotheses(ModalResidual(problem), variants, study.search_space.without(study.condition)), local
+    pair = ModalResidual(problem, faults=faults_of(study))
+    return ModelHypotheses(pair, variants, study.search_space.without(study.condition)), local
+
+
+def faults_of(study: Study) -> tuple[ModalFault, ...]:
+    """Faults that the measured modes of a study may have."""
+    problem, set_ups = study.problem, study.settings.measurement.set_ups
+    assert isinstance(problem, ModalProblem)
+    return modal_faults(problem.model, problem.measured, set_ups, study.test)
 
 
 def basis_of(

@@ -148,8 +148,8 @@ class OneTest(ABC):
         return None
 
     def places(self) -> dict[str, tuple[str, tuple[float, float, float], str]]:
-        """Kind, location (m) and sensor of every local perturbation, by name."""
-        return {a.effect.name: (a.kind, a.place, a.sensor) for a in self.perturbations}
+        """Kind, location (m) and sensor of every local perturbation and every fault of the measurement, by name."""
+        return {a.effect.name: (a.kind, a.place, a.sensor) for a in (*self.perturbations, *self.hypotheses.pair.faults)}
 
 
 def _with(failure: Failure) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
@@ -54,6 +54,8 @@ class Comparison:
         NaN without measured shapes.
     sensor_shapes : ndarray (n_sensors, n_model)
         Motion of every model mode at the sensors.
+    faults : mapping from str to float
+        Faults of the measurement that a residual includes, with their magnitudes; the comparison itself has none.
     """
 
     model: ModalModel
@@ -64,6 +66,7 @@ class Comparison:
     mac: np.ndarray
     emac: np.ndarray
     sensor_shapes: np.ndarray
+    faults: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def std(self) -> StandardDeviations:

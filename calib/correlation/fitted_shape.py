@@ -30,6 +30,8 @@ class FittedShape:
         Phase factor of the model shape in a real comparison.
     raw : ndarray (n_known,)
         Model shape as solved.
+    modulus : float
+        Of a real comparison: 0 for the part in phase, 1 for the modulus with the sign of that part, or between.
     """
 
     residual: np.ndarray
@@ -41,25 +43,35 @@ class FittedShape:
     on: np.ndarray
     turn: complex | None
     raw: np.ndarray
+    modulus: float = 0.0
 
     @classmethod
     def of(
-        cls, target: np.ndarray, raw: np.ndarray, std: np.ndarray, known: np.ndarray, on: np.ndarray, as_real: bool
+        cls,
+        target: np.ndarray,
+        raw: np.ndarray,
+        std: np.ndarray,
+        known: np.ndarray,
+        on: np.ndarray,
+        as_real: bool,
+        modulus: float = 0.0,
     ) -> FittedShape:
         """Fit a model shape ``raw`` to a measured one, ``target`` (n_known,), with standard deviations ``std``.
 
-        With ``as_real`` both are turned to their main phase and compared by their real parts.
+        With ``as_real`` both are turned to their main phase and compared by their real parts, or, as far as ``modulus``
+        says, by the modulus of the model shape with the sign of its real part.
         """
         turn, shape = None, raw
         size = float(np.max(np.abs(raw[on]), initial=0.0))
         if as_real:
             target = np.real(target * np.exp(-0.5j * np.angle(np.sum(target**2)))).astype(complex)
             turn = np.exp(-0.5j * np.angle(np.sum((raw[on] / (size or 1.0)) ** 2)))
-            shape = np.real(raw * turn).astype(complex)
+            real = np.real(raw * turn)
+            shape = (real + modulus * (np.copysign(np.abs(raw), real) - real)).astype(complex)
         u, v = target / std, shape / std
         power = float(np.vdot(v[on], v[on]).real)
         factor = complex(np.vdot(v[on], u[on]) / power) if size > 0 and power > 0 else 0j
-        return cls(u - factor * v, v, factor, power, std, known, on, turn, raw)
+        return cls(u - factor * v, v, factor, power, std, known, on, turn, raw, modulus)
 
     def slope(self, shapes: np.ndarray) -> np.ndarray:
         """Projected derivative of the residual, (n_known, n_params), from that of the shapes at all sensors."""
@@ -68,7 +80,26 @@ class FittedShape:
         change, on = shapes[self.known], self.on
         if self.turn is not None:
             phase = np.imag(self.raw[on] @ change[on] / (self.raw[on] @ self.raw[on]))
-            change = np.real(self.turn * (change - 1j * np.outer(self.raw, phase))).astype(complex)
-        change = change / self.std[:, None]
+            size, own = np.abs(self.raw)[:, None], self.raw.conj()[:, None]
+            longer = np.divide(np.real(own * change), size, out=np.zeros(change.shape), where=size > 0)
+            change = np.real(self.turn * (change - 1j * np.outer(self.raw, phase)))
+            change = change + self.modulus * (self._sign[:, None] * longer - change)
+        return self._left(change)
+
+    @property
+    def modulus_slope(self) -> np.ndarray:
+        """Projected derivative of the residual by ``modulus``, (n_known,); 0 in a complex comparison."""
+        if self.turn is None or not self.power > 0:
+            return np.zeros(len(self.residual), dtype=complex)
+        return self._left((self._sign * np.abs(self.raw) - np.real(self.turn * self.raw))[:, None])[:, 0]
+
+    @property
+    def _sign(self) -> np.ndarray:
+        """Sign of the part in phase of a real comparison, (n_known,)."""
+        return np.copysign(1.0, np.real((self.turn or 1.0) * self.raw))
+
+    def _left(self, change: np.ndarray) -> np.ndarray:
+        """Change of the residual by one of the shape (n_known, n_params), less what the factor follows."""
+        on, change = self.on, change / self.std[:, None]
         along = np.outer(self.shape, self.shape[on].conj() @ change[on]) / self.power
         return -self.factor * (change - along)

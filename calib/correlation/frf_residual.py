@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.correlation.frf_comparison import FRFComparison, frac_and_amplitude
+from calib.correlation.frf_faults import FRFFault, frf_faults
 from calib.correlation.frf_nuisance import ChannelError, Channels, Nuisance, require_channels
 from calib.degrees_of_freedom import KNOWN, beside_known
 from calib.errors import InputError
@@ -190,6 +191,8 @@ class FRFResidual:
     Attributes
     ----------
     problem : FRFProblem
+    faults : tuple of FRFFault
+        Those of its nuisances that are faults to be found, and not fitted otherwise.
 
     Raises
     ------
@@ -198,6 +201,7 @@ class FRFResidual:
     """
 
     problem: FRFProblem
+    faults: tuple[FRFFault, ...] = ()
     _known: np.ndarray = field(init=False, repr=False)
     _std: np.ndarray = field(init=False, repr=False)
 
@@ -287,6 +291,12 @@ class FRFResidual:
     def told_by_responses(self) -> bool:
         """The solution cannot be restored from its responses."""
         return False
+
+    def suspected(self) -> FRFResidual:
+        """The same with every fault that its channels may have, as parameters of value 0."""
+        faults = frf_faults(self.problem.measured, self.problem.nuisances)
+        errors = (*self.problem.nuisances, *(fault.error for fault in faults))
+        return replace(self, problem=replace(self.problem, nuisances=errors), faults=faults)
 
     def with_model(self, model: StructuralModel | ReducedModel, added: int | None = None) -> FRFResidual:
         """The same measured FRFs and nuisances with another model; ``added`` concerns modes and is ignored."""

@@ -6,12 +6,15 @@ import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from calib.correlation.compare import Comparison
 from calib.correlation.fitted_shape import FittedShape
+from calib.correlation.modal_faults import ModalFault, Readings
 from calib.correlation.problem import ModalProblem
 from calib.correlation.standard_deviations import USUAL, Floors, StandardDeviations, dof_behind, std_for
 from calib.fingerprint import digest_of
@@ -75,6 +78,8 @@ class ModalResidual:
         False omits those rows.
     factor_sensors : tuple of str or None
         Names of the sensors on which the factors of shapes are fitted; the other sensors are predicted. None for all.
+    faults : tuple of ModalFault
+        Faults of this measurement, whose magnitudes are parameters beside those of the model; 0 unless set.
     std : StandardDeviations
     rows : tuple of Row
         Length n_rows.
@@ -86,16 +91,19 @@ class ModalResidual:
     use_damping: bool = True
     use_shapes: bool = True
     factor_sensors: tuple[str, ...] | None = None
+    faults: tuple[ModalFault, ...] = ()
     std: StandardDeviations = field(init=False, repr=False)
     rows: tuple[Row, ...] = field(init=False, repr=False)
     _damped: tuple[int, ...] = field(init=False, repr=False)
     _parts: tuple[tuple[int, str], ...] = field(init=False, repr=False)
+    _readings: Readings = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "std", std_for(self.problem.measured, self.floors, self.pool))
         object.__setattr__(self, "_damped", self._damping_modes())
         object.__setattr__(self, "_parts", self._shape_parts())
         object.__setattr__(self, "rows", self._rows())
+        object.__setattr__(self, "_readings", Readings(self.faults, 2 * np.pi * self.problem.measured.natural_freq))
 
     def _rows(self) -> tuple[Row, ...]:
         measured = self.problem.measured
@@ -129,7 +137,8 @@ class ModalResidual:
         """Hash that changes whenever the residual or its derivatives at the same named values could."""
         std = (self.std.freq, self.std.damping, self.std.shape)
         layout = (self.rows, self._damped, self._parts, self.factor_sensors)
-        return digest_of(_DEFINITION, self.problem.fingerprint, std, layout)[:16]
+        faults = [(f.effect.name, f.shares, f.damping) for f in self.faults]
+        return digest_of(_DEFINITION, self.problem.fingerprint, std, layout, *([faults] if faults else []))[:16]
 
     @property
     def kinds(self) -> np.ndarray:
@@ -177,10 +186,12 @@ class ModalResidual:
 
     # -- at named values -----------------------------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def space(self) -> ParameterSpace:
-        """Parameters of the model."""
-        return self.problem.space
+        """Parameters of the model, and after them the magnitudes of faults."""
+        own = self.problem.space
+        more = tuple(fault.effect.magnitude for fault in self.faults)
+        return ParameterSpace((*own.parameters, *more), own.constraints) if more else own
 
     @property
     def told_by_responses(self) -> bool:
@@ -193,7 +204,22 @@ class ModalResidual:
 
     def solve(self, values: Mapping[str, float]) -> Comparison:
         """Comparison at named values; EvaluationError when the model cannot be solved there."""
-        return self.problem.compare(values)
+        at = self._readings.active(values)
+        found = self.problem.compare({name: value for name, value in values.items() if name not in self._readings})
+        return self._with_faults(found, at) if at else found
+
+    def _with_faults(self, found: Comparison, at: Mapping[str, float]) -> Comparison:
+        """A comparison with faults: modes are paired by what the sensors read."""
+        readings, problem = self._readings, self.problem
+        if not problem.measured.has_shapes or not readings.reach_shapes(at):
+            return replace(found, faults=at)
+        motions, omega = self._sources @ found.modes.shapes, 2 * np.pi * found.modes.natural_freq
+        read = np.column_stack(
+            [readings.shape(at, w, v, m) for w, v, m in zip(omega, found.sensor_shapes.T, motions.T, strict=True)]
+        )
+        shares = problem.energy_shares(found.values, found.modes)
+        pairing, mac, emac = problem.pair(problem.measured.shapes, read, shares, found.modes)
+        return replace(found, faults=at, pairing=pairing, mac=mac, emac=emac)
 
     def responses(self, solution: Comparison) -> dict[str, float]:
         """See `ModalProblem.responses`."""
@@ -225,8 +251,19 @@ class ModalResidual:
         self, values: Mapping[str, float], names: Sequence[str], at: Callable[[Mapping[str, float]], Comparison]
     ) -> np.ndarray:
         """The Jacobian with solutions from ``at``."""
-        found = at(self.regular(values, names))
-        return self.slope_of(found, names, self.derivatives(found, names, at))
+        own = [name for name in names if name not in self._readings]
+        found = at(self.regular(values, own))
+        if len(own) == len(names):
+            return self.slope_of(found, names, self.derivatives(found, names, at))
+        columns = np.zeros((self.n_rows, len(names)))
+        if own:
+            columns[:, [name not in self._readings for name in names]] = self.slope(values, own, at)
+            found = at(values)
+        motions = self._sources @ found.modes.shapes
+        for k, name in enumerate(names):
+            if name in self._readings:
+                columns[:, k] = self._fault_slope(found, name, motions)
+        return columns
 
     def frequencies(
         self, values: Mapping[str, float], names: Sequence[str], at: Callable[[Mapping[str, float]], Comparison]
@@ -258,7 +295,8 @@ class ModalResidual:
 
     def regular(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
         """Point at which derivatives by the named parameters are taken; see `beside_roots`."""
-        return beside_roots(self.problem.space, self.problem.model.roots, values, names)
+        own = {name: value for name, value in values.items() if name not in self._readings}
+        return beside_roots(self.problem.space, self.problem.model.roots, own, names) | self._readings.active(values)
 
     def derivatives(
         self,
@@ -273,6 +311,8 @@ class ModalResidual:
         """
         chosen = found.pairing.model_index[found.pairing.paired]
         rows = self.problem.sensor_rows if self._parts else np.zeros((0, found.modes.shapes.shape[0]))
+        if self._parts and found.faults:
+            rows = np.vstack([rows, self._sources.toarray()])
         return self._derivatives(found, names, chosen, rows, at)
 
     def _derivatives(
@@ -294,7 +334,7 @@ class ModalResidual:
         """Whitened residual of an existing comparison, shape (n_rows,)."""
         measured, std = self.problem.measured, self.std
         freq = found.paired(found.modes.natural_freq)
-        ratio = np.maximum(found.paired(found.modes.damping_ratio), _LEAST_RATIO)
+        ratio = self._ratio(found)
         damped = list(self._damped)
         with np.errstate(invalid="ignore"):
             blocks = [
@@ -320,7 +360,7 @@ class ModalResidual:
             blocks.append(-freq[None] / std.freq[i])
         for i in self._damped:
             k = place.get(i)
-            ratio = 0.0 if k is None else float(found.modes.damping_ratio[self._partner(found, i)])
+            ratio = 0.0 if k is None else float(self._ratio(found)[i])
             known = k is not None and ratio > _LEAST_RATIO
             blocks.append(-(slopes.damping_ratio[:, k] / ratio if known else zero)[None] / std.damping[i])
         turned: dict[int, np.ndarray] = {}
@@ -329,7 +369,7 @@ class ModalResidual:
             if i not in turned:
                 fit = self._fit(found, i)
                 blank = k is None or not slopes.regular[k]
-                turned[i] = np.zeros((len(fit.residual), n)) if blank else fit.slope(slopes.shapes[:, :, k].T)
+                turned[i] = np.zeros((len(fit.residual), n)) if blank else fit.slope(self._read(found, i, slopes))
             blocks.append(turned[i].real if part == "re" else turned[i].imag)
         return np.vstack(blocks)
 
@@ -351,6 +391,47 @@ class ModalResidual:
             blocks.append(block / (math.sqrt(fit.power) or 1.0))
         return np.vstack(blocks)
 
+    def _ratio(self, found: Comparison) -> np.ndarray:
+        """Damping ratios of the partners as the analysis gives them, (n_measured,); NaN where unpaired."""
+        added = self._readings.added_damping(found.faults) if found.faults else 0.0
+        return np.asarray(np.maximum(found.paired(found.modes.damping_ratio) + added, _LEAST_RATIO))
+
+    def _read(self, found: Comparison, i: int, slopes: ModeDerivatives) -> np.ndarray:
+        """Derivatives of the reading of measured mode i, (n_sensors, n_params), from those of motions."""
+        change = slopes.shapes[:, :, found.pairing.paired.tolist().index(i)].T
+        if not found.faults:
+            return change
+        n = len(self.problem.measured.sensors)
+        return self._readings.shape(found.faults, self._readings.omega[i], change[:n], change[n:])
+
+    def _fault_slope(self, found: Comparison, name: str, motions: np.ndarray) -> np.ndarray:
+        """Derivative of the residual by the magnitude of a fault, (n_rows,)."""
+        measured, readings = self.problem.measured, self._readings
+        ratio, more = self._ratio(found), readings.damping_slope(name)
+        out = [np.zeros(measured.n_modes)]
+        damped = list(self._damped)
+        with np.errstate(invalid="ignore"):
+            known = ratio[damped] > _LEAST_RATIO
+        out.append(np.where(known, -more[damped] / ratio[damped], 0.0) / self.std.damping[damped])
+        turned: dict[int, np.ndarray] = {}
+        for i, part in self._parts:
+            if i not in turned:
+                fit, j = self._fit(found, i), self._partner(found, i)
+                if j < 0:
+                    turned[i] = np.zeros(len(fit.residual), dtype=complex)
+                elif readings.turns_to_modulus(name):
+                    turned[i] = fit.modulus_slope
+                else:
+                    change = readings.shape_slope(found.faults, name, i, len(measured.sensors), motions[:, j])
+                    turned[i] = fit.slope(change[:, None])[:, 0]
+            out.append(turned[i].real if part == "re" else turned[i].imag)
+        return np.concatenate(out)
+
+    @cached_property
+    def _sources(self) -> sp.csr_array:
+        """Motions of which faulty channels read a share, over the degrees of freedom, (n_sources, n_dof)."""
+        return sp.csr_array(self.problem.model.sensor_rows(self._readings.sources))
+
     @staticmethod
     def _partner(found: Comparison, i: int) -> int:
         return int(found.pairing.model_index[i])
@@ -359,8 +440,17 @@ class ModalResidual:
         measured, j = self.problem.measured, self._partner(found, i)
         known = np.isfinite(measured.shapes[:, i])
         target, std = measured.shapes[known, i], self.std.shape[known, i]
-        shape = found.sensor_shapes[known, j] if j >= 0 else np.zeros(len(target))
+        shape = np.zeros(len(target)) if j < 0 else self._reading(found, i, j)[known]
         on = np.ones(len(target), dtype=bool)
         if self.factor_sensors is not None:
             on = np.array([s.name in self.factor_sensors for s in measured.sensors])[known]
-        return FittedShape.of(target, shape.astype(complex), std, known, on, (i, "im") not in self._parts)
+        modulus = self._readings.modulus(found.faults)
+        return FittedShape.of(target, shape.astype(complex), std, known, on, (i, "im") not in self._parts, modulus)
+
+    def _reading(self, found: Comparison, i: int, j: int) -> np.ndarray:
+        """What the sensors read of model mode j as measured mode i, (n_sensors,)."""
+        shape = found.sensor_shapes[:, j]
+        if not found.faults:
+            return shape
+        omega = self._readings.omega[i]
+        return self._readings.shape(found.faults, omega, shape, self._sources @ found.modes.shapes[:, j])

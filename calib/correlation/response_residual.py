@@ -11,6 +11,7 @@ from calib.correlation.problem import FunctionProblem
 from calib.correlation.responses import ResponseRow, response_rows
 from calib.differences import STEP, central_jacobian
 from calib.errors import EvaluationError, InputError
+from calib.fault import Fault
 from calib.fingerprint import digest_of
 from calib.function import FunctionModel, slope_entry
 from calib.outcome import answered
@@ -93,6 +94,11 @@ class ResponseResidual:
         """Hash that changes whenever the residual or its derivatives at the same named values could."""
         content = (list(self.problem.targets.items()), self.step)
         return digest_of(_DEFINITION, self.problem.fingerprint, content)[:16]
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """None."""
+        return ()
 
     def with_model(self, model: FunctionModel, added: int | None = None) -> ResponseResidual:
         """The same measured responses with another model; ``added`` concerns modes and is ignored."""

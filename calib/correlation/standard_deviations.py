@@ -76,8 +76,37 @@ class StandardDeviations:
         return StandardDeviations(
             np.hypot(self.freq, claim.freq.relative(measured.natural_freq)),
             np.hypot(self.damping, np.nan_to_num(claim.damping.relative(measured.damping_ratio), posinf=0.0)),
-            np.hypot(self.shape, claim.shape.share + claim.shape.own),
+            np.sqrt(self.shape**2 + (claim.shape.share + claim.shape.own) ** 2 + of_channels(measured) ** 2),
         )
+
+
+def of_channels(measured: MeasuredModes) -> np.ndarray:
+    """Standard deviation of shapes by claimed accuracies of gains and places, (n_sensors, n_modes).
+
+    That of a place times the slope of the measured shape, its difference to the nearest sensor of the same direction
+    over the distance. Entries count as independent, although one channel has the same error in all modes.
+    """
+    claim, shapes = measured.accuracy, np.nan_to_num(np.abs(measured.shapes))
+    variance = (claim.gain.share * shapes) ** 2
+    if claim.place.own:
+        variance = variance + (claim.place.own * _slopes(measured)) ** 2
+    return np.asarray(np.sqrt(variance))
+
+
+def _slopes(measured: MeasuredModes) -> np.ndarray:
+    """Size of the slope of every measured shape at every sensor, 1/m, (n_sensors, n_modes); 0 where it is unknown."""
+    out = np.zeros(measured.shapes.shape)
+    for k, sensor in enumerate(measured.sensors):
+        others = [
+            (float(np.linalg.norm(np.subtract(o.point, sensor.point))), j)
+            for j, o in enumerate(measured.sensors)
+            if j != k and o.direction == sensor.direction and o.point is not None and sensor.point is not None
+        ]
+        near = [one for one in others if one[0] > 0]
+        if near:
+            distance, j = min(near)
+            out[k] = np.nan_to_num(np.abs(measured.shapes[k] - measured.shapes[j])) / distance
+    return out
 
 
 def std_for(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | None = None) -> StandardDeviations:

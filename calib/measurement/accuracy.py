@@ -13,6 +13,8 @@ from calib.errors import InputError
 
 KINDS = {"freq": "natural frequencies", "damping": "damping ratios", "shape": "shapes"}
 """Kinds of a modal measurement, as a study names them."""
+CHANNELS = {"gain": "gains of channels", "place": "places of sensors"}
+"""What else a study may claim of a modal measurement: it adds to the standard deviations of shapes."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def frf_claim(given: str | float | Mapping[str, str | float] | None) -> Claim:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Claimed accuracy of a modal measurement by kind; nothing by default.
+    """Claimed accuracy of a modal measurement by kind, and of its channels; nothing by default.
 
     Its variance is added to that of the repeats, which do not show systematic errors, such as those of a calibration
     factor, the mass of sensors or the suspension.
@@ -98,16 +100,22 @@ class Accuracy:
     Attributes
     ----------
     freq, damping, shape : Claim
+    gain : Claim
+        Of every channel's gain, a share: of each entry of a shape by its modulus.
+    place : Claim
+        Of every sensor's place along the structure, m: of each entry by the slope of the shape there.
     """
 
     freq: Claim = NOTHING
     damping: Claim = NOTHING
     shape: Claim = NOTHING
+    gain: Claim = NOTHING
+    place: Claim = NOTHING
 
     @property
     def given(self) -> bool:
         """Whether anything is claimed."""
-        return self.freq.given or self.damping.given or self.shape.given
+        return any(claim.given for claim in (self.freq, self.damping, self.shape, self.gain, self.place))
 
     @classmethod
     def of(cls, given: str | float | Mapping[str, str | float] | None) -> Accuracy:
@@ -119,16 +127,21 @@ class Accuracy:
                 raise ValueError("one accuracy for all kinds is a share such as '1 %'; give numbers by kind")
             return cls(*(Claim.of(given),) * 3)
         for name in given:
-            if name not in KINDS:
-                raise ValueError(f"there is no accuracy of {name!r}; the kinds are {', '.join(KINDS)}")
-        return cls(**{name: Claim.of(value) for name, value in given.items()})
+            if name not in (*KINDS, *CHANNELS):
+                raise ValueError(f"there is no accuracy of {name!r}; the kinds are {', '.join((*KINDS, *CHANNELS))}")
+        claims = {name: Claim.of(value) for name, value in given.items()}
+        if claims.get("gain", NOTHING).own:
+            raise ValueError("the accuracy of gain is a share such as '1 %'")
+        if claims.get("place", NOTHING).share:
+            raise ValueError("the accuracy of place is a number, in m")
+        return cls(**claims)
 
     @property
     def words(self) -> str:
         """Such as ``1 % of natural frequencies, 3 % of shapes``; empty when nothing is claimed."""
-        units = {"freq": "Hz", "damping": "", "shape": ""}
-        claims = {name: getattr(self, name) for name in KINDS}
-        return ", ".join(f"{c.words(units[name])} of {KINDS[name]}" for name, c in claims.items() if c.given)
+        units, kinds = {"freq": "Hz", "place": "m"}, {**KINDS, **CHANNELS}
+        claims = {name: getattr(self, name) for name in kinds}
+        return ", ".join(f"{c.words(units.get(name, ''))} of {kinds[name]}" for name, c in claims.items() if c.given)
 
 
 NONE_CLAIMED = Accuracy()

@@ -37,7 +37,8 @@ def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Prog
 
     One effect, or two, are accepted when the evidence outweighs the length of the library, no parameter takes an
     implausible value, no local perturbation fits better, no measurement fault and no single wrong datum explains the
-    data about as well, and no systematic misfit is left. Without a library of effects, the result says whether anything
+    data about as well, and no systematic misfit is left. A measurement fault that explains the data better than every
+    effect is named instead. Without a library of effects, the result says whether anything
     is missing and which local perturbation fits best.
 
     Raises
@@ -121,13 +122,18 @@ class _Decision:
         found = self.with_competing(found, singles[0])
         needed = self.needed(found)
         lead = self.lead(singles, able)
-        found = replace(found, measured_scale=self.scale(base, lead.best, found.perturbation))
+        found = replace(found, measured_scale=self.scale(base, lead.best, found.perturbation, found.fault))
         settled = self.accepted(lead, needed) and not found.measured_scale > RULES.guard
-        if not settled and not starts and fits.settings.budget > 0 and led_astray(base, adequacy):
+        blamed = self.blamed(found, lead, needed)
+        if not settled and blamed is None and not starts and fits.settings.budget > 0 and led_astray(base, adequacy):
             with fits.allowance.uncharged():  # refits from the nominal values have their own budget
                 singles = anew(fits, base, singles, able)
             lead = self.lead(singles, able)
-            found = replace(found, begun_anew=True, measured_scale=self.scale(base, lead.best, found.perturbation))
+            scale = self.scale(base, lead.best, found.perturbation, found.fault)
+            found = replace(found, begun_anew=True, measured_scale=scale)
+            blamed = self.blamed(found, lead, needed)
+        if blamed is not None:
+            return blamed
         doubted = found.measured_scale > RULES.guard and not starts
         if doubted and self.predicted_scale(lead.best, lead.adequacy.named) > RULES.guard:
             return self.done(found, lead.singles, "none_explains", lead.best, lead.adequacy)
@@ -141,7 +147,8 @@ class _Decision:
         lead = lead if again is lead.singles else self.lead(again, able)
         if self.accepted(lead, needed):
             return self.named(found, lead)
-        found = replace(found, measured_scale=self.scale(base, lead.best, found.perturbation, *pairs[:1]))
+        scale = self.scale(base, lead.best, found.perturbation, found.fault, *pairs[:1])
+        found = replace(found, measured_scale=scale)
         return self.two_effects(found, lead, pairs, able) or self.unexplained(found, lead, pairs, needed)
 
     # -- steps ---------------------------------------------------------------------------------------------------------
@@ -177,12 +184,46 @@ class _Decision:
         """Add the competing explanations: a local perturbation, a measurement fault and a wrong datum."""
         fits, h, base, adequacy = self.fits, self.fits.hypotheses, found.base, found.base_adequacy
         perturbation = fits.best_perturbation(base, adequacy.perturbations, adequacy.named, best)
-        fault = fits.fault(base, adequacy.perturbations, best)
-        if _ln(fault) > max(best.ln_evidence, _ln(perturbation) + RULES.credible):
+        faults = () if adequacy.faults is None else fits.faults(base, adequacy.faults, best)
+        fault = faults[0] if faults else None
+        if adequacy.faults is None:
+            fault = fits.fault(base, adequacy.perturbations, best)
+        if adequacy.faults is None and _ln(fault) > max(best.ln_evidence, _ln(perturbation) + RULES.credible):
             perturbation = fault
         accused = suspects(base.fit, h, found.alpha)
         datum = wrong_datum(fits, base, accused, best)
-        return replace(found, perturbation=perturbation, fault=fault, datum=datum, suspects=accused)
+        return replace(
+            found, perturbation=perturbation, fault=fault, faults=faults, datum=datum, suspects=accused
+        )  # fmt: skip
+
+    def blamed(self, found: Explanation, lead: _Lead | None, needed: float = math.inf) -> Explanation | None:
+        """Explanation by a fault of the measurement; None when none may be named.
+
+        The same is asked of a fault as of an effect: evidence that outweighs the number of faults, no better local
+        perturbation or wrong datum, plausible parameters, no misfit left. It must beat every effect that could be named
+        by 20:1, after the number of faults and of effects is taken off.
+        """
+        fault, h = found.fault, self.fits.hypotheses
+        if fault is None or fault.implausible or not h.faults:
+            return None
+        own = math.log(len(h.faults))
+        margin = RULES.credible if lead is not None and self.accepted(lead, needed) else 0.0
+        limits = [
+            found.base.ln_evidence + own + RULES.credible,
+            _ln(found.perturbation) - math.log(max(len(h.perturbations), 1)) + own,
+            _ln(found.datum) - RULES.credible,
+            -math.inf if lead is None else lead.best.ln_evidence - math.log(len(found.groups)) + own + margin,
+        ]
+        if fault.ln_evidence <= max(limits):
+            return None
+        with self.fits.allowance.uncharged():
+            adequacy = self.adequacy(fault, self.beside(fault, [e for g in found.groups for e in g.effects]))
+        if not self.adequate(adequacy):
+            return None
+        return replace(
+            found, verdict="measurement", candidate_fits=() if lead is None else tuple(lead.singles), datum=None,
+            fault_adequacy=adequacy, measured_scale=self.scale(found.base, fault), evaluations=h.evaluations,
+        )  # fmt: skip
 
     def moved(self, lead: _Lead, able: Sequence[Effect]) -> _Lead:
         """The lead after the integer parameters are chosen again with the best effect in the model."""
@@ -211,6 +252,9 @@ class _Decision:
     def unlisted(self, found: Explanation) -> Explanation:
         """Explanation without a library: the local perturbation that fits best, or where the fit is worst."""
         found = self.with_competing(found, found.base)
+        blamed = self.blamed(found, None)
+        if blamed is not None:
+            return blamed
         verdict = "none_explains" if found.base_adequacy.p_family <= found.alpha else "misfit_unlocated"
         scale, evaluations = self.scale(found.base, found.perturbation), self.fits.hypotheses.evaluations
         return replace(found, verdict=verdict, measured_scale=scale, evaluations=evaluations)
@@ -241,7 +285,8 @@ class _Decision:
             for name in (t.names[0], *(n for n in collinear.get(t.names[0], ()) if n not in fitted))
         )
         near = lead.best.ln_evidence - RULES.credible
-        fault = found.fault if _ln(found.fault) > near else None
+        choice = math.log(max(len(self.fits.hypotheses.faults) / len(found.groups), 1.0))
+        fault = found.fault if _ln(found.fault) - choice > near else None
         datum = found.datum if fault is None and _ln(found.datum) > near else None
         only = len(credible) == 1 and fault is None and datum is None
         verdict = "effect" if only else "indistinguishable"
@@ -267,7 +312,8 @@ class _Decision:
         One of many local perturbations fits best by chance; its evidence is reduced by their number per group.
         """
         number = len(self.fits.hypotheses.perturbations) / len(found.groups)
-        return max(_ln(found.perturbation), _ln(found.fault)) - math.log(max(number, 1.0))
+        fault = None if self.fits.hypotheses.faults else found.fault  # else `blamed` weighs it
+        return max(_ln(found.perturbation), _ln(fault)) - math.log(max(number, 1.0))
 
     def needed(self, found: Explanation) -> float:
         """Log evidence above which one effect may be named."""
@@ -333,6 +379,7 @@ class _Decision:
         """Tests of a fitted model, given the scores of the named effects that it lacks."""
         hypotheses, seed = self.fits.hypotheses, self.fits.settings.seed
         local = self.beside(candidate_fit, hypotheses.perturbations)
+        faults = self.beside(candidate_fit, hypotheses.faults) if hypotheses.faults else None
         kinds, modes = goodness(candidate_fit.fit, hypotheses)
         return AdequacyTests(
             named=named,
@@ -343,6 +390,8 @@ class _Decision:
             modes=modes,
             p_fit=overall(kinds, modes),
             sensors=by_sensor(candidate_fit.fit, hypotheses),
+            faults=faults,
+            p_faults=1.0 if faults is None else family_p(faults, hypotheses, seed),
         )
 
 

@@ -11,6 +11,7 @@ from calib.degrees_of_freedom import LEAST_DOF
 from calib.effect import Effect
 from calib.missing.collinear import Group
 from calib.missing.linearised_fit import LinearisedFit
+from calib.missing.rules import RULES
 from calib.missing.score import Scores
 from calib.missing.suspect import COLUMNS
 
@@ -31,6 +32,10 @@ class AdequacyTests:
         Of the goodness of fit as a whole.
     sensors : DataFrame
         Misfit by sensor, worst first.
+    faults : Scores or None
+        Of the faults of the measurement; None where the test has none.
+    p_faults : float
+        Family-wise p-value of their largest score.
     """
 
     named: Scores
@@ -41,11 +46,14 @@ class AdequacyTests:
     modes: pd.DataFrame
     p_fit: float
     sensors: pd.DataFrame = field(default_factory=pd.DataFrame)
+    faults: Scores | None = None
+    p_faults: float = 1.0
 
     @property
     def p_family(self) -> float:
-        """Family-wise p-value of the largest score among named effects and local perturbations."""
-        return min(1.0, 2 * min(self.p_named, self.p_perturbations))
+        """Family-wise p-value of the largest score among named effects, local perturbations and faults (Bonferroni)."""
+        families = [self.p_named, self.p_perturbations, *([] if self.faults is None else [self.p_faults])]
+        return min(1.0, len(families) * min(families))
 
     @property
     def dof(self) -> float:
@@ -131,10 +139,10 @@ class Explanation:
     Attributes
     ----------
     verdict : str
-        ``nothing_detectable``, ``effect``, ``indistinguishable``, ``two_effects``, ``unconfirmed`` (an effect fits, but
-        held-out data contradict it or it had no unnamed competing model), ``partial``, ``none_explains``,
-        ``misfit_unlocated`` (the fit is bad, and no effect or local perturbation stands out) or
-        ``noise_underestimated``.
+        ``nothing_detectable``, ``effect``, ``indistinguishable``, ``two_effects``, ``measurement`` (a fault of the
+        measurement explains the misfit), ``unconfirmed`` (an effect fits, but held-out data contradict it or it had no
+        unnamed competing model), ``partial``, ``none_explains``, ``misfit_unlocated`` (the fit is bad, and no effect or
+        local perturbation stands out) or ``noise_underestimated``.
     base : CandidateFit
         Without effects.
     base_adequacy : AdequacyTests
@@ -159,11 +167,16 @@ class Explanation:
     begun_anew : bool
         Whether single effects were also fitted from the nominal values, beside the base fit.
     fault : CandidateFit or None
-        The measurement fault that explains about as well as the best effect of an ``indistinguishable`` result.
+        The measurement fault of the verdict ``measurement``, or the one that explains about as well as the best effect
+        of an ``indistinguishable`` result.
     datum : WrongDatum or None
         The wrong datum that explains about as well as that effect, or better; None beside a fault.
     suspects : DataFrame
         Data left out in turn, see `calib.missing.suspect.suspects`.
+    faults : tuple of CandidateFit
+        Fitted faults of the measurement, best first.
+    fault_adequacy : AdequacyTests or None
+        Tests of the fault of the verdict ``measurement``.
     """
 
     verdict: str
@@ -183,6 +196,8 @@ class Explanation:
     fault: CandidateFit | None = None
     datum: WrongDatum | None = None
     suspects: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(COLUMNS)))
+    faults: tuple[CandidateFit, ...] = ()
+    fault_adequacy: AdequacyTests | None = None
 
     def ln_bayes(self, candidate_fit: CandidateFit | WrongDatum) -> float:
         """Log Bayes factor of a candidate fit, or of a wrong datum, against the base model."""
@@ -218,8 +233,19 @@ class Explanation:
 
     @property
     def uncontested(self) -> bool:
-        """Whether the parameters absorb every local perturbation, so that a wrong name would not show."""
-        return not (self.base_adequacy.perturbations.size > 0).any()
+        """Whether the parameters absorb every local perturbation and fault, so that a wrong name would not show."""
+        faults = self.base_adequacy.faults
+        return not (
+            (self.base_adequacy.perturbations.size > 0).any() or (faults is not None and (faults.size > 0).any())
+        )
+
+    @property
+    def blamed(self) -> tuple[CandidateFit, ...]:
+        """Faults of the verdict ``measurement``, best first: all that explain about as well; empty for another one."""
+        if self.verdict != "measurement" or self.fault is None:
+            return ()
+        near = self.fault.ln_evidence - RULES.credible
+        return tuple(t for t in self.faults if t.ln_evidence > near and not t.implausible)
 
     def unconfirmed(self) -> Explanation:
         """The same with nothing named: what fits is the best attempt."""

@@ -40,6 +40,11 @@ class Hypotheses(Labelled, Protocol):
         ...
 
     @property
+    def faults(self) -> tuple[Effect, ...]:
+        """Faults that the measurement itself may have."""
+        ...
+
+    @property
     def relative_std(self) -> np.ndarray:
         """Standard deviation of every row over its value, of shapes over the largest entry, (n_rows,)."""
         ...
@@ -50,7 +55,7 @@ class Hypotheses(Labelled, Protocol):
         ...
 
     def fit_problem(self, names: tuple[str, ...]) -> FitProblem:
-        """The model with the named effects or perturbations added."""
+        """The model with the named effects or perturbations added, and the named faults of the measurement."""
         ...
 
     def linear_start(self, names: tuple[str, ...], values: Mapping[str, float]) -> dict[str, float] | None:

@@ -35,6 +35,11 @@ class JointHypotheses(JointRows):
         """Unnamed local perturbations of all tests."""
         return tuple({e.name: e for part in self.parts.values() for e in part.perturbations}.values())
 
+    @cached_property
+    def faults(self) -> tuple[Effect, ...]:
+        """Faults of the measurements of all tests."""
+        return tuple({e.name: e for part in self.parts.values() for e in part.faults}.values())
+
     @property
     def evaluations(self) -> int:
         """Number of model evaluations so far, over all tests."""
@@ -89,5 +94,6 @@ class JointHypotheses(JointRows):
         return tuple(name for name in names if name in self._possible(test))
 
     def _possible(self, test: str) -> frozenset[str]:
-        """Effects and local perturbations that the test's model may lack."""
-        return frozenset(e.name for e in (*self.parts[test].effects, *self.parts[test].perturbations))
+        """Effects and local perturbations that the test's model may lack, and faults of its measurement."""
+        part = self.parts[test]
+        return frozenset(e.name for e in (*part.effects, *part.perturbations, *part.faults))

@@ -61,3 +61,16 @@ def local_perturbation(candidate_fit: CandidateFit) -> LocalPerturbation:
     (effect,) = candidate_fit.effects
     p, (value, std) = effect.magnitude, candidate_fit.magnitude(effect.name)
     return LocalPerturbation(effect, value, max(value - WIDE * std, p.lower), min(value + WIDE * std, p.upper))
+
+
+def fault_words(candidate_fit: CandidateFit) -> str:
+    """A fitted fault of the measurement in words, such as ``sensor 12y reads 10 % low (95 %: -12 to -8 %)``."""
+    found = local_perturbation(candidate_fit)
+    if found.effect.told is None:
+        return found.told
+    unit = found.effect.magnitude.unit
+    factor, shown = (100.0, "%") if unit == "-" else (1.0, unit)
+    width = factor * (found.high - found.low)
+    places = max(1 - math.floor(math.log10(width)), 0) if math.isfinite(width) and width > 0 else 2
+    low, high = (f"{factor * end:.{places}f}" for end in (found.low, found.high))
+    return f"{found.effect.told(found.value)} (95 %: {low} to {high} {shown})"

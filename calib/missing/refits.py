@@ -88,8 +88,9 @@ class Refits:
 
     @cached_property
     def by_name(self) -> Mapping[str, Effect]:
-        """Effects and local perturbations."""
-        return {e.name: e for e in (*self.hypotheses.effects, *self.hypotheses.perturbations)}
+        """Effects, local perturbations and faults of the measurement."""
+        h = self.hypotheses
+        return {e.name: e for e in (*h.effects, *h.perturbations, *h.faults)}
 
     def fit_problem(self, names: tuple[str, ...]) -> FitProblem:
         """The model with the named effects or local perturbations against the measurement."""
@@ -290,6 +291,25 @@ class Refits:
         if reached - usable.max() ** 2 / 2 > near_to(reached):
             return None
         return self._local(found.owners[int(np.argmax(usable))], base, found, best)
+
+    def faults(self, base: CandidateFit, found: Scores, best: CandidateFit) -> tuple[CandidateFit, ...]:
+        """Fits of the faults of the measurement with the largest scores, best first.
+
+        Like `fault`, only those that come near the best effect, and at most `Rules.blamed` that are predicted to
+        explain about equally well. Fits of faults are not charged: they need no further model.
+        """
+        order = np.argsort(-found.magnitude, kind="stable")[: RULES.blamed]
+        reached = best.ln_evidence - base.ln_evidence
+        out: list[CandidateFit] = []
+        with self.allowance.uncharged():
+            for k in order.tolist():
+                predicted, largest = (max(float(found.magnitude[j]), 0.0) ** 2 / 2 for j in (k, int(order[0])))
+                if predicted <= 0 or reached - predicted > near_to(reached) or largest - predicted > RULES.close:
+                    break
+                self.tell(f"fitting {self.by_name[found.owners[k]].title}")
+                fit = self._local(found.owners[k], base, found, best)
+                out += [] if fit is None else [fit]
+        return tuple(sorted(out, key=lambda t: -t.ln_evidence))
 
     def _local(self, name: str, base: CandidateFit, found: Scores, best: CandidateFit) -> CandidateFit | None:
         """Fit of one local perturbation, refined where it comes near the best effect."""

@@ -72,6 +72,8 @@ class Rules:
         Powers of ten times the plausible magnitude at which an effect is tried for pairing further modes.
     worth : float
         Smallest predicted decrease of the sum of squares for which another integer is tried.
+    blamed : int
+        Number of faults of the measurement that are fitted.
     confounded : float
         Correlation of signatures from which effects are reported as confounded.
     """
@@ -106,6 +108,7 @@ class Rules:
     paired: float = 0.5
     decades: tuple[float, ...] = (-2, -1, 0, 1, 2)
     worth: float = 0.5
+    blamed: int = 3
     confounded: float = 0.9
 
 

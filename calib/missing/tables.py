@@ -160,11 +160,14 @@ def pull_table(found: Explanation) -> pd.DataFrame:
 def misfit_table(found: Explanation) -> pd.DataFrame:
     """Goodness of fit by mode and kind: ``stage, mode, kind, chi2, dof, p``.
 
-    Stages are ``base``, and ``explained`` or, where nothing could be named, ``attempt``.
+    Stages are ``base``, and ``explained`` (also by a fault of the measurement) or, where nothing could be named,
+    ``attempt``.
     """
     parts = [found.base_adequacy.modes.assign(stage="base")]
     if found.chosen_adequacy is not None:
         parts.append(found.chosen_adequacy.modes.assign(stage="explained" if found.names_something else "attempt"))
+    elif found.fault_adequacy is not None:
+        parts.append(found.fault_adequacy.modes.assign(stage="explained"))
     table = pd.concat(parts, ignore_index=True).replace({"mode": {"": "responses"}})
     return table[["stage", "mode", "kind", "chi2", "dof", "p"]]
 
@@ -175,6 +178,7 @@ def candidate_fits_table(found: Explanation) -> pd.DataFrame:
         found.base,
         *found.candidate_fits,
         *([found.perturbation] if found.perturbation is not None else []),
+        *(t for t in found.faults if t is not found.perturbation),
     ]
     return pd.DataFrame(
         [

@@ -11,7 +11,7 @@ from calib.answer import Answer
 from calib.effect import Effect
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
-from calib.missing.local import WIDE, interval_words, local_perturbation, unit_words
+from calib.missing.local import WIDE, fault_words, interval_words, local_perturbation, unit_words
 from calib.missing.recommendation import Recommendation, as_ratio, rounded
 from calib.missing.rules import RULES
 from calib.missing.tables import UNTESTED
@@ -87,6 +87,7 @@ def verdict(
         "effect": _effect,
         "indistinguishable": _indistinguishable,
         "two_effects": _two,
+        "measurement": _measurement,
         "unconfirmed": _unconfirmed,
         "partial": _partial,
         "none_explains": _none,
@@ -132,7 +133,9 @@ def _family(found: Explanation) -> str:
     adequacy = found.base_adequacy
     local = f"{len(set(adequacy.perturbations.owners))} local perturbations"
     tested = sum(len(g.names) for g in found.groups)
-    counts = f"{tested} effect{'s' * (tested != 1)} and {local}" if tested else local
+    parts = [*([f"{tested} effect{'s' * (tested != 1)}"] if tested else []), local]
+    parts += [] if adequacy.faults is None else [_faults(found)]
+    counts = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else local
     return f"{p_words(adequacy.p_family)} for the largest score of {counts}, {p_words(adequacy.p_fit)} for {_WORST}"
 
 
@@ -237,7 +240,7 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> _Words:
     explaining = [(float(b), _sized(effects, e)) for e, b in zip(credible, rows["ln_bayes"], strict=True)]
     check = ""
     if found.fault is not None:
-        told = f"a fault of the measurement: {local_perturbation(found.fault).told}"
+        told = f"a fault of the measurement: {fault_words(found.fault)}"
         explaining.append((found.ln_bayes(found.fault), told))
         check = "Or: " + " ".join(_ended(e.look_for) for e in found.fault.effects)
     if found.datum is not None:
@@ -259,6 +262,36 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> _Words:
         f"{_look_for(credible, ' Or: ')} {check}".strip(),
         (_as_it_is(credible),),
     )
+
+
+def _measurement(found: Explanation, effects: pd.DataFrame) -> _Words:
+    assert found.fault is not None and found.fault_adequacy is not None
+    (e,) = found.fault.effects
+    first, *others = [fault_words(t) for t in found.blamed] or [fault_words(found.fault)]
+    also = f" As well explained by: {'; '.join(others)}." if others else ""
+    best = found.singles[0] if found.singles else None
+    against = f" The best effect, {best.names[0]}, is {_behind(found, best)}." if best is not None else ""
+    after = found.fault_adequacy
+    return _Words(
+        f"The measurement is what does not fit: {first}: {e.look_for[:1].lower()}{_ended(e.look_for)[1:]}{also}",
+        f"Its log Bayes factor is {found.ln_bayes(found.fault):.1f} against the model without any fault or effect, "
+        f"chosen among {_faults(found)}.{against} {_without(found)} With it nothing else stands out "
+        f"({p_words(after.p_family)}) and {_WORST} has {p_words(after.p_fit)}.",
+        "Correct the measurement, or take it out, before the model is changed; nothing is added to the model.",
+        (f"It takes for granted: {_ended(e.lacks)}",),
+    )
+
+
+def _behind(found: Explanation, best: CandidateFit) -> str:
+    """How much worse the best effect is than the named fault, in words."""
+    assert found.fault is not None
+    ln = found.fault.ln_evidence - best.ln_evidence
+    return f"behind it by odds of {as_ratio(ln)}" if ln > 0 else "no better once the number of candidates is counted"
+
+
+def _faults(found: Explanation) -> str:
+    faults = found.base_adequacy.faults
+    return f"{0 if faults is None else len(set(faults.owners))} faults of the measurement"
 
 
 def _two(found: Explanation, effects: pd.DataFrame) -> _Words:

@@ -16,6 +16,7 @@ from calib.report.misfit import draw_pulls, where_it_fails_figure
 from calib.report.responses import draw_response_misfit
 from calib.report.scene import PLACE
 from calib.report.shown import Folder
+from calib.report.suspects import draw_suspects
 from calib.report.tables import read_square, read_table
 from calib.report.verification import draw_error_versions, draw_errors, next_measurement_figure
 from calib.report.where import perturbation_map_figure, sensor_misfit_figure
@@ -41,6 +42,7 @@ def plan_explanation(folder: Folder) -> Iterator[Drawing]:
     attempt = any(t is not None and (t["stage"] == "attempt").any() for t in (kinds, errors))
     rest = rest_lines(folder)
     yield from _misfits(folder, kinds, rest, name)
+    yield from _suspects(folder)
     if pulls is not None:
         yield Drawing("pulls", "parameter pulls", bound(draw_pulls, pulls, attempt=attempt), ("pulls",))
     yield from _effects(folder, rest, attempt)
@@ -88,6 +90,16 @@ def _misfits(folder: Folder, kinds: pd.DataFrame | None, rest: np.ndarray | None
         caption = "scores of local perturbations: places to inspect, not causes"
         draw = bound(perturbation_map_figure, perturbations, rest)
         yield Drawing("perturbation_map", caption, draw, ("perturbations",))
+
+
+def _suspects(folder: Folder) -> Iterator[Drawing]:
+    """Scores of the faults that the measurement may have."""
+    faults = _read(
+        folder, "faults", ["fault", "kind"], ["score", "limit"], flags=["blamed"], blank=["sensor", "told"]
+    )  # fmt: skip
+    if faults is not None:
+        caption = "scores of faults of the measurement"
+        yield Drawing("suspects", caption, bound(draw_suspects, faults), ("faults",))
 
 
 def _effects(folder: Folder, rest: np.ndarray | None, attempt: bool) -> Iterator[Drawing]:

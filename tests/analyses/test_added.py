@@ -105,6 +105,7 @@ def test_only_effects_without_a_competing_model_are_added():
         ("two_effects", "cannot discriminate between guy and lamp, so none of them is added"),
         ("partial", "explain only part of the misfit"),
         ("none_explains", "No effect of the library explains"),
+        ("measurement", "nothing is added to the model: correct it first"),
         ("misfit_unlocated", "check the data that fit worst"),
         ("unconfirmed", "The best-fitting explanation, guy, is not confirmed"),
     ],

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CHAIN = str(ROOT / "studies/five_mass_chain")
 FIGURES = {
     "where_it_fails_sigma", "sensor_misfit", "perturbation_map", "pulls", "why_this_effect", "ranked_effects",
-    "confounding", "errors_before_after", "next_measurement", "model_places",
+    "confounding", "errors_before_after", "next_measurement", "model_places", "suspects",
 }  # fmt: skip
 pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
@@ -83,7 +83,7 @@ def test_the_summary_has_exactly_the_keys_of_a_modal_study_with_a_finer_mesh(guy
         "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale",
         "local_perturbations", "local_perturbation", "evaluations", "errors", "begun_anew",
         "accuracy", "std_assumed", "accuracy_that_explains", "alpha",
-        "misfit_at", "measurement_fault", "wrong_datum", "refused",
+        "misfit_at", "measurement_fault", "wrong_datum", "refused", "faults", "blamed",
         "basis_error", "discretisation", "seconds", "evaluations_intervals", "evaluations_recommendation",
     }  # fmt: skip
     assert set(explanation()["effects"][0]) == {

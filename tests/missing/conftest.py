@@ -81,6 +81,7 @@ class Toy:
     fitted_factors: Mapping[tuple[str, str], int] = field(default_factory=dict)
     std_dof: Mapping[str, float] = field(default_factory=dict)
     fails: Callable[[Mapping[str, float]], bool] = lambda values: False
+    faults: tuple[Effect, ...] = ()
     count: list[int] = field(default_factory=lambda: [0])
 
     @property
@@ -88,7 +89,7 @@ class Toy:
         return self.count[0]
 
     def fit_problem(self, names: tuple[str, ...]) -> ToyProblem:
-        known = {e.name: e for e in (*self.effects, *self.perturbations)}
+        known = {e.name: e for e in (*self.effects, *self.perturbations, *self.faults)}
         more = tuple(p for n in names for p in known[n].parameters)
         return ToyProblem(self, ParameterSpace(self.base.parameters + more, self.base.constraints))
 

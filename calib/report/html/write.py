@@ -22,6 +22,7 @@ from calib.report.html import (
     measured,
     provenance,
     recommended,
+    suspected,
     variance_share,
     verified,
 )
@@ -42,6 +43,7 @@ SECTIONS = (
     explained.pulls,
     effects.section,
     explained.verdict,
+    suspected.section,
     added.section,
     recommended.section,
     verified.errors,

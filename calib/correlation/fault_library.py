@@ -1,0 +1,249 @@
+"""Faults that any modal test may have: of its channels, of the places of its sensors, of its analysis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from calib.correlation.modal_faults import ModalFault, Share
+from calib.effect import Effect
+from calib.errors import InputError
+from calib.fault import NOWHERE
+from calib.mac import is_real
+from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
+from calib.space import Parameter
+from calib.structure.along_mesh import along_mesh
+from calib.structure.geometry import Mesh
+from calib.structure.modal_model import ModalModel
+
+GAIN = 1.0
+"""Plausible gain error: a swapped sign is twice, a dead channel once as much."""
+SET_UP = 0.5
+"""Plausible error of the common factor of a group of sensors."""
+PHASE = 0.3
+"""Plausible phase of a delay at the highest measured frequency, rad."""
+ROTATION = 15.0
+"""Plausible misalignment of a sensor's axis, deg; an axis taken for another one is a check of its own."""
+SHIFT = 100.0
+"""Plausible error of a sensor's place along the structure, mm, but no more than `FAR` of the way to the next nodes."""
+FAR = 0.5
+CROSS_TALK = 0.1
+"""Plausible share of a neighbouring channel."""
+DAMPING = 0.01
+"""Plausible damping ratio that the analysis adds at the middle of the measured frequencies."""
+NEGLIGIBLE = 1e-9
+"""Motion of a source, over that of the sensor, below which the model suppresses it."""
+
+
+def modal_faults(
+    model: ModalModel, measured: MeasuredModes, set_ups: Mapping[str, Sequence[str]] | None = None, test: str = ""
+) -> tuple[ModalFault, ...]:
+    """Faults that a modal test of a model may have.
+
+    Of every sensor its gain; with complex shapes its delay; misalignment towards every other axis along which the model
+    moves at its node; its place along the mesh; the share it reads of the channels before and after it. Of every set-up
+    its factor. Of the analysis damping added to all modes: equal, falling with the frequency (as damping in proportion
+    to M) or rising with it (to K); and, where shapes are real and the model dissipates, moduli with a sign.
+
+    Parameters
+    ----------
+    model : ModalModel
+    measured : MeasuredModes
+        The fitted data.
+    set_ups : mapping from str to sequence of str, optional
+        Names of the sensors of each set-up.
+    test : str
+        Name of the test, where there are several; appended to every name.
+    """
+    suffix = f" in test {test}" if test else ""
+    found = [*_of_sensors(model, measured), *_of_set_ups(measured, set_ups or {})] if measured.has_shapes else []
+    found += _of_analysis(model, measured)
+    return tuple(_named(fault, suffix) for fault in found) if suffix else tuple(found)
+
+
+def _named(fault: ModalFault, suffix: str) -> ModalFault:
+    """The same with a suffix to its name."""
+    name = f"{fault.effect.name}{suffix}"
+    magnitude = replace(fault.effect.magnitude, name=name)
+    return replace(fault, effect=replace(fault.effect, name=name, title=name, magnitude=magnitude))
+
+
+def _effect(name: str, magnitude: Parameter, lacks: str, look_for: str, told: Callable[[float], str]) -> Effect:
+    def build(model: object) -> object:
+        raise NotImplementedError(f"{name} is no part of a model")
+
+    return Effect(name, name, lacks, look_for, magnitude, build, of_measurement=True, told=told)
+
+
+def _sized(name: str, size: float, lower: float, upper: float, unit: str = "-") -> Parameter:
+    return Parameter(name, 0.0, lower, upper, unit, prior_sd=size)
+
+
+# -- sensors -----------------------------------------------------------------------------------------------------------
+
+
+def _of_sensors(model: ModalModel, measured: MeasuredModes) -> Iterator[ModalFault]:
+    sensors = measured.sensors
+    rows = model.sensor_rows(sensors)
+    complex_shapes = bool(np.any(~is_real(measured.shapes)))
+    for k, sensor in enumerate(sensors):
+        at = {"sensor": sensor.name, "place": sensor.point or NOWHERE}
+        yield _gain(k, sensor, at)
+        if complex_shapes:
+            yield _delay(k, sensor, float(measured.natural_freq.max()), at)
+        for other in (d for d in DIRECTIONS[:3] if sensor.direction in DIRECTIONS[:3] and d != sensor.direction):
+            source = replace(sensor, direction=other)
+            if _moves(model, source, rows[k]):
+                yield _rotation(k, sensor, source, at)
+        yield from _shifts(model, k, sensor, at)
+        for neighbour in (k - 1, k + 1):
+            if 0 <= neighbour < len(sensors):
+                yield _cross_talk(k, sensor, sensors[neighbour], at)
+
+
+def _gain(k: int, sensor: Sensor, at: Mapping[str, object]) -> ModalFault:
+    name = f"gain of sensor {sensor.name}"
+    effect = _effect(
+        name, _sized(name, GAIN, -3.0, 9.0), "The sensor reads the motion as it is.",
+        "Check its calibration, its mounting and its sign.", lambda by: gain_words(f"sensor {sensor.name}", by),
+    )  # fmt: skip
+    return ModalFault(effect, "gain", **at, shares=(Share(k, sensor),))  # type: ignore[arg-type]
+
+
+def gain_words(what: str, by: float) -> str:
+    """A gain error in words, such as ``sensor 12y reads 10 % low``."""
+    if by < -1.5:
+        more = f", and {100 * abs(by + 2):.0f} % {'high' if by < -2 else 'low'}" if abs(by + 2) > 0.1 else ""
+        return f"{what} has the wrong sign{more}"
+    if abs(by + 1) < 0.2:
+        return f"{what} reads next to nothing"
+    return f"{what} reads {100 * abs(by):.2g} % {'low' if by < 0 else 'high'}"
+
+
+def _delay(k: int, sensor: Sensor, highest: float, at: Mapping[str, object]) -> ModalFault:
+    name = f"delay of sensor {sensor.name}"
+    size = 1e3 * PHASE / (2 * np.pi * highest)
+    effect = _effect(
+        name, _sized(name, size, -10 * size, 10 * size, "ms"), "All channels are sampled at the same time.",
+        "Check its filter and its sampling.",
+        lambda by: f"sensor {sensor.name} is {'late' if by > 0 else 'early'} by {abs(by):.2g} ms",
+    )  # fmt: skip
+    return ModalFault(effect, "delay", **at, shares=(Share(k, sensor, "delay"),))  # type: ignore[arg-type]
+
+
+def _rotation(k: int, sensor: Sensor, source: Sensor, at: Mapping[str, object]) -> ModalFault:
+    name = f"rotation of sensor {sensor.name} towards {source.direction}"
+    effect = _effect(
+        name, _sized(name, ROTATION, -60.0, 60.0, "deg"), f"The sensor's axis is {sensor.direction}.",
+        "Check how it is mounted.",
+        lambda by: f"sensor {sensor.name} is turned by {abs(by):.2g} deg {'towards' if by > 0 else 'away from'} "
+        f"{source.direction}",
+    )  # fmt: skip
+    shares = (Share(k, sensor, "cosine"), Share(k, source, "sine"))
+    return ModalFault(effect, "rotation", **at, shares=shares)  # type: ignore[arg-type]
+
+
+def _shifts(model: ModalModel, k: int, sensor: Sensor, at: Mapping[str, object]) -> Iterator[ModalFault]:
+    """Shifts of a sensor along the mesh, by the gradient of the shape between the nodes before and after it."""
+    mesh = getattr(model, "mesh", None)
+    if sensor.point is None or not isinstance(mesh, Mesh) or not mesh.placed.all():
+        return
+    for axis, before, after in along_mesh(mesh, sensor.point):
+        first, last = (replace(sensor, point=(float(p[0]), float(p[1]), float(p[2]))) for p in (before, after))
+        length = float(np.linalg.norm(after - before))
+        try:
+            rows = model.sensor_rows([first, last])
+        except InputError:
+            continue
+        if np.array_equal(*rows):  # a function gives no motion between its sensors
+            continue
+        name = f"place of sensor {sensor.name} along {axis}"
+        size = min(SHIFT, 1e3 * FAR * length)
+        effect = _effect(
+            name, _sized(name, size, -5 * size, 5 * size, "mm"), "The sensor is where the table says.",
+            "Measure where it sits.",
+            partial(_shift_words, sensor.name, axis),
+        )  # fmt: skip
+        shares = (Share(k, last, factor=1 / length), Share(k, first, factor=-1 / length))
+        yield ModalFault(effect, "place", **at, shares=shares)  # type: ignore[arg-type]
+
+
+def _shift_words(name: str, axis: str, by: float) -> str:
+    return f"sensor {name} sits {abs(by) / 10:.2g} cm off along {'+' if by > 0 else '-'}{axis}"
+
+
+def _moves(model: ModalModel, source: Sensor, own: np.ndarray) -> bool:
+    """Whether the model moves along a source, and not only as the sensor does."""
+    try:
+        (row,) = model.sensor_rows([source])
+    except InputError:
+        return False
+    size = float(np.linalg.norm(row))
+    along = float(row @ own) / float(own @ own) * own
+    return float(np.linalg.norm(row - along)) > NEGLIGIBLE * max(size, 1e-300) and size > 0
+
+
+def _cross_talk(k: int, sensor: Sensor, source: Sensor, at: Mapping[str, object]) -> ModalFault:
+    name = f"cross-talk of sensor {source.name} into {sensor.name}"
+    effect = _effect(
+        name, _sized(name, CROSS_TALK, -1.0, 1.0), "Every channel reads its own sensor only.",
+        "Check cables and the order of the channels.",
+        lambda by: f"sensor {sensor.name} reads {100 * by:.2g} % of sensor {source.name} beside its own motion",
+    )  # fmt: skip
+    return ModalFault(effect, "cross-talk", **at, shares=(Share(k, source),))  # type: ignore[arg-type]
+
+
+# -- set-ups and analysis ----------------------------------------------------------------------------------------------
+
+
+def _of_set_ups(measured: MeasuredModes, set_ups: Mapping[str, Sequence[str]]) -> Iterator[ModalFault]:
+    """A common factor of each group of at least two sensors, and not of all."""
+    index = {sensor.name: k for k, sensor in enumerate(measured.sensors)}
+    for label, members in set_ups.items():
+        own = [index[name] for name in members if name in index]
+        if not 2 <= len(own) < len(index):
+            continue
+        name = f"factor of set-up {label}"
+        effect = _effect(
+            name, _sized(name, SET_UP, -3.0, 9.0), "All set-ups are scaled alike.",
+            "Check how the set-ups were joined, and the reference sensors.",
+            partial(gain_words, f"set-up {label}"),
+        )  # fmt: skip
+        yield ModalFault(effect, "set-up", shares=tuple(Share(k, measured.sensors[k]) for k in own))
+
+
+def _of_analysis(model: ModalModel, measured: MeasuredModes) -> Iterator[ModalFault]:
+    """Damping added to all modes, and real shapes that are moduli with a sign."""
+    freq, damped = measured.natural_freq, measured.damping_ratio > 0
+    if not model.dissipates:
+        return
+    if damped.sum() > 1:
+        middle = float(np.exp(np.mean(np.log(freq[damped]))))
+        patterns = {
+            "damping added to all modes": (np.ones(len(freq)), "and as much to all modes"),
+            "damping added in proportion to M": (middle / freq, "less to higher modes and more to lower ones"),
+            "damping added in proportion to K": (freq / middle, "more to higher modes and less to lower ones"),
+        }
+        for name, (pattern, words) in patterns.items():
+            effect = _effect(
+                name, _sized(name, DAMPING, 0.0, 20 * DAMPING), "The analysis adds no damping of its own.",
+                "Check the window, the frequency resolution and what else dissipated in the test.",
+                partial(_damping_words, words, middle),
+            )  # fmt: skip
+            yield ModalFault(effect, "damping", damping=tuple(pattern.tolist()))
+    real = is_real(measured.shapes) if measured.has_shapes else np.zeros(0, dtype=bool)
+    if real.any():
+        name = "shapes given as modulus and sign"
+        effect = _effect(
+            name, _sized(name, 1.0, 0.0, 2.0), "Real shapes are the parts in phase.",
+            "Ask for complex shapes, or for the parts in phase.",
+            lambda by: "the real shapes are moduli with a sign, not the parts in phase",
+        )  # fmt: skip
+        yield ModalFault(effect, "modulus", modulus=True)
+
+
+def _damping_words(how: str, middle: float, by: float) -> str:
+    return f"the analysis or its background adds {100 * by:.2g} % of damping at {middle:.3g} Hz, {how}"
