@@ -64,8 +64,17 @@ FIGURES = {
     "solar_panel_convergence": Shown("solar_panel_article", "convergence"),
     "solar_panel_factors": Shown("solar_panel_article", "factors"),
     "solar_panel_functions": Shown("solar_panel_article", "functions"),
+    "tire_tire": Shown("tire_contact_article", "tire"),
+    "tire_sections": Shown("tire_contact_article", "sections"),
+    "tire_loads": Shown("tire_contact_article", "loads"),
+    "tire_patch": Shown("tire_contact_article", "patch"),
+    "tire_displacements": Shown("tire_contact_article", "displacements"),
+    "tire_times": Shown("tire_contact_article", "times"),
 }
-SCRIPTS = {"solar_panel_article": HERE.parent / "studies/solar_panel/article_figures.py"}
+SCRIPTS = {
+    "solar_panel_article": HERE.parent / "studies/solar_panel/article_figures.py",
+    "tire_contact_article": HERE.parent / "studies/tire_contact/article_figures.py",
+}
 """Folders that a script of a study has written, and the script that draws them."""
 
 
