@@ -87,6 +87,7 @@ def test_a_wrong_mass_that_no_effect_describes_is_located(heavier):
     assert change.told.startswith("m3, about ") and f"{change.told}; it fits better" in heavier.sentence
 
 
+@pytest.mark.slow
 def test_indistinguishable_effects_are_named_with_a_measurement_that_discriminates(mast, tmp_path):
     """Two masses near each other, with few data: the recommendation is to discriminate between them."""
     folder = mast.write_study(tmp_path / "mast", {"platform": 3.0})
