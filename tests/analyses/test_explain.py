@@ -42,7 +42,7 @@ def test_the_rope_is_named_with_its_magnitude(guyed):
 
 @pytest.mark.parametrize(
     "hidden",
-    [{"stuck_base": 0.8}, *(pytest.param({one: 25.0}, marks=pytest.mark.slow) for one in ("platform", "lamp"))],
+    [pytest.param(one, marks=pytest.mark.slow) for one in ({"stuck_base": 0.8}, {"platform": 25.0}, {"lamp": 25.0})],
 )
 def test_other_effects_are_named_too(mast, tmp_path, hidden):
     study = Study.load(mast.write_study(tmp_path / "mast", hidden))
