@@ -170,6 +170,7 @@ def test_there_is_none_where_nothing_is_free_but_channels(frfs):
     assert start_of(problem) is None
 
 
+@pytest.mark.slow
 def test_it_serves_every_test_of_frfs_of_a_joint_fit():
     """Each test sees one reference."""
     one, other = (WORLD.measured(seed, references=(q,)) for seed, q in ((1, 1), (2, 4)))

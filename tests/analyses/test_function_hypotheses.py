@@ -394,6 +394,7 @@ def test_a_measurement_fault_that_explains_as_well_is_named_beside_the_effect(se
     assert abs(found.fault.ln_evidence - found.chosen.ln_evidence) < RULES.credible
 
 
+@pytest.mark.slow
 def test_a_true_damper_and_damping_measured_too_high_are_indistinguishable():
     found = bare_chain(2, "ground_damper_5")
     assert found.verdict == "indistinguishable" and found.untold == ("ground_damper_5", "offset of damping")

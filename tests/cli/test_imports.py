@@ -24,3 +24,12 @@ def test_nothing_that_computes_is_imported_to_tell_the_version_or_the_options(ar
     assert done.returncode == (2 if arguments == ["frobnicate"] else 0)
     imported = {name.split(".")[0] for name in done.stdout.rpartition("imported: ")[2].split()}
     assert "calib" in imported and not imported & set(HEAVY)
+
+
+@pytest.mark.slow
+def test_a_process_that_evaluates_a_study_imports_no_more_than_it_needs():
+    command = [sys.executable, "-c", "import sys, calib.study; print(*sys.modules)"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=True)
+    imported = set(done.stdout.split())
+    assert "calib.study" in imported
+    assert not imported & {"scipy.signal", "scipy.stats", "matplotlib", "pymoo", "SALib", "jinja2"}

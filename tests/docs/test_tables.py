@@ -21,7 +21,7 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize(
-    "name", ["example", "screened", *(pytest.param(name, marks=pytest.mark.slow) for name in ("rig", "function"))]
+    "name", ["screened", *(pytest.param(name, marks=pytest.mark.slow) for name in ("example", "rig", "function"))]
 )
 def test_every_column_of_every_table_is_documented(undrawn, tmp_path, name):
     for command in COMMANDS[name]:

@@ -150,6 +150,7 @@ def test_interrupted_again_while_leaving(mast, runner, left, whole, times):
     assert left(FOLDER) == whole[0]
 
 
+@pytest.mark.slow
 def test_two_runs_at_once_on_one_ledger(mast, runner, left, whole):
     runs = [runner.fork("calibrate", "mast", "--workers", "1") for _ in range(2)]
     assert [run.wait() for run in runs] == [0, 0], [run.err for run in runs]

@@ -126,6 +126,7 @@ def test_points_at_which_an_effect_fails_are_told():
     assert not row["visible"] and np.isnan(row["z"]) and "fails" in row["implausible"]
 
 
+@pytest.mark.slow
 def test_the_calls_of_a_function_are_counted_and_none_is_made_twice():
     asked = []
 

@@ -118,7 +118,7 @@ def test_killed_from_outside(tmp_path, uninterrupted, search):
     while True:
         process = FORK.Process(target=_slowly, args=(search, path))
         process.start()
-        process.join(0.05 + 0.03 * times)
+        process.join(0.05 + 0.08 * times)
         if process.exitcode is not None:
             break
         process.kill()

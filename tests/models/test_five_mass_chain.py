@@ -229,6 +229,7 @@ def sling():
     return names["library"]()[-1]
 
 
+@pytest.mark.slow
 def test_the_tutorials_structural_effect_runs_in_a_study_and_prints_what_it_says(tmp_path, monkeypatch, capsys):
     _, _, effects, use = blocks("python")
     (line,) = blocks("toml")

@@ -74,6 +74,7 @@ def saved(monkeypatch):
     return figures
 
 
+@pytest.mark.slow
 def test_every_figure_is_written_beside_its_table(folder, unrendered):
     written = Figures(folder, "Bogie", False).save()
     assert [p.stem for p in written] == ALL

@@ -59,6 +59,7 @@ def test_the_error_at_fresh_points_is_below_the_tolerance_and_as_estimated(made)
     assert large.any() and np.all(np.abs(np.log(estimate[large] / actual[large])) < np.log(3))
 
 
+@pytest.mark.slow
 def test_the_error_is_that_of_the_functions_in_standard_deviations(made):
     model, target, _ = made
     poor = ReducedModel(model, train(model, model.space, replace(target, tolerance=0.9), seed=1))

@@ -113,6 +113,7 @@ def test_enriching_gives_a_next_version_that_meets_the_tolerance_there(ladder):
     assert mode_errors(ReducedModel(model, grown), outside, 6).worst < 1e-6
 
 
+@pytest.mark.slow
 def test_fresh_points_enrich_a_basis_of_few_samples(ladder):
     model = ladder(200, damped=False)
     basis = train_basis(model, model.space, 6, seed=2, tolerance=1e-6, samples=5)

@@ -97,6 +97,7 @@ def test_a_rigid_motion_of_the_whole_strains_nothing_but_the_rails(whole):
     assert np.all(energy[[1, 3, 5]] > 1) and np.all(energy[[0, 2, 4]] < 1e-9)
 
 
+@pytest.mark.slow
 def test_a_free_car_body_has_six_rigid_motions_and_no_mechanism():
     body = car_body()
     structure = Structure(body.members, panels=body.panels)
