@@ -57,6 +57,7 @@ def section(results: StudyResults) -> Section | None:
     cases = len(set(table["case"]))
     blocks: list[Block] = [
         Words(f"{counted(cases, 'case')} by {_method(results, table)}; the values of case {best} are reported."),
+        *_of_all_tests(results),
         *_cases(results),
         *_points(results),
         *(Words(words, "reported") for words in results.sentences("calibrate")),
@@ -136,6 +137,12 @@ def _verdicts(results: StudyResults, best: str) -> list[Block]:
     )
     heads = ("parameter", f"value in {best}", "std", "position in its range, %", "spread, %", "identified", "verdict")
     return [Table("Identifiability of the parameters", heads, rows, (5, 6))]
+
+
+def _of_all_tests(results: StudyResults) -> list[Block]:
+    """Says that the parameters are those of a joint fit: the page is that of one test."""
+    joint = "All parameters below are fitted to all tests together; comparisons and errors are those of this test."
+    return [Words(joint)] if results.has("std_by_test") else []
 
 
 def _by_test(results: StudyResults) -> list[Block]:
