@@ -177,6 +177,7 @@ class Reduction:
             loaded = self.problem.loaded_model
             assert isinstance(loaded, ReducedModel)
             return self.target.error(loaded, values) > self.basis.tolerance
+        assert isinstance(self.full, ModalProblem) and isinstance(self.problem, ModalProblem)
         assert isinstance(self.problem.model, ReducedModel)
         refined = modes_near(self.problem.model, values, self.full.mode_count, 0.1 * self.basis.tolerance)
         mine, truth = self.problem.evaluate(values), self.full.responses(self.full.compare(values, refined))
