@@ -47,7 +47,7 @@ def test_a_gain_is_named_and_its_correction_taken_while_the_files_stay(faulty, e
     assert explanation()["sentences"][0] in capsys.readouterr().out
     (offer,) = [s for s in explanation()["sentences"] if "corrected = {" in s]
     line = offer[offer.index("corrected") : offer.index("}") + 1]
-    edit("mast", "[measurement]\n", f"[measurement]\n{line}\n")
+    edit(Path("mast"), "[measurement]\n", f"[measurement]\n{line}\n")
     assert cli.execute(["explain", "mast"]) == 0
     assert explanation()["verdict"] == "nothing_detectable"
     assert any("corrected for gain of sensor 3z" in note for note in explanation()["notes"])
@@ -103,6 +103,6 @@ def test_sound_data_are_silent(here, write_study, explanation, seed):
 )
 def test_an_impossible_correction_is_refused_with_its_place(here, write_study, edit, capsys, line, words):
     write_study(Path("mast"))
-    edit("mast", "[measurement]\n", f"[measurement]\ncorrected = {{ {line} }}\n")
+    edit(Path("mast"), "[measurement]\n", f"[measurement]\ncorrected = {{ {line} }}\n")
     assert cli.execute(["compare", "mast"]) == 2
     assert words in capsys.readouterr().err
