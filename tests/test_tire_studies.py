@@ -1,0 +1,122 @@
+"""The studies of the tire: their twins are other tires than the fitted one, and the mesh correction is what it says."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib import cli
+from calib.errors import InputError
+from calib.loading import module_of
+from calib.measurement.responses import read_responses
+from calib.study_text import read_settings
+from models.tire.mesh_correction import mesh_corrected, mesh_factors, read_factors
+from models.tire.model import parameters, tire_on_ground
+
+ROOT = Path(__file__).resolve().parents[1]
+STUDY = ROOT / "studies/hidden_tire"
+TRUTH = json.loads((ROOT / "tests/truth/hidden_tire.json").read_text("utf-8"))
+NOMINAL = {p.name: p.value for p in parameters()}
+
+
+@pytest.fixture(scope="module")
+def make():
+    return module_of(STUDY / "make_twin.py")
+
+
+def test_measurements_scatter_about_the_responses_of_the_twin(make):
+    for pressure, exact in TRUTH["responses"].items():
+        measured = read_responses(STUDY / f"measured/{pressure}_kPa.csv")
+        assert set(measured.targets) == set(make.MEASURED) and set(measured.counts.values()) == {make.REPEATS}
+        for name, (value, _) in measured.targets.items():
+            scatter = make.SCATTER[name.split("_")[0]] / np.sqrt(make.REPEATS)
+            assert abs(value / exact[name] - 1) < 4.5 * scatter, name
+
+
+def test_the_twin_is_finer_and_its_parameters_are_not_nominal(make):
+    settings = read_settings(STUDY / "study.toml")
+    assert make.MESH > make.study.FINE > make.study.COARSE
+    free = [p for p in parameters() if p.name in settings.selection]
+    assert len(free) == 5 and all(TRUTH["parameters"][p.name] != p.value for p in free)
+    assert len(TRUTH["effects"]) == 1 and TRUTH["visible"] > make.VISIBLE[0]
+
+
+@pytest.mark.parametrize("design", ["belt", "tread_layer", "soft_bead", "thin_sidewall", "halpin_tsai", "crown_mass"])
+def test_designs_of_the_twin_are_like_the_effects_and_not_the_same(make, design):
+    """Away from the places where it acts the wall is as without it; stiffness or mass differ from the library's."""
+    effect = {e.name: e for e in make.tire_effects()}[design]
+    size = {effect.name: effect.plausible} | {q.name: q.value for q in effect.nuisance}
+    plain, built = (make.Truth(NOMINAL, designs).tire() for designs in ({}, size))
+    library = make.tire_of(NOMINAL | size)
+    s = np.linspace(0.01, 0.99, 99) * built.profile.length
+
+    def both(tire):
+        return np.concatenate([tire.stiffness(s).ravel() / 1e6, tire.areal_density(s)])
+
+    base, own, listed = both(plain), both(built), both(library)
+    changed = own - base
+    assert np.abs(changed).max() > 0 and not np.allclose(own, listed, rtol=1e-3, atol=1e-9)
+    alike = changed @ (listed - base) / np.linalg.norm(changed) / np.linalg.norm(listed - base)
+    assert 0.7 < alike < 0.9999
+
+
+@pytest.mark.parametrize("design", ["apex", "one_sidewall", "wandering_cords"])
+def test_designs_outside_the_library_change_the_wall(make, design):
+    s = np.linspace(0.01, 0.33, 40)
+    plain, built = (make.Truth(NOMINAL, d).tire() for d in ({}, {design: make.SIZES[design][1]}))
+    assert not np.allclose(plain.stiffness(s), built.stiffness(s), rtol=0.01)
+
+
+def test_factors_are_the_finer_mesh_over_the_coarse_one():
+    coarse, fine = (tire_on_ground(*mesh, (10.0,), (), (1,), derivatives=False) for mesh in ((11, 10), (15, 12)))
+    corrected = mesh_corrected(coarse, mesh_factors(coarse, fine, (100.0, 200.0)))
+    for pressure in (100.0, 200.0):
+        at = NOMINAL | {"pressure": pressure}
+        assert corrected.function(at) == pytest.approx(fine.function(at), rel=1e-12)
+
+
+def test_derivatives_are_corrected_as_their_responses_are():
+    coarse = tire_on_ground(11, 10, (10.0,), (), ())
+    factors = mesh_factors(coarse, coarse, (200.0,))[["load_10"]] * 2.0
+    plain, corrected = coarse.function(NOMINAL), mesh_corrected(coarse, factors).function(NOMINAL)
+    for name in ("load_10", "d(load_10)/d(E_cord)"):
+        assert corrected[name] == pytest.approx(2 * plain[name])
+    assert corrected["d(growth_crown)/d(E_cord)"] == plain["d(growth_crown)/d(E_cord)"]
+
+
+@pytest.mark.parametrize(
+    "text", ["load_5\n1.0\n", "pressure,load_5\n100,much\n", "pressure,load_5\n100,-1\n", "pressure\n"]
+)
+def test_tables_of_factors_that_are_none_are_refused(tmp_path, text):
+    file = tmp_path / "mesh.csv"
+    file.write_text(text, "utf-8")
+    with pytest.raises(InputError, match=r"mesh\.csv"):
+        read_factors(file)
+
+
+@pytest.mark.slow
+def test_the_factors_of_the_study_are_those_of_its_meshes(make):
+    study = make.study
+    meshes = (
+        tire_on_ground(*m, study.DEFLECTIONS, (), study.ORDERS, derivatives=False) for m in (study.COARSE, study.FINE)
+    )
+    again = mesh_factors(*meshes, (200.0,))
+    kept = read_factors(STUDY / "mesh.csv")
+    for name in kept:
+        assert again.loc[200.0, name] == pytest.approx(kept.loc[200.0, name], rel=2e-5), name
+
+
+@pytest.mark.slow
+def test_a_tire_that_lacks_nothing_is_calibrated(tmp_path):
+    """Within its standard deviations of the true values; held-out loads and frequencies agree."""
+    assert cli.execute(["calibrate", str(ROOT / "studies/tire_contact"), "--results", str(tmp_path)]) == 0
+    truth = json.loads((ROOT / "tests/truth/tire_contact.json").read_text("utf-8"))["parameters"]
+    summary = json.loads((tmp_path / "tire_contact/summary.json").read_text("utf-8"))
+    assert summary["goodness_p"] > 0.01
+    lines = (tmp_path / "tire_contact/parameters.csv").read_text("utf-8").splitlines()
+    head = lines[0].split(",")
+    rows = [dict(zip(head, line.split(","), strict=False)) for line in lines[1:]]
+    for row in rows:
+        if row["parameter"] in ("E_cord", "t_ply", "density", "crown_angle"):
+            assert abs(float(row["value"]) - truth[row["parameter"]]) < 3.5 * float(row["std"]), row["parameter"]
