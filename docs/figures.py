@@ -70,6 +70,7 @@ FIGURES = {
     "tire_patch": Shown("tire_contact_article", "patch"),
     "tire_displacements": Shown("tire_contact_article", "displacements"),
     "tire_times": Shown("tire_contact_article", "times"),
+    "tire_effects": Shown("hidden_tire", "ranked_effects"),
 }
 SCRIPTS = {
     "solar_panel_article": HERE.parent / "studies/solar_panel/article_figures.py",

@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import calib
 from calib import cli
 from calib.errors import InputError
 from calib.loading import module_of
 from calib.measurement.responses import read_responses
 from calib.study_text import read_settings
+from models.tire.effects import tire_effects
 from models.tire.mesh_correction import mesh_corrected, mesh_factors, read_factors
 from models.tire.model import parameters, tire_on_ground
 
@@ -120,3 +122,20 @@ def test_a_tire_that_lacks_nothing_is_calibrated(tmp_path):
     for row in rows:
         if row["parameter"] in ("E_cord", "t_ply", "density", "crown_angle"):
             assert abs(float(row["value"]) - truth[row["parameter"]]) < 3.5 * float(row["std"]), row["parameter"]
+
+
+@pytest.mark.slow
+def test_the_hidden_effect_is_named_from_two_pressures():
+    """The study asks at four; its README states what it finds there."""
+    settings = read_settings(STUDY / "study.toml")
+    tests = [
+        calib.ResponseTest(
+            calib.read_responses(STUDY / one.responses), name=one.name, condition=one.set, accuracy=one.accuracy
+        )
+        for one in settings.tests
+        if one.set["pressure"] in (100.0, 200.0)
+    ]
+    why = calib.Problem(module_of(STUDY / "model.py").tire(), tests).calibrate().explain(list(tire_effects()))
+    assert why.verdict == "effect" and [effect.name for effect in why.named] == TRUTH["effects"]
+    low, high = why.table.set_index("name").loc[TRUTH["effects"][0], ["magnitude_low", "magnitude_high"]]
+    assert low < TRUTH["magnitudes"][TRUTH["effects"][0]] < high
