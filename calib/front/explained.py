@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeAlias
 
 import pandas as pd
@@ -22,6 +22,7 @@ from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.record import check_repeats, disagreements_table
 from calib.analyses.reduction import WORTHWHILE_DOFS, Reducible, Wanted
 from calib.analyses.uncertainty import in_words, notes_on
+from calib.correlation.fault_library import modal_faults
 from calib.effect import Effect
 from calib.errors import InputError, ToleranceError
 from calib.front.frf_test import FRFTest
@@ -169,8 +170,9 @@ def _adapter(
         assert isinstance(held, StructuralModel)
         basis, large = _basis(held, frfs.problem, effects, local, seed)
         space = frfs.space.without(test.condition)
-        return FRFAdapter.of(frfs, effects, local, space, facts, test.unseen, basis, large)
+        return FRFAdapter.of(frfs.suspected(), effects, local, space, facts, test.unseen, basis, large)
     pair, whole = test.pair(held), test.whole_problem(held)
+    pair = replace(pair, faults=modal_faults(held, pair.problem.measured, test=name))
     if isinstance(held, ModalFunctionModel):
         modal, tested = function_hypotheses(held, pair, effects, space, name)
         return ModalAdapter(modal, tested, facts, whole)
