@@ -172,7 +172,7 @@ def _adapter(
         space = frfs.space.without(test.condition)
         return FRFAdapter.of(frfs.suspected(), effects, local, space, facts, test.unseen, basis, large)
     pair, whole = test.pair(held), test.whole_problem(held)
-    pair = replace(pair, faults=modal_faults(held, pair.problem.measured, test=name))
+    pair = replace(pair, faults=modal_faults(pair.problem.model, pair.problem.measured, test=name))
     if isinstance(held, ModalFunctionModel):
         modal, tested = function_hypotheses(held, pair, effects, space, name)
         return ModalAdapter(modal, tested, facts, whole)
