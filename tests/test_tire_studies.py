@@ -1,6 +1,7 @@
 """The studies of the tire: their twins are other tires than the fitted one, and the mesh correction is what it says."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +51,7 @@ def test_designs_of_the_twin_are_like_the_effects_and_not_the_same(make, design)
     effect = {e.name: e for e in make.tire_effects()}[design]
     size = {effect.name: effect.plausible} | {q.name: q.value for q in effect.nuisance}
     plain, built = (make.Truth(NOMINAL, designs).tire() for designs in ({}, size))
-    library = make.tire_of(NOMINAL | size)
+    library = replace(make.tire_of(NOMINAL | size), profile=built.profile)
     s = np.linspace(0.01, 0.99, 99) * built.profile.length
 
     def both(tire):

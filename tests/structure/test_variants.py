@@ -73,11 +73,9 @@ def test_an_unknown_effect_is_refused(variants):
 
 
 def test_on_a_reduced_basis(variants):
-    model, perturbations_ = variants.model, variants.perturbations
-    basis = effect_basis(
-        model, train_basis(model, model.space, 5, seed=1), model.space, EFFECTS, perturbations_, seed=2
-    )
-    reduced = Variants(model, EFFECTS, perturbations_, basis)
+    model, local = variants.model, perturbations(variants.model, (), POINT, 1.0)
+    basis = effect_basis(model, train_basis(model, model.space, 5, seed=1), model.space, EFFECTS, local, seed=2)
+    reduced = Variants(model, EFFECTS, tuple(one.effect for one in local), basis)
     assert reduced.with_effects(("s1",)) is reduced.with_effects(())
     assert reduced.with_effects(("h2",)).n_dof == basis.size + 2
     values = {**POINT, "s1": 3e3, "h2": 1.0, "h2_freq": 4.0}
