@@ -95,7 +95,10 @@ def test_units_are_multiples_of_si():
     single = {"-": 1, "%": 0.01, "t": 1e3, "kg": 1, "m": 1, "mm": 1e-3, "N": 1, "kN": 1e3, "MN": 1e6,
               "Pa": 1, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "Hz": 1, "rad": 1, "deg": math.pi / 180, "s": 1}  # fmt: skip
     symbol = re.compile(f"({'|'.join(sorted(map(re.escape, single), key=len, reverse=True))})([234]?)")
+    assert SI_FACTORS["ms"] == 1e-3  # beside which Nms reads as three units
     for unit, factor in SI_FACTORS.items():
+        if unit == "ms":
+            continue
         over, _, under = unit.partition("/")
         assert "".join(found[0] for found in symbol.finditer(over + under)) == over + under, unit
         made = [math.prod(single[u] ** int(n or 1) for u, n in symbol.findall(part)) for part in (over, under)]

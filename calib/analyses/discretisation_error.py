@@ -108,7 +108,8 @@ def discretisation_error_of(
     against_twin = ModelHypotheses(ModalResidual(imagined, floors), hypotheses.variants, space)
     base = fitted(against_twin.fit_problem(()), (), fit.values)
     rows: list[tuple[str, str, float]] = []
-    for kind, candidates in (("effect", against_twin.effects), ("local perturbation", against_twin.perturbations)):
+    local = [one for one in against_twin.perturbations if not one.of_measurement]
+    for kind, candidates in (("effect", against_twin.effects), ("local perturbation", local)):
         with_grid = {e.name: against_twin.fit_problem((e.name,)) for e in candidates if e.grid}
         tested = scores(base, candidates, with_grid)
         for name in dict.fromkeys(tested.owners):

@@ -48,7 +48,7 @@ _CALIBRATED = ("parameters", "points", "suspects_calibrated", "verdicts", "poste
                "unseen_directions", "predictions", "convergence", "modes", "responses", "data_errors",
                "versions")  # fmt: skip
 _EXPLAINED = ("effects", "why", "why_parameters", "why_places", "effect_places", "accuracy", "explained_fits",
-              "suspects_explained", "perturbations", "confounding", "pulls", "candidate_fits", "misfit_kinds",
+              "suspects_explained", "faults", "perturbations", "confounding", "pulls", "candidate_fits", "misfit_kinds",
               "sensor_misfit", "response_misfit", "frf_misfit", "unpaired", "errors", "next_measurement",
               "discretisation", "versions")  # fmt: skip
 WRITES: Mapping[str, tuple[str, ...]] = {

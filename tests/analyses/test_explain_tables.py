@@ -18,10 +18,17 @@ from calib.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 ERRORS = ["group", "stage", "rows", "rms", "expected", "p", "unpaired", "std_from"]
-COMMON = {"effects", "errors", "perturbations", "confounding", "pulls", "misfit_kinds", "candidate_fits",
+COMMON = {"faults", "effects", "errors", "perturbations", "confounding", "pulls", "misfit_kinds", "candidate_fits",
           "next_measurement", "accuracy", "explained_fits", "suspects_explained", "why", "why_parameters",
           "why_places"}  # fmt: skip
-MODAL = COMMON | {"sensor_misfit", "unpaired", "mesh_points", "mesh_elements", "model_places", "effect_places"}
+MODAL = COMMON | {
+    "sensor_misfit",
+    "unpaired",
+    "mesh_points",
+    "mesh_elements",
+    "model_places",
+    "effect_places",
+}
 GROUND = {"measured", "assumptions", "parameter_space", "repeat_disagreements"}
 """Tables that every analysis writes."""
 OF_MODES = ["fit", "left_out", "held_out_sensors", "held_out_modes"]

@@ -26,9 +26,9 @@ def section(results: StudyResults) -> Section | None:
         found = f"The verdict names {'; or '.join(blamed)}."
     elif beyond:
         scores = f"{beyond} of {len(table)} scores lie beyond the limit"
-        found = f"None is named; {scores}: what the model lacks takes some of them along."
+        found = f"No fault is named; {scores}: what the model lacks takes some of them along."
     else:
-        found = "None is named, and none stands out."
+        found = "No fault is named, and none stands out."
     intro = (
         f"{len(table)} faults that the measurement itself may have were tested beside the effects, of single sensors "
         "and of the whole test. A fault that explains the data better than every effect is named instead of it, and "

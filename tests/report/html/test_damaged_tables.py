@@ -75,7 +75,7 @@ def test_values_of_another_type_are_read_or_refused(folder, name, trials):
         except InputError as fault:
             assert path.name in str(fault) and "\n" not in str(fault)
             refused += 1
-    assert refused > trials / 8
+    assert refused > trials / 8 or trials < 8  # of few, none may concern what is read
 
 
 def test_a_duplicate_row_is_refused_with_its_line(folder):

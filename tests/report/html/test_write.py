@@ -15,8 +15,8 @@ from calib.report.html.write import page, sections, write_report
 
 TITLE = "A mast that may lack something"
 WHOLE = [
-    "measured", "compared", "fails", "sensitivity", "calibrated", "pulled", "effects", "verdict", "added", "next",
-    "errors", "candidate_fits", "assumptions", "versions",
+    "measured", "compared", "fails", "sensitivity", "calibrated", "pulled", "effects", "verdict", "suspect", "added",
+    "next", "errors", "candidate_fits", "assumptions", "versions",
 ]  # fmt: skip
 
 
