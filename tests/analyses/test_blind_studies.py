@@ -105,7 +105,10 @@ def test_the_sentence_agrees_with_the_tables(explained, name):
     summary, effects, errors = written(folder)
     text = summary["sentence"]
     local = len(set(pd.read_csv(folder / "perturbations.csv")["perturbation"]))
-    assert f"largest score of {len(effects)} effects and {local} local perturbations" in text
+    faults = len(set(pd.read_csv(folder / "faults.csv")["fault"]))
+    assert faults == summary["faults"] > 50
+    counts = f"{len(effects)} effects, {local} local perturbations and {faults} faults of the measurement"
+    assert f"largest score of {counts}" in text
     assert local == summary["local_perturbations"] > 100
     for effect, row in effects[~effects["visible"]].iterrows():
         unit = "" if row["unit"] == "-" else f" {row['unit']}"

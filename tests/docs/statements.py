@@ -82,8 +82,12 @@ def of_the_explanation(folder: Path) -> Iterator[Statement]:
     yield "docs/decision.md", f"{like.removeprefix('added ')}, whose signature has a correlation of {places[like]:.2f}"
 
     left, errors = found["adequacy_p_family"], read(folder / "errors.csv", "group", "stage")
-    yield "docs/tutorial.md", f"(p = {left:.1f})"
-    yield "docs/decision.md", f"p = {left:.1f} over {len(effects)} effects and {n_local} local perturbations"
+    rest = "p > 0.1" if left > 0.1 else f"p = {left:.2f}"  # samples differ with the rounding of a machine
+    yield "docs/tutorial.md", f"({rest})"
+    yield (
+        "docs/decision.md",
+        f"{rest} over {len(effects)} effects, {n_local} local perturbations and {found['faults']} faults of",
+    )
     yield "docs/decision.md", f"the worst kind of data or mode shape has p = {found['adequacy_p_fit']:.3f}"
     yield "docs/decision.md", f"{errors['rows']['fit', 'before']:.0f} used values"
     for group, words in (
