@@ -81,14 +81,14 @@ class Run:
             self.code = os.waitstatus_to_exitcode(status) if pid else None
         return self.code
 
-    def wait(self, seconds: float = 60.0) -> int | None:
+    def wait(self, seconds: float = 240.0) -> int | None:
         """Exit code, or None while it runs."""
         until = time.monotonic() + seconds
         while self.poll() is None and time.monotonic() < until:
             time.sleep(0.002)
         return self.code
 
-    def until(self, condition, seconds: float = 60.0) -> None:
+    def until(self, condition, seconds: float = 240.0) -> None:
         until = time.monotonic() + seconds
         while not condition():
             assert self.poll() is None, f"ended with {self.code}: {self.err}"

@@ -43,7 +43,7 @@ def told_of_the_interruption(err: str) -> bool:
     """Whether one sentence is all that is said, besides how far a slow machine came."""
     *progress, last = err.splitlines()
     return last == "calib: interrupted; the same command again completes it" and all(
-        re.fullmatch(r"(calibrate|sensitivity|explain): \S.*", line) for line in progress
+        re.fullmatch(r"[a-z ]+: \S.*", line) for line in progress
     )
 
 
