@@ -57,6 +57,17 @@ def slope_entry(response: str, parameter: str) -> str:
     return f"d({response})/d({parameter})"
 
 
+def response_of(entry: str) -> str:
+    """The response that an entry of a function's result is, or whose derivative it is; see `slope_entry`."""
+    inner, found, _ = entry.removeprefix("d(").partition(")/d(")
+    return inner if found and entry.startswith("d(") else entry
+
+
+def responses_of(result: Mapping[str, float]) -> dict[str, float]:
+    """The result of a function without the derivatives."""
+    return {name: value for name, value in result.items() if response_of(name) == name}
+
+
 @dataclass(frozen=True)
 class _WithoutSlopes:
     """A function that an effect built upon another: derivatives of the other one are not its own.
@@ -70,9 +81,7 @@ class _WithoutSlopes:
 
     def __call__(self, values: Mapping[str, float]) -> Mapping[str, float]:
         result = self.function(values)
-        if not isinstance(result, Mapping) or not any(str(name).startswith("d(") for name in result):
-            return result
-        return {name: value for name, value in result.items() if not str(name).startswith("d(")}
+        return responses_of(result) if isinstance(result, Mapping) else result
 
 
 F = TypeVar("F", bound=FunctionModel | ModalFunctionModel)

@@ -100,7 +100,7 @@ def main() -> None:
 def of_folder(folder: Path, name: str) -> Figure | None:
     """A figure of a calibrated study or of a script, with its heading; None where there is none of that name."""
     if folder.name in SCRIPTS:
-        return module_of(SCRIPTS[folder.name]).drawn(folder, name)
+        return module_of(SCRIPTS[folder.name]).SET.drawn(folder, name)
     if not (folder / "summary.json").is_file():
         return None
     record = _record(folder)

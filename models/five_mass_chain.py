@@ -5,7 +5,7 @@ It is not a `StructuralModel`: it stands for any function of named numbers, such
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from calib.effect import Effect
 from calib.errors import EvaluationError
 from calib.function import FunctionModel
 from calib.space import Parameter, ParameterSpace
+from models.function_effect import function_effect
 
 MASSES = 5
 STIFFNESS = 20e3
@@ -139,21 +140,21 @@ def chain_effects() -> tuple[Effect, ...]:
     damper, a brake of a sixteenth of a damper.
     """
     return (
-        _effect(
+        function_effect(
             "ground_spring_3", "Mass 3 touches the ground", "a contact of mass 3 with the ground",
             "Only spring 1 stands on the ground.",
             "A cable, hose or guide between mass 3 and its surroundings.", 20e3, "N/m", 1e3,
         ),
-        _effect(
+        function_effect(
             "extra_mass_2", "Unweighed mass on mass 2", "an unweighed mass on mass 2", "Mass 2 is as weighed.",
             "Sensors, bolts or cables mounted after weighing.", 1.0, "kg", 0.1,
         ),
-        _effect(
+        function_effect(
             "cross_spring_2_4", "Masses 2 and 4 are connected", "a connection of masses 2 and 4",
             "Springs join neighbours only.",
             "A guide rod or cable past mass 3.", 20e3, "N/m", 1e3,
         ),
-        _effect(
+        function_effect(
             "hung_mass_5", "Something swings on mass 5", "something that swings on mass 5",
             "Everything on mass 5 moves with it.",
             "Anything loose or on a soft mount on mass 5.", 0.5, "kg", 0.1,
@@ -162,36 +163,16 @@ def chain_effects() -> tuple[Effect, ...]:
             ),
             grid=[{"hung_mass_5": 0.05, "hung_freq": f} for f in (6.5, 7.5, 8.5, 9.5, 10.5, 11.5)],
         ),
-        _effect(
+        function_effect(
             "weak_damper_4", "Damper 4 has lost oil", "a loss of oil in damper 4", "All dampers are alike.",
             "Oil on damper 4.", 1.0, "-", 0.3,
         ),
-        _effect(
+        function_effect(
             "ground_damper_5", "Mass 5 is braked", "a brake on mass 5", "Dampers join neighbours only.",
             "Friction in a guide, or a plate that moves air.", 20.0, "Ns/m", 0.5,
         ),
-        _effect(
+        function_effect(
             "soft_foundation", "Compliance of the foundation", "the compliance of the foundation",
             "Spring 1 stands on rigid ground.", "Bolts of the base plate.", 100.0, "mm/kN", 5.0,
         ),
     )  # fmt: skip
-
-
-def _effect(
-    name: str,
-    title: str,
-    phrase: str,
-    lacks: str,
-    look_for: str,
-    upper: float,
-    unit: str,
-    plausible: float,
-    nuisance: tuple[Parameter, ...] = (),
-    grid: Sequence[Mapping[str, float]] = (),
-) -> Effect:
-    magnitude = Parameter(name, 0.0, 0.0, upper, unit, prior_sd=plausible)
-    return Effect(name, title, lacks, look_for, magnitude, _known, nuisance, tuple(grid), phrase=phrase)
-
-
-def _known(model: FunctionModel) -> None:
-    """Nothing to build: `chain_responses` reads the effect's parameters where they are given."""

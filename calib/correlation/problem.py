@@ -18,7 +18,7 @@ from calib.correlation.order import Costs
 from calib.correlation.pairing import Pairing, check_override, in_window, pair_by_order, pair_by_shape
 from calib.correlation.responses import response_dof
 from calib.errors import EvaluationError, InputError
-from calib.function import FunctionModel
+from calib.function import FunctionModel, responses_of
 from calib.mac import mac
 from calib.measurement.modal import MeasuredModes
 from calib.own_code import defined_at
@@ -412,7 +412,7 @@ class FunctionProblem:
             raise wrong(f"the function gave {type(result).__name__}, not responses by name")
         missing = [name for name in self.targets if name not in result]
         if missing:
-            returned = ", ".join(name for name in result if not str(name).startswith("d(")) or "nothing"
+            returned = ", ".join(responses_of(result)) or "nothing"
             raise wrong(f"the function gave no {', '.join(missing)} (it gave {returned})")
         out = {}
         for name, value in result.items():

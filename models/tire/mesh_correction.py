@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calib.errors import InputError
-from calib.function import FunctionModel
+from calib.function import FunctionModel, response_of
 
 PRESSURE = "pressure"
 
@@ -59,13 +59,10 @@ def read_factors(file: Path) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class _Corrected:
-    function: object
+    function: Callable[[Mapping[str, float]], Mapping[str, float]]
     factors: pd.DataFrame
 
     def __call__(self, values: Mapping[str, float]) -> dict[str, float]:
         at = self.factors.index.to_numpy(float)
         factor = {n: float(np.interp(values[PRESSURE], at, column)) for n, column in self.factors.items()}
-        return {
-            name: value * factor.get(name.removeprefix("d(").split(")/d(")[0], 1.0)
-            for name, value in self.function(values).items()
-        }
+        return {name: value * factor.get(response_of(name), 1.0) for name, value in self.function(values).items()}

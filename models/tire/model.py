@@ -88,13 +88,8 @@ def tire_on_ground(
 
     Parameters
     ----------
-    n_meridian, n_hoop : int
-        Cells.
-    deflections : sequence of float
-        mm, ascending.
-    loads : sequence of float
-        N, ascending.
-    orders : sequence of int
+    n_meridian, n_hoop, deflections, loads, orders
+        See `models.tire.responses.Rig`.
     derivatives : bool
         Whether it also returns derivatives, see `calib.function.slope_entry`, by all parameters but those that shape
         the profile, and by those of `tire_effects`. They take about as long as two further points; differences would

@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.errors import InputError
-from models.tire.contact import Ground, Pressed, RotationWarning, load_curve, press_to_load
-from models.tire.derivatives import Change, StripTangent, Tangent, along, frequency_slopes
+from models.tire.contact import Ground, Pressed
+from models.tire.derivatives import STEP, Change, StripTangent, Tangent, along, frequency_slopes
 from models.tire.harmonics import HoopModes, hoop_modes
 from models.tire.inflated import Inflated, inflate
+from models.tire.load_curve import RotationWarning, load_curve, press_to_load
 from models.tire.patch import bulge, patch_length, patch_width, shoulder
 from models.tire.tire import Tire
 
@@ -125,7 +126,7 @@ class Rig:
         at_load = {k: Tangent(step) for k, step in state.loaded.items()}
         out, strip = {}, StripTangent(state.ground.inflated)
         for name, by in changes.items():
-            h = 1e-6 * ranges[name]
+            h = STEP * ranges[name]
             inflated = state.ground.inflated
             slope = strip.slope(by)
             there, back = (along(inflated, slope, by, x) for x in (h, -h))

@@ -23,10 +23,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.effect import Effect
 from calib.function import slope_entry
 from calib.loading import module_of
-from calib.settings import StudySettings
 from calib.study_text import read_settings
 from models.tire.effects import tire_effects
 from models.tire.model import parameters, tire_of
@@ -36,6 +34,11 @@ from models.tire.responses import KPA, Rig
 HERE = Path(__file__).resolve().parent
 remodelled = module_of(HERE / "remodelled.py")
 study = module_of(HERE / "model.py")
+
+Responses = dict[float, dict[str, float]]
+"""By pressure, kPa, and name."""
+Claims = Mapping[str, str]
+"""Claimed accuracy by kind, such as ``3 %``."""
 
 MESH = (61, 40)
 POINTS = 41
@@ -101,10 +104,10 @@ def _about(value: float, width: float, lower: float, upper: float, rng: np.rando
     return float(np.clip(value + SPREAD * width * rng.standard_normal(), lower, upper))
 
 
-def exact(truth: Truth, pressures: Sequence[float], mesh: tuple[int, int] = MESH) -> dict[float, dict[str, float]]:
+def exact(truth: Truth, pressures: Sequence[float], mesh: tuple[int, int] = MESH) -> Responses:
     """Noise-free responses by pressure, kPa."""
     rig, tire = Rig(*mesh, study.DEFLECTIONS, (), study.ORDERS), truth.tire()
-    out = {}
+    out: Responses = {}
     for pressure in pressures:
         found = rig.responses(rig.solve(tire, pressure * KPA))
         out[pressure] = {name: found[name] for name in MEASURED}
@@ -117,23 +120,35 @@ def repeats(exact: Mapping[str, float], rng: np.random.Generator) -> np.ndarray:
     return np.array(list(exact.values())) * (1 + scatter * rng.standard_normal((REPEATS, len(exact))))
 
 
+def bare(truth: Truth) -> Truth:
+    """The same tire without its designs."""
+    return replace(truth, designs={})
+
+
 def visible(
-    truth: Truth, with_effect: Mapping[float, Mapping[str, float]], settings: StudySettings,
-    mesh: tuple[int, int] = MESH,
-) -> float:  # fmt: skip
+    truth: Truth, built: Responses, plain: Responses, used: Mapping[float, Sequence[str]], claimed: Claims
+) -> float:
     """Length of the change by the designs in standard deviations, all fitted parameters projected out.
 
     The change is that of the twin; the directions that parameters take are the fitted model's.
+
+    Parameters
+    ----------
+    truth : Truth
+    built, plain : mapping
+        Noise-free responses by pressure, with and without the designs.
+    used : mapping from pressure to names
+        Responses that a fit uses.
+    claimed : mapping from kind to share
+        Claimed accuracy, such as ``{"load": "3 %"}``.
     """
-    used = {test.set["pressure"]: [n for n in MEASURED if n not in test.held_out.responses] for test in settings.tests}
-    without = exact(replace(truth, designs={}), list(used), mesh)
     model = study.tire()
-    width = {p.name: p.prior_width for p in model.space.free if p.name in (settings.selection or ())}
+    width = {p.name: p.prior_width for p in model.space.free}
     rows, change = [], []
     for pressure, names in used.items():
         at = model.function({**truth.parameters, "pressure": pressure})
-        std = np.array([at[name] * standard_deviation(name, settings) for name in names])
-        change.append(np.array([with_effect[pressure][n] - without[pressure][n] for n in names]) / std)
+        std = np.array([at[name] * standard_deviation(name, claimed) for name in names])
+        change.append(np.array([built[pressure][n] - plain[pressure][n] for n in names]) / std)
         slope = np.array([[at[slope_entry(name, p)] * w for p, w in width.items()] for name in names])
         rows.append(slope / std[:, None])
     wide = np.vstack([*rows, np.eye(len(width))])  # the prior counts as data
@@ -142,19 +157,16 @@ def visible(
     return float(np.linalg.norm(direction - basis @ (basis.T @ direction)))
 
 
-def largest_load_change(truth: Truth, with_effect: Mapping[float, Mapping[str, float]]) -> float:
-    """Of the loads at the first pressure, relative."""
-    first = min(with_effect)
-    without = exact(replace(truth, designs={}), [first])[first]
-    return max(abs(with_effect[first][n] / without[n] - 1) for n in without if n.startswith("load"))
+def largest_load_change(built: Responses, plain: Responses) -> float:
+    """Of all loads, relative."""
+    loads = [(p, n) for p, own in plain.items() for n in own if n.startswith("load")]
+    return max(abs(built[p][n] / plain[p][n] - 1) for p, n in loads)
 
 
-def standard_deviation(name: str, settings: StudySettings) -> float:
+def standard_deviation(name: str, claimed: Claims) -> float:
     """Of a mean, relative: repeatability and claimed accuracy."""
     kind = name.split("_")[0]
-    claimed = settings.tests[0].accuracy
-    assert isinstance(claimed, dict)
-    return float(np.hypot(SCATTER[kind] / np.sqrt(REPEATS), float(str(claimed[kind]).rstrip("%")) / 100))
+    return float(np.hypot(SCATTER[kind] / np.sqrt(REPEATS), float(claimed[kind].rstrip("%")) / 100))
 
 
 def write(folder: Path, measured: Mapping[float, np.ndarray]) -> None:
@@ -180,11 +192,6 @@ def hidden_effects(truth: Truth) -> list[str]:
     return [name for name in truth.designs if name not in nuisances]
 
 
-def library() -> tuple[Effect, ...]:
-    """What the study looks for."""
-    return tire_effects()
-
-
 def main() -> None:
     """Draw a tire whose effect is visible, measure it, write repeats and truth."""
     arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -192,14 +199,16 @@ def main() -> None:
     arguments.add_argument("truth", type=Path, help="where the hidden values are written")
     arguments.add_argument("--into", type=Path, default=HERE / "measured", help="folder of the tables")
     given = arguments.parse_args()
-    settings = read_settings(HERE / "study.toml")
-    pressures = [test.set["pressure"] for test in settings.tests]
+    tests = read_settings(HERE / "study.toml").tests
+    used = {test.set["pressure"]: [n for n in MEASURED if n not in test.held_out.responses] for test in tests}
     for seed in range(FIRST_SEED[given.kind], FIRST_SEED[given.kind] + 100):
         rng = np.random.default_rng(seed)
         truth = draw(rng, given.kind)
-        found = exact(truth, pressures)
-        seen = visible(truth, found, settings) if truth.designs else 0.0
-        moved = largest_load_change(truth, found)
+        found = exact(truth, list(used))
+        seen = moved = 0.0
+        if truth.designs:
+            plain = exact(bare(truth), list(used))
+            seen, moved = visible(truth, found, plain, used, tests[0].accuracy), largest_load_change(found, plain)
         print(f"seed {seed}: {hidden_effects(truth) or 'nothing'}, visible {seen:.1f}, loads {moved:.1%}", flush=True)
         if not truth.designs or (VISIBLE[0] <= seen <= VISIBLE[1] and moved >= LEAST_LOAD_CHANGE):
             break

@@ -302,7 +302,7 @@ def main() -> None:
     given.into.mkdir(parents=True, exist_ok=True)
     for name, table in tables(given.seeds).items():
         table.to_csv(given.into / f"{name}.csv", index=False)
-    for path in module_of(HERE / "article_figures.py").save_all(given.into):
+    for path in module_of(HERE / "article_figures.py").SET.save_all(given.into):
         print(path)
 
 

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, ScalarFormatter
 
+from calib.loading import module_of
 from calib.report.style import (
     AFTER,
     BEFORE,
@@ -18,13 +19,12 @@ from calib.report.style import (
     CASES,
     GREY,
     PURPLE,
-    add_heading,
     legend_above,
     new_figure,
     own_axes,
-    save,
-    style,
 )
+
+figure_set = module_of(Path(__file__).resolve().parent.parent / "figure_set.py")
 
 COLOURS = {"proposed": AFTER, "traditional": PURPLE}
 LEVELS = {0: "0 (Guyan)", 1: "1 (IRS)"}
@@ -125,30 +125,9 @@ FIGURES: dict[str, tuple[str, Callable[[Path], Figure]]] = {
     ),
 }
 """Caption and drawing of each figure, from a folder of tables."""
-UNMEASURED = ("reduction",)
-"""Figures of the model alone."""
-
-
-def drawn(folder: Path, name: str) -> Figure | None:
-    """A figure with its heading; None where its tables are not at hand."""
-    if not (folder / "functions.csv").is_file():  # written last
-        return None
-    caption, draw = FIGURES[name]
-    with style():
-        figure = draw(folder)
-        add_heading(figure, f"Example of Li and Hong (2012): {caption}", name not in UNMEASURED)
-    return figure
-
-
-def save_all(folder: Path) -> list[Path]:
-    """Every figure as PNG beside its tables."""
-    out = []
-    for name in FIGURES:
-        figure = drawn(folder, name)
-        if figure is not None:
-            with style():
-                out += save(figure, folder / name)
-    return out
+MEASURED = ("convergence", "factors", "functions")
+"""Figures that show a synthetic measurement; the others are of the model alone."""
+SET = figure_set.FigureSet("Example of Li and Hong (2012)", FIGURES, "functions", MEASURED)
 
 
 def _read(folder: Path, name: str) -> pd.DataFrame:

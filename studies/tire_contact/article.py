@@ -21,7 +21,8 @@ from scipy.sparse.linalg import splu
 
 from calib.loading import module_of
 from models.tire import Tire, base_tire
-from models.tire.contact import Ground, LoadCurve, Pressed, RotationWarning, load_curve
+from models.tire.contact import Ground, Pressed
+from models.tire.load_curve import LoadCurve, RotationWarning, load_curve
 from models.tire.patch import bulge, patch_length, patch_width
 
 HERE = Path(__file__).resolve().parent
@@ -186,7 +187,7 @@ def main() -> None:
     given.into.mkdir(parents=True, exist_ok=True)
     for name, table in tables().items():
         table.to_csv(given.into / f"{name}.csv", index=False)
-    for path in module_of(HERE / "article_figures.py").save_all(given.into):
+    for path in module_of(HERE / "article_figures.py").SET.save_all(given.into):
         print(path)
 
 

@@ -13,6 +13,7 @@ from matplotlib.colors import LightSource, TwoSlopeNorm
 from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 
+from calib.loading import module_of
 from calib.report.style import (
     BLACK,
     BLUE,
@@ -20,12 +21,11 @@ from calib.report.style import (
     GREY,
     ORANGE,
     VERMILLION,
-    add_heading,
     legend_above,
     new_figure,
-    save,
-    style,
 )
+
+figure_set = module_of(Path(__file__).resolve().parent.parent / "figure_set.py")
 
 STATES = {"as built": GREY, "inflated": BLACK}
 DEEPER = ("#9ecae1", "#6baed6", "#3182bd", "#08519c")
@@ -198,28 +198,7 @@ FIGURES: dict[str, tuple[str, Callable[[Path], Figure]]] = {
     "times": ("work of the 38 steps", lambda f: times_figure(_read(f, "times"), _read(f, "loads"))),
 }
 """Caption and drawing of each figure, from a folder of tables."""
-
-
-def drawn(folder: Path, name: str) -> Figure | None:
-    """A figure with its heading; None where its tables are not at hand."""
-    if not (folder / "surface.csv").is_file():  # written last
-        return None
-    caption, draw = FIGURES[name]
-    with style():
-        figure = draw(folder)
-        add_heading(figure, f"Generic bias tire at 200 kPa: {caption}", False)
-    return figure
-
-
-def save_all(folder: Path) -> list[Path]:
-    """Every figure as PNG beside its tables."""
-    out = []
-    for name in FIGURES:
-        figure = drawn(folder, name)
-        if figure is not None:
-            with style():
-                out += save(figure, folder / name)
-    return out
+SET = figure_set.FigureSet("Generic bias tire at 200 kPa", FIGURES, "surface")
 
 
 def _read(folder: Path, name: str) -> pd.DataFrame:

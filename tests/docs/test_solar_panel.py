@@ -145,10 +145,10 @@ def test_dots_are_the_factors_of_the_seeds(drawn_tables):
 
 @pytest.mark.slow
 def test_figures_are_drawn_from_a_folder_and_from_nothing_else(drawn_tables, tmp_path):
-    assert figures.save_all(tmp_path) == []
+    assert figures.SET.save_all(tmp_path) == []
     for name, table in drawn_tables.items():
         table.to_csv(tmp_path / f"{name}.csv", index=False)
-    assert {path.name for path in figures.save_all(tmp_path)} == {f"{name}.png" for name in figures.FIGURES}
+    assert {path.name for path in figures.SET.save_all(tmp_path)} == {f"{name}.png" for name in figures.FIGURES}
     documents = runpy.run_path(str(ROOT / "docs/figures.py"))
     (tmp_path / "solar_panel_article").mkdir()
     assert documents["of_folder"](tmp_path / "solar_panel_article", "factors") is None

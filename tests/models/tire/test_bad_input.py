@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from calib.errors import EvaluationError, InputError
-from models.tire import base_tire, contact
-from models.tire.contact import REFUSED_ROTATION, WARNED_ROTATION, RotationWarning, load_curve, press_to_load
+from models.tire import base_tire
+from models.tire import load_curve as curves
 from models.tire.laminate import Ply
+from models.tire.load_curve import REFUSED_ROTATION, WARNED_ROTATION, RotationWarning, load_curve, press_to_load
 from models.tire.micromechanics import CordRubber, isotropic
 from models.tire.profile import Profile
 
@@ -119,7 +120,7 @@ def test_rotations_are_warned_of_at_the_limit_and_refused_beyond_with_the_good_s
 
 
 def test_steps_before_one_that_does_not_converge_are_kept_and_smaller_steps_are_tried(ground, monkeypatch):
-    solve, tried = contact._equilibrium, []
+    solve, tried = curves.equilibrium, []
 
     def stuck(ground, q, active, deflection):
         tried.append(deflection)
@@ -128,7 +129,7 @@ def test_steps_before_one_that_does_not_converge_are_kept_and_smaller_steps_are_
         return solve(ground, q, active, deflection)
 
     whole = load_curve(ground, np.array([4e-3, 8e-3]))
-    monkeypatch.setattr(contact, "_equilibrium", stuck)
+    monkeypatch.setattr(curves, "equilibrium", stuck)
     curve = load_curve(ground, np.array([4e-3, 8e-3, 12e-3, 16e-3]))
     assert curve.deflections == pytest.approx([4e-3, 8e-3]) and curve.loads == pytest.approx(whole.loads, rel=1e-8)
     assert "does not converge" in curve.failure and max(tried) == pytest.approx(12e-3)

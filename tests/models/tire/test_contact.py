@@ -7,7 +7,8 @@ import pytest
 
 from calib.errors import EvaluationError, InputError
 from models.tire import base_tire
-from models.tire.contact import Ground, RotationWarning, load_curve, press_to_load
+from models.tire.contact import Ground
+from models.tire.load_curve import RotationWarning, load_curve, press_to_load
 
 DEFLECTION = np.array([12.5e-3])
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from models.tire import base_tire
-from models.tire.contact import Ground, load_curve
+from models.tire.contact import Ground
 from models.tire.inflated import inflate
+from models.tire.load_curve import load_curve
 
 DEFLECTION = 12.5e-3
 MESH = 29, 16
