@@ -59,13 +59,18 @@ def slope_entry(response: str, parameter: str) -> str:
 
 def response_of(entry: str) -> str:
     """The response that an entry of a function's result is, or whose derivative it is; see `slope_entry`."""
-    inner, found, _ = entry.removeprefix("d(").partition(")/d(")
-    return inner if found and entry.startswith("d(") else entry
+    name = str(entry)  # a function may return anything until its result is checked
+    inner, found, _ = name.removeprefix("d(").partition(")/d(")
+    return inner if found and name.startswith("d(") else name
 
 
 def responses_of(result: Mapping[str, float]) -> dict[str, float]:
     """The result of a function without the derivatives."""
-    return {name: value for name, value in result.items() if response_of(name) == name}
+    return {name: value for name, value in result.items() if response_of(name) == str(name)}
+
+
+DERIVES = "derives"
+"""Attribute of a function built by an effect: true where the derivatives that it returns are its own."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +97,8 @@ def extend_function(model: F, effects: Sequence[Effect]) -> F:
 
     An effect on a function model builds a function of all values, its own included, that returns the same as the
     model's; None when the model's function accepts the effect's parameters itself (optional ones, absent from the base
-    model's space). Each effect is built on the result of the previous one.
+    model's space). Each effect is built on the result of the previous one. Derivatives that a built function passes on
+    are those of the model before it, and are dropped unless it says by an attribute `DERIVES` that they are its own.
 
     Raises
     ------
@@ -108,7 +114,7 @@ def extend_function(model: F, effects: Sequence[Effect]) -> F:
                 remedy="return a function of named values, or None", at=defined_at(effect.build),
             )  # fmt: skip
         space = ParameterSpace(model.space.parameters + effect.parameters, model.space.constraints)
-        if built is not None and isinstance(model, FunctionModel):
+        if built is not None and isinstance(model, FunctionModel) and not getattr(built, DERIVES, False):
             built = _WithoutSlopes(built)
         model = replace(model, space=space, function=built or model.function)
     return model

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from calib.effect import Effect
-from calib.function import FunctionModel
+from calib.function import DERIVES, FunctionModel, response_of, responses_of, slope_entry
 from calib.measurement.responses import response_kinds
 from calib.space import Parameter, ParameterSpace
 from calib.structure.modal_function import ModalFunctionModel
@@ -137,12 +137,14 @@ def _change(p: Parameter, name: str, read: Read, mix: Mix | None = None) -> Pert
     def build(model: Model) -> Callable[[Mapping[str, float]], Any]:
         def changed(values: Mapping[str, float]) -> Any:
             rest = {n: v for n, v in values.items() if n != name}
-            moved = rest | {p.name: rest[p.name] + values[name] * (span or rest[p.name])}
-            if mix is None or values[name] == 0:
-                return model.function(moved)
-            return mix(read(model, rest), read(model, moved))
+            by, unit = values[name], span or rest[p.name]
+            moved = rest | {p.name: rest[p.name] + by * unit}
+            if mix is None or by == 0:
+                return _chained(model.function(moved), p.name, name, 1.0 if span else 1.0 + by, unit)
+            other = _chained(read(model, moved), p.name, name, 1.0 if span else 1.0 + by, unit)
+            return mix(read(model, rest), other)
 
-        return changed
+        return _deriving(changed)
 
     lacks = f"{p.name} is held at {p.value:g} {p.unit}" if mix is None else f"{p.name} is the same for all responses"
     part = "" if p.value == 0 else name.removeprefix("change of ")
@@ -170,7 +172,9 @@ def _fault(title: str, lacks: str, look_for: str, magnitude: Parameter, read: Re
     name = magnitude.name
 
     def build(model: Model) -> Callable[[Mapping[str, float]], Any]:
-        return lambda values: alter(read(model, {n: v for n, v in values.items() if n != name}), values[name])
+        return _deriving(
+            lambda values: alter(read(model, {n: v for n, v in values.items() if n != name}), values[name])
+        )
 
     return Effect(name, title, lacks, look_for, magnitude, build, of_measurement=True)
 
@@ -182,8 +186,39 @@ def _responses(model: FunctionModel, values: Mapping[str, float]) -> Mapping[str
     return model.function(values)
 
 
+def _deriving(function: Callable[[Mapping[str, float]], Any]) -> Callable[[Mapping[str, float]], Any]:
+    """The function, which returns derivatives of its own where the function below it returns any."""
+    setattr(function, DERIVES, True)
+    return function
+
+
+def _chained(result: Any, parameter: str, magnitude: str, inner: float, outer: float) -> Any:
+    """Responses at a moved parameter, with derivatives by the parameter itself and by the magnitude that moves it.
+
+    Parameters
+    ----------
+    result : mapping or Modes
+        At the moved value, with derivatives by that value; modes have none.
+    parameter, magnitude : str
+    inner, outer : float
+        Derivatives of the moved value by the parameter and by the magnitude.
+    """
+    if not isinstance(result, Mapping):
+        return result
+    out = dict(result)
+    for response in responses_of(result):
+        slope = result.get(slope_entry(response, parameter))
+        if slope is not None:
+            out[slope_entry(response, parameter)] = inner * slope
+            out[slope_entry(response, magnitude)] = outer * slope
+    return out
+
+
 def _chosen(own: Collection[str]) -> Mix:
-    return lambda base, other: {n: other[n] if n in own else r for n, r in base.items()}
+    def mix(base: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
+        return {n: r if response_of(n) in own else base.get(n, 0.0) for n, r in other.items()}
+
+    return mix
 
 
 def _offset(own: Collection[str], size: float) -> Alter:
@@ -191,7 +226,7 @@ def _offset(own: Collection[str], size: float) -> Alter:
 
 
 def _scale(own: Collection[str]) -> Alter:
-    return lambda answer, by: {n: r + by * r if n in own else r for n, r in answer.items()}
+    return lambda answer, by: {n: r + by * r if response_of(n) in own else r for n, r in answer.items()}
 
 
 # -- modes -------------------------------------------------------------------------------------------------------------
