@@ -9,14 +9,15 @@ from calib import interrupt
 
 def main() -> None:
     """Run the command."""
-    interrupt.once()
     try:
+        interrupt.once()
         from calib.cli import main as command
-    except KeyboardInterrupt:
+
+        command()
+    except KeyboardInterrupt:  # before the command handles it
         interrupt.answered()
         sys.stderr.write(f"calib: {interrupt.WORDS}\n")
         sys.exit(interrupt.CODE)
-    command()
 
 
 if __name__ == "__main__":

@@ -334,8 +334,7 @@ def _study(
 
 
 def main() -> None:
-    """Entry point of the command."""
-    interrupt.once()
+    """What the entry point runs when everything that it needs is imported."""
     terminal.write_to_any_code_page()
     sys.exit(execute(sys.argv[1:]))
 

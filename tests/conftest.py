@@ -140,11 +140,15 @@ def _unwritten(results: Any, *given: Any) -> Page:
     return Page(results.folder / "report.html", summary(results))
 
 
+def _draw_nothing(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
+    patch.setattr("calib.front.drawn.write_report", _unwritten)
+
+
 @contextlib.contextmanager
 def _no_drawing() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
-        patch.setattr("calib.front.drawn.write_report", _unwritten)
+        _draw_nothing(patch)
         yield
 
 
@@ -155,7 +159,9 @@ def no_drawing() -> Callable[[], contextlib.AbstractContextManager[None]]:
 
 
 @pytest.fixture
-def undrawn() -> Iterator[None]:
-    """No figures are drawn and no report is written, which take longest of all in a test of something else."""
-    with _no_drawing():
-        yield
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No figures are drawn and no report is written, which take longest of all in a test of something else.
+
+    By the patch of the test itself: two patches of one attribute that end in the wrong order would leave the inner one.
+    """
+    _draw_nothing(monkeypatch)

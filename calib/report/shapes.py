@@ -149,14 +149,24 @@ def mode_shapes_figure(
             drawn.set_rasterized(len(modes) * len(mesh.elements) > _MANY)
     show_axes(figure)
     write_size(figure, rest)
-    words = "measured" if expanded is None or not len(expanded) else "measured (dots), expanded by the model (lines)"
     handles = [
         Line2D([], [], color=REST, label="at rest"),
         Line2D([], [], color=BLUE, linewidth=1.6, label="model"),
-        Line2D([], [], color=MEASURED, marker="o", markersize=4, linewidth=0.8, label=words),
+        Line2D([], [], color=MEASURED, marker="o", markersize=4, linewidth=0.8, label="measured"),
     ]
+    if expanded is not None and len(expanded):
+        handles[-1].set_linestyle("none")
+        handles.append(Line2D([], [], color=MEASURED, linewidth=1.6, label="expanded"))
     low = 0.06 / float(figure.get_size_inches()[1])
-    figure.legend(handles=handles, loc="lower right", bbox_to_anchor=(0.99, low), ncols=3, borderaxespad=0.0)
+    figure.legend(
+        handles=handles,
+        loc="lower right",
+        bbox_to_anchor=(0.99, low),
+        ncols=len(handles),
+        borderaxespad=0.0,
+        columnspacing=1.2,
+        handlelength=1.6,
+    )
     return figure
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli, interrupt
+from calib.__main__ import main
 from calib.errors import InputError
 from calib.example import write_example
 from calib.place import Place
@@ -140,7 +140,7 @@ class Runner:
         environment = os.environ | {"PYTHONPATH": str(ROOT)}
         with (place / "out").open("w") as out, (place / "err").open("w") as err:
             process = subprocess.Popen(
-                [sys.executable, "-m", "calib.cli", *arguments],
+                [sys.executable, "-m", "calib", *arguments],
                 stdout=out, stderr=err, env=environment, start_new_session=True,
             )  # fmt: skip
         process.returncode = 0  # `Run` waits for it
@@ -150,13 +150,17 @@ class Runner:
     def fork(self, *arguments: str, user: int | None = None, draw: bool = False, prepare=lambda: None) -> Run:
         place = self._place()
         (place / "out").touch(), (place / "err").touch()
+        begun, begins = os.pipe()
         pid = os.fork()
         if not pid:
-            self._child(place, arguments, user, draw, prepare)
+            self._child(place, arguments, user, draw, prepare, begins)
+        os.close(begins)
+        os.read(begun, 1)  # what the child does before the command is not interrupted
+        os.close(begun)
         self.runs.append(Run(pid, place))
         return self.runs[-1]
 
-    def _child(self, place, arguments, user, draw, prepare):
+    def _child(self, place, arguments, user, draw, prepare, begins):
         code = 70
         try:
             os.setsid()
@@ -166,7 +170,6 @@ class Runner:
                 os.dup2(os.open(place / name, os.O_WRONLY), number)
             sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)
             signal.signal(signal.SIGINT, signal.default_int_handler)
-            interrupt.once()  # as the command does
             if user is not None:
                 os.setgroups([])
                 os.setgid(user)
@@ -174,7 +177,11 @@ class Runner:
             if not draw:
                 Figures.save = lambda *given: []
             prepare()
-            code = cli.execute(list(arguments))
+            sys.argv = ["calib", *arguments]
+            os.close(begins)
+            main()
+        except SystemExit as leaving:
+            code = leaving.code
         except BaseException:
             traceback.print_exc()
         finally:
