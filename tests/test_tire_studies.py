@@ -45,7 +45,9 @@ def test_the_twin_is_finer_and_its_parameters_are_not_nominal(make):
     assert len(TRUTH["effects"]) == 1 and TRUTH["visible"] > make.VISIBLE[0]
 
 
-@pytest.mark.parametrize("design", ["belt", "tread_layer", "soft_bead", "thin_sidewall", "halpin_tsai", "crown_mass"])
+@pytest.mark.parametrize(
+    "design", ["belt", "tread_layer", "soft_bead", "thin_sidewall", "halpin_tsai", "crown_mass", "uncoupled"]
+)
 def test_designs_of_the_twin_are_like_the_effects_and_not_the_same(make, design):
     """Away from the places where it acts the wall is as without it; stiffness or mass differ from the library's."""
     effect = {e.name: e for e in make.tire_effects()}[design]
@@ -62,6 +64,21 @@ def test_designs_of_the_twin_are_like_the_effects_and_not_the_same(make, design)
     assert np.abs(changed).max() > 0 and not np.allclose(own, listed, rtol=1e-3, atol=1e-9)
     alike = changed @ (listed - base) / np.linalg.norm(changed) / np.linalg.norm(listed - base)
     assert 0.7 < alike < 0.9999
+
+
+def test_an_inner_ply_that_lies_outermost_leaves_its_share_of_the_coupling(make):
+    """Thicknesses t - a, t, t, t, a of plies that alternate: B16 is 1 - 2 a / t of that of four equal ones."""
+    s = np.linspace(0.02, 0.3, 7)
+    plain, built = (make.Truth(NOMINAL, d).tire().stiffness(s) for d in ({}, {"uncoupled": 0.6}))
+    np.testing.assert_allclose(built[:, 0, 5], 0.4 * plain[:, 0, 5], rtol=1e-9)
+    np.testing.assert_allclose(built[:, :3, :3], plain[:, :3, :3], rtol=1e-9, atol=1e-6 * plain[0, 0, 0])
+
+
+def test_the_dead_part_of_the_pressure_has_a_potential_and_varies_over_the_section(make):
+    plain, built = (make.Truth(NOMINAL, d).tire().wall(11, 8).volume.curvature for d in ({}, {"dead_pressure": 0.5}))
+    assert abs(built - built.T).max() < 1e-12 * abs(built).max()
+    kept = built.diagonal() / plain.diagonal()
+    assert 0.4 < kept.min() < 0.45 < 0.55 < kept.max() < 0.6
 
 
 @pytest.mark.parametrize("design", ["apex", "one_sidewall", "wandering_cords"])

@@ -31,12 +31,15 @@ class Change:
         Of the tread, m/Pa.
     pressure : float
         Pa.
+    follows : float
+        Of the share of the pressure that follows the wall.
     """
 
     stiffness: np.ndarray
     areal_density: np.ndarray
     compliance: float = 0.0
     pressure: float = 0.0
+    follows: float = 0.0
 
 
 def change(tire: Callable[[float], Tire], value: float, lower: float, upper: float, s: np.ndarray) -> Change:
@@ -62,6 +65,7 @@ def change(tire: Callable[[float], Tire], value: float, lower: float, upper: flo
         sum(weight / h * at[k].stiffness(s) for k, weight in weights.items()),
         sum(weight / h * at[k].areal_density(s) for k, weight in weights.items()),
         sum(weight / h * at[k].tread_compliance for k, weight in weights.items()),
+        follows=-sum(weight / h * at[k].dead_pressure for k, weight in weights.items()),
     )
 
 
@@ -71,7 +75,7 @@ class StripTangent:
     def __init__(self, inflated: Inflated):
         strip, q = inflated.strip, inflated.strip_displacement
         self.factor = strip.tangent(q, inflated.pressure)[1].factor()
-        self.force = _Force(strip, q)
+        self.force = _Force(strip, q, inflated.pressure)
 
     def slope(self, by: Change) -> np.ndarray:
         """Derivative of the displacement of the axisymmetric strip, (n_strip_dof,), m."""
@@ -96,7 +100,8 @@ class Tangent:
         self.pressed = pressed
         ground = pressed.ground
         _, band = ground.inflated.wall.tangent(pressed.displacement, ground.inflated.pressure)
-        self.factor, self.force = band.factor(), _Force(ground.inflated.wall, pressed.displacement)
+        self.factor = band.factor()
+        self.force = _Force(ground.inflated.wall, pressed.displacement, ground.inflated.pressure)
         self.active = np.flatnonzero(pressed.force > 0.0)
         self.rows = ground.rows[self.active]
         self.shift = self.factor.solve(self.rows.T.toarray(order="F"))
@@ -152,8 +157,9 @@ def frequency_slopes(inflated: Inflated, modes: HoopModes, slope: np.ndarray, by
     local = local + (own.local_tangent(q + step * moved) - own.local_tangent(q - step * moved)) / (2 * step)
     mass = replace(wall, areal_density=by.areal_density).mass[rings(wall.grid)[:, 0]]
     out = np.empty_like(modes.frequencies)
+    curving = by.pressure * wall.follows + inflated.pressure * by.follows
     for k, order in enumerate(modes.orders):
-        matrix = of_order(wall, local, int(order)) - by.pressure * pressure_of_order(wall, int(order))
+        matrix = of_order(wall, local, int(order)) - curving * pressure_of_order(wall, int(order))
         for j, shape in enumerate(modes.shapes[k].T):
             omega = 2 * np.pi * modes.frequencies[k, j]
             stiffer, heavier = (shape.conj() @ matrix @ shape).real, (mass * np.abs(shape) ** 2).sum()
@@ -164,13 +170,14 @@ def frequency_slopes(inflated: Inflated, modes: HoopModes, slope: np.ndarray, by
 class _Force:
     """Derivative of the unbalanced force at fixed displacements; the elastic part is linear in the stiffness."""
 
-    def __init__(self, wall: Wall, q: np.ndarray):
+    def __init__(self, wall: Wall, q: np.ndarray, pressure: float):
         self.cells, self.elastic = wall.cells, wall.cells.at(q)
-        self.pressed = wall.volume.load + wall.volume.curvature @ q
+        self.pressed, self.following = wall.push(q), pressure * (wall.volume.curvature @ q)
 
     def by(self, change: Change) -> np.ndarray:
         """(n_dof,), N."""
-        return self.elastic(self.cells.each(change.stiffness)) - change.pressure * self.pressed
+        pushed = change.pressure * self.pressed + change.follows * self.following
+        return self.elastic(self.cells.each(change.stiffness)) - pushed
 
 
 def _with_stiffness(wall: Wall, by: Change) -> Wall:

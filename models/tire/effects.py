@@ -49,4 +49,15 @@ def tire_effects() -> tuple[Effect, ...]:
             "The tread weighs nothing.",
             "The weight of the tire, or of a piece cut from its crown.", 16.0, "kg/m2", 5.0,
         ),
+        function_effect(
+            "uncoupled", "Plies without coupling", "plies that do not couple stretching and bending",
+            "Plies lie as they were laid, so that stretching the wall also twists it.",
+            "The order of the plies in a cut; plies that are woven or laid symmetrically.", 1.0, "-", 0.5,
+        ),
+        function_effect(
+            "dead_pressure", "Pressure as a dead load", "pressure that does not follow the wall",
+            "The pressure follows the wall as it turns and stretches.",
+            "The load type of a computation that stands for the test: does it have a pressure stiffness?",
+            1.0, "-", 0.5,
+        ),
     )  # fmt: skip

@@ -75,7 +75,7 @@ def hoop_modes(inflated: Inflated, orders: np.ndarray, n_each: int = 1) -> HoopM
     frequencies, shapes = np.empty((len(orders), n_each)), np.empty((len(orders), len(ring), n_each), complex)
     local = sector(wall).local_tangent(inflated.displacement)
     for k, order in enumerate(orders):
-        stiffness = of_order(wall, local, order) - inflated.pressure * pressure_of_order(wall, order)
+        stiffness = of_order(wall, local, order) - inflated.pressure * wall.follows * pressure_of_order(wall, order)
         matrix = stiffness / np.outer(root, root)
         squares, vectors = linalg.eigh((matrix + matrix.conj().T) / 2, subset_by_index=[0, n_each - 1])
         if squares[0] <= 0.0:

@@ -42,37 +42,44 @@ class Wall:
     volume : EnclosedVolume
     areal_density : (2 n_meridian,) ndarray
         At ``grid.s_quarter``, kg/m2.
+    follows : float
+        Share of the pressure that follows the wall as it turns and stretches; at 0 it is a dead load.
     """
 
     grid: Grid
     cells: Cells
     volume: EnclosedVolume
     areal_density: np.ndarray
+    follows: float = 1.0
 
     @classmethod
-    def build(cls, grid: Grid, stiffness: np.ndarray, areal_density: np.ndarray) -> Wall:
+    def build(cls, grid: Grid, stiffness: np.ndarray, areal_density: np.ndarray, follows: float = 1.0) -> Wall:
         """Compose a wall from stiffness (2 n_meridian, 6, 6) and mass (2 n_meridian,) at ``grid.s_quarter``."""
         cells, volume = _laid_out(grid)
-        return cls(grid, cells.with_stiffness(stiffness), volume, areal_density)
+        return cls(grid, cells.with_stiffness(stiffness), volume, areal_density, follows)
 
     @cached_property
     def _pressure_band(self) -> SymmetricBand:
         return self.cells.banded(-self.volume.curvature)
 
+    def push(self, q: np.ndarray) -> np.ndarray:
+        """Force of a pressure of 1 Pa at displacements q, (n_dof,), m2."""
+        return self.volume.load + self.follows * (self.volume.curvature @ q)
+
     def energy(self, q: np.ndarray, pressure: float) -> float:
         """Potential energy U - pV, J, at displacements q (n_dof,), m, and the pressure, Pa."""
-        volume = self.volume.load @ q + q @ (self.volume.curvature @ q) / 2
+        volume = self.volume.load @ q + self.follows * q @ (self.volume.curvature @ q) / 2
         return self.cells.energy(q) - pressure * float(volume)
 
     def gradient(self, q: np.ndarray, pressure: float) -> np.ndarray:
         """Unbalanced force, (n_dof,), N."""
-        return self.cells.gradient(q) - pressure * (self.volume.load + self.volume.curvature @ q)
+        return self.cells.gradient(q) - pressure * self.push(q)
 
     def tangent(self, q: np.ndarray, pressure: float) -> tuple[np.ndarray, SymmetricBand]:
         """Unbalanced force, N, and tangent stiffness, N/m: elastic, geometric and pressure part."""
         gradient, band = self.cells.tangent(q)
-        gradient -= pressure * (self.volume.load + self.volume.curvature @ q)
-        return gradient, band + self._pressure_band * pressure
+        gradient -= pressure * self.push(q)
+        return gradient, band + self._pressure_band * (pressure * self.follows)
 
     @cached_property
     def mass(self) -> np.ndarray:

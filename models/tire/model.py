@@ -65,6 +65,8 @@ def tire_of(values: Mapping[str, float]) -> Tire:
         thin_sidewall=get("thin_sidewall", 0.0),
         halpin_tsai=get("halpin_tsai", 0.0),
         crown_mass=get("crown_mass", 0.0),
+        uncoupled=get("uncoupled", 0.0),
+        dead_pressure=get("dead_pressure", 0.0),
     )
 
 

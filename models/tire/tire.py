@@ -27,6 +27,7 @@ BEAD = 0.08
 _POSITIVE = "above 0", lambda value: value > 0.0
 _NOT_NEGATIVE = "0 and above", lambda value: value >= 0.0
 _SHARE = "below 1", lambda value: value < 1.0
+_PART = "0 to 1", lambda value: 0.0 <= value <= 1.0
 _FINITE = "any finite number", lambda value: True
 _ALLOWED = {
     "ply_thickness": _POSITIVE,
@@ -41,6 +42,8 @@ _ALLOWED = {
     "thin_sidewall": _SHARE,
     "halpin_tsai": _FINITE,
     "crown_mass": _FINITE,
+    "uncoupled": _PART,
+    "dead_pressure": _PART,
 }
 
 
@@ -81,6 +84,10 @@ class Tire:
         Share of the way, in logarithms, from the constants of `rule` to those of Halpin and Tsai.
     crown_mass : float
         Further mass under the tread, kg/m2.
+    uncoupled : float
+        Share of the plies' coupling between stretching and bending that the carcass lacks.
+    dead_pressure : float
+        Share of the pressure that keeps direction and size as the wall turns and stretches.
 
     Raises
     ------
@@ -107,6 +114,8 @@ class Tire:
     thin_sidewall: float = 0.0
     halpin_tsai: float = 0.0
     crown_mass: float = 0.0
+    uncoupled: float = 0.0
+    dead_pressure: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.n_plies >= 2 or self.n_plies % 2:
@@ -140,6 +149,8 @@ class Tire:
         """Laminate stiffness at arc lengths s (n,), m: (n, 6, 6) in N/m, N and N m."""
         wall = self._carcass(s)
         out = abd(wall)
+        out[:, :3, 3:] *= 1 - self.uncoupled
+        out[:, 3:, :3] *= 1 - self.uncoupled
         covered = self._covered(s)
         bare = ~covered & (self.thin_sidewall != 0.0)
         out[bare] = out[bare] * (1 - self.thin_sidewall)
@@ -161,7 +172,8 @@ class Tire:
     def wall(self, n_meridian: int, n_hoop: int, grading: float = 0.8) -> Wall:
         """Wall on a grid of so many cells along meridian and hoop."""
         grid = _grid(self.profile, n_meridian, n_hoop, grading)
-        return Wall.build(grid, self.stiffness(grid.s_quarter), self.areal_density(grid.s_quarter))
+        stiffness, mass = self.stiffness(grid.s_quarter), self.areal_density(grid.s_quarter)
+        return Wall.build(grid, stiffness, mass, 1 - self.dead_pressure)
 
     def inflate(self, pressure: float, n_meridian: int = 41, n_hoop: int = 24) -> Inflated:
         """Equilibrium at a pressure, Pa, free of the ground."""

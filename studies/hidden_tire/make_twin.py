@@ -52,6 +52,8 @@ MEASURED = (
 SPREAD, INSIDE = 0.5, 0.9
 MAGNITUDES, VISIBLE = (0.7, 1.5), (8.0, 20.0)
 LEAST_LOAD_CHANGE = 0.03
+HARDLY_SEEN, NOT_BUILT = "uncoupled", "dead_pressure"
+"""Effects that are not drawn: one would not be visible, the other is no construction of a tire."""
 FIRST_SEED = {"nothing": 1001, "effect": 1, "outside": 2001}
 SIZES = {"apex": (3.0, 8.0), "one_sidewall": (0.15, 0.35), "wandering_cords": (2.0, 5.0)}
 """Of the designs in no library: mm, share, degrees."""
@@ -90,7 +92,8 @@ def draw(rng: np.random.Generator, kind: str, hidden: str = "") -> Truth:
     library = {e.name: e for e in tire_effects()}
     designs: dict[str, float] = {}
     if kind == "effect":
-        effect = library[hidden or str(rng.choice(list(library)))]
+        drawn = [name for name in library if name not in (HARDLY_SEEN, NOT_BUILT)]
+        effect = library[hidden or str(rng.choice(drawn))]
         size = effect.plausible * rng.uniform(*MAGNITUDES)
         designs[effect.name] = float(min(size, INSIDE * effect.magnitude.upper))
         designs |= {q.name: _about(q.value, q.prior_width, q.lower, q.upper, rng) for q in effect.nuisance}

@@ -10,8 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import sparse
 
 from models.tire.contact import Ground
+from models.tire.inflated import Wall
 from models.tire.laminate import Ply, abd, pantograph
 from models.tire.micromechanics import CordRubber, Orthotropic, isotropic
 from models.tire.tire import Tire
@@ -48,12 +50,7 @@ class BuiltTire(Tire):
         """See `Tire`."""
         length, get = self.profile.length, self.designs.get
         thin = self._thinning(s)
-        r = np.minimum(self.profile.r(s), self.crown_radius)
-        angle = pantograph(self.crown_angle, self.crown_radius, r)
-        # In the mould cords wander from the pantograph, most where the section is widest.
-        angle = angle + np.radians(get("wandering_cords", 0.0)) * np.sin(2 * np.pi * s / length) ** 2
-        plies = [self._carcass_ply(k, angle) for k in range(self.n_plies)]
-        own = abd(plies)
+        own = abd(self._carcass(s))
         # A thinner wall by thinner plies: its bending stiffness falls with the cube.
         scale = np.ones((len(s), 6, 6))
         scale[:, :3, :3] = (1 - thin)[:, None, None]
@@ -98,6 +95,36 @@ class BuiltTire(Tire):
         length = self.profile.length
         both = self.designs.get("thin_sidewall", 0.0) * (1 - edge(s, length, 0.37))
         return both + self.designs.get("one_sidewall", 0.0) * (1 - edge(s, length, 0.37)) * (s < length / 2)
+
+    def wall(self, n_meridian: int, n_hoop: int, grading: float = 0.8) -> Wall:
+        """See `Tire`; where the pressure is a dead load it is so most beside the beads and least at the crown."""
+        wall, size = super().wall(n_meridian, n_hoop, grading), self.designs.get("dead_pressure", 0.0)
+        if not size:
+            return wall
+        grid, curvature = wall.grid, wall.volume.curvature
+        # The square root of the share on both sides keeps the potential.
+        root = sum(
+            take.T
+            @ sparse.diags_array(np.repeat(np.sqrt(1 + 0.15 * np.cos(2 * np.pi * s / s[-1])), grid.n_hoop))
+            @ take
+            for take, s in zip(grid.take, (grid.s_half, grid.s_node, grid.s_node), strict=True)
+        )
+        return replace(
+            wall, volume=replace(wall.volume, curvature=(curvature - size * root @ curvature @ root).tocsr())
+        )
+
+    def _carcass(self, s: np.ndarray) -> list[Ply]:
+        length, get = self.profile.length, self.designs.get
+        angle = pantograph(self.crown_angle, self.crown_radius, np.minimum(self.profile.r(s), self.crown_radius))
+        # In the mould cords wander from the pantograph, most where the section is widest.
+        angle = angle + np.radians(get("wandering_cords", 0.0)) * np.sin(2 * np.pi * s / length) ** 2
+        plies = [self._carcass_ply(k, angle) for k in range(self.n_plies)]
+        # Part of the innermost ply lies outermost: of four plies that alternate, half of it leaves no coupling.
+        moved = get("uncoupled", 0.0) * self.ply_thickness / 2
+        if moved:
+            plies = [replace(plies[0], thickness=self.ply_thickness - moved), *plies[1:]]
+            plies.append(replace(plies[0], thickness=moved))
+        return plies
 
     def _carcass_ply(self, number: int, angle: np.ndarray) -> Ply:
         one = self.plies.ply(self.rule)

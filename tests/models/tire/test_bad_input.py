@@ -41,6 +41,8 @@ WRONG = {
     "thin_sidewall": (1.0, NAN),
     "halpin_tsai": (NAN,),
     "crown_mass": (-100.0, NAN),
+    "uncoupled": (-0.1, 1.1, NAN),
+    "dead_pressure": (-0.1, 1.1, NAN),
 }
 
 

@@ -26,6 +26,7 @@ def found(request):
     [
         *("pressure", "crown_angle", "E_cord", "t_ply", "density", "cord_fraction"),
         *("belt", "tread_layer", "tread_compliance", "soft_bead", "thin_sidewall", "halpin_tsai", "crown_mass"),
+        *("uncoupled", "dead_pressure"),
     ],
 )
 def test_derivatives_are_those_of_solved_points(found, name):

@@ -5,6 +5,7 @@ import pytest
 
 from calib.errors import InputError
 from models.tire import base_tire
+from models.tire.effects import tire_effects
 from models.tire.harmonics import hoop_modes
 from models.tire.inflated import inflate
 from models.tire.model import parameters, tire_of, tire_on_ground
@@ -78,6 +79,8 @@ def test_the_largest_pressure_is_a_response_with_a_tread_only():
         ({"thin_sidewall": 0.2}, "load_10", -1),
         ({"halpin_tsai": 0.5}, "load_10", 1),
         ({"crown_mass": 5.0}, "freq_1", -1),
+        ({"uncoupled": 0.5}, "load_10", 1),
+        ({"dead_pressure": 0.5}, "freq_1", 1),
     ],
 )
 def test_effects_change_the_tire_as_an_engineer_expects(effect, response, sign):
@@ -86,10 +89,18 @@ def test_effects_change_the_tire_as_an_engineer_expects(effect, response, sign):
 
 
 def test_an_effect_of_magnitude_zero_changes_nothing():
-    none = dict.fromkeys(("belt", "tread_layer", "soft_bead", "thin_sidewall", "halpin_tsai", "crown_mass"), 0.0)
+    none = {effect.name: 0.0 for effect in tire_effects()}
     s = np.linspace(0.01, 0.3, 9)
     assert np.array_equal(tire_of(BASE | none).stiffness(s), tire_of(BASE).stiffness(s))
     assert np.array_equal(tire_of(BASE | none).areal_density(s), tire_of(BASE).areal_density(s))
+
+
+def test_a_pressure_that_does_not_follow_at_all_is_a_dead_load():
+    plain, dead = (tire_of(BASE | given).wall(11, 8) for given in ({}, {"dead_pressure": 1.0}))
+    q = 1e-3 * np.random.default_rng(0).standard_normal(plain.grid.n_dof)
+    np.testing.assert_array_equal(dead.push(q), plain.push(0 * q))
+    assert dead.energy(q, 2e5) - dead.energy(q, 0.0) == pytest.approx(-2e5 * plain.volume.load @ q, rel=1e-9)
+    assert not np.allclose(plain.push(q), plain.push(0 * q), rtol=1e-4)
 
 
 def test_deflections_must_ascend():
