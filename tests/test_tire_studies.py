@@ -45,9 +45,7 @@ def test_the_twin_is_finer_and_its_parameters_are_not_nominal(make):
     assert len(TRUTH["effects"]) == 1 and TRUTH["visible"] > make.VISIBLE[0]
 
 
-@pytest.mark.parametrize(
-    "design", ["belt", "tread_layer", "soft_bead", "thin_sidewall", "halpin_tsai", "crown_mass", "uncoupled"]
-)
+@pytest.mark.parametrize("design", ["belt", "tread_layer", "soft_bead", "thin_sidewall", "halpin_tsai", "crown_mass"])
 def test_designs_of_the_twin_are_like_the_effects_and_not_the_same(make, design):
     """Away from the places where it acts the wall is as without it; stiffness or mass differ from the library's."""
     effect = {e.name: e for e in make.tire_effects()}[design]
