@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from calib.analyses.candidate_places import TOGETHER
 from calib.analyses.hypotheses import ModelHypotheses
+from calib.analyses.imagined import linearised
 from calib.analyses.imagined_measurement import ImaginedMeasurement
 from calib.correlation.residual import ModalResidual, Row
 from calib.effect import Effect
@@ -19,7 +19,6 @@ from calib.missing.competing import CompetingModels
 from calib.missing.explanation import CandidateFit
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.recommendation import ExperimentalDesign, Linearisation
-from calib.missing.samples import posterior_samples
 from calib.missing.score import Scores
 from calib.space import ParameterSpace
 from calib.stage import Progress, unheard
@@ -72,26 +71,11 @@ def modal_design(
     imagined = ImaginedMeasurement(hypotheses, believed[0].fit, held_out or {}, held_sensors, tuple(acting.values()))
     labels = imagined.fit_problem(believed[0].names).pair.rows
     measured = _rows_of(labels, imagined.modes, {s.name for s in imagined.sensors})
-    seeds = np.random.default_rng(seed).integers(2**31, size=len(believed))
-    points = [posterior_samples(one.fit, samples, int(s)) for one, s in zip(believed, seeds, strict=True)]
-    competing = None
-    if len(believed) > 1:
-        pair = (imagined.competitor(one, own, scale) for one, own in zip(believed[:2], points[:2], strict=True))
-        first, second = pair
-        competing = CompetingModels((first, second), measured, seed)
-    shares = (1.0,) if competing is None else competing.weights
-    linearisations, number = [], itertools.count()
-    for candidate_fit, own, share in zip(believed, points, shares, strict=True):
-        for values in own:
-            progress("what to measure next", next(number), sum(map(len, points)))
-            linearisation = imagined.linearisation(candidate_fit, values, effects, found, scale, share)
-            linearisations += [] if linearisation is None else [linearisation]
+    linearisations, competing = linearised(imagined, believed, effects, found, scale, measured, samples, seed, progress)
     measurements = (
         _options(hypotheses, believed[0].fit, imagined, labels, linearisations, competing) if linearisations else []
     )
-    return ExperimentalDesign(
-        tuple(e.name for e in effects), measured, tuple(measurements), tuple(linearisations), competing
-    )
+    return ExperimentalDesign(tuple(e.name for e in effects), measured, tuple(measurements), linearisations, competing)
 
 
 def _options(

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
-
-import numpy as np
 
 from calib.analyses.experimental_design import bench_tests, best_sensors
 from calib.analyses.hypotheses import ModelHypotheses
+from calib.analyses.imagined import linearised
 from calib.analyses.imagined_frfs import ImaginedFRFs
 from calib.correlation.frf_residual import FRFResidual
 from calib.effect import Effect
 from calib.measurement.frf import MeasuredFRFs
 from calib.missing.candidate_measurement import CandidateMeasurement
-from calib.missing.competing import CompetingModels
 from calib.missing.explanation import CandidateFit
-from calib.missing.recommendation import ExperimentalDesign, Linearisation
-from calib.missing.samples import posterior_samples
+from calib.missing.recommendation import ExperimentalDesign
 from calib.missing.score import Scores
 from calib.stage import Progress, unheard
 
@@ -48,19 +44,7 @@ def frf_design(
     acting = {effect.name: effect for one in believed for effect in one.effects}
     imagined = ImaginedFRFs(hypotheses, believed[0].fit, held_out, tuple(acting.values()))
     measured = imagined.rows_of()
-    seeds = np.random.default_rng(seed).integers(2**31, size=len(believed))
-    points = [posterior_samples(one.fit, samples, int(s)) for one, s in zip(believed, seeds, strict=True)]
-    competing = None
-    if len(believed) > 1:
-        first, second = (imagined.competitor(b, own, scale) for b, own in zip(believed[:2], points[:2], strict=True))
-        competing = CompetingModels((first, second), measured, seed)
-    shares = (1.0,) if competing is None else competing.weights
-    linearisations, number = list[Linearisation](), itertools.count()
-    for candidate_fit, own, share in zip(believed, points, shares, strict=True):
-        for values in own:
-            progress("what to measure next", next(number), sum(map(len, points)))
-            linearisation = imagined.linearisation(candidate_fit, values, effects, found, scale, share)
-            linearisations += [] if linearisation is None else [linearisation]
+    linearisations, competing = linearised(imagined, believed, effects, found, scale, measured, samples, seed, progress)
     measurements: list[CandidateMeasurement] = []
     if linearisations:
         measurements = [
@@ -79,6 +63,4 @@ def frf_design(
             ),
             *bench_tests(hypotheses.space, believed[0].fit),
         ]
-    return ExperimentalDesign(
-        tuple(e.name for e in effects), measured, tuple(measurements), tuple(linearisations), competing
-    )
+    return ExperimentalDesign(tuple(e.name for e in effects), measured, tuple(measurements), linearisations, competing)

@@ -13,16 +13,12 @@ from calib.analyses.candidate_places import in_words, spread, where_acting
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.correlation.frf_residual import UNKNOWN_STD, FRFResidual, FRFRow
 from calib.effect import Effect
-from calib.errors import EvaluationError
 from calib.measurement.accuracy import NOTHING
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_parts import BANDS, REFERENCES, SENSORS
 from calib.measurement.modal import DIRECTIONS, Sensor
-from calib.missing.competing import CompetingModel
-from calib.missing.explanation import CandidateFit
 from calib.missing.linearised_fit import LinearisedFit
-from calib.missing.recommendation import HELD_OUT, Linearisation
-from calib.missing.score import Scores
+from calib.missing.recommendation import HELD_OUT
 from calib.problem import Problem
 
 PLACES = 12
@@ -190,57 +186,13 @@ class ImaginedFRFs:
             self._fit_problems[effects] = replace(real, pair=imagined)
         return self._fit_problems[effects]
 
-    def linearisation(
-        self,
-        candidate_fit: CandidateFit,
-        values: Mapping[str, float],
-        effects: Sequence[Effect],
-        found: Scores,
-        scale: float,
-        share: float,
-    ) -> Linearisation | None:
-        """Slopes and signatures at a point; None where the model cannot be solved there."""
-        fit_problem, names = self.fit_problem(candidate_fit.names), candidate_fit.fit.names
-        points = {e.name: found.points[found.best(e.name)] for e in effects if e.name not in candidate_fit.names}
-        differentiable = [name for name, point in points.items() if not point]
-        try:
-            here = fit_problem.residual(values)
-            slope = -fit_problem.jacobian(values, [*names, *differentiable])
-        except EvaluationError:
-            return None
-        columns = []
-        for effect in effects:
-            if effect.name in candidate_fit.names or effect.name in differentiable:
-                columns.append(slope[:, [*names, *differentiable].index(effect.name)])
-                continue
-            point = points[effect.name]
-            try:
-                changed = self.fit_problem((*candidate_fit.names, effect.name)).residual({**values, **point})
-                columns.append((here - changed) / point[effect.name])
-            except EvaluationError:
-                columns.append(np.zeros(len(here)))
-        signatures = np.column_stack(columns) / scale
-        return Linearisation(names, candidate_fit.fit.prior_sd, slope[:, : len(names)] / scale, signatures, share)
+    def identified(self, fit_problem: Problem[FRFResidual], values: Mapping[str, float]) -> np.ndarray:
+        """Every row, (n_rows,): a test measures lines whatever the structure."""
+        return np.ones(len(fit_problem.pair.rows), dtype=bool)
 
-    def competitor(
-        self, candidate_fit: CandidateFit, points: Sequence[Mapping[str, float]], scale: float
-    ) -> CompetingModel:
-        """Predictions of a model at its fit and at posterior samples, relative to the imagined test."""
-        fit_problem, fit = self.fit_problem(candidate_fit.names), candidate_fit.fit
-        kept, sampled = [], []
-        for values in points:
-            try:
-                sampled.append(-fit_problem.residual(values) / scale)
-            except EvaluationError:
-                continue
-            kept.append(values)
-        predicted, slope = -fit_problem.residual(fit.values), -fit_problem.jacobian(fit.values, fit.names)
-        there = np.ones(len(predicted), dtype=bool)
-        drawn = np.array(sampled).reshape(len(kept), len(predicted))
-        return CompetingModel(
-            candidate_fit.names[0], candidate_fit.ln_evidence, fit, predicted / scale, slope / scale, tuple(kept),
-            drawn, np.ones(drawn.shape, dtype=bool), there, np.zeros((len(predicted), 0)),
-        )  # fmt: skip
+    def loose(self, fit_problem: Problem[FRFResidual], values: Mapping[str, float]) -> np.ndarray:
+        """Nothing, (n_rows, 0): functions are measured in their units."""
+        return np.zeros((len(fit_problem.pair.rows), 0))
 
 
 def _noise(frfs: MeasuredFRFs) -> tuple[float, float]:

@@ -13,14 +13,10 @@ from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import StandardDeviations
 from calib.effect import Effect
-from calib.errors import EvaluationError, InputError
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.missing.competing import CompetingModel
-from calib.missing.explanation import CandidateFit
 from calib.missing.linearised_fit import LinearisedFit
-from calib.missing.recommendation import HELD_OUT, Linearisation
-from calib.missing.score import Scores
+from calib.missing.recommendation import HELD_OUT
 from calib.problem import Problem
 from calib.structure.modes import Modes
 
@@ -174,66 +170,9 @@ class ImaginedMeasurement:
         names = {name for name, one in zip(self.measurement.names, there, strict=True) if one}
         return np.array([row.mode in names for row in fit_problem.pair.rows])
 
-    def linearisation(
-        self,
-        candidate_fit: CandidateFit,
-        values: Mapping[str, float],
-        effects: Sequence[Effect],
-        found: Scores,
-        scale: float,
-        share: float,
-    ) -> Linearisation | None:
-        """Slopes and signatures at a point; None where the model cannot be solved there or near it."""
-        fit_problem, names = self.fit_problem(candidate_fit.names), candidate_fit.fit.names
-        points = {e.name: found.points[found.best(e.name)] for e in effects if e.name not in candidate_fit.names}
-        differentiable = [name for name, point in points.items() if not point]
-        try:
-            seen, slope = self.identified(fit_problem, values), -fit_problem.jacobian(values, [*names, *differentiable])
-        except EvaluationError:
-            return None
-        here, columns = fit_problem.residual(values), []
-        for effect in effects:
-            if effect.name in candidate_fit.names or effect.name in differentiable:
-                columns.append(slope[:, [*names, *differentiable].index(effect.name)])
-                continue
-            point = points[effect.name]
-            other = self.fit_problem((*candidate_fit.names, effect.name))
-            try:
-                changed = other.residual({**values, **point})
-                both = self.identified(other, {**values, **point})
-                columns.append(np.where(both, here - changed, 0.0) / point[effect.name])
-            except (EvaluationError, InputError):
-                columns.append(np.zeros(len(here)))
-        factor = seen[:, None] / scale
-        table = np.column_stack(columns) * factor
-        # The scale of a shape at further sensors is known only as well as the existing sensors determine it.
-        loose = fit_problem.pair.factor_spread(fit_problem.at(values)) * seen[:, None]
-        every = (*names, *(f"scale {k}" for k in range(loose.shape[1])))
-        known = np.append(candidate_fit.fit.prior_sd, np.ones(loose.shape[1]))
-        return Linearisation(every, known, np.hstack([slope[:, : len(names)] * factor, loose]), table, share)
-
-    def competitor(
-        self, candidate_fit: CandidateFit, points: Sequence[Mapping[str, float]], scale: float
-    ) -> CompetingModel:
-        """Predictions of a model at its fit and at posterior samples, relative to the imagined measurement."""
-        fit_problem, fit = self.fit_problem(candidate_fit.names), candidate_fit.fit
-        there = self.identified(fit_problem, fit.values)
-        kept, sampled, seen = [], [], []
-        for values in points:
-            try:
-                rows = self.identified(fit_problem, values)
-                sampled.append(np.where(rows, -fit_problem.residual(values), 0.0) / scale)
-            except EvaluationError:
-                continue
-            kept.append(values)
-            seen.append(rows)
-        factor = there / scale
-        predicted, slope = -fit_problem.residual(fit.values) * factor, -fit_problem.jacobian(fit.values, fit.names)
-        return CompetingModel(
-            candidate_fit.names[0], candidate_fit.ln_evidence, fit, predicted, slope * factor[:, None], tuple(kept),
-            np.array(sampled), np.array(seen), there,
-            fit_problem.pair.factor_spread(fit_problem.at(fit.values)) * there[:, None],
-        )  # fmt: skip
+    def loose(self, fit_problem: Problem[ModalResidual], values: Mapping[str, float]) -> np.ndarray:
+        """The scale of a shape at further sensors is known only as well as the existing sensors determine it."""
+        return fit_problem.pair.factor_spread(fit_problem.at(values))
 
 
 def _modes_in_words(freqs: Sequence[float], held_out: Mapping[str, float]) -> list[str]:
