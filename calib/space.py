@@ -21,6 +21,7 @@ SI_FACTORS: Mapping[str, float] = {
     "m": 1.0,
     "mm": 1e-3,
     "kg": 1.0,
+    "g": 1e-3,
     "t": 1e3,
     "kg/m": 1.0,
     "kg/m2": 1.0,

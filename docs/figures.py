@@ -41,6 +41,7 @@ class Shown:
 
 FIGURES = {
     "rig_misfit": Shown("four_storey_rig", "where_it_fails"),
+    "rig_why": Shown("four_storey_rig_missing", "why_this_effect"),
     "bogie_selection": Shown("bogie", "selection"),
     "bogie_comparison": Shown("bogie", "comparison"),
     "bogie_mode_shapes": Shown("bogie", "mode_shapes_after"),

@@ -27,16 +27,27 @@ def storey_stiffness() -> float:
     return 2 * 12 * YOUNG_MODULUS * inertia / LEAF_LENGTH**3
 
 
-def four_storey_rig(masses_known: bool = True) -> StructuralModel:
+def storey_drift(storey: int) -> np.ndarray:
+    """Elongation of a storey, counted from 1 at the ground, by the motions of the masses, (4,)."""
+    drift = np.zeros(STOREYS)
+    drift[storey - 1] = 1.0
+    if storey > 1:
+        drift[storey - 2] = -1.0
+    return drift
+
+
+def four_storey_rig(masses_known: bool = True, damped: bool = False) -> StructuralModel:
     """Chain of four masses; every storey's stiffness is a factor of its nominal value (storey 1 on the ground).
 
     Parameters
     ----------
     masses_known : bool
         False makes every mass a factor of its nominal value too.
+    damped : bool
+        True gives every storey the same dashpot, a parameter.
     """
     nominal = storey_stiffness()
-    parameters, terms = [], []
+    parameters, terms, dashpots = [], [], []
     for storey in range(1, STOREYS + 1):
         name = f"k{storey}"
         parameters.append(
@@ -45,11 +56,9 @@ def four_storey_rig(masses_known: bool = True) -> StructuralModel:
                 source=_SOURCE,
             )
         )  # fmt: skip
-        elongation = np.zeros((1, STOREYS))
-        elongation[0, storey - 1] = 1.0
-        if storey > 1:
-            elongation[0, storey - 2] = -1.0
-        terms.append(Term(name, sp.csr_array(nominal * elongation.T @ elongation), parameter(name)))
+        drift = storey_drift(storey)
+        terms.append(Term(name, sp.csr_array(nominal * np.outer(drift, drift)), parameter(name)))
+        dashpots.append(Term(f"c{storey}", sp.csr_array(np.outer(drift, drift)), parameter("c")))
     masses = []
     for storey in range(1, STOREYS + 1):
         here = sp.csr_array(([MASS], ([storey - 1], [storey - 1])), shape=(STOREYS, STOREYS))
@@ -59,6 +68,10 @@ def four_storey_rig(masses_known: bool = True) -> StructuralModel:
             parameters.append(
                 Parameter(name, 1.0, 0.7, 1.4, description=f"mass of storey {storey} over its weighed {MASS} kg")
             )
+    if damped:
+        parameters.append(
+            Parameter("c", 0.5, 0.0, 5.0, "Ns/m", description="dashpot of each storey (assumed)", source="assumed")
+        )
     heights = LEAF_LENGTH * np.arange(STOREYS + 1)
     points = np.column_stack([np.zeros(STOREYS + 1), heights, np.zeros(STOREYS + 1)])
     rows = 6 * np.arange(1, STOREYS + 1)
@@ -69,7 +82,7 @@ def four_storey_rig(masses_known: bool = True) -> StructuralModel:
         name="four-storey rig",
         space=ParameterSpace(tuple(parameters)),
         stiffness=AffineMatrix(STOREYS, tuple(terms)),
-        damping=AffineMatrix(STOREYS, ()),
+        damping=AffineMatrix(STOREYS, tuple(dashpots) if damped else ()),
         mass=AffineMatrix(STOREYS, tuple(masses)),
         mesh=Mesh(points, lines, ("storey",) * STOREYS),
         dofs=dofs,
