@@ -203,8 +203,8 @@ def _nothing(found: Explanation, effects: pd.DataFrame) -> _Words:
     if not found.base_adequacy.can_tell:
         return _Words(
             "Nothing can be told: the fitted parameters follow these data, whatever may be missing.",
-            f"They leave {max(found.base_adequacy.dof, 0.0):.1f} effective degrees of freedom, and below two no fit can "
-            "be tested.",
+            f"They leave {max(found.base_adequacy.dof, 0.0):.1f} effective degrees of freedom, and below two no fit "
+            "can be tested.",
             "Measure more modes or mode shapes, or hold parameters that are known, and ask again.",
         )
     sure = f"The data are as expected of a complete model: {_family(found)}."
