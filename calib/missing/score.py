@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 import scipy.linalg as la
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri, stdtr
 
 from calib.effect import Effect
 from calib.errors import EvaluationError
@@ -19,6 +19,8 @@ from calib.problem import Labelled
 
 NOISE_LEVEL = 0.01
 """Family-wise probability at which `noise_limit` is exceeded by noise alone."""
+_NEVER = 1e-3
+"""Chance that any sample reaches a score, below which none is drawn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,14 +169,18 @@ def family_p(found: Scores, labelled: Labelled, seed: int) -> float:
 
     If nothing is missing, scores are correlated normal variates with the covariance ``U^T U`` of their unit directions.
     The standard deviation is estimated from a few repeats, so that the samples of every kind of response share a factor
-    (``sqrt(nu/chi2_nu)``, as in Student's t). The smallest p-value is about ``1/Rules.draws``.
+    (``sqrt(nu/chi2_nu)``, as in Student's t). The smallest p-value is about ``1/Rules.draws``; a score that none of the
+    samples would reach has it without any being drawn.
     """
     seen = found.size > 0
     if not seen.any():
         return 1.0
     unit, signed = found.unit[:, seen], found.signed[seen]
-    rng = np.random.default_rng(seed)
     kinds = [row.kind for row in labelled.rows]
+    std_dof = np.array([labelled.std_dof.get(kind, np.inf) for kind in dict.fromkeys(kinds)])
+    if RULES.draws * _reached(found.magnitude[seen].max(), unit.shape[1], std_dof) < _NEVER:
+        return 1 / (RULES.draws + 1)
+    rng = np.random.default_rng(seed)
     blocks = {kind: np.flatnonzero([k == kind for k in kinds]) for kind in dict.fromkeys(kinds)}
     samples = np.zeros((unit.shape[1], RULES.draws))
     for kind, index in (*blocks.items(), ("", np.arange(len(kinds), len(unit)))):
@@ -184,6 +190,17 @@ def family_p(found: Scores, labelled: Labelled, seed: int) -> float:
         samples += factor * (root @ rng.standard_normal((root.shape[1], RULES.draws)))
     largest = np.max(np.where(signed[:, None], np.abs(samples), samples), axis=0)
     return float((np.count_nonzero(largest >= found.magnitude[seen].max()) + 1) / (RULES.draws + 1))
+
+
+def _reached(score: float, count: int, std_dof: np.ndarray) -> float:
+    """Upper bound of the chance that any of some scores reaches a value where nothing is missing.
+
+    A score is a sum over kinds k of normal variates times factors f_k, whose squared weights sum to 1: it reaches what
+    one normal variate times the largest factor does, and each of these is a Student's t of that kind's degrees of
+    freedom (Bonferroni over scores, kinds and the prior, whose factor is 1).
+    """
+    finite = std_dof[np.isfinite(std_dof)]
+    return float(2 * count * ((len(std_dof) - len(finite) + 1) * ndtr(-score) + stdtr(finite, -score).sum()))
 
 
 def noise_limit(scores: np.ndarray) -> float:
