@@ -52,6 +52,7 @@ def test_wide_limits_let_several_solutions_appear_and_the_tool_says_so(tmp_path,
     assert not verdicts["identified"].any() and set(verdicts["not_identified"]) == {"solutions"}
 
 
+@pytest.mark.slow
 def test_the_bogies_initial_error_is_near_that_of_the_case_study():
     study = Study.load(ROOT / "studies/bogie")
     comparison = study.problem.compare(study.model.space.values)

@@ -82,6 +82,7 @@ def test_magnitude_zero_leaves_the_base_model(library, name):
     np.testing.assert_allclose(found.damping_ratio[kept], nominal().damping_ratio, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_all_effects_together_leave_the_base_model(library):
     assert library.gap({}) <= 1e-12
     model = library.together
@@ -151,6 +152,7 @@ def test_wood_bends_as_actuators_give_way(library, effect_checks):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_plausible_magnitudes_that_the_sensors_cannot_see(library, effect_checks):
     columns = library.columns()
     seen = {

@@ -238,6 +238,7 @@ def test_pads_on_the_left_soften_and_all_dissipate(alone):
 # -- bogies and track --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_soft_track_is_a_softer_contact(alone, rigid_car):
     lost = alone.change("track_compliance", {"track_compliance": 10.0})[0]
     softer = 1 / (1 / 1200e6 + 10e-9) / 1e6
