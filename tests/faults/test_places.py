@@ -286,6 +286,7 @@ def test_a_ledger_of_a_newer_version(mast, told):
 # -- a study that changes ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -83,6 +83,7 @@ def test_the_expected_sum_of_squares_is_the_degrees_of_freedom(toy):
     assert dof.sum() < len(toy.rows) - 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [np.inf, 6.0])
 def test_p_is_uniform_when_nothing_is_missing(toy, known):
     toy = toy(modes=6, sensors=4, parameters=3, reach=1e3)

@@ -45,7 +45,8 @@ def lifted(reduced, values):
     return replace(modes, shapes=reduced.lift(modes.shapes))
 
 
-@pytest.mark.parametrize(("damped", "grounded"), [(True, True), (False, True), (True, False), (False, False)])
+@pytest.mark.parametrize("damped", [True, False])
+@pytest.mark.parametrize("grounded", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_refined_modes_are_those_of_the_full_model(coarse, damped, grounded):
     reduced = coarse(damped, grounded)
     for values in space_filling_points(reduced.model.space, 2, np.random.default_rng(9)):

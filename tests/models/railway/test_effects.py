@@ -105,6 +105,7 @@ def test_matrix_derivatives_agree_with_differences(library, name):
     assert ("c_primary" in gaps) == (name in ("weak_damper", "damper_mount"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in QUICK else [pytest.mark.slow]) for n in NAMES])
 def test_matrices_stay_semidefinite_and_modes_solvable_at_the_limits(library, coarse, effect_checks, name):
     for values in effect_checks.limits(EFFECTS[name]):

@@ -52,6 +52,7 @@ def test_flexible_actuators_are_softer_supports(monkeypatch):
         assert abs(one - other).max() <= 1e-12 * abs(one).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["crossbar_joint", "girder_end"])
 def test_soft_stretches_lower_the_stiffness_of_their_elements(name):
     # The mesh has lines at 0.15 m from the joints; within each stretch the moment is nearly constant.

@@ -27,6 +27,7 @@ def energy(effect_checks):
 # -- the body ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(EFFECTS))
 def test_a_rise_of_the_whole_works_against_nothing_but_what_stands_on_the_ground(alone, energy, name):
     effect = EFFECTS[name]
