@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
@@ -180,14 +181,14 @@ def family_p(found: Scores, labelled: Labelled, seed: int) -> float:
     std_dof = np.array([labelled.std_dof.get(kind, np.inf) for kind in dict.fromkeys(kinds)])
     if RULES.draws * _reached(found.magnitude[seen].max(), unit.shape[1], std_dof) < _NEVER:
         return 1 / (RULES.draws + 1)
-    rng = np.random.default_rng(seed)
-    blocks = {kind: np.flatnonzero([k == kind for k in kinds]) for kind in dict.fromkeys(kinds)}
+    blocks = [np.flatnonzero([k == kind for k in kinds]) for kind in dict.fromkeys(kinds)]
+    blocks.append(np.arange(len(kinds), len(unit)))
+    roots = [_root(unit[index]) for index in blocks]
+    dof = (*std_dof.tolist(), np.inf)
     samples = np.zeros((unit.shape[1], RULES.draws))
-    for kind, index in (*blocks.items(), ("", np.arange(len(kinds), len(unit)))):
-        dof = labelled.std_dof.get(kind, np.inf)
-        factor = np.sqrt(dof / rng.chisquare(dof, RULES.draws)) if np.isfinite(dof) else np.ones(RULES.draws)
-        root = _root(unit[index])
-        samples += factor * (root @ rng.standard_normal((root.shape[1], RULES.draws)))
+    noise = _noise(seed, RULES.draws, tuple(zip(dof, (root.shape[1] for root in roots), strict=True)))
+    for root, (factor, normal) in zip(roots, noise, strict=True):
+        samples += factor * (root @ normal)
     largest = np.max(np.where(signed[:, None], np.abs(samples), samples), axis=0)
     return float((np.count_nonzero(largest >= found.magnitude[seen].max()) + 1) / (RULES.draws + 1))
 
@@ -214,6 +215,19 @@ def noise_limit(scores: np.ndarray) -> float:
         NaN where the parameters absorb the candidate.
     """
     return float(-ndtri(NOISE_LEVEL / (2 * max(int(np.isfinite(scores).sum()), 1))))
+
+
+@lru_cache(maxsize=3)  # the candidates of one fit after another: effects, perturbations, faults of the measurement
+def _noise(
+    seed: int, draws: int, parts: tuple[tuple[float, int], ...]
+) -> tuple[tuple[np.ndarray | float, np.ndarray], ...]:
+    """Common factor (draws,) and independent normal variates (size, draws) of parts of given dof and size."""
+    rng = np.random.default_rng(seed)
+    out: list[tuple[np.ndarray | float, np.ndarray]] = []
+    for dof, size in parts:
+        factor = np.sqrt(dof / rng.chisquare(dof, draws)) if np.isfinite(dof) else 1.0
+        out.append((factor, rng.standard_normal((size, draws))))
+    return tuple(out)
 
 
 def _root(rows: np.ndarray) -> np.ndarray:
