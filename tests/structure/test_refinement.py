@@ -102,6 +102,7 @@ def test_a_mode_that_the_basis_lacks_is_counted_and_solved_for(coarse, damped, m
     assert ModeTarget(COUNT, np.inf, 0.95, 1e-3).error(blind, values, counted=True) > 1e-3
 
 
+@pytest.mark.slow
 def test_rigid_body_motions_are_counted_too(coarse):
     reduced = coarse(True, False)
     assert undamped_count_agrees(reduced, reduced.model.space.values, COUNT)
