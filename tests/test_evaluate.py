@@ -232,6 +232,7 @@ def test_the_function_is_built_once_and_only_when_needed(source, tmp_path):
     assert log.read_text().split() == [str(os.getpid())]
 
 
+@pytest.mark.slow
 def test_a_point_that_kills_its_worker_is_a_failed_row(source, tmp_path):
     log = tmp_path / "built"
     with Evaluator(source(str(log)), 2) as evaluator:
@@ -245,6 +246,7 @@ def test_a_point_that_kills_its_worker_is_a_failed_row(source, tmp_path):
     assert gone(pids)
 
 
+@pytest.mark.slow
 def test_faults_of_the_setup_in_a_worker_come_back(source, tmp_path):
     log = tmp_path / "built"
     for kind, fault, text in (("unbuildable", InputError, "study changed"), ("bug", RuntimeError, "KeyError")):

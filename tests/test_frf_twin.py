@@ -189,6 +189,7 @@ def test_the_measurement_varies_about_the_twin_as_stated(measured):
     assert np.mean(spread**2) == pytest.approx(1, abs=4 * np.sqrt(2 / (4 * spread.size)))
 
 
+@pytest.mark.slow
 def test_the_twin_is_another_mesh_with_the_articles_moduli():
     own = [TRUTH["parameters"][name] / solar_panel().space[name].value for name in GROUPS]
     assert own == pytest.approx([1.2, 1.2, 1.3, 1.3, 1.5, 1.5])

@@ -71,6 +71,7 @@ def test_modes_and_frfs_are_of_one_array(measured):
         assert abs(measured.freq[near][np.argmax(measured.power[near])] / freq - 1) < make_twin.RATIO
 
 
+@pytest.mark.slow
 def test_the_files_hold_what_the_twin_does(twin, measured):
     """A mean of five repeats against the noise-free array."""
     test = make_twin.frf_test(twin)
@@ -92,6 +93,7 @@ def test_the_span_of_the_twin_is_as_good_as_its_mesh(twin):
     np.testing.assert_allclose(spanned, whole, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_mesh_alone_is_far_below_the_noise(plain):
     """Natural frequencies, and what of the FRFs the parameters cannot absorb."""
     values = TRUTH["parameters"]
@@ -107,6 +109,7 @@ def test_the_mesh_alone_is_far_below_the_noise(plain):
     assert 0.1 < np.linalg.norm(left) < 0.5 * LEAST
 
 
+@pytest.mark.slow
 def test_a_hidden_effect_is_visible_by_the_stated_rule(twin):
     names, modes, shapes = make_twin.named_modes(twin)
     problem = make_twin.modal_problem(make_twin.noiseless(names, modes, shapes))

@@ -24,6 +24,7 @@ def summary(folder: Path) -> dict:
     return json.loads((folder / "summary.json").read_text("utf-8"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_four_frequencies_of_the_measured_rig_are_met_within_their_standard_deviation(undrawn, tmp_path, quick):
     question = ["calibrate", str(ROOT / "studies/four_storey_rig"), "--results", str(tmp_path), "--workers", "1"]
@@ -52,6 +53,7 @@ def test_wide_limits_let_several_solutions_appear_and_the_tool_says_so(tmp_path,
     assert not verdicts["identified"].any() and set(verdicts["not_identified"]) == {"solutions"}
 
 
+@pytest.mark.slow
 def test_the_bogies_initial_error_is_near_that_of_the_case_study():
     study = Study.load(ROOT / "studies/bogie")
     comparison = study.problem.compare(study.model.space.values)
@@ -72,6 +74,7 @@ def test_the_bogies_initial_error_is_near_that_of_the_case_study():
     assert np.all((residual > 0.05) & (residual < 0.3))
 
 
+@pytest.mark.slow
 def test_the_twin_varies_as_stated():
     """Five repeats of eight modes against the noise-free twin: their means lie within the stated deviations."""
     measured = Study.load(ROOT / "studies/bogie").measured

@@ -48,6 +48,7 @@ def test_limits_of_sensitivity_and_search_differ_as_in_the_case_study():
     assert (study.search_space["K_rod_lower"].lower, study.search_space["K_rod_lower"].upper) == (10.0, 40.0)
 
 
+@pytest.mark.slow
 def test_a_copied_folder_works_anywhere(tmp_path, monkeypatch):
     shutil.copytree(BOGIE, tmp_path / "elsewhere")
     monkeypatch.chdir(tmp_path)

@@ -101,7 +101,7 @@ def explain(
     tests = study.studies
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
     if any(one.measured is not None for one in tests):
-        engine.require_modes(sum(_counted(one) for one in tests))
+        engine.require_modes(sum(one.problem.n_measured for one in tests))
     started, local = time.perf_counter(), _local(study)
     adapter = together({s.test: adapter_of(s, homes.get(s.test, results), progress, local.get(s.test)) for s in tests})
     found = decided(adapter, study.settings.explain, study.file, progress)
@@ -161,14 +161,6 @@ def _local(study: AnyStudy) -> dict[str, tuple[Perturbation, ...]]:
         found = local_perturbations(model, used, group[0].search_space.values, of)
         out |= {one.test: found for one in group}
     return out
-
-
-def _counted(study: Study) -> int:
-    """Modes, scalar responses, or lines of FRFs in use."""
-    problem = study.problem
-    if isinstance(problem, FRFProblem):
-        return len(problem.measured.freq)
-    return len(problem.targets) if isinstance(problem, FunctionProblem) else problem.measured.n_modes
 
 
 def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: str) -> None:

@@ -119,6 +119,11 @@ class FRFProblem:
         rows = self._responses, self._references
         return FRFTarget(self.measured.freq, *rows, unit, self.measured.quantity, loads)
 
+    @property
+    def n_measured(self) -> int:
+        """Number of measured frequency lines."""
+        return len(self.measured.freq)
+
     @cached_property
     def fingerprint(self) -> str:
         """Hash that changes whenever the responses at the same values could, which measured values enter."""

@@ -123,6 +123,11 @@ class ModalProblem:
         return self.model.space
 
     @property
+    def n_measured(self) -> int:
+        """Number of measured modes."""
+        return self.measured.n_modes
+
+    @property
     def fingerprint(self) -> str:
         """Hash that changes whenever the responses at the same complete set of named values could."""
         digest = hashlib.sha256(_DEFINITION.encode())
@@ -388,6 +393,11 @@ class FunctionProblem:
     def with_model(self, model: FunctionModel) -> FunctionProblem:
         """The same targets for another function."""
         return replace(self, space=model.space, function=model.function)
+
+    @property
+    def n_measured(self) -> int:
+        """Number of measured responses."""
+        return len(self.targets)
 
     @property
     def std_dof(self) -> dict[str, float]:

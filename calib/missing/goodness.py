@@ -161,23 +161,21 @@ def by_sensor(fit: Fit, labelled: Labelled) -> pd.DataFrame:
 
     ``p`` holds for one sensor; the worst of n has n times that p-value (Bonferroni).
     """
-    table, std_dof = _sensors(fit, labelled), labelled.std_dof
-    std = np.array([std_dof.get(kind, np.inf) for kind in table["kind"]])
-    table["p"] = chance(table["chi2"].to_numpy(), table["dof"].to_numpy(), std)
-    order = np.lexsort((-table["chi2"].to_numpy(), table["p"].to_numpy()))
-    named = order[[bool(sensor) for sensor in table["sensor"].iloc[order]]]
-    return table.drop(columns="kind").take(named).reset_index(drop=True)
+    names, kinds, chi2, dof = _sensors(fit, labelled)
+    std_dof = labelled.std_dof
+    p = chance(chi2, dof, np.array([std_dof.get(kind, np.inf) for kind in kinds]))
+    order = [k for k in np.lexsort((-chi2, p)) if names[k]]
+    return pd.DataFrame({"sensor": [names[k] for k in order], "chi2": chi2[order], "dof": dof[order], "p": p[order]})
 
 
-def _sensors(fit: Fit, labelled: Labelled) -> pd.DataFrame:
-    """``sensor, kind, chi2, dof`` in the order of the rows; factors of a shape are divided evenly among its rows."""
+def _sensors(fit: Fit, labelled: Labelled) -> tuple[list[str], list[str], np.ndarray, np.ndarray]:
+    """Sensors, kinds, chi2 and dof in the order of the rows; factors of a shape are divided evenly among its rows."""
     rows, fitted_factors = labelled.rows, labelled.fitted_factors
     blocks, which = _numbered([(row.mode, row.kind) for row in rows])
     share = np.array([fitted_factors.get(block, 0) for block in blocks]) / np.bincount(which)
     dof = row_dof(fit.slope, fit.prior_sd) - share[which]
-    names, of = _numbered([(row.sensor, row.kind) for row in rows])
-    sums = {"chi2": np.bincount(of, fit.residual**2), "dof": np.bincount(of, dof)}
-    return pd.DataFrame({"sensor": [sensor for sensor, _ in names], "kind": [kind for _, kind in names]} | sums)
+    both, of = _numbered([(row.sensor, row.kind) for row in rows])
+    return [s for s, _ in both], [k for _, k in both], np.bincount(of, fit.residual**2), np.bincount(of, dof)
 
 
 def overall(kinds: pd.DataFrame, modes: pd.DataFrame) -> float:
@@ -237,9 +235,9 @@ def lone_sensor(fit: Fit, labelled: Labelled, level: float) -> str | None:
     The ratio of its chi2 over degrees of freedom to that of all other sensors is an F variate whatever the standard
     deviation; the worst of n sensors has n times its p-value (Bonferroni).
     """
-    table = _sensors(fit, labelled)
-    shapes = _of_shapes(table)
-    names, chi2, dof = (table[column].to_numpy()[shapes] for column in ("sensor", "chi2", "dof"))
+    every, kinds, chi2, dof = _sensors(fit, labelled)
+    shapes = [k for k, kind in enumerate(kinds) if kind == "shape"]
+    names, chi2, dof = [every[k] for k in shapes], chi2[shapes], dof[shapes]
     rest, others = chi2.sum() - chi2, dof.sum() - dof
     usable = (dof >= 1) & (others >= 1)
     if not usable.any():
@@ -247,7 +245,7 @@ def lone_sensor(fit: Fit, labelled: Labelled, level: float) -> str | None:
     p = np.ones(len(names))
     p[usable] = chance((chi2 * others)[usable] / rest[usable], dof[usable], others[usable])
     worst = int(np.argmin(p))
-    return str(names[worst]) if p[worst] * len(names) <= level else None
+    return names[worst] if p[worst] * len(names) <= level else None
 
 
 def _of_shapes(table: pd.DataFrame) -> np.ndarray:

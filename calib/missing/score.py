@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
 import scipy.linalg as la
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri, stdtr
 
 from calib.effect import Effect
 from calib.errors import EvaluationError
@@ -19,6 +20,8 @@ from calib.problem import Labelled
 
 NOISE_LEVEL = 0.01
 """Family-wise probability at which `noise_limit` is exceeded by noise alone."""
+_NEVER = 1e-3
+"""Chance that any sample reaches a score, below which none is drawn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,23 +170,38 @@ def family_p(found: Scores, labelled: Labelled, seed: int) -> float:
 
     If nothing is missing, scores are correlated normal variates with the covariance ``U^T U`` of their unit directions.
     The standard deviation is estimated from a few repeats, so that the samples of every kind of response share a factor
-    (``sqrt(nu/chi2_nu)``, as in Student's t). The smallest p-value is about ``1/Rules.draws``.
+    (``sqrt(nu/chi2_nu)``, as in Student's t). The smallest p-value is about ``1/Rules.draws``; a score that none of the
+    samples would reach has it without any being drawn.
     """
     seen = found.size > 0
     if not seen.any():
         return 1.0
     unit, signed = found.unit[:, seen], found.signed[seen]
-    rng = np.random.default_rng(seed)
     kinds = [row.kind for row in labelled.rows]
-    blocks = {kind: np.flatnonzero([k == kind for k in kinds]) for kind in dict.fromkeys(kinds)}
+    std_dof = np.array([labelled.std_dof.get(kind, np.inf) for kind in dict.fromkeys(kinds)])
+    if RULES.draws * _reached(found.magnitude[seen].max(), unit.shape[1], std_dof) < _NEVER:
+        return 1 / (RULES.draws + 1)
+    blocks = [np.flatnonzero([k == kind for k in kinds]) for kind in dict.fromkeys(kinds)]
+    blocks.append(np.arange(len(kinds), len(unit)))
+    roots = [_root(unit[index]) for index in blocks]
+    dof = (*std_dof.tolist(), np.inf)
     samples = np.zeros((unit.shape[1], RULES.draws))
-    for kind, index in (*blocks.items(), ("", np.arange(len(kinds), len(unit)))):
-        dof = labelled.std_dof.get(kind, np.inf)
-        factor = np.sqrt(dof / rng.chisquare(dof, RULES.draws)) if np.isfinite(dof) else np.ones(RULES.draws)
-        root = _root(unit[index])
-        samples += factor * (root @ rng.standard_normal((root.shape[1], RULES.draws)))
+    noise = _noise(seed, RULES.draws, tuple(zip(dof, (root.shape[1] for root in roots), strict=True)))
+    for root, (factor, normal) in zip(roots, noise, strict=True):
+        samples += factor * (root @ normal)
     largest = np.max(np.where(signed[:, None], np.abs(samples), samples), axis=0)
     return float((np.count_nonzero(largest >= found.magnitude[seen].max()) + 1) / (RULES.draws + 1))
+
+
+def _reached(score: float, count: int, std_dof: np.ndarray) -> float:
+    """Upper bound of the chance that any of some scores reaches a value where nothing is missing.
+
+    A score is a sum over kinds k of normal variates times factors f_k, whose squared weights sum to 1: it reaches what
+    one normal variate times the largest factor does, and each of these is a Student's t of that kind's degrees of
+    freedom (Bonferroni over scores, kinds and the prior, whose factor is 1).
+    """
+    finite = std_dof[np.isfinite(std_dof)]
+    return float(2 * count * ((len(std_dof) - len(finite) + 1) * ndtr(-score) + stdtr(finite, -score).sum()))
 
 
 def noise_limit(scores: np.ndarray) -> float:
@@ -197,6 +215,19 @@ def noise_limit(scores: np.ndarray) -> float:
         NaN where the parameters absorb the candidate.
     """
     return float(-ndtri(NOISE_LEVEL / (2 * max(int(np.isfinite(scores).sum()), 1))))
+
+
+@lru_cache(maxsize=3)  # the candidates of one fit after another: effects, perturbations, faults of the measurement
+def _noise(
+    seed: int, draws: int, parts: tuple[tuple[float, int], ...]
+) -> tuple[tuple[np.ndarray | float, np.ndarray], ...]:
+    """Common factor (draws,) and independent normal variates (size, draws) of parts of given dof and size."""
+    rng = np.random.default_rng(seed)
+    out: list[tuple[np.ndarray | float, np.ndarray]] = []
+    for dof, size in parts:
+        factor = np.sqrt(dof / rng.chisquare(dof, draws)) if np.isfinite(dof) else 1.0
+        out.append((factor, rng.standard_normal((size, draws))))
+    return tuple(out)
 
 
 def _root(rows: np.ndarray) -> np.ndarray:

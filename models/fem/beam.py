@@ -165,9 +165,17 @@ def axes(start: np.ndarray, end: np.ndarray, up: np.ndarray) -> tuple[np.ndarray
     along = end - start
     length = np.linalg.norm(along, axis=1)
     x = along / length[:, None]
-    z = np.cross(x, up)
+    z = _cross(x, up)
     z /= np.linalg.norm(z, axis=1)[:, None]
-    return length, np.stack([x, np.cross(z, x), z], axis=1)
+    return length, np.stack([x, _cross(z, x), z], axis=1)
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Vector product (n, 3); that of NumPy takes most of its time to look at shapes."""
+    out = np.empty(a.shape)
+    for k, (m, n) in enumerate(((1, 2), (2, 0), (0, 1))):
+        out[:, k] = a[..., m] * b[..., n] - a[..., n] * b[..., m]
+    return out
 
 
 def to_global(matrices: np.ndarray, rotation: np.ndarray, arms: np.ndarray) -> np.ndarray:

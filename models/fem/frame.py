@@ -247,7 +247,7 @@ class Frame:
         ``chosen`` (n_elements,), bool, keeps only some of their elements.
         """
         stiff, heavy = [], []
-        for elements, member, length, rotation, arms in self._chunks(groups):
+        for elements, member, length, rotation, arms in self._chunks(groups, chosen):
             k, m = beam.stiffness(member.section, length), beam.mass(member.section, length)
             for where, released in self._releases(member, len(elements)):
                 k[where], m[where] = beam.release(k[where], m[where], released)
@@ -282,8 +282,9 @@ class Frame:
         return follow
 
     def _chunks(
-        self, groups: Iterable[str] | None
+        self, groups: Iterable[str] | None, chosen: np.ndarray | None = None
     ) -> Iterator[tuple[np.ndarray, Member, np.ndarray, np.ndarray, np.ndarray]]:
+        """Members of the named groups with all their elements; those without a chosen one are passed over."""
         wanted = None if groups is None else set(groups)
         if wanted is not None:
             known_groups(wanted, {m.group for m in self.members})
@@ -291,6 +292,8 @@ class Frame:
             if wanted is not None and member.group not in wanted:
                 continue
             elements = np.flatnonzero(self.member_of == m)
+            if chosen is not None and not chosen[elements].any():
+                continue
             arms = np.broadcast_to(np.array(member.arm), (len(elements), 2, 3))
             length, rotation = beam.axes(
                 self.points[self.ends[elements, 0]], self.points[self.ends[elements, 1]], np.array(member.up)

@@ -50,6 +50,7 @@ def faster(measured, factor):
     return replace(measured, natural_freq=measured.natural_freq * factor)
 
 
+@pytest.mark.slow
 def test_siblings_train_once_and_get_the_same_basis_to_the_last_bit(mast, tmp_path, trainings):
     found = []
     for number, seed in enumerate((1, 7)):
@@ -184,6 +185,7 @@ def test_another_code_or_library_asks_for_another_key(mast, tmp_path, monkeypatc
     cached._code.cache_clear()
 
 
+@pytest.mark.slow
 def test_the_command_keeps_bases_where_it_is_asked_to(mast, tmp_path, trainings, capsys, undrawn):
     study, there = mast.write_study(tmp_path / "mast"), tmp_path / "bases"
     asked = ["explain", str(study), "--cache", str(there), "--results"]

@@ -153,6 +153,7 @@ def test_the_reported_case_has_the_lowest_sum_of_squares(study, tmp_path):
 # -- fits of an explanation --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_calibration_begins_where_an_explanation_ended_and_never_ends_above(guyed, tmp_path):
     study, _, told, _ = guyed
     results = Results.at(tmp_path / "results", study.name)

@@ -80,6 +80,7 @@ def heavier(chain_folder, tmp_path):
     return explain(Study.load(chain_folder), Results.at(tmp_path / "results", "chain"))
 
 
+@pytest.mark.slow
 def test_a_wrong_mass_that_no_effect_describes_is_located(heavier):
     assert heavier.verdict == "none_explains" and heavier.explanation.credible == ()
     change = local_perturbation(heavier.explanation.perturbation)

@@ -34,6 +34,7 @@ def test_repeats_need_no_note(mast, edited, tmp_path):
     assert explain(Study.load(folder), Results.at(tmp_path / "results", "mast")).notes == ()
 
 
+@pytest.mark.slow
 def test_the_discretisation_error_is_noted_first(mast, edited, tmp_path):
     finer = "[explain]\nfiner_options = { element_size = 0.1 }\n\n[calibration]"
     folder = edited(mast.write_study(tmp_path / "mast"), "[calibration]", finer)
@@ -94,6 +95,7 @@ def refusing(chain_folder, tmp_path):
     return write
 
 
+@pytest.mark.slow
 def test_points_that_failed_are_noted(refusing):
     study, results = refusing("hung_freq", 11.0)
     answer = explain(study, results)
@@ -104,6 +106,7 @@ def test_points_that_failed_are_noted(refusing):
     assert "out of reach" in answer.notes[-1]
 
 
+@pytest.mark.slow
 def test_an_effect_that_can_never_be_evaluated_is_reported_as_not_tested(refusing):
     study, results = refusing("bracket_mass_1", 0.0)
     answer = explain(study, results)
@@ -125,6 +128,7 @@ def refused(study, tmp_path, match):
     return fault.value
 
 
+@pytest.mark.slow
 def test_a_study_without_effects_is_explained_by_local_perturbations(mast, edited, tmp_path):
     folder = edited(mast.write_study(tmp_path / "mast", {"guy": 12000.0}), 'effects = "effects.py:library"\n', "")
     study = Study.load(folder)

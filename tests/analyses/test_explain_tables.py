@@ -55,6 +55,7 @@ def test_every_table_is_written_as_returned(guyed, bare, chain):
             assert list(saved(results, name).columns) == list(table.columns) and len(saved(results, name)) == len(table)
 
 
+@pytest.mark.slow
 def test_a_second_explanation_is_the_same(guyed, tmp_path):
     study, results, _, _ = guyed
     again = Results.at(tmp_path, study.name)

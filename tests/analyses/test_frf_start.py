@@ -39,6 +39,7 @@ def frfs():
     return WORLD.measured(1)
 
 
+@pytest.mark.slow
 # Nominal values up to 50 % off, from which least squares end in another minimum.
 @pytest.mark.parametrize(
     "wrong",

@@ -348,6 +348,7 @@ def test_fitted_parameters_have_a_local_perturbation_in_one_group_of_responses()
     assert len(asked) == before + 2 * 2 and hypotheses.evaluations == len(asked)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_damping_measured_too_high_is_not_a_damper(seed):
     """For a function without fixed parameters; a damper to the ground would explain most of the error."""

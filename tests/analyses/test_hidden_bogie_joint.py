@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 HELD_OUT = {"modes": ["held_out_sensors"], "frfs": ["held_out_sensors", "held_out_bands"]}
 
 
+@pytest.mark.slow
 def test_each_test_holds_out_what_its_own_study_holds_out():
     study = load(ROOT / "studies/hidden_bogie_joint")
     for one, name in zip(study.studies, ("hidden_bogie", "hidden_bogie_frf"), strict=True):

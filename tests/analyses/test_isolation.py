@@ -27,6 +27,7 @@ def test_effects_act_in_the_child_as_in_this_process(sums):
     assert extended.function(point | more) == expected.function(point | more)
 
 
+@pytest.mark.slow
 def test_a_function_and_its_effects_run_in_one_other_process(sums):
     file = sums / "model.py"
     text = file.read_text().replace('{"s": v["a"] + v["b"]}', '{"s": float(os.getpid())}')

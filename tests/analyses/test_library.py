@@ -62,6 +62,7 @@ def test_local_perturbations_are_at_every_part_and_every_used_sensor(study, resu
     assert {"3x", "3z"}.isdisjoint({a.sensor for a in modal_hypotheses(fewer, results)[1]})
 
 
+@pytest.mark.slow
 def test_effects_in_the_model_are_not_candidates(study, results, mast):
     path = study.file
     path.write_text(path.read_text().replace("selection =", 'with_effects = ["lamp"]\nselection =', 1))
@@ -105,7 +106,10 @@ def test_the_basis_of_a_search_is_reused_and_left_unchanged(study, results, smal
     assert len(small_pays) == 2 and not trained
 
 
-@pytest.mark.parametrize("change", ["limits", "modes", "tolerance", "effects", "model"])
+@pytest.mark.parametrize(
+    "change",
+    ["limits", "model", *(pytest.param(name, marks=pytest.mark.slow) for name in ("modes", "tolerance", "effects"))],
+)
 def test_changed_requirements_need_another_basis(study, results, small_pays, change):
     modal_hypotheses(study, results)
     (before,) = bases(results)
@@ -136,7 +140,9 @@ def test_the_basis_does_not_depend_on_the_measurement(study, results, small_pays
     assert len(small_pays) == 1 and len(bases(results)) == 1
 
 
-@pytest.mark.parametrize("content", [b"", b"rubbish", None])
+@pytest.mark.parametrize(
+    "content", [b"rubbish", *(pytest.param(content, marks=pytest.mark.slow) for content in (b"", None))]
+)
 def test_a_damaged_basis_is_trained_anew(study, results, small_pays, content, own_cache):
     modal_hypotheses(study, results)
     (path,) = bases(results)

@@ -135,6 +135,7 @@ def test_an_explanation_behind_the_ledger_reuses_the_points_of_a_calibration(few
     assert sum((first - fit)[point] for point in fit) == 1 and len(first) > len(fit)
 
 
+@pytest.mark.slow
 def test_a_search_stores_modes_that_least_squares_reuse(few, tmp_path):
     folder, calls = few
     study = Study.load(folder)

@@ -44,6 +44,7 @@ def pooling(folder, kind):
     file.write_text(text.replace("[held_out]", f'pooling = "{kind}"\n\n[held_out]', 1))
 
 
+@pytest.mark.slow
 def test_a_reversed_channel_in_one_repeat(example, tmp_path):
     study = Study.load(example)
     results = Results.at(tmp_path / "results", study.name)

@@ -156,6 +156,7 @@ def test_results_of_another_state_of_the_study_are_repeated(found, capsys, file,
     assert "comes first" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("on_paper", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_results_that_rest_on_adopted_values_are_stale_when_those_change(stages, on_paper):
     def outdated():
@@ -177,6 +178,7 @@ def test_damaged_results_of_the_earlier_study_make_nothing_stale(stages):
     assert not stale_answers(StudyFile.read(Path("two")), Results(ROOT / "two")).sentences
 
 
+@pytest.mark.slow
 def test_a_quick_run_accepts_quick_results(stages, capsys):
     assert cli.execute(["calibrate", "two", "--quick"]) == 0
     assert Path("results/one/quick/summary.json").exists() and not Path("results/one/summary.json").exists()

@@ -23,6 +23,7 @@ def supported(tmp_path_factory):
     return study, results, explain(study, results)
 
 
+@pytest.mark.slow
 def test_supports_are_named_by_the_modes_they_pair(supported):
     answer = supported[2]
     assert answer.verdict == "effect" and answer.explanation.credible == ("supports",)
@@ -33,6 +34,7 @@ def test_supports_are_named_by_the_modes_they_pair(supported):
     assert (unpaired["before", "fit"], unpaired["after", "fit"]) == (4, 0)
 
 
+@pytest.mark.slow
 def test_unpaired_modes_are_reported_as_rigid_body_motion(supported):
     study, results, answer = supported
     table = pd.read_csv(results.path / "unpaired.csv")

@@ -82,6 +82,7 @@ def test_an_answer_in_four_lines_comes_first_and_is_that_of_the_record(guyed, ca
     assert all(stored.values()) and Path(answer[3][terminal.LABEL :]).exists()
 
 
+@pytest.mark.slow
 def test_an_explanation_fits_on_one_screen_and_tells_all_on_request(guyed, wide, explanation, monkeypatch):
     out, answers = {}, []
 

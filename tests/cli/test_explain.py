@@ -74,6 +74,7 @@ def test_report_draws_the_explanation_from_tables_alone(explained, here, drawn, 
     assert before == {p: b for p, b in files("results/mast").items() if p.suffix not in drawings}
 
 
+@pytest.mark.slow
 def test_the_summary_has_exactly_the_keys_of_a_modal_study_with_a_finer_mesh(guyed, edit, explanation):
     edit(guyed, "[calibration]", "[explain]\nfiner_options = { element_size = 0.1 }\n\n[calibration]")
     assert cli.execute(["explain", "mast"]) == 0
@@ -92,6 +93,7 @@ def test_the_summary_has_exactly_the_keys_of_a_modal_study_with_a_finer_mesh(guy
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_nothing_missing_is_reported_without_a_name(here, write_study, capsys, explanation):
     write_study(Path("mast"))
     assert cli.execute(["explain", "mast"]) == 0

@@ -71,6 +71,7 @@ def test_an_effect_that_builds_nonsense(guyed, refused):
     refused(["explain", "mast"], "effect ", "return an Addition")
 
 
+@pytest.mark.slow
 def test_a_finer_mesh_that_cannot_be_built(guyed, refused, edit):
     edit(guyed, "[calibration]", "[explain]\nfiner_options = { elements = 3 }\n\n[calibration]")
     refused(["explain", "mast"], "elements")

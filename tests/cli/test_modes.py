@@ -29,6 +29,7 @@ def asked(*arguments):
     return cli.execute(["modes", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_the_tables_are_a_measurement_that_calib_reads(chain, tmp_path, capsys):
     into = tmp_path / "identified"
     sensors = chain / "sensors.csv"

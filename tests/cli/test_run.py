@@ -181,6 +181,7 @@ def test_a_calibration_that_ends_elsewhere_than_the_explanation_says_so(within, 
     assert f"The explanation fitted guy = {own:.3g} N/m; this calibration ended elsewhere" in told
 
 
+@pytest.mark.slow
 def test_where_nothing_is_missing_the_run_reports_it_and_ends(here, write_study, asked, edit):
     out = quick(here, write_study, asked, edit, {})
     words = "These data show no missing effect, so nothing is added."
@@ -191,6 +192,7 @@ def test_where_nothing_is_missing_the_run_reports_it_and_ends(here, write_study,
     assert (FOLDER / "explanation.json").exists()
 
 
+@pytest.mark.slow
 def test_the_extended_study_can_be_moved_and_run(within):
     shutil.move(FOLDER / "mast_extended", "mast_2")
     assert cli.execute(["explain", "mast_2"]) == 0

@@ -77,6 +77,7 @@ def test_nothing_is_added_to_the_model_for_a_fault(faulty, capsys):
     assert "nothing is added to the model" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_missing_effect_is_no_fault_of_the_measurement(here, write_study, explanation):
     write_study(Path("mast"), {"guy": 12000.0}, seed=11)
     assert cli.execute(["explain", "mast"]) == 0

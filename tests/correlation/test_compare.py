@@ -164,6 +164,7 @@ def test_frequencies_alone_have_tables(build, twin):
     assert np.all(np.isnan(found.noise_mac()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("real", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_correctly_specified_model_stays_within_its_uncertainty(build, twin, real):
     """Over many noisy twins ``in_std`` is 1 on average, and about one comparison in twenty exceeds its limit.

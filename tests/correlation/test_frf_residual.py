@@ -67,6 +67,7 @@ def test_at_the_truth_it_is_standard_normal():
     assert 0.97 < np.mean(chi) < 1.06
 
 
+@pytest.mark.slow
 def test_a_fit_finds_the_truth_within_its_standard_deviations(chain):
     pulls = []
     for seed in range(12):

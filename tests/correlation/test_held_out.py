@@ -52,6 +52,7 @@ def row(table, group):
 # -- noise alone -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damped", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_noise_alone_gives_the_expected_error_and_uniform_p_values(build, twin, damped):
     names = NAMES if damped else ("k_along", "k_across", "mass")
@@ -84,6 +85,7 @@ def test_noise_alone_gives_the_expected_error_and_uniform_p_values(build, twin, 
     assert row(table, "held_out_sensors")["expected"].mean() > 1.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damped", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_derivative_and_factor_spread_of_predicted_rows(build, twin, damped):
     model, data = measured(build, twin, damped, noise=0.0)

@@ -76,6 +76,7 @@ def test_a_dead_and_an_inverted_sensor_are_both_named(example):
     assert findings == [("dead", {"3x"}), ("flipped", {"2x"})]
 
 
+@pytest.mark.slow
 def test_a_mode_that_the_model_lacks_gives_no_findings(example):
     """An unpaired mode that the model lacks is a model error, not a sensor fault."""
     rng = np.random.default_rng(3)
@@ -95,6 +96,7 @@ def test_the_shipped_measurements_have_no_findings(name):
     assert suspicious_sensors(study.problem, found) == ()
 
 
+@pytest.mark.slow
 def test_unrelated_shapes_give_hardly_any_findings(build):
     model, rng, accused = build(), np.random.default_rng(4), 0
     sensors = tuple(Sensor(k + 1, d, (float(k), 0.0, 0.0)) for k in range(3) for d in "xy")

@@ -31,6 +31,7 @@ def test_the_reported_standard_deviation_of_a_mode_is_the_one_used(tmp_path):
     assert float(assumption.value) == pytest.approx(100 * taken[2], rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("claimed", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["accuracy", "floor"])
 def test_few_repeats_beside_a_known_error_reject_as_often_as_the_level_says(tmp_path, claimed):
     """Two repeats with a standard deviation of 0.2 % and an error of 1 % common to all repeats."""

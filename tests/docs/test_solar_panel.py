@@ -59,6 +59,7 @@ def test_noise_is_uniform_and_of_the_articles_size(example):
     np.testing.assert_array_equal(example.noisy(true, 7).freq, draws[7].freq)
 
 
+@pytest.mark.slow
 def test_tables_follow_from_the_runs(few):
     runs, steps = few
     converged = article.convergence(steps)
@@ -76,6 +77,7 @@ def test_tables_follow_from_the_runs(few):
     )
 
 
+@pytest.mark.slow
 def test_equations_are_built_once_or_at_every_step_and_reductions_are_the_same(few):
     table = article.cost(few[0]).set_index("iteration")
     assert table["builds"].to_dict() == {"proposed": 1, "traditional": 15, "traditional_total": 15}
@@ -116,6 +118,7 @@ def lines(ax):
     return {line.get_label(): np.column_stack(line.get_data()) for line in ax.get_lines()}
 
 
+@pytest.mark.slow
 def test_lines_are_the_tables(drawn_tables):
     table = drawn_tables["reduction"]
     shown = lines(figures.draw_reduction(None, table))
@@ -132,6 +135,7 @@ def test_lines_are_the_tables(drawn_tables):
     np.testing.assert_allclose(lines(lower)["experiment"], table[["freq", "experiment"]])
 
 
+@pytest.mark.slow
 def test_dots_are_the_factors_of_the_seeds(drawn_tables):
     runs = drawn_tables["runs"]
     ax = figures.draw_true_factors(figures.draw_factors(None, runs), drawn_tables["factors"])

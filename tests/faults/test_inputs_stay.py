@@ -89,6 +89,7 @@ def test_however_the_place_is_spelled(sums, capsys, monkeypatch, verb, way):
     assert contents("studies") == before
 
 
+@pytest.mark.slow
 def test_a_study_that_was_extended_into_the_results(library, capsys):
     """Run with all defaults."""
     assert cli.execute(["compare", "mast"]) == 0

@@ -67,6 +67,7 @@ def test_least_squares_survives_such_a_point_too(faults, runner):
     assert any(status == "failed" for _, status, _ in rows())
 
 
+@pytest.mark.slow
 def test_adopted_values_that_end_the_process_are_told(faults, capsys):
     faults("ctypes.string_at(0)")
     study = Path("plain/study.toml")

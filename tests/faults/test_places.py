@@ -92,6 +92,7 @@ def test_a_folder_that_may_not_be_written(prepared, runner, weak, one_sentence):
     assert run.wait() == 0, run.err
 
 
+@pytest.mark.slow
 def test_a_ledger_that_may_not_be_written(prepared, runner, weak, one_sentence):
     LEDGER.chmod(0o444)
     run = runner.fork("calibrate", "mast", "--workers", "1", user=weak)
@@ -256,6 +257,7 @@ def test_a_damaged_ledger(answered, told, damage, words):
     assert tables == {n: before[n] for n in tables}
 
 
+@pytest.mark.slow
 def test_without_its_damaged_ledger_a_study_is_evaluated_again(answered, told):
     LEDGER.write_bytes(b"no database at all")
     told("calibrate", "mast", "--workers", "1")
@@ -284,6 +286,7 @@ def test_a_ledger_of_a_newer_version(mast, told):
 # -- a study that changes ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

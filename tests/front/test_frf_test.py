@@ -152,6 +152,7 @@ def test_nothing_is_named_where_nothing_is_missing(right):
     assert found.verdict == "nothing_detectable" and not found.named
 
 
+@pytest.mark.slow
 def test_a_named_effect_makes_the_model_meet_held_out_data(lacking, explained):
     before = by_group(lacking.calibrate(progress=False).errors)
     fit = explained.with_named().calibrate(progress=False)
@@ -192,6 +193,7 @@ def test_an_error_of_a_held_out_channel_is_no_parameter_of_the_fit(wrong_channel
     assert "mass_3" in problem_of(wrong_channel, nuisances=[mass], held_out=["3x"]).space
 
 
+@pytest.mark.slow
 def test_channels_of_one_name_in_two_tests_have_a_gain_each():
     """Response 3x reads 5 % too much in one test and 4 % too little in the other."""
     off, gain = {"first": 5.0, "second": -4.0}, ChannelError("gain", "3x", prior_sd=5.0)

@@ -114,6 +114,7 @@ def measured():
     )
 
 
+@pytest.mark.slow
 def test_matrices_of_another_code_are_compared_and_calibrated(measured):
     truth, modes = measured
     frame = Frame(4)

@@ -67,6 +67,7 @@ def test_held_out_modes_and_sensors_check_a_function_as_they_check_matrices():
     pd.testing.assert_frame_equal(own, theirs, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_several_tests_each_under_its_condition_share_their_parameters():
     """Once with a known mass at the tip, once without any; the function and the matrices stand side by side."""
     tests = [

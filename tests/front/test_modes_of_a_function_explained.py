@@ -30,6 +30,7 @@ def explained():
     return {adapter: calib.Problem(model, test).explain(effects) for adapter, (model, effects) in sides.items()}
 
 
+@pytest.mark.slow
 def test_a_missing_prop_is_found_as_with_matrices(explained):
     own, theirs = explained["function"], explained["matrices"]
     assert own.verdict == theirs.verdict == "effect"
@@ -42,6 +43,7 @@ def test_a_missing_prop_is_found_as_with_matrices(explained):
     np.testing.assert_allclose(own.errors["rms"], theirs.errors["rms"], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_with_the_prop_the_function_is_fitted_as_the_matrices_are(explained):
     own, theirs = (explained[adapter].with_named().calibrate() for adapter in ("function", "matrices"))
     assert "prop" in own.parameters.index

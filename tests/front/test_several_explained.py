@@ -188,6 +188,7 @@ def beside(modal_tests):
     return calib.Problem.join(calib.Problem(shear_frame(), modal_tests), calib.Problem(rig, test))
 
 
+@pytest.mark.slow
 def test_effects_of_joined_problems_are_given_by_model(beside):
     def soft(model):
         return lambda v: {n: r * (1 + v["soft"]) for n, r in model.function(v).items()}

@@ -164,6 +164,7 @@ def test_violations_of_different_units_compare():
     assert scaled_violation(ParameterSpace(space.parameters), points).tolist() == [0.0] * 5
 
 
+@pytest.mark.slow
 def test_a_solution_that_is_not_unique_is_detected(ledger, search):
     # Only the product of two parameters is seen.
     space = ParameterSpace((Parameter("p", 2.0, 1.0, 4.0), Parameter("q", 2.0, 1.0, 4.0)))

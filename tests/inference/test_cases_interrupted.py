@@ -101,6 +101,7 @@ def test_killed_at_any_moment_it_ends_the_same(tmp_path, uninterrupted, place, n
             assert_equal(one, other)
 
 
+@pytest.mark.slow
 def test_killed_again_and_again(tmp_path, uninterrupted, search):
     path, times = tmp_path / "ledger.sqlite", 0
     # Replaying takes statements too, so every start gets a little further than the last.

@@ -68,6 +68,7 @@ def literal(array, measured, settings, steps, mutant=""):
     return np.array(out), once
 
 
+@pytest.mark.slow
 def test_the_iterates_are_those_of_the_articles_equations(array):
     measured = array.consistent(CASES.SYMMETRIC, 0.02)
     own = cmcf(array.initial, measured, replace(CASES.ALL_STEPS, steps=5)).changes[1:]
@@ -99,6 +100,7 @@ def test_the_traditional_iterates_are_those_of_equation_32(array, iteration):
     assert np.abs(np.diff(written, axis=0)).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_the_true_changes_are_a_fixed_point_and_wrong_signs_are_not(array):
     measured = array.consistent(CASES.SYMMETRIC, 0.02)
     _, once = literal(array, measured, CASES.ALL_STEPS, 1)

@@ -178,7 +178,8 @@ FEW = ParameterSpace((Parameter("n", 1, 1, 3, integer=True), Parameter("m", 0, 0
 
 @pytest.mark.parametrize("repeated", [False, True])
 @pytest.mark.parametrize(
-    ("space", "population"), [(box(4, -2.0, 1.0), 9), pytest.param(MIXED, 12, marks=pytest.mark.slow), (FEW, 10)]
+    ("space", "population"),
+    [(box(4, -2.0, 1.0), 9), *(pytest.param(*more, marks=pytest.mark.slow) for more in ((MIXED, 12), (FEW, 10)))],
 )
 def test_populations_are_those_of_the_loop_written_out(space, population, repeated):
     settings = GeneticSettings(population, 25, elites=2, substitutes=2, crossover=0.7, mutation=0.3)

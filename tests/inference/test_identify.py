@@ -234,6 +234,7 @@ def test_coverage_of_a_linear_gaussian_problem():
     assert low <= hits <= high
 
 
+@pytest.mark.slow
 def test_coverage_of_a_spring_mass_chain():
     """Refits with new noise and true values: intervals of parameters and of a frequency have the stated coverage."""
     rng = np.random.default_rng(12)

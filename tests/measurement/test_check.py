@@ -28,6 +28,7 @@ def names(n):
     return [f"{k}y" for k in range(n)]
 
 
+@pytest.mark.slow
 def test_no_false_alarm_under_noise_and_model_error():
     rng = np.random.default_rng(0)
     for n_sensors, n_modes, agreement in [
@@ -180,6 +181,7 @@ def test_a_sensor_that_disagrees_in_some_modes_only_is_attributed_to_the_model()
     assert finding.sensors == ("4y",)
 
 
+@pytest.mark.slow
 def test_shapes_that_have_nothing_in_common_give_hardly_any_finding():
     """Many sign patterns are tried, and the best of them always fits by chance to some degree."""
     rng = np.random.default_rng(9)

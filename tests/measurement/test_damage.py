@@ -10,9 +10,10 @@ from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
 from calib.measurement.read import read_modes
 from calib.measurement.uff import write_uff
 
-QUICK = settings(
+THOROUGH = settings(
     max_examples=250, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
+QUICK = settings(parent=THOROUGH, max_examples=60)
 MODES = b"mode,freq,freq_kind,freq_std,damping,damping_std\n# test 3\na,8,damped,0.4,0.06,0.01\nb,12.5,natural,,,\n"
 SHAPES = b"mode,node,direction,re,im,std\na,1,y,2,0,0.2\na,2,-y,1,0,0.1\nb,1,y,-1,0,\nb,2,5,1,1,\n"
 PLACES = b"node,x,y,z,on\n1,0,0,0.5,frame\n2,1,0,0.5,\n"
@@ -80,16 +81,30 @@ def check(capfd, names, *arguments, **options):
     assert capfd.readouterr() == ("", "")
 
 
-@QUICK
-@given(todo=damages(), which=st.integers(0, 1), together=st.booleans())
-def test_damaged_universal_files(whole, tmp_path, capfd, todo, which, together):
+def check_universal_files(whole, tmp_path, capfd, todo, which, together):
     path, good = tmp_path / "damaged.uff", tmp_path / "good.uff"
     path.write_bytes(damaged(whole[which], todo))
     good.write_bytes(whole[which])
     check(capfd, ["damaged.uff"], [good, path] if together else [path])
 
 
-@settings(parent=QUICK, max_examples=60)
+DAMAGED_FILES = given(todo=damages(), which=st.integers(0, 1), together=st.booleans())
+
+
+@QUICK
+@DAMAGED_FILES
+def test_damaged_universal_files(whole, tmp_path, capfd, todo, which, together):
+    check_universal_files(whole, tmp_path, capfd, todo, which, together)
+
+
+@pytest.mark.slow
+@THOROUGH
+@DAMAGED_FILES
+def test_many_damaged_universal_files(whole, tmp_path, capfd, todo, which, together):
+    check_universal_files(whole, tmp_path, capfd, todo, which, together)
+
+
+@QUICK
 @given(data=st.binary(max_size=400), closed=st.booleans())
 def test_random_bytes(tmp_path, capfd, data, closed):
     path = tmp_path / "damaged.unv"
@@ -100,12 +115,26 @@ def test_random_bytes(tmp_path, capfd, data, closed):
     check(capfd, ["damaged.csv"], [table])
 
 
-@QUICK
-@given(todo=damages(), which=st.integers(0, 2))
-def test_damaged_tables(tmp_path, capfd, todo, which):
+def check_tables(tmp_path, capfd, todo, which):
     tables = [MODES, SHAPES, PLACES]
     tables[which] = damaged(tables[which], todo)
     paths = [tmp_path / name for name in ("modes.csv", "shapes.csv", "places.csv")]
     for path, table in zip(paths, tables, strict=True):
         path.write_bytes(table)
     check(capfd, [p.name for p in paths], [paths[0]], shapes=[paths[1]], sensors=paths[2])
+
+
+DAMAGED_TABLES = given(todo=damages(), which=st.integers(0, 2))
+
+
+@QUICK
+@DAMAGED_TABLES
+def test_damaged_tables(tmp_path, capfd, todo, which):
+    check_tables(tmp_path, capfd, todo, which)
+
+
+@pytest.mark.slow
+@THOROUGH
+@DAMAGED_TABLES
+def test_many_damaged_tables(tmp_path, capfd, todo, which):
+    check_tables(tmp_path, capfd, todo, which)

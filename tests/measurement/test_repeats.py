@@ -29,6 +29,7 @@ def test_repeats_that_differ_by_a_complex_factor_have_no_standard_deviation():
     np.testing.assert_allclose(np.diag(mac(out.shapes, truth)), 1.0)
 
 
+@pytest.mark.slow
 def test_the_deviation_is_that_of_the_mean():
     """Over many sets of four repeats, the reported standard deviation agrees with that of the means."""
     rng = np.random.default_rng(2)

@@ -187,6 +187,7 @@ def test_a_correct_model_is_rejected_as_often_as_the_level_says(tmp_path, repeat
     assert rejected / runs < level + 3 * np.sqrt(level * (1 - level) / runs)
 
 
+@pytest.mark.slow
 def test_a_claimed_accuracy_is_known_however_few_the_repeats(tmp_path):
     """Two repeats with noise of 0.1 % beside a claim of 1 %: five times the claim is a gross misfit."""
     path, count, truth = tmp_path / "r.csv", 4, np.array([5.0, 10.0, 20.0, 40.0])

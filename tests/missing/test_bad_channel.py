@@ -50,6 +50,7 @@ def test_with_a_bad_channel_the_factor_is_that_of_the_other_sensors(made):
         assert noise_scale(goodness(fit, one)[1]) > 2.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [1.0, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_a_sound_sensor_rarely_stands_out(made, noise):
     rng = np.random.default_rng(3)

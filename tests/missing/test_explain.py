@@ -158,6 +158,7 @@ def test_goodness_of_fit_sees_what_no_score_does(toy):
         assert (worst["mode"], worst["kind"]) == ("M5", "shape") and f.credible == ()
 
 
+@pytest.mark.slow
 def test_an_effect_outside_the_library_is_rarely_misnamed(toy):
     found = without(toy(effects=8, perturbations=0), "E6").explained({"E6": 2.0}, 8)
     assert not any(f.credible for f in found)
@@ -246,6 +247,7 @@ def test_a_local_perturbation_collinear_with_the_effect_does_not_compete(toy):
     assert Counter(f.credible for f in found)[("E2",)] >= 8
 
 
+@pytest.mark.slow
 def test_of_two_equal_explanations_the_plausible_one_leads(toy):
     """The slightly better one pulls a parameter."""
     toy = toy(prior=0.5, reach=5.0, perturbations=0, effects=3, size=20.0)

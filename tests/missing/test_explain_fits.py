@@ -100,6 +100,7 @@ def test_evidence_does_not_depend_on_the_start(toy):
     assert found.chosen.fit.misfit == pytest.approx(min(misfits), abs=0.01)
 
 
+@pytest.mark.slow
 def test_the_second_best_point_of_a_grid_is_tried_too(toy):
     """The best grid point belongs to another effect; a fit from the second best may end lower."""
     toy = toy(bump=True, effects=1, perturbations=0)

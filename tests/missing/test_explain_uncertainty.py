@@ -88,6 +88,7 @@ def test_a_correct_standard_deviation_is_kept(toy):
         assert repeated == [] and found.noise_scale == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.3, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_an_understated_standard_deviation_is_told_from_an_effect(toy, factor):
     toy = toy(modes=12, sensors=60)

@@ -41,6 +41,7 @@ def test_sums_of_squares_and_degrees_of_freedom_add_up(toy):
     assert kinds["dof"][2] == pytest.approx(shapes["dof"].sum())
 
 
+@pytest.mark.slow
 def test_a_single_row_is_studentised(toy):
     toy = toy(modes=4, sensors=6, parameters=5, reach=3.0)
     fit = toy.calibrated()
@@ -72,6 +73,7 @@ def test_factors_fitted_to_shapes_use_degrees_of_freedom(toy):
     assert plain[0].set_index("kind")["dof"]["shape"] - 7 == pytest.approx(fitted[0].set_index("kind")["dof"]["shape"])
 
 
+@pytest.mark.slow
 def test_the_expected_sum_of_squares_is_the_degrees_of_freedom(toy):
     toy = toy(modes=4, sensors=4, parameters=9, reach=1.0)
     fit = toy.calibrated()
@@ -83,6 +85,7 @@ def test_the_expected_sum_of_squares_is_the_degrees_of_freedom(toy):
     assert dof.sum() < len(toy.rows) - 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [np.inf, 6.0])
 def test_p_is_uniform_when_nothing_is_missing(toy, known):
     toy = toy(modes=6, sensors=4, parameters=3, reach=1e3)

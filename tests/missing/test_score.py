@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from calib.missing.linearised_fit import LinearisedFit
-from calib.missing.score import NOISE_LEVEL, Scores, correlation, family_p, noise_limit, scores
+from calib.missing.score import NOISE_LEVEL, Scores, _reached, correlation, family_p, noise_limit, scores
 from calib.problem import Rows
 
 
@@ -171,6 +171,20 @@ def test_the_family_keeps_its_level(toy, bump):
     for level in (0.02, 0.05, 0.3):
         share = np.mean(largest > critical(found, toy, level))
         assert share == pytest.approx(level, abs=4 * np.sqrt(level * (1 / 8000 + 1 / 20000)))
+
+
+@pytest.mark.parametrize("dof", [{}, {"frequency": 12, "shape": 40}])
+def test_samples_are_spared_only_where_none_would_reach_the_score(toy, monkeypatch, dof):
+    """The least p-value is that of samples without one above the score; below it they are drawn as ever."""
+    toy = toy(effects=4, signed=("E1",)).drawn(np.random.default_rng(9))
+    found, labelled = scores(toy.calibrated(), toy.effects, {}), Rows(toy.rows, {}, dof)
+    with_score = [replace(found, z=np.full(len(found.z), z)) for z in (2.0, 3.0, 4.0, 7.0, 40.0)]
+    told = [family_p(one, labelled, seed=1) for one in with_score]
+    monkeypatch.setattr("calib.missing.score._NEVER", 0.0)
+    assert told == [family_p(one, labelled, seed=1) for one in with_score] and told[-1] == 1 / 8001
+    kinds = np.array(list(dof.values()) or [np.inf])
+    drawn = 8000 * np.array([_reached(z, len(found.z), kinds) for z in (2.0, 3.0, 4.0)])
+    assert all(drawn > 8000 * np.array(told[:3]) - 1 - 4 * np.sqrt(8000 * np.array(told[:3])))
 
 
 def test_p_values_of_simulated_data_are_uniform(toy, fewer_draws):

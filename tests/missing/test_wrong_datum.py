@@ -65,6 +65,7 @@ def test_a_wrong_datum_is_fitted_although_the_budget_is_used_up(toy):
         assert found.verdict == "indistinguishable" and found.datum.what == "frequency of M3"
 
 
+@pytest.mark.slow
 def test_an_effect_on_one_datum_is_indistinguishable_from_a_wrong_datum(toy):
     found = beside(toy(), 0.0).explained({"E2": 1.5}, 10)
     assert Counter(f.verdict for f in found)["effect"] == 0

@@ -78,6 +78,7 @@ def test_one_file_has_the_spread_over_orders_and_says_so():
     assert np.all(found.modes.freq_std > 0) and found.modes.n_repeats == 1
 
 
+@pytest.mark.slow
 def test_the_order_of_functions_in_a_repeat_does_not_matter():
     mean, repeats = chain(5, 3)
     back = np.s_[:, ::-1, ::-1]
@@ -125,6 +126,7 @@ def test_one_pole_for_a_heavily_damped_pair_is_refused_with_the_advice_to_fit_th
     assert 'kind = "frf"' in str(fault.value)
 
 
+@pytest.mark.slow
 def test_modes_beside_a_refused_pair_are_kept():
     # a lightly damped mode far above, and noise under which the pair is one stable pole
     k, c, m = WORLDS.heavy_pair(0.03)

@@ -159,6 +159,7 @@ def test_the_hidden_effect_is_named_with_its_magnitude(twin, hidden):
                 assert abs(fitted.values[name] - truth[name]) < 4 * np.sqrt(fitted.covariance[k, k]), (seed, name)
 
 
+@pytest.mark.slow
 def test_no_other_effect_is_named_for_one_that_hardly_shows(twin):
     for seed in range(20, 23):
         found, _ = explained(twin, seed, "weak_damper_4")

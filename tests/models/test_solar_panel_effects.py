@@ -107,6 +107,7 @@ def test_masses_and_cords_are_those_that_are_stated(coarse):
     assert lifted @ plates @ lifted == pytest.approx(2 * 0.8 * 0.4 * THICKNESS * PLATE_DENSITY)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["instrument_mass", "air_mass"])
 def test_masses_built_into_the_finer_mesh_weigh_as_much(fine, name):
     lifted = (fine.dofs.direction == 2).astype(float)

@@ -151,6 +151,7 @@ def test_both_panels_have_the_same_rows(effects):
     assert not [t for t in right.get_yticklabels() if t.get_visible()]
 
 
+@pytest.mark.slow
 def test_no_labels_of_the_ranking_overlap():
     table = pd.DataFrame({"name": [f"e{k}" for k in range(14)], "title": "an effect with a rather long title"})
     table["ln_bayes"] = np.geomspace(4000.0, 0.1, 14)

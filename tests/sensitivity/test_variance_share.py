@@ -38,6 +38,7 @@ def test_variance_share_of_a_free_monotone_parameter_is_the_size_of_its_spearman
     assert found["a"] == pytest.approx(rank["a"], abs=0.06) and found["b"] == pytest.approx(rank["b"], abs=0.06)
 
 
+@pytest.mark.slow
 def test_an_even_effect_of_an_integer_parameter_is_found_where_correlations_are_blind(draw):
     found = missed = 0
     for seed in range(50):

@@ -78,6 +78,7 @@ OF_ALL = {"parameters", "ranked_effects", "confounding", "errors_before_after"}
 """Figures of what all tests say together."""
 
 
+@pytest.mark.slow
 def test_a_calibration_draws_each_test_by_itself_and_all_together(own, monkeypatch, tmp_path):
     drawn, results = {}, tmp_path / "results"
 

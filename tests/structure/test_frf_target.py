@@ -133,6 +133,7 @@ def test_derivatives_are_those_of_the_full_model(made):
         assert np.abs((near - slope) / target.std).max() < 1e-3 * np.abs(slope / target.std).max()
 
 
+@pytest.mark.slow
 def test_loads_of_the_test_are_in_the_target(made, ladder):
     model, plain, without = made
     target = replace(plain, loads=(MASS,))

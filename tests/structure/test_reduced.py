@@ -197,6 +197,7 @@ def test_fingerprints_follow_model_and_basis(ladder):
     assert len(prints) == 3
 
 
+@pytest.mark.slow
 def test_it_can_be_pickled(ladder):
     model = ladder()
     reduced = ReducedModel(model, train_basis(model, model.space, 4, seed=1))

@@ -45,7 +45,8 @@ def lifted(reduced, values):
     return replace(modes, shapes=reduced.lift(modes.shapes))
 
 
-@pytest.mark.parametrize(("damped", "grounded"), [(True, True), (False, True), (True, False), (False, False)])
+@pytest.mark.parametrize("damped", [True, False])
+@pytest.mark.parametrize("grounded", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_refined_modes_are_those_of_the_full_model(coarse, damped, grounded):
     reduced = coarse(damped, grounded)
     for values in space_filling_points(reduced.model.space, 2, np.random.default_rng(9)):
@@ -101,6 +102,7 @@ def test_a_mode_that_the_basis_lacks_is_counted_and_solved_for(coarse, damped, m
     assert ModeTarget(COUNT, np.inf, 0.95, 1e-3).error(blind, values, counted=True) > 1e-3
 
 
+@pytest.mark.slow
 def test_rigid_body_motions_are_counted_too(coarse):
     reduced = coarse(True, False)
     assert undamped_count_agrees(reduced, reduced.model.space.values, COUNT)

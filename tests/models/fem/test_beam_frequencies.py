@@ -171,6 +171,7 @@ def clamped(members, *ends):
     return Frame(members, (), tuple(Suppression(FIXED, body="frame", point=p) for p in ends))
 
 
+@pytest.mark.slow
 def test_space_frame_converges_to_the_exact_frequencies(exact, section, natural_freq):
     members, first, last = frame_in_space(section, 1)
     truth = exact(*members).frequencies(20.0, 700.0, 700)[:5]

@@ -195,6 +195,7 @@ def test_distributed_masses_are_a_small_change_but_one(nominal):
     assert 1e-5 < change.max() < 0.01
 
 
+@pytest.mark.slow
 def test_iteration_finds_what_lapack_finds(monkeypatch):
     # Massless arms, stiff rail springs and dampers, on the coarsest mesh there is.
     coarse = bogie_on_rig(element_size=5.0)
@@ -252,6 +253,7 @@ def test_suppressed_and_shared_motions(rig):
         assert np.array_equal(both[:5], both[6:11]) and both[5] @ both[11] == 0
 
 
+@pytest.mark.slow
 def test_builds_are_equal_and_fingerprints_tell_meshes_apart(rig):
     assert bogie_on_rig().fingerprint == rig.fingerprint
     assert bogie_on_rig(element_size=0.06).fingerprint != rig.fingerprint
@@ -260,6 +262,7 @@ def test_builds_are_equal_and_fingerprints_tell_meshes_apart(rig):
     assert np.array_equal(one.shapes, other.shapes)
 
 
+@pytest.mark.slow
 def test_matrices_are_symmetric_and_stiffness_is_definite(rig):
     k, c, m = rig.matrices({})
     for matrix in (k, c, m):

@@ -82,6 +82,7 @@ def test_magnitude_zero_leaves_the_base_model(library, name):
     np.testing.assert_allclose(found.damping_ratio[kept], nominal().damping_ratio, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_all_effects_together_leave_the_base_model(library):
     assert library.gap({}) <= 1e-12
     model = library.together
@@ -104,6 +105,7 @@ def test_matrix_derivatives_agree_with_differences(library, name):
     assert ("c_primary" in gaps) == (name in ("weak_damper", "damper_mount"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in QUICK else [pytest.mark.slow]) for n in NAMES])
 def test_matrices_stay_semidefinite_and_modes_solvable_at_the_limits(library, coarse, effect_checks, name):
     for values in effect_checks.limits(EFFECTS[name]):
@@ -151,6 +153,7 @@ def test_wood_bends_as_actuators_give_way(library, effect_checks):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_plausible_magnitudes_that_the_sensors_cannot_see(library, effect_checks):
     columns = library.columns()
     seen = {

@@ -43,6 +43,7 @@ def rigid(effect_checks):
     return effect_checks.rigid
 
 
+@pytest.mark.slow
 def test_flexible_actuators_are_softer_supports(monkeypatch):
     flexible = with_effect("actuator_flexibility").matrices({"actuator_flexibility": 10.0, "pos_long_left": 3})
     monkeypatch.setattr(rig, "K_SUPPORT", 1 / (1 / 500e6 + 10e-9))
@@ -51,6 +52,7 @@ def test_flexible_actuators_are_softer_supports(monkeypatch):
         assert abs(one - other).max() <= 1e-12 * abs(one).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["crossbar_joint", "girder_end"])
 def test_soft_stretches_lower_the_stiffness_of_their_elements(name):
     # The mesh has lines at 0.15 m from the joints; within each stretch the moment is nearly constant.
@@ -79,6 +81,7 @@ def test_soft_stretches_lower_the_stiffness_of_their_elements(name):
     assert mine > 0 and mine == pytest.approx(theirs, rel=0.1)
 
 
+@pytest.mark.slow
 def test_only_what_stands_on_the_ground_holds_a_bogie_that_rises(rigid):
     up = rigid(base(), 1)
     for name, effect in EFFECTS.items():

@@ -47,6 +47,7 @@ QUICK = {"crossbar_mass"}
 EACH = [pytest.param(name, marks=[] if name in QUICK else [pytest.mark.slow]) for name in EFFECTS]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EACH)
 def test_the_magnitude_found_is_the_one_built_in(base, measure, plain, name):
     effect = EFFECTS[name]

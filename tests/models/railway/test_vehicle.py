@@ -47,6 +47,7 @@ def test_size_is_that_of_the_case_study(car):
     assert car.n_dof == pytest.approx(10_704, rel=0.1)
 
 
+@pytest.mark.slow
 def test_car_weighs_what_a_car_of_the_train_does(car):
     # 298.3 t in service, six cars; every node may move upright, so a unit of that is a rigid motion.
     rise = (car.dofs.direction == 1).astype(float)

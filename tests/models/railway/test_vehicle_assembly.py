@@ -81,6 +81,7 @@ def test_twice_as_fine_means_a_quarter_of_every_shell(whole, fine):
     assert frames[1].sum() == 2 * frames[0].sum()
 
 
+@pytest.mark.slow
 def test_a_rigid_motion_of_the_whole_strains_nothing_but_the_rails(whole):
     structure = whole.structure
     stiffness = structure.beams()[0] + structure.shells().stiffness
@@ -143,6 +144,7 @@ def test_car_body_weighs_what_its_drawing_says(whole):
     assert up @ (shells.mass + heavy) @ up == pytest.approx(metal, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_body_is_balanced_and_its_inertias_are_those_of_a_hollow_box(whole):
     structure = whole.structure
     fitted = [m for m in whole.masses if m.at[0] in {i.name for i in (*UNDER_FLOOR, *ON_ROOF)}]

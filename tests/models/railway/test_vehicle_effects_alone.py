@@ -27,6 +27,7 @@ def energy(effect_checks):
 # -- the body ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(EFFECTS))
 def test_a_rise_of_the_whole_works_against_nothing_but_what_stands_on_the_ground(alone, energy, name):
     effect = EFFECTS[name]
@@ -38,6 +39,7 @@ def test_a_rise_of_the_whole_works_against_nothing_but_what_stands_on_the_ground
     assert energy(mass, rise) == pytest.approx(200.0 if name == "bolster_mass" else 0.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_soft_floor_joint_gives_its_share_of_a_strip_that_bends_evenly(alone, energy):
     # Turned by kappa (|z| - 1.1) beyond the cross-beams' inner ends: energy lost is share EI kappa^2 width.
     share, kappa = 0.4, 1e-3
@@ -165,6 +167,7 @@ def test_few_patterns_of_seats_do_what_sixty_seats_do(alone, rigid_car):
         assert np.abs(found[0] / modes.natural_freq[:12] - 1).max() > 0.003
 
 
+@pytest.mark.slow
 def test_equipment_off_the_middle_turns_on_an_arm(alone):
     e, heavy = 0.1, 2600.0 + 2200.0 + 1600.0 + 900.0 + 800.0
     moment = sum(m * x for m, x in ((2600.0, -4.0), (2200.0, 6.0), (900.0, -2.0), (800.0, 2.0)))
@@ -238,6 +241,7 @@ def test_pads_on_the_left_soften_and_all_dissipate(alone):
 # -- bogies and track --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_soft_track_is_a_softer_contact(alone, rigid_car):
     lost = alone.change("track_compliance", {"track_compliance": 10.0})[0]
     softer = 1 / (1 / 1200e6 + 10e-9) / 1e6

@@ -156,6 +156,7 @@ def test_tables_of_an_interrupted_analysis_are_not_shown(sums, monkeypatch, run_
     assert not stale().sentences and not stale().files
 
 
+@pytest.mark.slow
 def test_the_report_alone_names_what_is_stale_and_keeps_the_tables(sums, unrendered):
     run("report")
     tables = {p.name: p.read_bytes() for p in (ROOT / "sums").glob("*.csv")}

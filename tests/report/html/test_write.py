@@ -118,6 +118,7 @@ def test_adopted_values_are_shown(folder):
     assert any("Adopted from the study ../older and held fixed: E 205.25." == getattr(b, "text", "") for b in shown)
 
 
+@pytest.mark.slow
 def test_until_something_is_added_the_errors_are_those_of_the_explanation(folder, reader, blocks):
     for file in folder.glob("added*"):
         file.unlink()
@@ -194,6 +195,7 @@ def test_long_tables_and_further_matrices_are_folded_and_only_they(everything, r
 ODD = "</script><script>alert(\"1\")</script> & <b>'x'</b>"
 
 
+@pytest.mark.slow
 def test_names_are_shown_literally_whatever_characters_they_have(folder, reader):
     for file in folder.iterdir():
         if file.is_file() and file.name not in (
