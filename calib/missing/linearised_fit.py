@@ -15,6 +15,7 @@ from calib.errors import EvaluationError
 from calib.inference.gauss_newton import FitSettings, Prior, Step, unstepped
 from calib.inference.gauss_newton import fit as gauss_newton
 from calib.inference.identify import posterior
+from calib.inference.other_rows import OtherRows
 from calib.missing.hypotheses import FitProblem
 from calib.missing.rules import RULES
 
@@ -51,6 +52,9 @@ class LinearisedFit:
         Prior standard deviation s, and the pull ``(theta - c)/s``.
     converged : bool
         Whether the fit converged; otherwise the point is no optimum and its residual no minimum.
+    others : OtherRows or None
+        Of the part of a joint fit that belongs to one test: what the other tests say about its parameters. They count
+        as further rows of the data.
     """
 
     effects: tuple[str, ...]
@@ -62,41 +66,56 @@ class LinearisedFit:
     prior_sd: np.ndarray
     shift: np.ndarray
     converged: bool = False
+    others: OtherRows | None = None
 
     @property
     def misfit(self) -> float:
         """Sum of squares, data and prior."""
-        return float(self.residual @ self.residual + self.shift @ self.shift)
+        return float(self._data @ self._data + self.shift @ self.shift)
+
+    @property
+    def _data(self) -> np.ndarray:
+        """Residual of the rows and of the other ones, (n_rows + n_others,)."""
+        return self.residual if self.others is None else np.concatenate([self.residual, self.others.residual])
+
+    @property
+    def _data_slope(self) -> np.ndarray:
+        """The same of the slope, (n_rows + n_others, p)."""
+        return self.slope if self.others is None else np.vstack([self.slope, self.others.slope])
 
     @cached_property
     def augmented(self) -> np.ndarray:
-        """r, (n_rows + p,)."""
-        return np.concatenate([self.residual, -self.shift])
+        """r, (n_rows + n_others + p,)."""
+        return np.concatenate([self._data, -self.shift])
 
     @cached_property
     def _orthonormal(self) -> np.ndarray:
         # Columns scaled by the prior: the span is the same, the numbers do not depend on units.
-        scaled = np.vstack([self.slope * self.prior_sd, np.eye(len(self.names))])
+        scaled = np.vstack([self._data_slope * self.prior_sd, np.eye(len(self.names))])
         return la.qr(scaled, mode="economic")[0]
 
     @cached_property
     def scaled_information(self) -> np.ndarray:
         """``S G^T G S + I`` with S the prior standard deviations, (p, p)."""
-        g = self.slope * self.prior_sd
+        g = self._data_slope * self.prior_sd
         return g.T @ g + np.eye(len(self.names))
 
     @cached_property
     def covariance(self) -> np.ndarray:
         """Posterior covariance in the parameters' own units, (p, p); see `calib.inference.identify.posterior`."""
-        return posterior(self.names, self.slope, self.prior_sd).covariance
+        return posterior(self.names, self._data_slope, self.prior_sd).covariance
 
     def project_out(self, columns: np.ndarray) -> np.ndarray:
-        """Part of changes of the data (n_rows, m) that the parameters cannot absorb: ``P [g; 0]``, (n_rows + p, m)."""
-        return self._projected(np.vstack([columns, np.zeros((len(self.names), columns.shape[1]))]))
+        """Part of changes of the rows (n_rows, m) that the parameters cannot absorb: ``P [g; 0]``.
+
+        (n_rows + n_others + p, m).
+        """
+        rest = len(self.augmented) - len(columns)
+        return self._projected(np.vstack([columns, np.zeros((rest, columns.shape[1]))]))
 
     @cached_property
     def projected(self) -> np.ndarray:
-        """Part of the residual that the parameters cannot absorb: ``P r``, (n_rows + p,)."""
+        """Part of the residual that the parameters cannot absorb: ``P r``, (n_rows + n_others + p,)."""
         return self._projected(self.augmented)
 
     def _projected(self, wide: np.ndarray) -> np.ndarray:
@@ -122,11 +141,16 @@ class LinearisedFit:
         ``change`` holds these values, and ``residual`` (n_rows,) is evaluated with them at the fitted values of the
         others. The fitted parameters are updated; the slope is kept.
         """
-        right = (self.slope * self.prior_sd).T @ residual - self.shift
+        data = residual if self.others is None else np.concatenate([residual, self.others.residual])
+        right = (self._data_slope * self.prior_sd).T @ data - self.shift
         step = la.solve(self.scaled_information, right, assume_a="pos")
         moved = {n: self.values[n] + d for n, d in zip(self.names, self.prior_sd * step, strict=True)}
         left = residual - self.slope @ (self.prior_sd * step)
-        return replace(self, values={**self.values, **moved, **change}, residual=left, shift=self.shift + step)
+        others = self.others
+        if others is not None:
+            others = others._replace(residual=others.residual - others.slope @ (self.prior_sd * step))
+        values = {**self.values, **moved, **change}
+        return replace(self, values=values, residual=left, shift=self.shift + step, others=others)
 
 
 def fitted(

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from calib.analyses import reduction
-from calib.analyses.explain import adapter_of, explain
+from calib.analyses.adapters import adapter_of
+from calib.analyses.explain import explain
 from calib.analyses.library import basis_of, local_perturbations
 from calib.analyses.reduction import Wanted, reduction_of
 from calib.errors import ToleranceError
