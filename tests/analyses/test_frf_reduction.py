@@ -107,7 +107,7 @@ def adapter_on(study, results, vectors, monkeypatch):
     local = local_perturbations(study.model, [study.problem.measured], study.search_space.values)
     basis = basis_of(study, results, local)
     poor = replace(basis, vectors=basis.vectors[:, :vectors])
-    monkeypatch.setattr("calib.analyses.explain.basis_of", lambda *a: poor)
+    monkeypatch.setattr("calib.analyses.adapters.basis_of", lambda *a: poor)
     return adapter_of(study, results, lambda *a: None, local)
 
 
