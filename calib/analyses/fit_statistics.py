@@ -23,7 +23,7 @@ from calib.inference.cases import CaseResult
 from calib.inference.gauss_newton import FitResult, Prior
 from calib.inference.identify import Identification, identify, prediction_interval
 from calib.inference.integers import MixedResult, fit_mixed
-from calib.inference.region import InfeasibleError
+from calib.inference.region import InfeasibleError, on_limit
 from calib.inference.verdicts import integer_std, parameter_verdicts
 from calib.joint import JointProblem
 from calib.ledger import Ledger
@@ -122,6 +122,8 @@ class FitStatistics:
         What each of several tests alone would determine, see `calib.analyses.std_by_test.std_by_test`; empty for one.
     parts : mapping from str to JointPart
         What the fit says about the parameters of each of several tests, by its name; empty for one.
+    on_limit : frozenset of str
+        Parameters that a limit holds, see `calib.inference.region.on_limit`.
     """
 
     values: dict[str, float]
@@ -142,6 +144,7 @@ class FitStatistics:
     assumed: str
     by_test: pd.DataFrame
     parts: Mapping[str, JointPart]
+    on_limit: frozenset[str]
 
     def verdicts(
         self, space: ParameterSpace, spread: Mapping[str, float], differing: Mapping[str, float] | None = None
@@ -347,6 +350,7 @@ def _statistics(
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
         predictions=predictions, fit=fit, ends=ends, suspects=suspected,
         assumed=terms.assumed, by_test=by_test, parts=parts,
+        on_limit=on_limit(space, names, values, -slope.T @ vector - shift / prior_sd),
     )  # fmt: skip
 
 

@@ -56,7 +56,9 @@ class GroupAdapter(OneTest):
         if held_sd:  # held parameters are not fitted, so their columns are not in its slope
             slope = np.hstack([slope, whitened(pair, s.values, (), held_sd)[1] / scale])
         labels = [row.sensor for row in self.hypotheses.rows]
-        return group_errors(s.residual, slope, s.names, s.prior_sd, labels, held_out, self.left_out_std, s.others)
+        return group_errors(
+            s.residual, slope, s.names, s.prior_sd, labels, held_out, self.left_out_std, s.others, s.on_limit
+        )
 
     def _measuring(self, names: tuple[str, ...]) -> Pair:
         """The pair of a model with the named effects, by which held-out data are predicted."""

@@ -110,7 +110,8 @@ class JointAdapter:
         factors: dict[Hashable, int] = dict.fromkeys(groups, 0)
         for (mode, _), number in labelled.fitted_factors.items():
             factors[mode] += number
-        found = leave_one_out(fit.residual, fit.slope, fit.prior_sd, groups)
+        free = [name not in fit.on_limit for name in fit.names]
+        found = leave_one_out(fit.residual, fit.slope * free, fit.prior_sd, groups)
         return found.p(factors, np.array([std[str(name)] for name in found.names]))
 
     def failing(self) -> set[str]:

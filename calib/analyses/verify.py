@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -30,10 +30,12 @@ _NONE: Mapping[str, float] = MappingProxyType({})
 ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", "unpaired")
 
 
-def errors_at(study: Study, values: Mapping[str, float], joint: JointPart | None = None) -> pd.DataFrame:
+def errors_at(
+    study: Study, values: Mapping[str, float], joint: JointPart | None = None, on_limit: Collection[str] = ()
+) -> pd.DataFrame:
     """Errors of a study's model by group of data, at fitted values of the selected parameters; see `errors_of`."""
     space, held_sd = study.search_space, study.held_sd
-    return errors_of(study.problem, study.whole_problem(), study.unseen, space, values, held_sd, joint)
+    return errors_of(study.problem, study.whole_problem(), study.unseen, space, values, held_sd, joint, on_limit)
 
 
 def errors_of(
@@ -44,6 +46,7 @@ def errors_of(
     values: Mapping[str, float],
     held_sd: Mapping[str, float] = _NONE,
     joint: JointPart | None = None,
+    on_limit: Collection[str] = (),
 ) -> pd.DataFrame:
     """Errors by group of data: used, left out in turn, and held out; see `modal_errors` and `group_errors`.
 
@@ -63,6 +66,8 @@ def errors_of(
         Standard deviations of held parameters that are uncertain.
     joint : JointPart, optional
         The fit to several tests of which this is one.
+    on_limit : collection of str
+        Parameters that a limit holds.
     """
     names = tuple(p.name for p in space.free if not p.integer)
     prior_sd = np.array([space[n].prior_width for n in names])
@@ -71,14 +76,16 @@ def errors_of(
         names, prior_sd, others, held_sd = joint
     if isinstance(problem, ModalProblem):
         dof = ModalResidual(problem).std_dof
-        return modal_errors(problem, whole, values, names, prior_sd, Floors(), dof, held_sd=held_sd, others=others)
+        return modal_errors(
+            problem, whole, values, names, prior_sd, Floors(), dof, held_sd=held_sd, others=others, on_limit=on_limit
+        )
     if isinstance(problem, FunctionProblem):
         problem = replace(problem, space=space)
     held_out = held_out_rows(problem, unseen, values, names, held_sd)
     pair = pair_of(problem)
     e, g = whitened(pair, values, names, held_sd)
     labels = [row.sensor for row in pair.rows]
-    return group_errors(e, g, names, prior_sd, labels, held_out, std_behind(pair), others)
+    return group_errors(e, g, names, prior_sd, labels, held_out, std_behind(pair), others, on_limit)
 
 
 def held_out_rows(
@@ -132,6 +139,7 @@ def modal_errors(
     scale: float = 1.0,
     held_sd: Mapping[str, float] = _NONE,
     others: OtherRows | None = None,
+    on_limit: Collection[str] = (),
 ) -> pd.DataFrame:
     """Errors of a fitted modal model by group of data, rms in standard deviations.
 
@@ -158,6 +166,8 @@ def modal_errors(
         Rows of other tests in the same joint fit, in units of ``scale`` times the standard deviation. All posteriors
         are those of the joint fit: a row is predicted by all tests without its group, and the residual of these rows
         has the covariance ``I - G_a V G_a^T`` (see `calib.degrees_of_freedom.matched`).
+    on_limit : collection of str
+        Parameters that a limit holds; they stay there when a mode is left out.
 
     Returns
     -------
@@ -173,7 +183,8 @@ def modal_errors(
     every = np.vstack([jacobian, -others.slope])
     known = posterior(names, every, prior_sd)
     modes = [row.mode for row in residual.rows]
-    predicted = leave_one_out(vector, -jacobian, prior_sd, modes, others.slope)
+    free = np.array([name not in on_limit for name in names], dtype=float)
+    predicted = leave_one_out(vector, -jacobian * free, prior_sd, modes, others.slope * free)
     own: dict[Hashable, int] = {mode: residual.n_fitted_factors_of({mode}) for mode in dict.fromkeys(modes)}
     finite = {kind: dof for kind, dof in std_dof.items() if np.isfinite(dof)}
     held_out = pd.DataFrame(columns=[*ERROR_COLUMNS, "chi2", "dof"])
@@ -222,6 +233,7 @@ def group_errors(
     held_out: Mapping[str, tuple[np.ndarray, np.ndarray]],
     std: float = KNOWN,
     others: OtherRows | None = None,
+    on_limit: Collection[str] = (),
 ) -> pd.DataFrame:
     """The same for scalar responses or FRFs, each of which is left out in turn.
 
@@ -240,14 +252,15 @@ def group_errors(
         deviation of what no fit determines; empty groups are left out.
     std : float
         Degrees of freedom behind the standard deviations; see `std_behind`.
-    others : OtherRows, optional
+    others, on_limit
         As in `modal_errors`.
     """
     jacobian, held = jacobian[:, : len(names)], jacobian[:, len(names) :]
     others = others or none_beside(len(names), held.shape[1])
     every = np.vstack([jacobian, -others.slope])
     known = with_held(posterior(names, every, prior_sd), every, np.vstack([held, -others.held]))
-    predicted = leave_one_out(residual, -jacobian, prior_sd, list(labels), others.slope)
+    free = np.array([name not in on_limit for name in names], dtype=float)
+    predicted = leave_one_out(residual, -jacobian * free, prior_sd, list(labels), others.slope * free)
     scale, dof = matched(jacobian, prior_sd, others=others.slope)
     p, p_left_out = float(chance(residual @ residual / scale, dof, std)), predicted.p({}, std)
     rows: list[tuple[str, int, float, float, float, int]] = [

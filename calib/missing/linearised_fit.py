@@ -16,6 +16,7 @@ from calib.inference.gauss_newton import FitSettings, Prior, Step, unstepped
 from calib.inference.gauss_newton import fit as gauss_newton
 from calib.inference.identify import posterior
 from calib.inference.other_rows import OtherRows
+from calib.inference.region import on_limit
 from calib.missing.hypotheses import FitProblem
 from calib.missing.rules import RULES
 
@@ -55,6 +56,8 @@ class LinearisedFit:
     others : OtherRows or None
         Of the part of a joint fit that belongs to one test: what the other tests say about its parameters. They count
         as further rows of the data.
+    on_limit : frozenset of str
+        Parameters that a limit holds, see `calib.inference.region.on_limit`.
     """
 
     effects: tuple[str, ...]
@@ -67,6 +70,7 @@ class LinearisedFit:
     shift: np.ndarray
     converged: bool = False
     others: OtherRows | None = None
+    on_limit: frozenset[str] = frozenset()
 
     @property
     def misfit(self) -> float:
@@ -302,6 +306,8 @@ def _fitted(
     inside = {n: min(max(v, space[n].lower), space[n].upper) for n, v in start.items() if n in space.free_names}
     prior = Prior.of(space)
     result = gauss_newton(fit_problem, space, {**start, **inside}, prior, settings, step)
+    sd, shift = prior.widths(result.names), prior.residual(result.values, result.names)
+    descent = -result.jacobian.T @ result.residual - shift / sd
     fit = LinearisedFit(
         effects=effects,
         fit_problem=fit_problem,
@@ -309,9 +315,10 @@ def _fitted(
         values=result.values,
         residual=result.residual,
         slope=-result.jacobian,
-        prior_sd=prior.widths(result.names),
-        shift=prior.residual(result.values, result.names),
+        prior_sd=sd,
+        shift=shift,
         converged=result.converged,
+        on_limit=on_limit(space, result.names, result.values, descent),
     )
     return fit, result.evaluations
 

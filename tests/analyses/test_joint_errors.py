@@ -29,7 +29,7 @@ def effect(name):
 EFFECTS = [effect("lack"), effect("other")]
 
 
-def curved(seed=1):
+def curved(seed=1, upper=4.0):
     """Twelve responses of three parameters and two effects, slightly curved; ``load`` is a condition."""
     columns = np.random.default_rng(seed).standard_normal((N, 6))
     columns[9:, 2] = 0.0
@@ -39,7 +39,7 @@ def curved(seed=1):
         bent = inner + 0.02 * inner**2 + 0.3 * values["load"] * columns[:, 5] * values["a"]
         return dict(zip(NAMES, bent, strict=True))
 
-    space = [calib.Parameter(n, 0.0, -4.0, 4.0, prior_sd=0.5) for n in "abc"]
+    space = [calib.Parameter(n, 0.0, -4.0, upper, prior_sd=0.5) for n in "abc"]
     space.append(calib.Parameter("load", 0.0, 0.0, 2.0))
     return calib.FunctionModel("curved", calib.ParameterSpace(tuple(space)), function)
 
@@ -67,19 +67,30 @@ def joint():
     return explained(calib.Problem(model, few))
 
 
+@pytest.fixture(scope="module")
+def limited():
+    """The same with a limit below the true value of one parameter, so that both fits end on it."""
+    model, free = curved(upper=0.25), curved()
+    few = [measured(free, NAMES, "empty"), measured(free, NAMES[8:], "loaded", 1.0, seed=3)]
+    return explained(calib.Problem(model, few))
+
+
 @pytest.mark.parametrize("stage", ["before", "after"])
 @pytest.mark.parametrize("test", ["empty", "loaded"])
-def test_left_out_errors_are_those_of_real_refits_of_all_tests(joint, test, stage):
+@pytest.mark.parametrize("limit", [False, True])
+def test_left_out_errors_are_those_of_real_refits_of_all_tests(joint, limited, test, stage, limit):
     """Every response in turn; the curvature of the model is what the closed form leaves out."""
+    joint = limited if limit else joint
     found, hypotheses = joint.found, joint.adapter.hypotheses
     fit = (found.base if stage == "before" else found.chosen).fit
+    assert ("a" in fit.on_limit) == limit
     out = []
     for k, row in enumerate(hypotheses.rows):
         if row.test == test:
             kept = np.setdiff1d(np.arange(len(hypotheses.rows)), [k])
             rest = fitted(Altered(fit.fit_problem, kept=kept), fit.effects, fit.values)
             out.append(fit.fit_problem.residual(rest.values)[k])
-    errors = by_group(joint.adapter.seen(test, joint.answer).errors)
+    errors = by_group(joint.adapter.seen(test, joint.answer).errors.replace({"stage": {"attempt": "after"}}))
     assert errors.loc[("left_out", stage), "rms"] == pytest.approx(np.sqrt(np.mean(np.square(out))), rel=0.04)
 
 
