@@ -29,6 +29,7 @@ from calib.measurement.corrections import correctable
 from calib.missing import explain as engine
 from calib.missing.accuracy import changing, less_accurate
 from calib.missing.accuracy import sentence as accuracy_sentence
+from calib.missing.by_test import BY_TEST, reduction_table
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.fault_table import faults_table
 from calib.missing.held_out import contradicting
@@ -97,7 +98,7 @@ def explain(
     answer = answered(adapter, found, progress, started)
     answer = replace(answer, tables=answer.tables | {TABLE: explained_fits(study, found)})
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
-    of_all = {name: table for name, table in answer.tables.items() if TEST not in table}
+    of_all = {name: table for name, table in answer.tables.items() if TEST not in table or name == BY_TEST}
     seen: list[tuple[AnyStudy, Results, ExplanationResult]] = [(study, results, replace(answer, tables=of_all))]
     if isinstance(adapter, JointAdapter):
         seen += [(one, folders[one.test], adapter.seen(one.test, answer)) for one in tests]
@@ -202,7 +203,9 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
     stages |= {"explained": found.blamed[0]} if found.blamed else {}
     units = {e.name: e.magnitude.unit for e in adapter.hypotheses.faults}
+    labels = adapter.labels()
     tables = {
+        **({BY_TEST: reduction_table(found, labels[TEST].tolist())} if TEST in labels else {}),
         "faults": faults_table(found, adapter.places(), units),
         "perturbations": _perturbations(adapter, found),
         "confounding": confounding_table(found),
@@ -212,7 +215,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         "next_measurement": next_table,
         "accuracy": accuracy,
         "suspects_explained": found.suspects,
-        "why": pattern_table(found, adapter.labels()),
+        "why": pattern_table(found, labels),
         "why_parameters": parameter_table(found),
         "why_places": place_table(found, adapter.places()),
         **adapter.tables(stages),
