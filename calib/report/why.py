@@ -66,10 +66,11 @@ def explained_words(table: pd.DataFrame, by_test: pd.DataFrame | None = None) ->
     """
     together = str(table["effects"].iloc[0])
     verb = "explain" if together != str(table["effect"].iloc[0]) else "explains"
-    if by_test is None:
+    of_fit = [] if by_test is None else by_test[by_test["effects"] == together].to_dict("records")
+    if not of_fit:
         part = percent(share(table), 0)
         return f"To first order {together} {verb} {part} % of the sum of squares of data and priors"
-    (row,) = by_test[by_test["effects"] == together].to_dict("records")
+    (row,) = of_fit
     way = "falls" if row["after"] <= row["before"] else "rises"
     change = f"{way} from {significant(row['before'], 3)} to {significant(row['after'], 3)}"
     data = counted(int(row["rows"]), "value")
