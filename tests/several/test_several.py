@@ -104,7 +104,7 @@ def test_the_run_draws_each_test_by_itself_and_all_together(run, unrendered, tmp
     study, results, drawn, reported = run
     table = pd.read_csv(results / "frame/reduction_by_test.csv").set_index("test")
     first = table["share"].idxmax()
-    order = [f".{test}" for test in table.index if test != first][::-1] + [f".{first}", ""]
+    order = [*[f".{test}" for test in table.index if test != first][::-1], f".{first}", ""]
     extended = ["frame_extended.loaded", "frame_extended.empty", "frame_extended"]
     assert drawn == extended + [f"frame{end}" for end in order]
     assert table["shown_first"].tolist() == [test == first for test in table.index]
