@@ -20,6 +20,7 @@ from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.joint_adapter import JointAdapter, together
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.state import ADDED
+from calib.candidate import Candidate
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.inference.leave_one_out import leave_one_out
@@ -260,7 +261,7 @@ def _confirmed(adapter: Adapter, found: Explanation) -> tuple[Explanation, pd.Da
     return found, errors, notes, figures
 
 
-def _untested(adapter: Adapter, found: Explanation) -> list[Effect]:
+def _untested(adapter: Adapter, found: Explanation) -> list[Candidate]:
     """Effects with which the model could be solved at no magnitude or at no point of their grid."""
     scores = found.base_adequacy.named
     absorbed = {n for n in scores.owners if not scores.size[scores.of(n)].any()}

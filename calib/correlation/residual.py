@@ -137,7 +137,7 @@ class ModalResidual:
         """Hash that changes whenever the residual or its derivatives at the same named values could."""
         std = (self.std.freq, self.std.damping, self.std.shape)
         layout = (self.rows, self._damped, self._parts, self.factor_sensors)
-        faults = [(f.effect.name, f.shares, f.damping) for f in self.faults]
+        faults = [(f.name, f.shares, f.damping) for f in self.faults]
         return digest_of(_DEFINITION, self.problem.fingerprint, std, layout, *([faults] if faults else []))[:16]
 
     @property
@@ -190,7 +190,7 @@ class ModalResidual:
     def space(self) -> ParameterSpace:
         """Parameters of the model, and after them the magnitudes of faults."""
         own = self.problem.space
-        more = tuple(fault.effect.magnitude for fault in self.faults)
+        more = tuple(fault.magnitude for fault in self.faults)
         return ParameterSpace((*own.parameters, *more), own.constraints) if more else own
 
     @property

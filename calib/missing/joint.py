@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.inference.other_rows import other_rows
 from calib.joint import JointProblem, JointRows, of_test
 from calib.missing.explanation import CandidateFit
@@ -30,17 +30,17 @@ class JointHypotheses(JointRows):
     _fit_problems: dict[frozenset[str], JointProblem] = field(init=False, repr=False, default_factory=dict)
 
     @cached_property
-    def effects(self) -> tuple[Effect, ...]:
+    def effects(self) -> tuple[Candidate, ...]:
         """Named candidates of all tests."""
         return tuple({e.name: e for part in self.parts.values() for e in part.effects}.values())
 
     @cached_property
-    def perturbations(self) -> tuple[Effect, ...]:
+    def perturbations(self) -> tuple[Candidate, ...]:
         """Unnamed local perturbations of all tests."""
         return tuple({e.name: e for part in self.parts.values() for e in part.perturbations}.values())
 
     @cached_property
-    def faults(self) -> tuple[Effect, ...]:
+    def faults(self) -> tuple[Candidate, ...]:
         """Faults of the measurements of all tests."""
         return tuple({e.name: e for part in self.parts.values() for e in part.faults}.values())
 

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg as la
 from scipy.special import ndtr, ndtri, stdtr
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.errors import EvaluationError
 from calib.missing.hypotheses import FitProblem
 from calib.missing.linearised_fit import LinearisedFit
@@ -102,7 +102,7 @@ class Scores:
 
 def scores(
     fit: LinearisedFit,
-    candidates: Sequence[Effect],
+    candidates: Sequence[Candidate],
     fit_problems: Mapping[str, FitProblem],
     further: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
 ) -> Scores:
@@ -111,7 +111,7 @@ def scores(
     Parameters
     ----------
     fit : LinearisedFit
-    candidates : sequence of Effect
+    candidates : sequence of Candidate
         Signatures are differences at the points of the grid, or derivatives for candidates without a grid.
     fit_problems : mapping from str to FitProblem
         For every candidate with a grid or a further point, the fit problem with that candidate added.

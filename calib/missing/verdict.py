@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from calib.answer import Answer
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import WIDE, fault_words, interval_words, local_perturbation, unit_words
@@ -165,7 +165,7 @@ def _magnitude(effects: pd.DataFrame, name: str) -> str:
     return interval_words(row["magnitude"], row["magnitude_low"], row["magnitude_high"], str(row["unit"]))
 
 
-def _sized(effects: pd.DataFrame, e: Effect) -> str:
+def _sized(effects: pd.DataFrame, e: Candidate) -> str:
     """An effect with its magnitude, such as ``a guy rope along x, about 12 kN/m (95 %: 10 to 14)``."""
     return f"{e.in_words}, {_magnitude(effects, e.name)}"
 
@@ -183,11 +183,11 @@ def _collinear(found: Explanation, effects: pd.DataFrame, chosen: CandidateFit) 
     return " ".join(out)
 
 
-def _look_for(effects: Sequence[Effect], joint: str = " ") -> str:
+def _look_for(effects: Sequence[Candidate], joint: str = " ") -> str:
     return f"Look for: {joint.join(_ended(e.look_for) for e in effects)}"
 
 
-def _as_it_is(effects: Sequence[Effect]) -> str:
+def _as_it_is(effects: Sequence[Candidate]) -> str:
     return "The model assumes: " + " ".join(_ended(e.lacks) for e in effects)
 
 
