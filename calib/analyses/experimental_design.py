@@ -12,7 +12,8 @@ from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.imagined import linearised
 from calib.analyses.imagined_measurement import ImaginedMeasurement
 from calib.candidate import Candidate
-from calib.correlation.residual import ModalResidual, Row
+from calib.correlation.modal_rows import Row
+from calib.correlation.residual import ModalResidual
 from calib.measurement.modal import Sensor
 from calib.missing.candidate_measurement import CandidateMeasurement
 from calib.missing.competing import CompetingModels

@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 
 from calib.correlation.compare import Comparison
+from calib.correlation.modal_rows import Row
 from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual, Row
+from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
 from calib.degrees_of_freedom import behind, chance
 from calib.errors import InputError

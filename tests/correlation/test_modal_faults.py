@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calib.correlation.fault_library import gain_words, modal_faults
+from calib.correlation.faulty_modes import FaultyModes
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 
@@ -80,7 +81,8 @@ def test_derivatives_at_full_agreement(faulty):
 def read(residual, name, magnitude):
     """What the measurement would be with a fault of the structure at the truth, in the shape of the measured shapes."""
     found = residual.solve({**TRUTH, name: magnitude})
-    return np.column_stack([residual._reading(found, i, residual._partner(found, i)) for i in found.pairing.paired])
+    modes, partner = FaultyModes(residual.problem, residual.faults), found.pairing.model_index
+    return np.column_stack([modes.reading(found, i, int(partner[i])) for i in found.pairing.paired])
 
 
 def test_readings_are_what_the_faults_say(faulty):
