@@ -382,7 +382,7 @@ class Study:
     def _draw_tests(
         self, case: str | None = None, method: calibration.Method | None = None, report: bool = False
     ) -> None:
-        """Draw every test in its own folder, the one shown first last as a run tells the last first; then all together."""
+        """Draw every test, the one shown first last, since a run tells what was drawn last first; then all together."""
         folder = places.results_of(self.loaded, self.results, self.quick, case, method)
         for part in reversed(in_order(self.loaded.studies, folder)):
             own = places.results_of(part, self.results, self.quick, case, method)
