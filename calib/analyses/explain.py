@@ -23,7 +23,6 @@ from calib.analyses.state import ADDED
 from calib.candidate import Candidate
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
-from calib.inference.leave_one_out import leave_one_out
 from calib.joint import TEST
 from calib.loading import Model, with_effects
 from calib.measurement.corrections import correctable
@@ -297,8 +296,7 @@ def _gains(hypotheses: Hypotheses, found: Explanation) -> dict[str, float]:
     groups = [row.mode or row.sensor for row in hypotheses.rows]
 
     def density(candidate_fit: CandidateFit) -> float:
-        s = candidate_fit.fit
-        return float(np.sum(leave_one_out(s.residual, s.slope, s.prior_sd, groups).elpd))
+        return float(np.sum(candidate_fit.fit.left_out(groups).elpd))
 
     base = density(found.base)
     return {t.names[0]: density(t) - base for t in found.singles}

@@ -12,7 +12,6 @@ from calib.analyses.adapter import Adapter
 from calib.analyses.discretisation_error import DiscretisationError
 from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
 from calib.degrees_of_freedom import behind, chance, matched
-from calib.inference.leave_one_out import leave_one_out
 from calib.joint import TEST, of_test, said, stacked
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.joint import JointHypotheses
@@ -110,8 +109,7 @@ class JointAdapter:
         factors: dict[Hashable, int] = dict.fromkeys(groups, 0)
         for (mode, _), number in labelled.fitted_factors.items():
             factors[mode] += number
-        free = [name not in fit.on_limit for name in fit.names]
-        found = leave_one_out(fit.residual, fit.slope * free, fit.prior_sd, groups)
+        found = fit.left_out(groups)
         return found.p(factors, np.array([std[str(name)] for name in found.names]))
 
     def failing(self) -> set[str]:

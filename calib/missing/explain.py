@@ -11,7 +11,6 @@ import numpy as np
 
 from calib.candidate import Candidate
 from calib.errors import EvaluationError, InputError
-from calib.inference.leave_one_out import leave_one_out
 from calib.missing.anew import anew, led_astray
 from calib.missing.collinear import Group, grouped
 from calib.missing.evidence import at_lower
@@ -332,7 +331,7 @@ class _Decision:
         groups = [row.mode or row.sensor for row in self.fits.hypotheses.rows]
 
         def error(fit: LinearisedFit) -> float:
-            return float(np.linalg.norm(leave_one_out(fit.residual, fit.slope, fit.prior_sd, groups).residual))
+            return float(np.linalg.norm(fit.left_out(groups).residual))
 
         return error(candidate_fit.fit) <= error(base.fit)
 

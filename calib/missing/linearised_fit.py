@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,6 +15,7 @@ from calib.errors import EvaluationError
 from calib.inference.gauss_newton import FitSettings, Prior, Step, unstepped
 from calib.inference.gauss_newton import fit as gauss_newton
 from calib.inference.identify import posterior
+from calib.inference.leave_one_out import LeaveOneOut, leave_one_out
 from calib.inference.other_rows import OtherRows
 from calib.inference.region import on_limit
 from calib.missing.hypotheses import FitProblem
@@ -130,6 +131,12 @@ class LinearisedFit:
         """First-order change of the fitted parameters (p,), in their units, for a change of the residual (n_rows,)."""
         right = (self.slope * self.prior_sd).T @ change
         return self.prior_sd * la.solve(self.scaled_information, right, assume_a="pos")
+
+    def left_out(self, groups: Sequence[Hashable]) -> LeaveOneOut:
+        """Every group of rows predicted from all others; a parameter that a limit holds stays there."""
+        free = np.array([name not in self.on_limit for name in self.names], dtype=float)
+        others = None if self.others is None else self.others.slope * free
+        return leave_one_out(self.residual, self.slope * free, self.prior_sd, groups, others)
 
     def granting(self, names: Collection[str]) -> LinearisedFit:
         """The fit with the priors of some parameters centred on their fitted values.
