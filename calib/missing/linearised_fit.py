@@ -17,7 +17,7 @@ from calib.inference.gauss_newton import fit as gauss_newton
 from calib.inference.identify import posterior
 from calib.inference.leave_one_out import LeaveOneOut, leave_one_out
 from calib.inference.other_rows import OtherRows
-from calib.inference.region import on_limit
+from calib.inference.region import Region, on_limit
 from calib.missing.hypotheses import FitProblem
 from calib.missing.rules import RULES
 
@@ -137,6 +137,19 @@ class LinearisedFit:
         free = np.array([name not in self.on_limit for name in self.names], dtype=float)
         others = None if self.others is None else self.others.slope * free
         return leave_one_out(self.residual, self.slope * free, self.prior_sd, groups, others)
+
+    def remaining(self, change: np.ndarray) -> np.ndarray:
+        """What the parameters leave of the residual less a change of the data (n_rows,), (n_rows + n_others + p,).
+
+        To first order. Where a limit holds a parameter, none may go beyond its limits: the projection `project_out`
+        would absorb what no fit can.
+        """
+        rest = self.augmented - np.concatenate([change, np.zeros(len(self.augmented) - len(change))])
+        if not self.on_limit:
+            return self._projected(rest[:, None])[:, 0]
+        region = Region.of(self.fit_problem.space, dict(self.values))
+        matrix = -np.vstack([self._data_slope, np.diag(1.0 / self.prior_sd)]) * region.span
+        return np.asarray(rest + matrix @ region.step(matrix, rest, 0.0, region.start))
 
     def granting(self, names: Collection[str]) -> LinearisedFit:
         """The fit with the priors of some parameters centred on their fitted values.
