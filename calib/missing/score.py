@@ -80,14 +80,6 @@ class Scores:
         """Column of a candidate with the largest test statistic."""
         return max(self.of(name), key=lambda k: float(self.magnitude[k]))
 
-    def signature(self, name: str, magnitude: float) -> np.ndarray:
-        """Change of the data by a candidate of that magnitude that the parameters cannot absorb, (n_rows + p,).
-
-        To first order, by the column of the largest test statistic.
-        """
-        k = self.best(name)
-        return magnitude * self.size[k] * self.unit[:, k]
-
     def steps(self, name: str, count: int) -> list[int]:
         """Columns of a candidate that are predicted to lower the sum of squares most at their own magnitude."""
 
