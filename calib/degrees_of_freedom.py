@@ -17,6 +17,9 @@ POOL_BELOW = 10
 LEAST_DOF = 2 - 1e-6
 """Effective degrees of freedom below which data cannot reject a fit; priors may leave slightly less than one."""
 
+ABSORBED = 0.01
+"""Degrees of freedom below which the residual of a fit tells only how far the search converged."""
+
 _ZERO = 1e-13
 
 
@@ -59,6 +62,36 @@ def effective_dof(slope: np.ndarray, prior_sd: np.ndarray, fitted_factors: int =
         Real numbers fitted to the scale and phase of measured shapes.
     """
     return float(row_dof(slope, prior_sd).sum()) - fitted_factors
+
+
+def matched(
+    slope: np.ndarray, prior_sd: np.ndarray, fitted_factors: int = 0, others: np.ndarray | None = None
+) -> tuple[float, float]:
+    """Scale c and degrees of freedom nu of the variate ``c chi2_nu`` like a fit's sum of squares over some rows.
+
+    The residual of rows a at the end of a fit has the covariance ``M = I - G_a V G_a^T`` with V the posterior
+    covariance from all rows, these and others, and the priors (that of the data is ``I + G S G^T`` with S the prior
+    covariance; Gelman et al. 2013, section 14.8). Then ``e^T e`` has the mean tr(M) and the variance 2 tr(M^2), as
+    ``c chi2_nu`` has with ``c = tr(M^2)/tr(M)`` and ``nu = tr(M)^2/tr(M^2)`` (Satterthwaite 1946). Where M projects, as
+    for all rows without priors, c is 1 and nu the usual number.
+
+    Parameters
+    ----------
+    slope, prior_sd
+        As in `row_dof`, of the rows a.
+    fitted_factors : int
+        Real numbers fitted to the scale and phase of measured shapes, to which the slope is orthogonal.
+    others : ndarray (n_others, n_params), optional
+        Slope of the other rows.
+    """
+    whole = slope if others is None else np.vstack([slope, others])
+    root = hat_root(whole, prior_sd)[: len(slope)]
+    inner = root.T @ root
+    first = len(slope) - fitted_factors - float(np.trace(inner))
+    second = len(slope) - fitted_factors - 2.0 * float(np.trace(inner)) + float(np.sum(inner**2))
+    if first < ABSORBED:
+        return 1.0, max(first, 0.0)
+    return second / first, first**2 / second
 
 
 def beside_known(dof: float, shares: np.ndarray, pooled: bool = True) -> float:

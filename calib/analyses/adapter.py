@@ -36,6 +36,11 @@ class Adapter(Protocol):
         """Model evaluations after which no further effect is fitted."""
         ...
 
+    @property
+    def left_out_std(self) -> float:
+        """Degrees of freedom behind the standard deviation of each group of data that is left out."""
+        ...
+
     def notes(self) -> list[str]:
         """Caveats that the reader needs before the results."""
         ...

@@ -17,7 +17,7 @@ from calib.analyses.own_modes import COLUMNS as OWN_COLUMNS
 from calib.analyses.own_modes import own_modes
 from calib.analyses.own_modes import sentence as own_sentence
 from calib.analyses.record import begin_analysis, write_record
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.errors import EvaluationError
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
@@ -42,7 +42,7 @@ class Added:
 
     Attributes
     ----------
-    effects : tuple of Effect
+    effects : tuple of Candidate
         Empty when nothing was added.
     sentence : str
         How the errors changed, or why no effect was added.
@@ -63,7 +63,7 @@ class Added:
         Name of the test, where there are several.
     """
 
-    effects: tuple[Effect, ...]
+    effects: tuple[Candidate, ...]
     sentence: str
     conclusion: str
     own: str
@@ -185,7 +185,7 @@ def _errors(before: Calibration, after: Calibration) -> pd.DataFrame:
     return pd.concat(known, ignore_index=True)[list(COLUMNS)] if len(known) == 2 else pd.DataFrame(columns=COLUMNS)
 
 
-def _parameters(study: Study, effects: Sequence[Effect], before: Calibration, after: Calibration) -> pd.DataFrame:
+def _parameters(study: Study, effects: Sequence[Candidate], before: Calibration, after: Calibration) -> pd.DataFrame:
     """Fitted values without and with the added effects; NaN where a parameter was not fitted."""
     own = {name for effect in effects for name in effect.names}
     was, now = (
@@ -217,19 +217,20 @@ def _modes(before: Calibration, after: Calibration) -> pd.DataFrame:
     return table
 
 
-def _own_modes(study: Study, effects: Sequence[Effect], extended: Study, after: Calibration) -> pd.DataFrame:
+def _own_modes(study: Study, effects: Sequence[Candidate], extended: Study, after: Calibration) -> pd.DataFrame:
     """Modes of the effects' own in the calibrated extended model; empty where it has none or cannot be solved."""
     used = after.best.answer.comparison
     if used is None:
         return pd.DataFrame(columns=list(OWN_COLUMNS))
     order = extended.settings.with_effects
-    placed = sorted(effects, key=lambda effect: order.index(effect.name))
+    names = {effect.name for effect in effects}
+    placed = sorted((e for e in study.library if e.name in names), key=lambda effect: order.index(effect.name))
     with suppress(EvaluationError):
         return own_modes(study.model, placed, with_held_out(extended, used))
     return pd.DataFrame(columns=list(OWN_COLUMNS))
 
 
-def _magnitude(effect: Effect, study: Study, after: Calibration) -> dict[str, object]:
+def _magnitude(effect: Candidate, study: Study, after: Calibration) -> dict[str, object]:
     """Name, title, fitted magnitude and its 95 % interval, clipped to the limits of the search."""
     name, limits = effect.magnitude.name, study.search_space[effect.magnitude.name]
     known = dict(zip(after.verdicts["parameter"], after.verdicts["std"], strict=True))

@@ -11,8 +11,9 @@ from calib.analyses.candidate_places import TOGETHER
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.imagined import linearised
 from calib.analyses.imagined_measurement import ImaginedMeasurement
-from calib.correlation.residual import ModalResidual, Row
-from calib.effect import Effect
+from calib.candidate import Candidate
+from calib.correlation.modal_rows import Row
+from calib.correlation.residual import ModalResidual
 from calib.measurement.modal import Sensor
 from calib.missing.candidate_measurement import CandidateMeasurement
 from calib.missing.competing import CompetingModels
@@ -30,7 +31,7 @@ BENCH = 0.03
 def modal_design(
     hypotheses: ModelHypotheses[ModalResidual],
     believed: Sequence[CandidateFit],
-    effects: Sequence[Effect],
+    effects: Sequence[Candidate],
     found: Scores,
     scale: float,
     held_out: Mapping[str, float] | None = None,
@@ -51,7 +52,7 @@ def modal_design(
     hypotheses : ModelHypotheses
     believed : sequence of CandidateFit
         The credible model, or the two that the data cannot discriminate.
-    effects : sequence of Effect
+    effects : sequence of Candidate
         Candidates.
     found : Scores
         Scores of the candidates; of an effect with a grid, at its best point.
@@ -67,8 +68,9 @@ def modal_design(
     held_sensors : tuple of Sensor
         Held-out sensors, which are available without a new test.
     """
-    acting = {effect.name: effect for one in believed for effect in one.effects}
-    imagined = ImaginedMeasurement(hypotheses, believed[0].fit, held_out or {}, held_sensors, tuple(acting.values()))
+    known = {effect.name: effect for effect in hypotheses.variants.effects}
+    acting = tuple(known[name] for name in dict.fromkeys(name for one in believed for name in one.names))
+    imagined = ImaginedMeasurement(hypotheses, believed[0].fit, held_out or {}, held_sensors, acting)
     labels = imagined.fit_problem(believed[0].names).pair.rows
     measured = _rows_of(labels, imagined.modes, {s.name for s in imagined.sensors})
     linearisations, competing = linearised(imagined, believed, effects, found, scale, measured, samples, seed, progress)

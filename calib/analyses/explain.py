@@ -13,31 +13,23 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.adapter import Adapter
+from calib.analyses.adapters import adapter_of, perturbations_of
 from calib.analyses.explained_fit import TABLE, explained_fits
-from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts, summary
+from calib.analyses.explanation_result import ExplanationResult, summary
 from calib.analyses.failures import SHOWN, reasons
-from calib.analyses.function_hypotheses import function_hypotheses
-from calib.analyses.group_adapter import FRFAdapter, ScalarAdapter
 from calib.analyses.joint_adapter import JointAdapter, together
-from calib.analyses.library import basis_of, faults_of, local_perturbations, modal_hypotheses
-from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.record import begin_analysis, write_record
-from calib.analyses.reduction import worthwhile
 from calib.analyses.state import ADDED
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
-from calib.correlation.problem import FunctionProblem
-from calib.correlation.residual import ModalResidual
-from calib.correlation.response_residual import ResponseResidual
+from calib.candidate import Candidate
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
-from calib.function import FunctionModel
-from calib.inference.leave_one_out import leave_one_out
 from calib.joint import TEST
 from calib.loading import Model, with_effects
 from calib.measurement.corrections import correctable
 from calib.missing import explain as engine
 from calib.missing.accuracy import changing, less_accurate
 from calib.missing.accuracy import sentence as accuracy_sentence
+from calib.missing.by_test import BY_TEST, reduction_table
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.fault_table import faults_table
 from calib.missing.held_out import contradicting
@@ -64,10 +56,6 @@ from calib.results import Results
 from calib.settings import ExplainSettings
 from calib.several import AnyStudy
 from calib.stage import Progress, unheard
-from calib.structure.modal_function import ModalFunctionModel
-from calib.structure.model import StructuralModel
-from calib.structure.perturbations import Perturbation
-from calib.study import Study
 
 
 def explain(
@@ -102,13 +90,15 @@ def explain(
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
     if any(one.measured is not None for one in tests):
         engine.require_modes(sum(one.problem.n_measured for one in tests))
-    started, local = time.perf_counter(), _local(study)
-    adapter = together({s.test: adapter_of(s, homes.get(s.test, results), progress, local.get(s.test)) for s in tests})
+    started, local = time.perf_counter(), perturbations_of(study)
+    adapter = together({
+        s.test: adapter_of(s, homes.get(s.test, results), progress, local.get(s.test), study.held_sd) for s in tests
+    })  # fmt: skip
     found = decided(adapter, study.settings.explain, study.file, progress)
     answer = answered(adapter, found, progress, started)
     answer = replace(answer, tables=answer.tables | {TABLE: explained_fits(study, found)})
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
-    of_all = {name: table for name, table in answer.tables.items() if TEST not in table}
+    of_all = {name: table for name, table in answer.tables.items() if TEST not in table or name == BY_TEST}
     seen: list[tuple[AnyStudy, Results, ExplanationResult]] = [(study, results, replace(answer, tables=of_all))]
     if isinstance(adapter, JointAdapter):
         seen += [(one, folders[one.test], adapter.seen(one.test, answer)) for one in tests]
@@ -116,51 +106,6 @@ def explain(
         keep(part, folder, own)
         write_record(part, folder, "explain", seeds, answer=own.answer)
     return answer
-
-
-def adapter_of(study: Study, home: Results, progress: Progress, local: tuple[Perturbation, ...] | None) -> Adapter:
-    """The adapter of a study's test; ``local`` are the perturbations of its model, None for a function."""
-    problem, facts, space = study.problem, MeasurementFacts.of(study), study.search_space.without(study.condition)
-    if isinstance(problem, FunctionProblem):
-        assert isinstance(study.model, FunctionModel)
-        pair = ResponseResidual(problem)
-        scalar, own = function_hypotheses(study.model, pair, study.candidates, space, study.test)
-        return ScalarAdapter(scalar, own, facts, study.unseen)
-    if isinstance(problem, FRFProblem):
-        assert local is not None
-        basis = basis_of(study, home, local, progress)
-        return FRFAdapter.of(
-            FRFResidual(problem).suspected(),
-            study.candidates,
-            local,
-            space,
-            facts,
-            study.unseen,
-            basis,
-            worthwhile(study),
-        )
-    if isinstance(problem.model, ModalFunctionModel):  # which may be behind a ledger
-        modal_pair = ModalResidual(problem, faults=faults_of(study))
-        modal, own = function_hypotheses(problem.model, modal_pair, study.candidates, space, study.test)
-    else:
-        modal, own = modal_hypotheses(study, home, progress, local)
-    return ModalAdapter(modal, own, facts, study.whole_problem(), study.finer_model, reduced=worthwhile(study))
-
-
-def _local(study: AnyStudy) -> dict[str, tuple[Perturbation, ...]]:
-    """Local perturbations by test: those of one model are the same in all tests of it."""
-    groups: dict[str, list[Study]] = {}
-    for one in study.studies:
-        if isinstance(one.model, StructuralModel):
-            groups.setdefault(repr((one.settings.model, one.settings.model_options)), []).append(one)
-    out: dict[str, tuple[Perturbation, ...]] = {}
-    for group in groups.values():
-        model, used = group[0].model, [o.problem.measured for o in group if not isinstance(o.problem, FunctionProblem)]
-        assert isinstance(model, StructuralModel)
-        of = group[0].test if len(groups) > 1 else ""
-        found = local_perturbations(model, used, group[0].search_space.values, of)
-        out |= {one.test: found for one in group}
-    return out
 
 
 def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: str) -> None:
@@ -258,7 +203,9 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
     stages |= {"explained": found.blamed[0]} if found.blamed else {}
     units = {e.name: e.magnitude.unit for e in adapter.hypotheses.faults}
+    labels = adapter.labels()
     tables = {
+        **({BY_TEST: reduction_table(found, labels[TEST].tolist())} if TEST in labels else {}),
         "faults": faults_table(found, adapter.places(), units),
         "perturbations": _perturbations(adapter, found),
         "confounding": confounding_table(found),
@@ -268,7 +215,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         "next_measurement": next_table,
         "accuracy": accuracy,
         "suspects_explained": found.suspects,
-        "why": pattern_table(found, adapter.labels()),
+        "why": pattern_table(found, labels),
         "why_parameters": parameter_table(found),
         "why_places": place_table(found, adapter.places()),
         **adapter.tables(stages),
@@ -313,7 +260,7 @@ def _confirmed(adapter: Adapter, found: Explanation) -> tuple[Explanation, pd.Da
     return found, errors, notes, figures
 
 
-def _untested(adapter: Adapter, found: Explanation) -> list[Effect]:
+def _untested(adapter: Adapter, found: Explanation) -> list[Candidate]:
     """Effects with which the model could be solved at no magnitude or at no point of their grid."""
     scores = found.base_adequacy.named
     absorbed = {n for n in scores.owners if not scores.size[scores.of(n)].any()}
@@ -349,8 +296,7 @@ def _gains(hypotheses: Hypotheses, found: Explanation) -> dict[str, float]:
     groups = [row.mode or row.sensor for row in hypotheses.rows]
 
     def density(candidate_fit: CandidateFit) -> float:
-        s = candidate_fit.fit
-        return float(np.sum(leave_one_out(s.residual, s.slope, s.prior_sd, groups).elpd))
+        return float(np.sum(candidate_fit.fit.left_out(groups).elpd))
 
     base = density(found.base)
     return {t.names[0]: density(t) - base for t in found.singles}

@@ -12,6 +12,7 @@ from typing import TypeAlias
 import numpy as np
 import pandas as pd
 
+from calib.analyses.joint_part import JointPart, joint_parts
 from calib.analyses.std_by_test import COLUMNS, std_by_test
 from calib.analyses.uncertainty import assumed_words, in_one
 from calib.degrees_of_freedom import effective_dof
@@ -22,7 +23,7 @@ from calib.inference.cases import CaseResult
 from calib.inference.gauss_newton import FitResult, Prior
 from calib.inference.identify import Identification, identify, prediction_interval
 from calib.inference.integers import MixedResult, fit_mixed
-from calib.inference.region import InfeasibleError
+from calib.inference.region import InfeasibleError, on_limit
 from calib.inference.verdicts import integer_std, parameter_verdicts
 from calib.joint import JointProblem
 from calib.ledger import Ledger
@@ -119,6 +120,10 @@ class FitStatistics:
         Assumed standard deviations that this rests on; see `calib.analyses.uncertainty.assumed_words`.
     by_test : DataFrame
         What each of several tests alone would determine, see `calib.analyses.std_by_test.std_by_test`; empty for one.
+    parts : mapping from str to JointPart
+        What the fit says about the parameters of each of several tests, by its name; empty for one.
+    on_limit : frozenset of str
+        Parameters that a limit holds, see `calib.inference.region.on_limit`.
     """
 
     values: dict[str, float]
@@ -138,6 +143,8 @@ class FitStatistics:
     suspects: pd.DataFrame
     assumed: str
     by_test: pd.DataFrame
+    parts: Mapping[str, JointPart]
+    on_limit: frozenset[str]
 
     def verdicts(
         self, space: ParameterSpace, spread: Mapping[str, float], differing: Mapping[str, float] | None = None
@@ -321,7 +328,7 @@ def _statistics(
         vector, slope = problem.residual(values), problem.jacobian(values, names)
     held = problem.jacobian(values, tuple(held_sd)) * list(held_sd.values()) if held_sd else None
     prior_sd = np.array([space[n].prior_width for n in names])
-    misfit, own = float(vector @ vector), Prior.of(space).residual(values, names)
+    misfit, shift = float(vector @ vector), Prior.of(space).residual(values, names)
     dof = effective_dof(slope, prior_sd, sum(problem.fitted_factors.values()))
     converged = fit is not None and fit.converged
     at = _Fitted(vector, slope, prior_sd, converged)
@@ -334,14 +341,16 @@ def _statistics(
     identification = identify(space, names, slope, values=values, held=held, birge=birge)
     predictions = prediction_interval(*problem.frequencies(values, names), identification.posterior.covariance)
     suspected = suspects(at, problem, alpha)
-    by_test = pd.DataFrame(columns=list(COLUMNS))
+    by_test, parts = pd.DataFrame(columns=list(COLUMNS)), dict[str, JointPart]()
     if isinstance(problem, JointProblem):
         by_test = std_by_test(space, names, slope, [row.test for row in problem.rows], held, birge)
+        parts = joint_parts(problem, names, vector, slope, prior_sd, shift, held, held_sd)
     return FitStatistics(
-        values=values, misfit=misfit, prior_misfit=float(own @ own), dof=dof, p_fit=p_fit, alpha=alpha,
+        values=values, misfit=misfit, prior_misfit=float(shift @ shift), dof=dof, p_fit=p_fit, alpha=alpha,
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
         predictions=predictions, fit=fit, ends=ends, suspects=suspected,
-        assumed=terms.assumed, by_test=by_test,
+        assumed=terms.assumed, by_test=by_test, parts=parts,
+        on_limit=on_limit(space, names, values, -slope.T @ vector - shift / prior_sd),
     )  # fmt: skip
 
 

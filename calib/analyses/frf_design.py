@@ -8,8 +8,8 @@ from calib.analyses.experimental_design import bench_tests, best_sensors
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.imagined import linearised
 from calib.analyses.imagined_frfs import ImaginedFRFs
+from calib.candidate import Candidate
 from calib.correlation.frf_residual import FRFResidual
-from calib.effect import Effect
 from calib.measurement.frf import MeasuredFRFs
 from calib.missing.candidate_measurement import CandidateMeasurement
 from calib.missing.explanation import CandidateFit
@@ -21,7 +21,7 @@ from calib.stage import Progress, unheard
 def frf_design(
     hypotheses: ModelHypotheses[FRFResidual],
     believed: Sequence[CandidateFit],
-    effects: Sequence[Effect],
+    effects: Sequence[Candidate],
     found: Scores,
     scale: float,
     held_out: Mapping[str, MeasuredFRFs],
@@ -41,8 +41,9 @@ def frf_design(
     held_out : mapping from str to MeasuredFRFs
         Held-out FRFs by group; they are available without a new test.
     """
-    acting = {effect.name: effect for one in believed for effect in one.effects}
-    imagined = ImaginedFRFs(hypotheses, believed[0].fit, held_out, tuple(acting.values()))
+    known = {effect.name: effect for effect in hypotheses.variants.effects}
+    acting = tuple(known[name] for name in dict.fromkeys(name for one in believed for name in one.names))
+    imagined = ImaginedFRFs(hypotheses, believed[0].fit, held_out, acting)
     measured = imagined.rows_of()
     linearisations, competing = linearised(imagined, believed, effects, found, scale, measured, samples, seed, progress)
     measurements: list[CandidateMeasurement] = []

@@ -41,6 +41,11 @@ class GroupAdapter(OneTest):
     hypotheses: ModelHypotheses[ResponseResidual] | ModelHypotheses[FRFResidual]
     held_out: Unseen
 
+    @property
+    def left_out_std(self) -> float:
+        """Those behind all rows together."""
+        return std_behind(self.hypotheses.pair)
+
     def errors_of(self, candidate_fit: CandidateFit, scale: float) -> pd.DataFrame:
         """See `calib.analyses.verify.group_errors`."""
         s, held_sd = candidate_fit.fit, self.facts.held_sd
@@ -51,8 +56,9 @@ class GroupAdapter(OneTest):
         if held_sd:  # held parameters are not fitted, so their columns are not in its slope
             slope = np.hstack([slope, whitened(pair, s.values, (), held_sd)[1] / scale])
         labels = [row.sensor for row in self.hypotheses.rows]
-        std = std_behind(self.hypotheses.pair)
-        return group_errors(s.residual, slope, s.names, s.prior_sd, labels, held_out, std)
+        return group_errors(
+            s.residual, slope, s.names, s.prior_sd, labels, held_out, self.left_out_std, s.others, s.on_limit
+        )
 
     def _measuring(self, names: tuple[str, ...]) -> Pair:
         """The pair of a model with the named effects, by which held-out data are predicted."""

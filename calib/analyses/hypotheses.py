@@ -10,6 +10,7 @@ from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 import numpy as np
 
 from calib.analyses.frf_start import linear_starts
+from calib.candidate import Candidate
 from calib.differences import STEP
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
@@ -32,7 +33,7 @@ _REMEMBERED = 64
 """Points cached, so that a derivative does not solve the model again."""
 
 
-def fit_problem_space(space: ParameterSpace, effects: Sequence[Effect]) -> ParameterSpace:
+def fit_problem_space(space: ParameterSpace, effects: Sequence[Candidate]) -> ParameterSpace:
     """Parameters of a fit problem: those of a calibration, and those of the effects in the model."""
     return ParameterSpace(space.parameters + tuple(p for e in effects for p in e.parameters), space.constraints)
 
@@ -198,12 +199,12 @@ class ModelHypotheses(Generic[P]):
         return tuple(e for e in self.variants.perturbations if not (self.pair.faults and e.of_measurement))
 
     @cached_property
-    def faults(self) -> tuple[Effect, ...]:
+    def faults(self) -> tuple[Candidate, ...]:
         """Faults of the measurement: those of the test, and those that a model has for it.
 
         Where a test offers none, those of the model count as local perturbations.
         """
-        own = tuple(fault.effect for fault in self.pair.faults)
+        own: tuple[Candidate, ...] = tuple(self.pair.faults)
         return (*own, *(e for e in self.variants.perturbations if e.of_measurement)) if own else ()
 
     @property
@@ -245,7 +246,7 @@ class ModelHypotheses(Generic[P]):
         """The model with the named effects, perturbations or faults added; InputError for an unknown name."""
         key = tuple(sorted(names))
         if key not in self._fit_problems:
-            of_test = {fault.effect.name for fault in self.pair.faults}
+            of_test = {fault.name for fault in self.pair.faults}
             own = tuple(name for name in names if name not in of_test)
             pair = self.pair.with_model(self.variants.with_effects(own), self.variants.added(own) if own else None)
             space = fit_problem_space(self.space, [self._known[n] for n in key])
@@ -266,7 +267,7 @@ class ModelHypotheses(Generic[P]):
         return {**values, **{name: v for name, v in found[0].items() if name in fit_problem.space}} if found else None
 
     @cached_property
-    def _known(self) -> dict[str, Effect]:
+    def _known(self) -> dict[str, Candidate]:
         return {e.name: e for e in (*self.effects, *self.perturbations, *self.faults)}
 
     # -- user code -----------------------------------------------------------------------------------------------------
@@ -290,12 +291,13 @@ class ModelHypotheses(Generic[P]):
         except EvaluationError:
             return
         if change.max(initial=0.0) > NEUTRAL:
+            (effect,) = (e for e in (*self.variants.effects, *self.variants.perturbations) if e.name == name)
             row = self.rows[int(np.argmax(change))]
             label = " of ".join(filter(None, (repr(row.sensor) if row.sensor else row.kind, row.mode)))
             raise InputError(
                 f"with magnitude 0 it changes {label} by {change.max():.3g} standard deviations",
                 place=f"effect {name}", remedy="let the function that it builds return the base model's results there",
-                at=defined_at(self._known[name].build),
+                at=defined_at(effect.build),
             )  # fmt: skip
 
     def failed(self, values: Mapping[str, float], fault: EvaluationError) -> None:

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.errors import EvaluationError, InputError
 from calib.missing.competing import CompetingModel, CompetingModels
 from calib.missing.explanation import CandidateFit
@@ -35,7 +35,7 @@ class Imagined(Protocol):
 def linearised(
     imagined: Imagined,
     believed: Sequence[CandidateFit],
-    effects: Sequence[Effect],
+    effects: Sequence[Candidate],
     found: Scores,
     scale: float,
     measured: np.ndarray,
@@ -50,7 +50,7 @@ def linearised(
     imagined : Imagined
     believed : sequence of CandidateFit
         The credible model, or the two that the data cannot discriminate.
-    effects : sequence of Effect
+    effects : sequence of Candidate
         Candidates.
     found : Scores
         Scores of the candidates; of an effect with a grid, at its best point.
@@ -84,7 +84,7 @@ def _at(
     imagined: Imagined,
     candidate_fit: CandidateFit,
     values: Mapping[str, float],
-    effects: Sequence[Effect],
+    effects: Sequence[Candidate],
     found: Scores,
     scale: float,
     share: float,

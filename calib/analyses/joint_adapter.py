@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ import pandas as pd
 from calib.analyses.adapter import Adapter
 from calib.analyses.discretisation_error import DiscretisationError
 from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
+from calib.degrees_of_freedom import behind, chance, matched
 from calib.joint import TEST, of_test, said, stacked
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.joint import JointHypotheses
@@ -57,6 +58,11 @@ class JointAdapter:
         """Sum over the tests, since every fit solves each model."""
         return sum(adapter.budget_of_fits for adapter in self.adapters.values())
 
+    @property
+    def left_out_std(self) -> float:
+        """The fewest of any test."""
+        return min(adapter.left_out_std for adapter in self.adapters.values())
+
     def notes(self) -> list[str]:
         """The notes of every test."""
         return list(said({test: adapter.notes() for test, adapter in self.adapters.items()}))
@@ -66,9 +72,9 @@ class JointAdapter:
     ) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
         """Errors by stage and group of data over all tests; notes and summary entries of each.
 
-        ``rms`` and ``expected`` are over the rows of all tests; ``p`` is the smallest p-value of the tests times their
-        number (Bonferroni). The expected error of a test uses its own data alone, which determine the parameters less
-        well than all data do.
+        ``rms`` and ``expected`` are over the rows of all tests. ``p`` of the used data is that of their sum of squares,
+        of data left out in turn that of the worst group of any test, and of held-out data the smallest of the tests
+        times their number (Bonferroni).
         """
         parts, notes, figures = [], [], dict[str, object]()
         for test, adapter in self.adapters.items():
@@ -76,7 +82,35 @@ class JointAdapter:
             parts.append(table)
             notes += [of_test(test, note) for note in own]
             figures |= {of_test(test, name): value for name, value in more.items()}
-        return _together(pd.concat(parts, ignore_index=True)), notes, figures
+        table = _together(pd.concat(parts, ignore_index=True))
+        for stage, candidate_fit in stages.items():
+            fit = table[(table["stage"] == stage) & (table["group"] == "fit")].iloc[0]
+            chances = {
+                "fit": self._p(candidate_fit, float(fit["rows"] * fit["rms"] ** 2)),
+                "left_out": self._left_out_p(candidate_fit),
+            }
+            for group, p in chances.items():
+                table.loc[(table["stage"] == stage) & (table["group"] == group), "p"] = p
+        return table, notes, figures
+
+    def _p(self, candidate_fit: CandidateFit, squares: float) -> float:
+        """p-value of the sum of squares over all rows; see `calib.degrees_of_freedom.matched`."""
+        fit, labelled = candidate_fit.fit, self.hypotheses
+        scale, dof = matched(fit.slope, fit.prior_sd, sum(labelled.fitted_factors.values()))
+        kinds = [row.kind for row in labelled.rows]
+        counts = {kind: float(kinds.count(kind)) for kind in dict.fromkeys(kinds)}
+        return float(chance(squares / scale, dof, behind(counts, labelled.std_dof)))
+
+    def _left_out_p(self, candidate_fit: CandidateFit) -> float:
+        """p-value of the worst group of rows, each left out in turn of the joint fit (Bonferroni)."""
+        fit, labelled = candidate_fit.fit, self.hypotheses
+        groups = [row.mode or row.sensor for row in labelled.rows]
+        std = {g: self.adapters[row.test].left_out_std for g, row in zip(groups, labelled.rows, strict=True)}
+        factors: dict[Hashable, int] = dict.fromkeys(groups, 0)
+        for (mode, _), number in labelled.fitted_factors.items():
+            factors[mode] += number
+        found = fit.left_out(groups)
+        return found.p(factors, np.array([std[str(name)] for name in found.names]))
 
     def failing(self) -> set[str]:
         """Effects with which a model of any test failed somewhere."""
@@ -128,7 +162,8 @@ class JointAdapter:
         return replace(answer, errors=errors, tables=tables)
 
     def _of(self, test: str, stages: dict[str, CandidateFit]) -> dict[str, CandidateFit]:
-        return {stage: self.hypotheses.of(test, candidate_fit) for stage, candidate_fit in stages.items()}
+        held_sd = self.facts.held_sd
+        return {stage: self.hypotheses.of(test, candidate_fit, held_sd) for stage, candidate_fit in stages.items()}
 
 
 def together(adapters: Mapping[str, Adapter]) -> Adapter:

@@ -45,6 +45,11 @@ class ModalAdapter(OneTest):
         """The problem with the used data, at full order."""
         return self.hypotheses.pair.problem
 
+    @property
+    def left_out_std(self) -> float:
+        """The fewest behind any kind of data."""
+        return float(min(self.hypotheses.std_dof.values(), default=np.inf))
+
     def notes(self) -> list[str]:
         """As for any test, and on stated standard deviations."""
         out, measured = [], self.problem.measured
@@ -68,7 +73,7 @@ class ModalAdapter(OneTest):
             whole = whole.with_model(self.problem.model).with_model(fitted.problem.model, added)
         return modal_errors(
             fitted.problem, whole, fit.values, fit.names, fit.prior_sd, fitted.floors,
-            self.hypotheses.std_dof, scale, self.facts.held_sd,
+            self.hypotheses.std_dof, scale, self.facts.held_sd, fit.others, fit.on_limit,
         )  # fmt: skip
 
     def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:

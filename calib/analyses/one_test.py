@@ -14,7 +14,7 @@ import pandas as pd
 from calib.analyses.discretisation_error import DiscretisationError
 from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.hypotheses import Failure, ModelHypotheses
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.recommendation import ExperimentalDesign
 from calib.missing.refits import DEFAULT
@@ -133,7 +133,7 @@ class OneTest(ABC):
         """None: further responses of a function are unknown."""
         return None
 
-    def doubted(self, found: Explanation) -> tuple[list[Effect], Scores] | None:
+    def doubted(self, found: Explanation) -> tuple[list[Candidate], Scores] | None:
         """Effects for which candidate measurements are proposed, with their scores; None where there are none.
 
         Where nothing explains the misfit, local perturbations that locate it.
@@ -149,7 +149,8 @@ class OneTest(ABC):
 
     def places(self) -> dict[str, tuple[str, tuple[float, float, float], str]]:
         """Kind, location (m) and sensor of every local perturbation and every fault of the measurement, by name."""
-        return {a.effect.name: (a.kind, a.place, a.sensor) for a in (*self.perturbations, *self.hypotheses.pair.faults)}
+        local = {a.effect.name: (a.kind, a.place, a.sensor) for a in self.perturbations}
+        return local | {f.name: (f.kind, f.place, f.sensor) for f in self.hypotheses.pair.faults}
 
 
 def _with(failure: Failure) -> str:

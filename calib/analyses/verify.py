@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
 
+from calib.analyses.joint_part import JointPart
 from calib.correlation.frf_residual import FRFProblem
 from calib.correlation.held_out import group_table, held_out_errors
 from calib.correlation.problem import FunctionProblem, ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
-from calib.degrees_of_freedom import KNOWN, behind, chance, effective_dof
+from calib.degrees_of_freedom import KNOWN, behind, chance, matched
 from calib.forward import ForwardProblem, Unseen, pair_of
 from calib.inference.identify import posterior, with_held
 from calib.inference.leave_one_out import leave_one_out
+from calib.inference.other_rows import OtherRows, none_beside
 from calib.joint import spread
 from calib.problem import Pair
 from calib.space import ParameterSpace
@@ -28,9 +30,12 @@ _NONE: Mapping[str, float] = MappingProxyType({})
 ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", "unpaired")
 
 
-def errors_at(study: Study, values: Mapping[str, float]) -> pd.DataFrame:
+def errors_at(
+    study: Study, values: Mapping[str, float], joint: JointPart | None = None, on_limit: Collection[str] = ()
+) -> pd.DataFrame:
     """Errors of a study's model by group of data, at fitted values of the selected parameters; see `errors_of`."""
-    return errors_of(study.problem, study.whole_problem(), study.unseen, study.search_space, values, study.held_sd)
+    space, held_sd = study.search_space, study.held_sd
+    return errors_of(study.problem, study.whole_problem(), study.unseen, space, values, held_sd, joint, on_limit)
 
 
 def errors_of(
@@ -40,6 +45,8 @@ def errors_of(
     space: ParameterSpace,
     values: Mapping[str, float],
     held_sd: Mapping[str, float] = _NONE,
+    joint: JointPart | None = None,
+    on_limit: Collection[str] = (),
 ) -> pd.DataFrame:
     """Errors by group of data: used, left out in turn, and held out; see `modal_errors` and `group_errors`.
 
@@ -57,18 +64,28 @@ def errors_of(
         Fitted values.
     held_sd : mapping from str to float
         Standard deviations of held parameters that are uncertain.
+    joint : JointPart, optional
+        The fit to several tests of which this is one.
+    on_limit : collection of str
+        Parameters that a limit holds.
     """
     names = tuple(p.name for p in space.free if not p.integer)
     prior_sd = np.array([space[n].prior_width for n in names])
+    others: OtherRows | None = None
+    if joint is not None:
+        names, prior_sd, others, held_sd = joint
     if isinstance(problem, ModalProblem):
         dof = ModalResidual(problem).std_dof
-        return modal_errors(problem, whole, values, names, prior_sd, Floors(), dof, held_sd=held_sd)
+        return modal_errors(
+            problem, whole, values, names, prior_sd, Floors(), dof, held_sd=held_sd, others=others, on_limit=on_limit
+        )
     if isinstance(problem, FunctionProblem):
         problem = replace(problem, space=space)
     held_out = held_out_rows(problem, unseen, values, names, held_sd)
     pair = pair_of(problem)
     e, g = whitened(pair, values, names, held_sd)
-    return group_errors(e, g, names, prior_sd, [row.sensor for row in pair.rows], held_out, std_behind(pair))
+    labels = [row.sensor for row in pair.rows]
+    return group_errors(e, g, names, prior_sd, labels, held_out, std_behind(pair), others, on_limit)
 
 
 def held_out_rows(
@@ -121,6 +138,8 @@ def modal_errors(
     std_dof: Mapping[str, float],
     scale: float = 1.0,
     held_sd: Mapping[str, float] = _NONE,
+    others: OtherRows | None = None,
+    on_limit: Collection[str] = (),
 ) -> pd.DataFrame:
     """Errors of a fitted modal model by group of data, rms in standard deviations.
 
@@ -142,6 +161,13 @@ def modal_errors(
         Factor on the standard deviation.
     held_sd : mapping from parameter name to float
         Standard deviations of held parameters that are uncertain; they add to the expected error of held-out data.
+        Those that the model lacks add what they change in the fitted parameters through other tests.
+    others : OtherRows, optional
+        Rows of other tests in the same joint fit, in units of ``scale`` times the standard deviation. All posteriors
+        are those of the joint fit: a row is predicted by all tests without its group, and the residual of these rows
+        has the covariance ``I - G_a V G_a^T`` (see `calib.degrees_of_freedom.matched`).
+    on_limit : collection of str
+        Parameters that a limit holds; they stay there when a mode is left out.
 
     Returns
     -------
@@ -153,23 +179,30 @@ def modal_errors(
     found = fitted.compare(values)
     vector = residual.of(found) / scale
     jacobian = residual.slope_of(found, names, residual.derivatives(found, names)) / scale
-    known = posterior(names, jacobian, prior_sd)
+    others = others or none_beside(len(names), len(held_sd))
+    every = np.vstack([jacobian, -others.slope])
+    known = posterior(names, every, prior_sd)
     modes = [row.mode for row in residual.rows]
-    predicted = leave_one_out(vector, -jacobian, prior_sd, modes)
+    free = np.array([name not in on_limit for name in names], dtype=float)
+    predicted = leave_one_out(vector, -jacobian * free, prior_sd, modes, others.slope * free)
     own: dict[Hashable, int] = {mode: residual.n_fitted_factors_of({mode}) for mode in dict.fromkeys(modes)}
     finite = {kind: dof for kind, dof in std_dof.items() if np.isfinite(dof)}
     held_out = pd.DataFrame(columns=[*ERROR_COLUMNS, "chi2", "dof"])
     if whole is not None:
         held = None
+        inside = tuple(name for name in held_sd if name in fitted.model.space)
         if held_sd:
-            held = residual.slope_of(found, tuple(held_sd), residual.derivatives(found, tuple(held_sd)))
-            held = held * list(held_sd.values()) / scale
+            own_held = residual.slope_of(found, inside, residual.derivatives(found, inside))
+            held = spread(own_held, inside, tuple(held_sd)) * list(held_sd.values()) / scale
+            held = np.vstack([held, -others.held])
         unit = np.array([*np.ones(len(names)), *held_sd.values()])
-        covariance = with_held(known, jacobian, held) * np.outer(unit, unit) / scale**2
-        held_out = held_out_errors(fitted, whole, values, (*names, *held_sd), covariance, floors, finite or None)
+        covariance = with_held(known, every, held) * np.outer(unit, unit) / scale**2
+        kept = [k for k, name in enumerate((*names, *held_sd)) if k < len(names) or name in inside]
+        covariance = covariance[np.ix_(kept, kept)]
+        held_out = held_out_errors(fitted, whole, values, (*names, *inside), covariance, floors, finite or None)
         if scale != 1.0:
             held_out = _scaled(held_out, scale, min(finite.values(), default=KNOWN))
-    dof = effective_dof(jacobian, prior_sd, residual.n_fitted_factors)
+    own_scale, dof = matched(jacobian, prior_sd, residual.n_fitted_factors, others.slope)
     return group_table(
         residual.rows,
         vector,
@@ -181,6 +214,7 @@ def modal_errors(
         left_out_p=predicted.p(own, min(finite.values(), default=np.inf)),
         unpaired=fitted.measured.n_modes - len(found.pairing.paired),
         std_dof=finite or None,
+        scale=own_scale,
     )
 
 
@@ -198,6 +232,8 @@ def group_errors(
     labels: Sequence[str],
     held_out: Mapping[str, tuple[np.ndarray, np.ndarray]],
     std: float = KNOWN,
+    others: OtherRows | None = None,
+    on_limit: Collection[str] = (),
 ) -> pd.DataFrame:
     """The same for scalar responses or FRFs, each of which is left out in turn.
 
@@ -216,14 +252,19 @@ def group_errors(
         deviation of what no fit determines; empty groups are left out.
     std : float
         Degrees of freedom behind the standard deviations; see `std_behind`.
+    others, on_limit
+        As in `modal_errors`.
     """
     jacobian, held = jacobian[:, : len(names)], jacobian[:, len(names) :]
-    known = with_held(posterior(names, jacobian, prior_sd), jacobian, held)
-    predicted = leave_one_out(residual, -jacobian, prior_sd, list(labels))
-    dof = effective_dof(jacobian, prior_sd)
-    p, p_left_out = float(chance(residual @ residual, dof, std)), predicted.p({}, std)
+    others = others or none_beside(len(names), held.shape[1])
+    every = np.vstack([jacobian, -others.slope])
+    known = with_held(posterior(names, every, prior_sd), every, np.vstack([held, -others.held]))
+    free = np.array([name not in on_limit for name in names], dtype=float)
+    predicted = leave_one_out(residual, -jacobian * free, prior_sd, list(labels), others.slope * free)
+    scale, dof = matched(jacobian, prior_sd, others=others.slope)
+    p, p_left_out = float(chance(residual @ residual / scale, dof, std)), predicted.p({}, std)
     rows: list[tuple[str, int, float, float, float, int]] = [
-        ("fit", len(residual), _rms(residual), float(np.sqrt(dof / len(residual))), p, 0),
+        ("fit", len(residual), _rms(residual), float(np.sqrt(scale * dof / len(residual))), p, 0),
         ("left_out", len(residual), _rms(predicted.residual), _rms(np.sqrt(predicted.variance)), p_left_out, 0),
     ]
     for group, (e, g) in held_out.items():

@@ -13,6 +13,8 @@ from calib.analyses.versions import Versions
 from calib.console.calibrated import ERRORS, errors_row, suspects
 from calib.console.compared import held_out
 from calib.console.told import Entry, Rows, Warned, Words
+from calib.joint import TEST
+from calib.missing.by_test import BY_TEST
 from calib.missing.local import unit_words
 from calib.missing.recommendation import rounded
 from calib.results import Results
@@ -38,6 +40,7 @@ def entries(study: StudyFile, result: ExplanationResult, followed: bool = False)
         Rows.of(title, named, brief, left=("remark",), when="brief", most=EFFECTS),
         Rows.of(title, heads, rows, left=("remark",), when="verbose"),
         *_errors(result, followed and to_add(found) is not None),
+        *_by_test(result),
         *([] if to_add(found) else suspects(result.tables["suspects_explained"])),
         *map(Warned, result.notes),
         Words(f"\nVerdict: {result.verdict}"),
@@ -94,6 +97,31 @@ def _errors(result: ExplanationResult, followed: bool) -> list[Rows]:
         *([] if followed else [Rows.of(title, heads, short, when="brief")]),
         Rows.of(title, ("data", "stage", *ERRORS), rows, ("stage",), when="verbose"),
     ]
+
+
+def _by_test(result: ExplanationResult) -> list[Entry]:
+    """In which of several tests the effect shows, and with which the figures begin."""
+    table = result.tables.get(BY_TEST)
+    if table is None or table.empty:
+        return []
+    effects = str(table["effects"].iloc[0])
+    own = table[table["effects"] == effects].to_dict("records")
+    rows = [
+        (
+            str(r[TEST]),
+            str(r["rows"]),
+            *(number(r[name], 1) for name in ("before", "after")),
+            number(100 * r["share"], 0),
+        )
+        for r in own
+    ]
+    title = f"Sum of squares by test, all fitted together, without and with {effects}:"
+    out: list[Entry] = [Rows.of(title, ("test", "rows", "without", "with", "% of the decrease"), rows)]
+    for r in own:
+        if r["shown_first"]:
+            words = f"{effects} shows most in test {r[TEST]} (largest share): figures and reports begin with it."
+            out.append(Words(words, when="always"))
+    return out
 
 
 def p_words(p: float) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from calib.correlation.modal_faults import ModalFault, Share
-from calib.effect import Effect
 from calib.errors import InputError
 from calib.fault import NOWHERE
 from calib.mac import is_real
@@ -34,6 +33,8 @@ CROSS_TALK = 0.1
 """Plausible share of a neighbouring channel."""
 DAMPING = 0.01
 """Plausible damping ratio that the analysis adds at the middle of the measured frequencies."""
+At = tuple[str, tuple[float, float, float]]
+"""Name of a sensor and its place."""
 NEGLIGIBLE = 1e-9
 """Motion of a source, over that of the sensor, below which the model suppresses it."""
 
@@ -66,16 +67,8 @@ def modal_faults(
 
 def _named(fault: ModalFault, suffix: str) -> ModalFault:
     """The same with a suffix to its name."""
-    name = f"{fault.effect.name}{suffix}"
-    magnitude = replace(fault.effect.magnitude, name=name)
-    return replace(fault, effect=replace(fault.effect, name=name, title=name, magnitude=magnitude))
-
-
-def _effect(name: str, magnitude: Parameter, lacks: str, look_for: str, told: Callable[[float], str]) -> Effect:
-    def build(model: object) -> object:
-        raise NotImplementedError(f"{name} is no part of a model")
-
-    return Effect(name, name, lacks, look_for, magnitude, build, of_measurement=True, told=told)
+    name = f"{fault.name}{suffix}"
+    return replace(fault, magnitude=replace(fault.magnitude, name=name), title=name)
 
 
 def _sized(name: str, size: float, lower: float, upper: float, unit: str = "-") -> Parameter:
@@ -90,7 +83,7 @@ def _of_sensors(model: ModalModel, measured: MeasuredModes) -> Iterator[ModalFau
     rows = model.sensor_rows(sensors)
     complex_shapes = bool(np.any(~is_real(measured.shapes)))
     for k, sensor in enumerate(sensors):
-        at = {"sensor": sensor.name, "place": sensor.point or NOWHERE}
+        at = (sensor.name, sensor.point or NOWHERE)
         yield _gain(k, sensor, at)
         if complex_shapes:
             yield _delay(k, sensor, float(measured.natural_freq.max()), at)
@@ -104,13 +97,13 @@ def _of_sensors(model: ModalModel, measured: MeasuredModes) -> Iterator[ModalFau
                 yield _cross_talk(k, sensor, sensors[neighbour], at)
 
 
-def _gain(k: int, sensor: Sensor, at: Mapping[str, object]) -> ModalFault:
+def _gain(k: int, sensor: Sensor, at: At) -> ModalFault:
     name = f"gain of sensor {sensor.name}"
-    effect = _effect(
-        name, _sized(name, GAIN, -3.0, 9.0), "The sensor reads the motion as it is.",
+    return ModalFault(
+        _sized(name, GAIN, -3.0, 9.0), name, "The sensor reads the motion as it is.",
         "Check its calibration, its mounting and its sign.", lambda by: gain_words(f"sensor {sensor.name}", by),
+        "gain", *at, shares=(Share(k, sensor),),
     )  # fmt: skip
-    return ModalFault(effect, "gain", **at, shares=(Share(k, sensor),))  # type: ignore[arg-type]
 
 
 def gain_words(what: str, by: float) -> str:
@@ -123,30 +116,30 @@ def gain_words(what: str, by: float) -> str:
     return f"{what} reads {100 * abs(by):.2g} % {'low' if by < 0 else 'high'}"
 
 
-def _delay(k: int, sensor: Sensor, highest: float, at: Mapping[str, object]) -> ModalFault:
+def _delay(k: int, sensor: Sensor, highest: float, at: At) -> ModalFault:
     name = f"delay of sensor {sensor.name}"
     size = 1e3 * PHASE / (2 * np.pi * highest)
-    effect = _effect(
-        name, _sized(name, size, -10 * size, 10 * size, "ms"), "All channels are sampled at the same time.",
+    return ModalFault(
+        _sized(name, size, -10 * size, 10 * size, "ms"), name, "All channels are sampled at the same time.",
         "Check its filter and its sampling.",
         lambda by: f"sensor {sensor.name} is {'late' if by > 0 else 'early'} by {abs(by):.2g} ms",
+        "delay", *at, shares=(Share(k, sensor, "delay"),),
     )  # fmt: skip
-    return ModalFault(effect, "delay", **at, shares=(Share(k, sensor, "delay"),))  # type: ignore[arg-type]
 
 
-def _rotation(k: int, sensor: Sensor, source: Sensor, at: Mapping[str, object]) -> ModalFault:
+def _rotation(k: int, sensor: Sensor, source: Sensor, at: At) -> ModalFault:
     name = f"rotation of sensor {sensor.name} towards {source.direction}"
-    effect = _effect(
-        name, _sized(name, ROTATION, -60.0, 60.0, "deg"), f"The sensor's axis is {sensor.direction}.",
+    shares = (Share(k, sensor, "cosine"), Share(k, source, "sine"))
+    return ModalFault(
+        _sized(name, ROTATION, -60.0, 60.0, "deg"), name, f"The sensor's axis is {sensor.direction}.",
         "Check how it is mounted.",
         lambda by: f"sensor {sensor.name} is turned by {abs(by):.2g} deg {'towards' if by > 0 else 'away from'} "
         f"{source.direction}",
+        "rotation", *at, shares=shares,
     )  # fmt: skip
-    shares = (Share(k, sensor, "cosine"), Share(k, source, "sine"))
-    return ModalFault(effect, "rotation", **at, shares=shares)  # type: ignore[arg-type]
 
 
-def _shifts(model: ModalModel, k: int, sensor: Sensor, at: Mapping[str, object]) -> Iterator[ModalFault]:
+def _shifts(model: ModalModel, k: int, sensor: Sensor, at: At) -> Iterator[ModalFault]:
     """Shifts of a sensor along the mesh, by the gradient of the shape between the nodes before and after it."""
     mesh = getattr(model, "mesh", None)
     if sensor.point is None or not isinstance(mesh, Mesh) or not mesh.placed.all():
@@ -162,13 +155,13 @@ def _shifts(model: ModalModel, k: int, sensor: Sensor, at: Mapping[str, object])
             continue
         name = f"place of sensor {sensor.name} along {axis}"
         size = min(SHIFT, 1e3 * FAR * length)
-        effect = _effect(
-            name, _sized(name, size, -5 * size, 5 * size, "mm"), "The sensor is where the table says.",
+        shares = (Share(k, last, factor=1 / length), Share(k, first, factor=-1 / length))
+        yield ModalFault(
+            _sized(name, size, -5 * size, 5 * size, "mm"), name, "The sensor is where the table says.",
             "Measure where it sits.",
             partial(_shift_words, sensor.name, axis),
+            "place", *at, shares=shares,
         )  # fmt: skip
-        shares = (Share(k, last, factor=1 / length), Share(k, first, factor=-1 / length))
-        yield ModalFault(effect, "place", **at, shares=shares)  # type: ignore[arg-type]
 
 
 def _shift_words(name: str, axis: str, by: float) -> str:
@@ -186,14 +179,14 @@ def _moves(model: ModalModel, source: Sensor, own: np.ndarray) -> bool:
     return float(np.linalg.norm(row - along)) > NEGLIGIBLE * max(size, 1e-300) and size > 0
 
 
-def _cross_talk(k: int, sensor: Sensor, source: Sensor, at: Mapping[str, object]) -> ModalFault:
+def _cross_talk(k: int, sensor: Sensor, source: Sensor, at: At) -> ModalFault:
     name = f"cross-talk of sensor {source.name} into {sensor.name}"
-    effect = _effect(
-        name, _sized(name, CROSS_TALK, -1.0, 1.0), "Every channel reads its own sensor only.",
+    return ModalFault(
+        _sized(name, CROSS_TALK, -1.0, 1.0), name, "Every channel reads its own sensor only.",
         "Check cables and the order of the channels.",
         lambda by: f"sensor {sensor.name} reads {100 * by:.2g} % of sensor {source.name} beside its own motion",
+        "cross-talk", *at, shares=(Share(k, source),),
     )  # fmt: skip
-    return ModalFault(effect, "cross-talk", **at, shares=(Share(k, source),))  # type: ignore[arg-type]
 
 
 # -- set-ups and analysis ----------------------------------------------------------------------------------------------
@@ -207,12 +200,12 @@ def _of_set_ups(measured: MeasuredModes, set_ups: Mapping[str, Sequence[str]]) -
         if not 2 <= len(own) < len(index):
             continue
         name = f"factor of set-up {label}"
-        effect = _effect(
-            name, _sized(name, SET_UP, -3.0, 9.0), "All set-ups are scaled alike.",
+        yield ModalFault(
+            _sized(name, SET_UP, -3.0, 9.0), name, "All set-ups are scaled alike.",
             "Check how the set-ups were joined, and the reference sensors.",
             partial(gain_words, f"set-up {label}"),
+            "set-up", shares=tuple(Share(k, measured.sensors[k]) for k in own),
         )  # fmt: skip
-        yield ModalFault(effect, "set-up", shares=tuple(Share(k, measured.sensors[k]) for k in own))
 
 
 def _of_analysis(model: ModalModel, measured: MeasuredModes) -> Iterator[ModalFault]:
@@ -228,21 +221,21 @@ def _of_analysis(model: ModalModel, measured: MeasuredModes) -> Iterator[ModalFa
             "damping added in proportion to K": (freq / middle, "more to higher modes and less to lower ones"),
         }
         for name, (pattern, words) in patterns.items():
-            effect = _effect(
-                name, _sized(name, DAMPING, 0.0, 20 * DAMPING), "The analysis adds no damping of its own.",
+            yield ModalFault(
+                _sized(name, DAMPING, 0.0, 20 * DAMPING), name, "The analysis adds no damping of its own.",
                 "Check the window, the frequency resolution and what else dissipated in the test.",
                 partial(_damping_words, words, middle),
+                "damping", damping=tuple(pattern.tolist()),
             )  # fmt: skip
-            yield ModalFault(effect, "damping", damping=tuple(pattern.tolist()))
     real = is_real(measured.shapes) if measured.has_shapes else np.zeros(0, dtype=bool)
     if real.any():
         name = "shapes given as modulus and sign"
-        effect = _effect(
-            name, _sized(name, 1.0, 0.0, 2.0), "Real shapes are the parts in phase.",
+        yield ModalFault(
+            _sized(name, 1.0, 0.0, 2.0), name, "Real shapes are the parts in phase.",
             "Ask for complex shapes, or for the parts in phase.",
             lambda by: "the real shapes are moduli with a sign, not the parts in phase",
+            "modulus", modulus=True,
         )  # fmt: skip
-        yield ModalFault(effect, "modulus", modulus=True)
 
 
 def _damping_words(how: str, middle: float, by: float) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 
 from calib.correlation.fault_library import PHASE, gain_words
 from calib.correlation.frf_nuisance import ChannelError, ChannelKind, Nuisance
-from calib.effect import Effect
 from calib.fault import NOWHERE, Fault
 from calib.measurement.frf import MeasuredFRFs
 
@@ -61,10 +60,10 @@ def _all(measured: MeasuredFRFs) -> Iterator[FRFFault]:
         for sensor in sensors:
             for kind, size in sizes.items():
                 error = ChannelError(kind, sensor.name, "response" if side == "response" else "reference", size)
-                yield FRFFault(_effect(error), kind, sensor.name, sensor.point or NOWHERE, error=error)
+                yield _fault(error, sensor.point or NOWHERE)
 
 
-def _effect(error: ChannelError) -> Effect:
+def _fault(error: ChannelError, place: tuple[float, float, float]) -> FRFFault:
     what = f"{'force at' if error.side == 'reference' else 'sensor'} {error.sensor}"
     words: dict[str, Callable[[float], str]] = {
         "gain": partial(_gain, what), "phase": partial(_phase, what), "delay": partial(_delay, what)
@@ -72,13 +71,9 @@ def _effect(error: ChannelError) -> Effect:
     p = error.parameter
     if error.kind == "gain":
         p = replace(p, lower=_SWAPPED)
-
-    def build(model: object) -> object:
-        raise NotImplementedError(f"{p.name} is no part of a model")
-
-    return Effect(
-        p.name, f"{error.kind} of {what}", "Every channel reads as it is calibrated.", _LOOK[error.kind], p, build,
-        of_measurement=True, told=words[error.kind],
+    return FRFFault(
+        p, f"{error.kind} of {what}", "Every channel reads as it is calibrated.", _LOOK[error.kind], words[error.kind],
+        error.kind, error.sensor, place, error=error,
     )  # fmt: skip
 
 

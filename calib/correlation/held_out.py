@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 
 from calib.correlation.compare import Comparison
+from calib.correlation.modal_rows import Row
 from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual, Row
+from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
 from calib.degrees_of_freedom import behind, chance
 from calib.errors import InputError
@@ -124,6 +125,7 @@ def group_table(
     left_out_p: float = math.nan,
     unpaired: int = 0,
     std_dof: StdDof | None = None,
+    scale: float = 1.0,
 ) -> pd.DataFrame:
     """Errors of one model on used, left-out and held-out data, in one table.
 
@@ -134,7 +136,7 @@ def group_table(
     used : ndarray (n_rows,)
         Whitened residual at the fit.
     dof : float
-        Its degrees of freedom: rows less fitted factors and effective parameters.
+        Degrees of freedom of its sum of squares, see `calib.degrees_of_freedom.matched`.
     left_out : ndarray (n_rows,)
         Leave-one-out residual: that of every row if its group had not been used.
     left_out_variance : ndarray (n_rows,)
@@ -149,6 +151,8 @@ def group_table(
         Used modes without a partner.
     std_dof : mapping from str to float, optional
         As in `held_out_errors`.
+    scale : float
+        Scale of the chi-square variate of those degrees of freedom.
 
     Returns
     -------
@@ -162,10 +166,10 @@ def group_table(
     counts = pd.Series([row.kind for row in rows]).value_counts()
     behind_std = behind({str(kind): float(count) for kind, count in counts.items()}, std_dof)
     expected = math.sqrt(max(float(variance.sum()) - fitted_factors, 0.0) / n)
-    p = float(chance(float(e @ e), dof, behind_std))
+    p = float(chance(float(e @ e) / scale, dof, behind_std))
     table = pd.DataFrame(
         [
-            ("fit", n, _rms(e), math.sqrt(max(dof, 0.0) / n), p, unpaired),
+            ("fit", n, _rms(e), math.sqrt(max(scale * dof, 0.0) / n), p, unpaired),
             ("left_out", n, _rms(out), expected, left_out_p, unpaired),
         ],
         columns=["group", "rows", "rms", "expected", "p", "unpaired"],

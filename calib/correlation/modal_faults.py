@@ -94,7 +94,7 @@ class Readings:
     def __post_init__(self) -> None:
         sources = dict.fromkeys(share.source for fault in self.faults for share in fault.shares)
         object.__setattr__(self, "sources", tuple(sources))
-        object.__setattr__(self, "_by_name", {fault.effect.name: fault for fault in self.faults})
+        object.__setattr__(self, "_by_name", {fault.name: fault for fault in self.faults})
         object.__setattr__(self, "_rows", {source: k for k, source in enumerate(sources)})
 
     def __contains__(self, name: str) -> bool:
@@ -117,7 +117,7 @@ class Readings:
         out = np.array(shape, dtype=complex)
         for name, magnitude in at.items():
             fault = self._by_name[name]
-            si = magnitude * fault.effect.magnitude.si_factor
+            si = magnitude * fault.magnitude.si_factor
             for share in fault.shares:
                 out[share.sensor] += share.weight(si, omega) * motions[self._rows[share.source]]
         return out
@@ -125,7 +125,7 @@ class Readings:
     def shape_slope(self, at: Mapping[str, float], name: str, i: int, size: int, motions: np.ndarray) -> np.ndarray:
         """Derivative of `shape` by one magnitude, per unit, (size,): one entry for every sensor."""
         fault = self._by_name[name]
-        factor = fault.effect.magnitude.si_factor
+        factor = fault.magnitude.si_factor
         out = np.zeros(size, dtype=complex)
         for share in fault.shares:
             slope = share.slope(at.get(name, 0.0) * factor, self.omega[i]) * factor

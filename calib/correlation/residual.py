@@ -7,18 +7,17 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
 from calib.correlation.compare import Comparison
+from calib.correlation.faulty_modes import FaultyModes
 from calib.correlation.fitted_shape import FittedShape
-from calib.correlation.modal_faults import ModalFault, Readings
+from calib.correlation.modal_faults import ModalFault
+from calib.correlation.modal_rows import Row, damping_modes, rows_of, shape_parts
 from calib.correlation.problem import ModalProblem
 from calib.correlation.standard_deviations import USUAL, Floors, StandardDeviations, dof_behind, std_for
 from calib.fingerprint import digest_of
-from calib.mac import is_real
 from calib.space import ParameterSpace
 from calib.structure.derivatives import ModeDerivatives, beside_roots
 from calib.structure.modal_model import ModalModel
@@ -28,28 +27,6 @@ _LEAST_RATIO = 1e-6
 
 _DEFINITION = "modal residual 1"
 """Part of the fingerprint; increment it whenever the same modes would give another residual or derivative."""
-
-Kind = Literal["frequency", "damping", "shape"]
-
-
-class Row(NamedTuple):
-    """What one entry of the residual compares.
-
-    Attributes
-    ----------
-    mode : str
-        Measured mode.
-    kind : {"frequency", "damping", "shape"}
-    sensor : str
-        Name of the sensor, empty unless ``kind`` is ``shape``.
-    part : str
-        ``re`` or ``im`` of a shape, else empty.
-    """
-
-    mode: str
-    kind: Kind
-    sensor: str = ""
-    part: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,48 +73,24 @@ class ModalResidual:
     rows: tuple[Row, ...] = field(init=False, repr=False)
     _damped: tuple[int, ...] = field(init=False, repr=False)
     _parts: tuple[tuple[int, str], ...] = field(init=False, repr=False)
-    _readings: Readings = field(init=False, repr=False)
+    _faulty: FaultyModes = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "std", std_for(self.problem.measured, self.floors, self.pool))
-        object.__setattr__(self, "_damped", self._damping_modes())
-        object.__setattr__(self, "_parts", self._shape_parts())
-        object.__setattr__(self, "rows", self._rows())
-        object.__setattr__(self, "_readings", Readings(self.faults, 2 * np.pi * self.problem.measured.natural_freq))
-
-    def _rows(self) -> tuple[Row, ...]:
         measured = self.problem.measured
-        rows = [Row(mode, "frequency") for mode in measured.names]
-        rows += [Row(measured.names[i], "damping") for i in self._damped]
-        for i, part in self._parts:
-            known = np.flatnonzero(np.isfinite(measured.shapes[:, i]))
-            rows += [Row(measured.names[i], "shape", measured.sensors[s].name, part) for s in known]
-        return tuple(rows)
-
-    def _damping_modes(self) -> tuple[int, ...]:
-        """Measured modes with a damping row."""
-        if not self.use_damping or not self.problem.model.dissipates:
-            return ()
-        return tuple(np.flatnonzero(self.problem.measured.damping_ratio > 0).tolist())
-
-    def _shape_parts(self) -> tuple[tuple[int, str], ...]:
-        """Measured modes and parts of their shapes, in row order; a single sensor carries no information."""
-        shapes = self.problem.measured.shapes
-        if not self.use_shapes or not self.problem.measured.has_shapes:
-            return ()
-        real = is_real(shapes)
-        several = np.isfinite(shapes).sum(axis=0) > 1
-        out: list[tuple[int, str]] = []
-        for i in np.flatnonzero(several).tolist():
-            out += [(i, "re")] if real[i] else [(i, "re"), (i, "im")]
-        return tuple(out)
+        damped = damping_modes(measured) if self.use_damping and self.problem.model.dissipates else ()
+        parts = shape_parts(measured) if self.use_shapes else ()
+        object.__setattr__(self, "std", std_for(measured, self.floors, self.pool))
+        object.__setattr__(self, "_damped", damped)
+        object.__setattr__(self, "_parts", parts)
+        object.__setattr__(self, "rows", rows_of(measured, damped, parts))
+        object.__setattr__(self, "_faulty", FaultyModes(self.problem, self.faults))
 
     @property
     def fingerprint(self) -> str:
         """Hash that changes whenever the residual or its derivatives at the same named values could."""
         std = (self.std.freq, self.std.damping, self.std.shape)
         layout = (self.rows, self._damped, self._parts, self.factor_sensors)
-        faults = [(f.effect.name, f.shares, f.damping) for f in self.faults]
+        faults = [(f.name, f.shares, f.damping) for f in self.faults]
         return digest_of(_DEFINITION, self.problem.fingerprint, std, layout, *([faults] if faults else []))[:16]
 
     @property
@@ -190,7 +143,7 @@ class ModalResidual:
     def space(self) -> ParameterSpace:
         """Parameters of the model, and after them the magnitudes of faults."""
         own = self.problem.space
-        more = tuple(fault.effect.magnitude for fault in self.faults)
+        more = tuple(fault.magnitude for fault in self.faults)
         return ParameterSpace((*own.parameters, *more), own.constraints) if more else own
 
     @property
@@ -204,22 +157,7 @@ class ModalResidual:
 
     def solve(self, values: Mapping[str, float]) -> Comparison:
         """Comparison at named values; EvaluationError when the model cannot be solved there."""
-        at = self._readings.active(values)
-        found = self.problem.compare({name: value for name, value in values.items() if name not in self._readings})
-        return self._with_faults(found, at) if at else found
-
-    def _with_faults(self, found: Comparison, at: Mapping[str, float]) -> Comparison:
-        """A comparison with faults: modes are paired by what the sensors read."""
-        readings, problem = self._readings, self.problem
-        if not problem.measured.has_shapes or not readings.reach_shapes(at):
-            return replace(found, faults=at)
-        motions, omega = self._sources @ found.modes.shapes, 2 * np.pi * found.modes.natural_freq
-        read = np.column_stack(
-            [readings.shape(at, w, v, m) for w, v, m in zip(omega, found.sensor_shapes.T, motions.T, strict=True)]
-        )
-        shares = problem.energy_shares(found.values, found.modes)
-        pairing, mac, emac = problem.pair(problem.measured.shapes, read, shares, found.modes)
-        return replace(found, faults=at, pairing=pairing, mac=mac, emac=emac)
+        return self._faulty.compared(values)
 
     def responses(self, solution: Comparison) -> dict[str, float]:
         """See `ModalProblem.responses`."""
@@ -251,17 +189,17 @@ class ModalResidual:
         self, values: Mapping[str, float], names: Sequence[str], at: Callable[[Mapping[str, float]], Comparison]
     ) -> np.ndarray:
         """The Jacobian with solutions from ``at``."""
-        own = [name for name in names if name not in self._readings]
+        own = [name for name in names if name not in self._faulty]
         found = at(self.regular(values, own))
         if len(own) == len(names):
             return self.slope_of(found, names, self.derivatives(found, names, at))
         columns = np.zeros((self.n_rows, len(names)))
         if own:
-            columns[:, [name not in self._readings for name in names]] = self.slope(values, own, at)
+            columns[:, [name not in self._faulty for name in names]] = self.slope(values, own, at)
             found = at(values)
-        motions = self._sources @ found.modes.shapes
+        motions = self._faulty.motions(found)
         for k, name in enumerate(names):
-            if name in self._readings:
+            if name in self._faulty:
                 columns[:, k] = self._fault_slope(found, name, motions)
         return columns
 
@@ -295,8 +233,9 @@ class ModalResidual:
 
     def regular(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
         """Point at which derivatives by the named parameters are taken; see `beside_roots`."""
-        own = {name: value for name, value in values.items() if name not in self._readings}
-        return beside_roots(self.problem.space, self.problem.model.roots, own, names) | self._readings.active(values)
+        own = {name: value for name, value in values.items() if name not in self._faulty}
+        point = beside_roots(self.problem.space, self.problem.model.roots, own, names)
+        return point | self._faulty.readings.active(values)
 
     def derivatives(
         self,
@@ -310,9 +249,7 @@ class ModalResidual:
         solved.
         """
         chosen = found.pairing.model_index[found.pairing.paired]
-        rows = self.problem.sensor_rows if self._parts else np.zeros((0, found.modes.shapes.shape[0]))
-        if self._parts and found.faults:
-            rows = np.vstack([rows, self._sources.toarray()])
+        rows = self._faulty.rows(found) if self._parts else np.zeros((0, found.modes.shapes.shape[0]))
         return self._derivatives(found, names, chosen, rows, at)
 
     def _derivatives(
@@ -350,27 +287,60 @@ class ModalResidual:
 
     def slope_of(self, found: Comparison, names: Sequence[str], slopes: ModeDerivatives) -> np.ndarray:
         """Derivative of the residual of an existing comparison; ``slopes`` as from `derivatives`."""
-        std, n = self.std, len(names)
+        measured, n = self.problem.measured, len(names)
         place = {int(i): k for k, i in enumerate(found.pairing.paired)}
-        zero = np.zeros(n)
-        blocks = []
-        for i in range(self.problem.measured.n_modes):
+        freq, damping = np.zeros((measured.n_modes, n)), np.zeros((measured.n_modes, n))
+        for i, k in place.items():
+            freq[i] = slopes.natural_freq[:, k] / found.modes.natural_freq[self._partner(found, i)]
+            damping[i] = slopes.damping_ratio[:, k]
+
+        def turned(i: int) -> np.ndarray | None:
             k = place.get(i)
-            freq = zero if k is None else slopes.natural_freq[:, k] / found.modes.natural_freq[self._partner(found, i)]
-            blocks.append(-freq[None] / std.freq[i])
-        for i in self._damped:
-            k = place.get(i)
-            ratio = 0.0 if k is None else float(self._ratio(found)[i])
-            known = k is not None and ratio > _LEAST_RATIO
-            blocks.append(-(slopes.damping_ratio[:, k] / ratio if known else zero)[None] / std.damping[i])
-        turned: dict[int, np.ndarray] = {}
+            if k is None or not slopes.regular[k]:
+                return None
+            return self._fit(found, i).slope(self._faulty.reading_slope(found, i, k, slopes))
+
+        return self._stacked(found, freq, damping, turned)
+
+    def _fault_slope(self, found: Comparison, name: str, motions: np.ndarray) -> np.ndarray:
+        """Derivative of the residual by the magnitude of a fault, (n_rows,)."""
+        readings = self._faulty.readings
+
+        def turned(i: int) -> np.ndarray | None:
+            j = self._partner(found, i)
+            if j < 0:
+                return None
+            if readings.turns_to_modulus(name):
+                return self._fit(found, i).modulus_slope[:, None]
+            return self._fit(found, i).slope(self._faulty.fault_slope(found, name, i, motions[:, j])[:, None])
+
+        damping = readings.damping_slope(name)[:, None]
+        return self._stacked(found, np.zeros_like(damping), damping, turned)[:, 0]
+
+    def _stacked(
+        self,
+        found: Comparison,
+        freq: np.ndarray,
+        damping: np.ndarray,
+        turned: Callable[[int], np.ndarray | None],
+    ) -> np.ndarray:
+        """Derivatives of the residual, (n_rows, n), from those of ``ln freq`` and damping ratio, (n_measured, n).
+
+        ``turned`` gives those of the shape rows of a measured mode, complex; None where they are 0.
+        """
+        std, damped, n = self.std, list(self._damped), freq.shape[1]
+        with np.errstate(invalid="ignore"):
+            ratio = self._ratio(found)[damped, None]
+            known = np.where(ratio > _LEAST_RATIO, -damping[damped] / ratio, 0.0)
+        blocks = [-freq / std.freq[:, None], known / std.damping[damped, None]]
+        shapes: dict[int, np.ndarray | None] = {}
         for i, part in self._parts:
-            k = place.get(i)
-            if i not in turned:
-                fit = self._fit(found, i)
-                blank = k is None or not slopes.regular[k]
-                turned[i] = np.zeros((len(fit.residual), n)) if blank else fit.slope(self._read(found, i, slopes))
-            blocks.append(turned[i].real if part == "re" else turned[i].imag)
+            if i not in shapes:
+                shapes[i] = turned(i)
+            one = shapes[i]
+            if one is None:
+                one = np.zeros((int(np.isfinite(self.problem.measured.shapes[:, i]).sum()), n))
+            blocks.append(one.real if part == "re" else one.imag)
         return np.vstack(blocks)
 
     def factor_spread(self, found: Comparison) -> np.ndarray:
@@ -393,44 +363,8 @@ class ModalResidual:
 
     def _ratio(self, found: Comparison) -> np.ndarray:
         """Damping ratios of the partners as the analysis gives them, (n_measured,); NaN where unpaired."""
-        added = self._readings.added_damping(found.faults) if found.faults else 0.0
-        return np.asarray(np.maximum(found.paired(found.modes.damping_ratio) + added, _LEAST_RATIO))
-
-    def _read(self, found: Comparison, i: int, slopes: ModeDerivatives) -> np.ndarray:
-        """Derivatives of the reading of measured mode i, (n_sensors, n_params), from those of motions."""
-        change = slopes.shapes[:, :, found.pairing.paired.tolist().index(i)].T
-        if not found.faults:
-            return change
-        n = len(self.problem.measured.sensors)
-        return self._readings.shape(found.faults, self._readings.omega[i], change[:n], change[n:])
-
-    def _fault_slope(self, found: Comparison, name: str, motions: np.ndarray) -> np.ndarray:
-        """Derivative of the residual by the magnitude of a fault, (n_rows,)."""
-        measured, readings = self.problem.measured, self._readings
-        ratio, more = self._ratio(found), readings.damping_slope(name)
-        out = [np.zeros(measured.n_modes)]
-        damped = list(self._damped)
-        with np.errstate(invalid="ignore"):
-            known = ratio[damped] > _LEAST_RATIO
-        out.append(np.where(known, -more[damped] / ratio[damped], 0.0) / self.std.damping[damped])
-        turned: dict[int, np.ndarray] = {}
-        for i, part in self._parts:
-            if i not in turned:
-                fit, j = self._fit(found, i), self._partner(found, i)
-                if j < 0:
-                    turned[i] = np.zeros(len(fit.residual), dtype=complex)
-                elif readings.turns_to_modulus(name):
-                    turned[i] = fit.modulus_slope
-                else:
-                    change = readings.shape_slope(found.faults, name, i, len(measured.sensors), motions[:, j])
-                    turned[i] = fit.slope(change[:, None])[:, 0]
-            out.append(turned[i].real if part == "re" else turned[i].imag)
-        return np.concatenate(out)
-
-    @cached_property
-    def _sources(self) -> sp.csr_array:
-        """Motions of which faulty channels read a share, over the degrees of freedom, (n_sources, n_dof)."""
-        return sp.csr_array(self.problem.model.sensor_rows(self._readings.sources))
+        ratio = found.paired(found.modes.damping_ratio) + self._faulty.added_damping(found)
+        return np.asarray(np.maximum(ratio, _LEAST_RATIO))
 
     @staticmethod
     def _partner(found: Comparison, i: int) -> int:
@@ -440,17 +374,9 @@ class ModalResidual:
         measured, j = self.problem.measured, self._partner(found, i)
         known = np.isfinite(measured.shapes[:, i])
         target, std = measured.shapes[known, i], self.std.shape[known, i]
-        shape = np.zeros(len(target)) if j < 0 else self._reading(found, i, j)[known]
+        shape = np.zeros(len(target)) if j < 0 else self._faulty.reading(found, i, j)[known]
         on = np.ones(len(target), dtype=bool)
         if self.factor_sensors is not None:
             on = np.array([s.name in self.factor_sensors for s in measured.sensors])[known]
-        modulus = self._readings.modulus(found.faults)
+        modulus = self._faulty.readings.modulus(found.faults)
         return FittedShape.of(target, shape.astype(complex), std, known, on, (i, "im") not in self._parts, modulus)
-
-    def _reading(self, found: Comparison, i: int, j: int) -> np.ndarray:
-        """What the sensors read of model mode j as measured mode i, (n_sensors,)."""
-        shape = found.sensor_shapes[:, j]
-        if not found.faults:
-            return shape
-        omega = self._readings.omega[i]
-        return self._readings.shape(found.faults, omega, shape, self._sources @ found.modes.shapes[:, j])

@@ -10,6 +10,7 @@ from calib.analyses.extend import found_among
 from calib.analyses.stale import stale_answers
 from calib.analyses.versions import write_versions
 from calib.errors import InputError
+from calib.front.first_test import in_order
 from calib.front.listener import Listener
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import NAME as REPORT
@@ -71,7 +72,7 @@ def draw(
 
 def draw_anew(study: StudyFile, root: Path, listener: Listener, formats: Sequence[Format], width: Width) -> None:
     """Redraw every figure and report of a study, and of the extended studies among its results; see `draw`."""
-    for part in study.parts:
+    for part in in_order(study.parts, Results(root / study.name)):
         folders = places.answers_of(part, root)
         if Results(root / part.name) in folders:  # versions compare full results only
             listener.versions(write_versions(part, root))

@@ -93,7 +93,8 @@ class Fit(Shown, Generic[P]):
 
         parts = []
         for model, test in self.problem.pairs:
-            parts.append(test.errors(model, own(model, test, self.values)).assign(test=test.name))
+            values = own(model, test, self.values)
+            parts.append(test.errors(model, values, self.statistics).assign(test=test.name))
         return pd.concat(parts, ignore_index=True)[["test", "group", "rows", "rms", "expected", "p", "unpaired"]]
 
     def compare(self) -> Compared:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pandas as pd
 
+from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.uncertainty import assumed_frfs, claimed_frf
 from calib.analyses.verify import errors_of
 from calib.correlation.frf_nuisance import AddedMass, ChannelError, Nuisance, Stinger, concerned, require_channels
@@ -108,10 +109,12 @@ class FRFTest:
         """The whitened residual of a model, without held-out FRFs."""
         return FRFResidual(self.problem(model))
 
-    def errors(self, model: Any, values: Mapping[str, float]) -> pd.DataFrame:
+    def errors(self, model: Any, values: Mapping[str, float], fit: FitStatistics) -> pd.DataFrame:
         """Errors on fitted, left-one-out and held-out FRFs; see `calib.analyses.verify.errors_of`."""
         problem = self.problem(model)
-        return errors_of(problem, None, self.unseen, problem.space, values)
+        return errors_of(
+            problem, None, self.unseen, problem.space, values, joint=fit.parts.get(self.name), on_limit=fit.on_limit
+        )
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:

@@ -24,6 +24,7 @@ from calib.analyses.versions import write_versions
 from calib.errors import InputError
 from calib.executor import Injected
 from calib.front.drawn import draw, draw_anew
+from calib.front.first_test import in_order
 from calib.front.listener import Listener, Showing
 from calib.front.problem import Problem
 from calib.front.shown import AnalysisResult, Compared
@@ -272,7 +273,8 @@ class Study:
             Width of these figures: 190 mm, or 90 mm where a figure is legible in a journal's column.
         """
         study = StudyFile.read(self.path)
-        parts = [part for part in study.parts if places.answers_of(part, self.results)]
+        home = Results(self.results / study.name)
+        parts = [part for part in in_order(study.parts, home) if places.answers_of(part, self.results)]
         if not parts:
             remedy = f"run the study first: calib run {shell_argument(self.path)}"
             raise InputError("there are no results to draw", place=self.results / study.name, remedy=remedy)
@@ -380,11 +382,13 @@ class Study:
     def _draw_tests(
         self, case: str | None = None, method: calibration.Method | None = None, report: bool = False
     ) -> None:
-        """Draw every test in its own folder, and the joint results."""
-        for study in self.tests:
-            study.draw(places.results_of(study.one, self.results, self.quick, case, method), report)
+        """Draw every test, the one shown first last, since a run tells what was drawn last first; then all together."""
+        folder = places.results_of(self.loaded, self.results, self.quick, case, method)
+        for part in reversed(in_order(self.loaded.studies, folder)):
+            own = places.results_of(part, self.results, self.quick, case, method)
+            replace(self, read=part).draw(own, report)
         if isinstance(self.loaded, JointStudy):
-            self.draw(places.results_of(self.loaded, self.results, self.quick, case, method))
+            self.draw(folder)
 
 
 def _taking_over(file: Path, taken: staged.Found, before: Loaded | None) -> AnyStudy:

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import pandas as pd
 
+from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.uncertainty import assumed_responses, claimed_words
 from calib.analyses.verify import errors_of
 from calib.correlation.frf_nuisance import belonging_to
@@ -136,9 +137,17 @@ class ModalTest:
             return None
         return self.problem(model).over(self.modes, self.clusters, self.override, self.mode_count)
 
-    def errors(self, model: Model, values: Mapping[str, float]) -> pd.DataFrame:
+    def errors(self, model: Model, values: Mapping[str, float], fit: FitStatistics) -> pd.DataFrame:
         """Errors on fitted, left-one-out and held-out data; see `calib.analyses.verify.errors_of`."""
-        return errors_of(self.problem(model), self.whole_problem(model), {}, model.space, values)
+        return errors_of(
+            self.problem(model),
+            self.whole_problem(model),
+            {},
+            model.space,
+            values,
+            joint=fit.parts.get(self.name),
+            on_limit=fit.on_limit,
+        )
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:
@@ -221,9 +230,17 @@ class ResponseTest:
         """Held-out responses, by their group."""
         return unseen_responses(self.measured.targets, self.held_out)
 
-    def errors(self, model: Model, values: Mapping[str, float]) -> pd.DataFrame:
+    def errors(self, model: Model, values: Mapping[str, float], fit: FitStatistics) -> pd.DataFrame:
         """Errors on fitted, left-one-out and held-out data; see `calib.analyses.verify.errors_of`."""
-        return errors_of(self.problem(model), None, self.unseen, model.space, values)
+        return errors_of(
+            self.problem(model),
+            None,
+            self.unseen,
+            model.space,
+            values,
+            joint=fit.parts.get(self.name),
+            on_limit=fit.on_limit,
+        )
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:

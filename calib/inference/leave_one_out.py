@@ -39,14 +39,14 @@ class LeaveOneOut:
     chi2: np.ndarray
     n_rows: np.ndarray
 
-    def p(self, fitted_factors: Mapping[Hashable, int] | None = None, std_dof: float = np.inf) -> float:
+    def p(self, fitted_factors: Mapping[Hashable, int] | None = None, std_dof: float | np.ndarray = np.inf) -> float:
         """Probability that a correctly specified model predicts its worst group as badly (Bonferroni).
 
         Parameters
         ----------
         fitted_factors : mapping from group to int, optional
             Numbers fitted within a group, such as scale and phase of its shape; each costs one degree of freedom.
-        std_dof : float
+        std_dof : float or ndarray (n_groups,)
             Degrees of freedom of the estimated standard deviations; with infinitely many chi2 is chi-square, otherwise
             an F variate.
         """
@@ -55,11 +55,16 @@ class LeaveOneOut:
         some = dof >= 1
         if not some.any():
             return 1.0
-        return float(min(1.0, chance(self.chi2[some], dof[some], std_dof).min() * some.sum()))
+        std = np.broadcast_to(std_dof, dof.shape)[some]
+        return float(min(1.0, chance(self.chi2[some], dof[some], std).min() * some.sum()))
 
 
 def leave_one_out(
-    residual: np.ndarray, slope: np.ndarray, prior_sd: np.ndarray, groups: Sequence[Hashable]
+    residual: np.ndarray,
+    slope: np.ndarray,
+    prior_sd: np.ndarray,
+    groups: Sequence[Hashable],
+    others: np.ndarray | None = None,
 ) -> LeaveOneOut:
     """Predict every group from all others, in closed form.
 
@@ -85,6 +90,9 @@ def leave_one_out(
         Prior standard deviations, in the units of the slope; infinite without a prior.
     groups : sequence, length n_rows
         Label of the group of every row, such as its mode.
+    others : ndarray (n_others, n_params), optional
+        Slope of further rows of the same fit, which are never left out, such as those of other tests; see
+        `calib.inference.other_rows`.
 
     Raises
     ------
@@ -104,16 +112,17 @@ def leave_one_out(
     number = np.array([place[label] for label in groups], dtype=int)
     rows = [np.flatnonzero(number == k) for k in range(len(names))]
     # Columns of length one, the prior included, make the numbers independent of units.
-    size = np.sqrt(np.sum(g**2, axis=0) + 1.0 / s**2)
+    beside = np.zeros((0, len(s))) if others is None else np.asarray(others, dtype=float)
+    size = np.sqrt(np.sum(g**2, axis=0) + np.sum(beside**2, axis=0) + 1.0 / s**2)
     size = np.where(size > 0, size, 1.0)
-    scaled, prior = g / size, np.diag(1.0 / (s * size) ** 2)
+    scaled, prior = g / size, np.diag(1.0 / (s * size) ** 2) + (beside / size).T @ (beside / size)
     products = [scaled[r].T @ scaled[r] for r in rows]
-    others = _sums_without(products, prior)
+    without = _sums_without(products, prior)
     whole = _half_logdet(prior + sum(products), "all")
     out, variance = np.empty_like(e), np.empty_like(e)
     elpd, chi2 = np.empty(len(names)), np.empty(len(names))
     for k, r in enumerate(rows):
-        factor = _factor(others[k], names[k])
+        factor = _factor(without[k], names[k])
         reach = la.solve_triangular(factor, scaled[r].T, lower=True)
         out[r] = e[r] + reach.T @ (reach @ e[r])
         variance[r] = 1.0 + np.sum(reach**2, axis=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -130,6 +131,29 @@ class Region:
         limits += [f"{n} at its upper limit" for n, v in zip(self.names, x, strict=True) if v > 1 - ACTIVE]
         gap = self.rows @ x - self.least
         return tuple(limits), tuple(label for label, g in zip(self.labels, gap, strict=True) if g < ACTIVE)
+
+
+def on_limit(
+    space: ParameterSpace, names: Sequence[str], values: Mapping[str, float], descent: np.ndarray
+) -> frozenset[str]:
+    """Parameters that a limit holds at the end of a fit: beyond it the misfit would fall.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    names : sequence of str
+        Fitted parameters.
+    values : mapping from str to float
+    descent : ndarray (n_params,)
+        Direction in which the misfit falls, ``G^T e - (theta - c)/s^2`` with ``G = -de/dtheta``.
+    """
+    held = []
+    for name, down in zip(names, descent, strict=True):
+        p = space[name]
+        near = ACTIVE * (p.upper - p.lower)
+        if (down > 0 and values[name] > p.upper - near) or (down < 0 and values[name] < p.lower + near):
+            held.append(name)
+    return frozenset(held)
 
 
 def _least_distance(rows: np.ndarray, least: np.ndarray) -> np.ndarray | None:

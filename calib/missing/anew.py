@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.errors import EvaluationError
 from calib.missing.explanation import AdequacyTests, CandidateFit
 from calib.missing.linearised_fit import LinearisedFit, linearised
@@ -30,7 +30,7 @@ def led_astray(base: CandidateFit, adequacy: AdequacyTests) -> bool:
 
 
 def anew(
-    fits: Refits, base: CandidateFit, singles: Sequence[CandidateFit], effects: Sequence[Effect]
+    fits: Refits, base: CandidateFit, singles: Sequence[CandidateFit], effects: Sequence[Candidate]
 ) -> list[CandidateFit]:
     """Fit single effects from the nominal values with every magnitude of their grid; best first.
 
@@ -61,7 +61,7 @@ def anew(
     return sorted(best.values(), key=lambda t: (-t.ln_evidence, t.names))
 
 
-def _starts(fits: Refits, effects: Sequence[Effect]) -> list[_Start]:
+def _starts(fits: Refits, effects: Sequence[Candidate]) -> list[_Start]:
     """Predicted sum of squares, effect and start of the most promising effects at the nominal values; best first."""
     fit_problem = fits.fit_problem(())
     nominal = linearised(fit_problem, (), fit_problem.space.values)
@@ -83,7 +83,7 @@ def _starts(fits: Refits, effects: Sequence[Effect]) -> list[_Start]:
     return sorted(out, key=lambda s: s[:2])
 
 
-def _at_magnitudes(fits: Refits, nominal: LinearisedFit, effect: Effect, sign: float) -> Iterator[_Start]:
+def _at_magnitudes(fits: Refits, nominal: LinearisedFit, effect: Candidate, sign: float) -> Iterator[_Start]:
     """Starts of an effect without a grid, evaluated by the model itself."""
     fit_problem, p = fits.fit_problem((effect.name,)), effect.magnitude
     for part in RULES.magnitudes:
@@ -96,7 +96,7 @@ def _at_magnitudes(fits: Refits, nominal: LinearisedFit, effect: Effect, sign: f
             yield _start(nominal, effect, point, residual)
 
 
-def _start(nominal: LinearisedFit, effect: Effect, point: Mapping[str, float], residual: np.ndarray) -> _Start:
+def _start(nominal: LinearisedFit, effect: Candidate, point: Mapping[str, float], residual: np.ndarray) -> _Start:
     """A start with the sum of squares predicted from it."""
     linear = nominal.relinearised(point, residual)
     predicted = linear.misfit + (point[effect.name] / effect.plausible) ** 2

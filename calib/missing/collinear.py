@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.missing.evidence import expected_ln_bayes
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, correlation
@@ -19,17 +19,17 @@ class Group:
 
     Attributes
     ----------
-    effect : Effect
+    effect : Candidate
         The leader: the effect with the largest score of a sign that its magnitude may have.
-    others : tuple of Effect
+    others : tuple of Candidate
         Effects collinear with it.
     """
 
-    effect: Effect
-    others: tuple[Effect, ...] = ()
+    effect: Candidate
+    others: tuple[Candidate, ...] = ()
 
     @property
-    def effects(self) -> tuple[Effect, ...]:
+    def effects(self) -> tuple[Candidate, ...]:
         """All effects, the leader first."""
         return (self.effect, *self.others)
 
@@ -39,7 +39,7 @@ class Group:
         return tuple(e.name for e in self.effects)
 
 
-def grouped(effects: Sequence[Effect], found: Scores, threshold: float) -> tuple[Group, ...]:
+def grouped(effects: Sequence[Candidate], found: Scores, threshold: float) -> tuple[Group, ...]:
     """Group effects whose signatures are collinear beyond a threshold and that these data do not tell apart.
 
     With the larger score ``z`` of two effects and the correlation ``rho`` of their signatures, the expected log Bayes

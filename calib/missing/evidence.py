@@ -9,12 +9,12 @@ import scipy.linalg as la
 from scipy.optimize import minimize_scalar
 from scipy.special import log_ndtr
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.inference.region import ACTIVE
 from calib.missing.linearised_fit import LinearisedFit
 
 
-def ln_evidence(fit: LinearisedFit, added: Sequence[Effect]) -> float:
+def ln_evidence(fit: LinearisedFit, added: Sequence[Candidate]) -> float:
     """Log evidence of a fitted model, up to a constant that all models of the same data share.
 
     Laplace's approximation ``-(|e|^2 + |shift|^2)/2 - ln|S G^T G S + I|/2`` (MacKay 1992). A magnitude that cannot be
@@ -27,7 +27,7 @@ def ln_evidence(fit: LinearisedFit, added: Sequence[Effect]) -> float:
     Parameters
     ----------
     fit : LinearisedFit
-    added : sequence of Effect
+    added : sequence of Candidate
         Effects of the fitted model.
     """
     information = fit.scaled_information
@@ -53,7 +53,7 @@ def ln_evidence(fit: LinearisedFit, added: Sequence[Effect]) -> float:
     return total
 
 
-def at_lower(fit: LinearisedFit, effect: Effect) -> bool:
+def at_lower(fit: LinearisedFit, effect: Candidate) -> bool:
     """Whether the fitted magnitude of an effect that cannot be negative is on its lower limit."""
     p = effect.magnitude
     return not effect.signed and fit.values[effect.name] - p.lower <= ACTIVE * (p.upper - p.lower)

@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.errors import EvaluationError, InputError
-from calib.inference.leave_one_out import leave_one_out
 from calib.missing.anew import anew, led_astray
 from calib.missing.collinear import Group, grouped
 from calib.missing.evidence import at_lower
@@ -167,7 +166,7 @@ class _Decision:
         whole = 0 if fits.spent(EARLY) else 1
         return min((fits.candidate_fit((), one, whole) for one in starts), key=lambda found: found.fit.misfit)
 
-    def candidates(self, base: CandidateFit) -> tuple[list[Effect], Scores]:
+    def candidates(self, base: CandidateFit) -> tuple[list[Candidate], Scores]:
         """The effects with which the model can be solved, sorted by name, and their scores.
 
         Sorted, so that samples, ties and what the budget leaves out do not depend on the order of the library.
@@ -225,7 +224,7 @@ class _Decision:
             fault_adequacy=adequacy, measured_scale=self.scale(found.base, fault), evaluations=h.evaluations,
         )  # fmt: skip
 
-    def moved(self, lead: _Lead, able: Sequence[Effect]) -> _Lead:
+    def moved(self, lead: _Lead, able: Sequence[Candidate]) -> _Lead:
         """The lead after the integer parameters are chosen again with the best effect in the model."""
         moved = None if self.fits.spent(LATE) else self.fits.moved(lead.best)
         if moved is None:
@@ -234,7 +233,7 @@ class _Decision:
         return self.lead(sorted([moved, *others], key=lambda t: -t.ln_evidence), able)
 
     def two_effects(
-        self, found: Explanation, lead: _Lead, pairs: Sequence[CandidateFit], able: Sequence[Effect]
+        self, found: Explanation, lead: _Lead, pairs: Sequence[CandidateFit], able: Sequence[Candidate]
     ) -> Explanation | None:
         """Explanation by two effects, with those collinear with them; None when no pair may be named."""
         second = 2 * RULES.credible + math.log(max(len(found.groups) - 1, 1))
@@ -332,11 +331,11 @@ class _Decision:
         groups = [row.mode or row.sensor for row in self.fits.hypotheses.rows]
 
         def error(fit: LinearisedFit) -> float:
-            return float(np.linalg.norm(leave_one_out(fit.residual, fit.slope, fit.prior_sd, groups).residual))
+            return float(np.linalg.norm(fit.left_out(groups).residual))
 
         return error(candidate_fit.fit) <= error(base.fit)
 
-    def lead(self, singles: list[CandidateFit], candidates: Sequence[Effect]) -> _Lead:
+    def lead(self, singles: list[CandidateFit], candidates: Sequence[Candidate]) -> _Lead:
         """The effect of the highest evidence, with its tests; a plausible one nearly as good is preferred."""
         near = [t for t in singles if t.ln_evidence > singles[0].ln_evidence - RULES.credible and not t.implausible]
         best = near[0] if near else singles[0]
@@ -370,7 +369,7 @@ class _Decision:
         left = candidate_fit.fit.residual - others.unit[: len(candidate_fit.fit.residual), k] * others.z[k]
         return self.scale(replace(candidate_fit, fit=replace(candidate_fit.fit, residual=left)))
 
-    def beside(self, candidate_fit: CandidateFit, candidates: Sequence[Effect]) -> Scores:
+    def beside(self, candidate_fit: CandidateFit, candidates: Sequence[Candidate]) -> Scores:
         """Scores of the candidates that a fitted model lacks, with no prior on the magnitudes of its own effects."""
         fit = candidate_fit.fit.granting(candidate_fit.names)
         return self.fits.scores(fit, [e for e in candidates if e.name not in candidate_fit.names])

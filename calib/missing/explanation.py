@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pandas as pd
 
+from calib.candidate import Candidate
 from calib.degrees_of_freedom import LEAST_DOF
-from calib.effect import Effect
 from calib.missing.collinear import Group
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
@@ -83,14 +83,14 @@ class CandidateFit:
 
     Attributes
     ----------
-    effects : tuple of Effect
+    effects : tuple of Candidate
     fit : LinearisedFit
     ln_evidence : float
     implausible : str
         Why it is physically implausible although it may fit; empty when it is plausible.
     """
 
-    effects: tuple[Effect, ...]
+    effects: tuple[Candidate, ...]
     fit: LinearisedFit
     ln_evidence: float
     implausible: str

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.inference.gauss_newton import LeastSquares
 from calib.problem import Labelled
 from calib.space import ParameterSpace
@@ -30,17 +30,17 @@ class Hypotheses(Labelled, Protocol):
     """
 
     @property
-    def effects(self) -> tuple[Effect, ...]:
+    def effects(self) -> tuple[Candidate, ...]:
         """Named effects that the base model lacks."""
         ...
 
     @property
-    def perturbations(self) -> tuple[Effect, ...]:
+    def perturbations(self) -> tuple[Candidate, ...]:
         """Unnamed local perturbations."""
         ...
 
     @property
-    def faults(self) -> tuple[Effect, ...]:
+    def faults(self) -> tuple[Candidate, ...]:
         """Faults that the measurement itself may have."""
         ...
 

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
-from calib.effect import Effect
+from calib.candidate import Candidate
+from calib.inference.other_rows import other_rows
 from calib.joint import JointProblem, JointRows, of_test
 from calib.missing.explanation import CandidateFit
+
+_NONE: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,17 +30,17 @@ class JointHypotheses(JointRows):
     _fit_problems: dict[frozenset[str], JointProblem] = field(init=False, repr=False, default_factory=dict)
 
     @cached_property
-    def effects(self) -> tuple[Effect, ...]:
+    def effects(self) -> tuple[Candidate, ...]:
         """Named candidates of all tests."""
         return tuple({e.name: e for part in self.parts.values() for e in part.effects}.values())
 
     @cached_property
-    def perturbations(self) -> tuple[Effect, ...]:
+    def perturbations(self) -> tuple[Candidate, ...]:
         """Unnamed local perturbations of all tests."""
         return tuple({e.name: e for part in self.parts.values() for e in part.perturbations}.values())
 
     @cached_property
-    def faults(self) -> tuple[Effect, ...]:
+    def faults(self) -> tuple[Candidate, ...]:
         """Faults of the measurements of all tests."""
         return tuple({e.name: e for part in self.parts.values() for e in part.faults}.values())
 
@@ -70,13 +74,21 @@ class JointHypotheses(JointRows):
             for mode in part.unpaired(self._of(test, names), fit_problem.own(test, values))
         )
 
-    def of(self, test: str, candidate_fit: CandidateFit) -> CandidateFit:
-        """Part of a joint fit that belongs to one test: its rows, its parameters, its effects."""
+    def of(self, test: str, candidate_fit: CandidateFit, held_sd: Mapping[str, float] = _NONE) -> CandidateFit:
+        """Part of a joint fit that belongs to one test: its rows, its parameters, its effects.
+
+        What the other tests say about these parameters is condensed to a few rows (`OtherRows`), so that the posterior
+        covariance of the part is that of the joint fit. ``held_sd`` holds standard deviations of held parameters.
+        """
         part, fit = self.parts[test], candidate_fit.fit
         names = self._of(test, fit.effects)
         fit_problem = part.fit_problem(names)
         rows = [k for k, row in enumerate(self.rows) if row.test == test]
         kept = [k for k, name in enumerate(fit.names) if name in fit_problem.space]
+        held = None
+        if held_sd:
+            held = -fit.fit_problem.jacobian(fit.values, tuple(held_sd)) * list(held_sd.values())
+        others = other_rows(fit.slope, fit.prior_sd, fit.residual, fit.shift, rows, kept, held)
         own = replace(
             fit,
             effects=names,
@@ -87,6 +99,7 @@ class JointHypotheses(JointRows):
             slope=fit.slope[np.ix_(rows, kept)],
             prior_sd=fit.prior_sd[kept],
             shift=fit.shift[kept],
+            others=others,
         )
         return replace(candidate_fit, effects=tuple(e for e in candidate_fit.effects if e.name in names), fit=own)
 

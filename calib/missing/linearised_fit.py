@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,6 +15,9 @@ from calib.errors import EvaluationError
 from calib.inference.gauss_newton import FitSettings, Prior, Step, unstepped
 from calib.inference.gauss_newton import fit as gauss_newton
 from calib.inference.identify import posterior
+from calib.inference.leave_one_out import LeaveOneOut, leave_one_out
+from calib.inference.other_rows import OtherRows
+from calib.inference.region import Region, on_limit
 from calib.missing.hypotheses import FitProblem
 from calib.missing.rules import RULES
 
@@ -51,6 +54,11 @@ class LinearisedFit:
         Prior standard deviation s, and the pull ``(theta - c)/s``.
     converged : bool
         Whether the fit converged; otherwise the point is no optimum and its residual no minimum.
+    others : OtherRows or None
+        Of the part of a joint fit that belongs to one test: what the other tests say about its parameters. They count
+        as further rows of the data.
+    on_limit : frozenset of str
+        Parameters that a limit holds, see `calib.inference.region.on_limit`.
     """
 
     effects: tuple[str, ...]
@@ -62,41 +70,57 @@ class LinearisedFit:
     prior_sd: np.ndarray
     shift: np.ndarray
     converged: bool = False
+    others: OtherRows | None = None
+    on_limit: frozenset[str] = frozenset()
 
     @property
     def misfit(self) -> float:
         """Sum of squares, data and prior."""
-        return float(self.residual @ self.residual + self.shift @ self.shift)
+        return float(self._data @ self._data + self.shift @ self.shift)
+
+    @property
+    def _data(self) -> np.ndarray:
+        """Residual of the rows and of the other ones, (n_rows + n_others,)."""
+        return self.residual if self.others is None else np.concatenate([self.residual, self.others.residual])
+
+    @property
+    def _data_slope(self) -> np.ndarray:
+        """The same of the slope, (n_rows + n_others, p)."""
+        return self.slope if self.others is None else np.vstack([self.slope, self.others.slope])
 
     @cached_property
     def augmented(self) -> np.ndarray:
-        """r, (n_rows + p,)."""
-        return np.concatenate([self.residual, -self.shift])
+        """r, (n_rows + n_others + p,)."""
+        return np.concatenate([self._data, -self.shift])
 
     @cached_property
     def _orthonormal(self) -> np.ndarray:
         # Columns scaled by the prior: the span is the same, the numbers do not depend on units.
-        scaled = np.vstack([self.slope * self.prior_sd, np.eye(len(self.names))])
+        scaled = np.vstack([self._data_slope * self.prior_sd, np.eye(len(self.names))])
         return la.qr(scaled, mode="economic")[0]
 
     @cached_property
     def scaled_information(self) -> np.ndarray:
         """``S G^T G S + I`` with S the prior standard deviations, (p, p)."""
-        g = self.slope * self.prior_sd
+        g = self._data_slope * self.prior_sd
         return g.T @ g + np.eye(len(self.names))
 
     @cached_property
     def covariance(self) -> np.ndarray:
         """Posterior covariance in the parameters' own units, (p, p); see `calib.inference.identify.posterior`."""
-        return posterior(self.names, self.slope, self.prior_sd).covariance
+        return posterior(self.names, self._data_slope, self.prior_sd).covariance
 
     def project_out(self, columns: np.ndarray) -> np.ndarray:
-        """Part of changes of the data (n_rows, m) that the parameters cannot absorb: ``P [g; 0]``, (n_rows + p, m)."""
-        return self._projected(np.vstack([columns, np.zeros((len(self.names), columns.shape[1]))]))
+        """Part of changes of the rows (n_rows, m) that the parameters cannot absorb: ``P [g; 0]``.
+
+        (n_rows + n_others + p, m).
+        """
+        rest = len(self.augmented) - len(columns)
+        return self._projected(np.vstack([columns, np.zeros((rest, columns.shape[1]))]))
 
     @cached_property
     def projected(self) -> np.ndarray:
-        """Part of the residual that the parameters cannot absorb: ``P r``, (n_rows + p,)."""
+        """Part of the residual that the parameters cannot absorb: ``P r``, (n_rows + n_others + p,)."""
         return self._projected(self.augmented)
 
     def _projected(self, wide: np.ndarray) -> np.ndarray:
@@ -107,6 +131,25 @@ class LinearisedFit:
         """First-order change of the fitted parameters (p,), in their units, for a change of the residual (n_rows,)."""
         right = (self.slope * self.prior_sd).T @ change
         return self.prior_sd * la.solve(self.scaled_information, right, assume_a="pos")
+
+    def left_out(self, groups: Sequence[Hashable]) -> LeaveOneOut:
+        """Every group of rows predicted from all others; a parameter that a limit holds stays there."""
+        free = np.array([name not in self.on_limit for name in self.names], dtype=float)
+        others = None if self.others is None else self.others.slope * free
+        return leave_one_out(self.residual, self.slope * free, self.prior_sd, groups, others)
+
+    def remaining(self, change: np.ndarray) -> np.ndarray:
+        """What the parameters leave of the residual less a change of the data (n_rows,), (n_rows + n_others + p,).
+
+        To first order. Where a limit holds a parameter, none may go beyond its limits: the projection `project_out`
+        would absorb what no fit can.
+        """
+        rest = self.augmented - np.concatenate([change, np.zeros(len(self.augmented) - len(change))])
+        if not self.on_limit:
+            return self._projected(rest[:, None])[:, 0]
+        region = Region.of(self.fit_problem.space, dict(self.values))
+        matrix = -np.vstack([self._data_slope, np.diag(1.0 / self.prior_sd)]) * region.span
+        return np.asarray(rest + matrix @ region.step(matrix, rest, 0.0, region.start))
 
     def granting(self, names: Collection[str]) -> LinearisedFit:
         """The fit with the priors of some parameters centred on their fitted values.
@@ -122,11 +165,16 @@ class LinearisedFit:
         ``change`` holds these values, and ``residual`` (n_rows,) is evaluated with them at the fitted values of the
         others. The fitted parameters are updated; the slope is kept.
         """
-        right = (self.slope * self.prior_sd).T @ residual - self.shift
+        data = residual if self.others is None else np.concatenate([residual, self.others.residual])
+        right = (self._data_slope * self.prior_sd).T @ data - self.shift
         step = la.solve(self.scaled_information, right, assume_a="pos")
         moved = {n: self.values[n] + d for n, d in zip(self.names, self.prior_sd * step, strict=True)}
         left = residual - self.slope @ (self.prior_sd * step)
-        return replace(self, values={**self.values, **moved, **change}, residual=left, shift=self.shift + step)
+        others = self.others
+        if others is not None:
+            others = others._replace(residual=others.residual - others.slope @ (self.prior_sd * step))
+        values = {**self.values, **moved, **change}
+        return replace(self, values=values, residual=left, shift=self.shift + step, others=others)
 
 
 def fitted(
@@ -278,6 +326,8 @@ def _fitted(
     inside = {n: min(max(v, space[n].lower), space[n].upper) for n, v in start.items() if n in space.free_names}
     prior = Prior.of(space)
     result = gauss_newton(fit_problem, space, {**start, **inside}, prior, settings, step)
+    sd, shift = prior.widths(result.names), prior.residual(result.values, result.names)
+    descent = -result.jacobian.T @ result.residual - shift / sd
     fit = LinearisedFit(
         effects=effects,
         fit_problem=fit_problem,
@@ -285,9 +335,10 @@ def _fitted(
         values=result.values,
         residual=result.residual,
         slope=-result.jacobian,
-        prior_sd=prior.widths(result.names),
-        shift=prior.residual(result.values, result.names),
+        prior_sd=sd,
+        shift=shift,
         converged=result.converged,
+        on_limit=on_limit(space, result.names, result.values, descent),
     )
     return fit, result.evaluations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.missing.explanation import CandidateFit
 
 WIDE = 1.96
@@ -36,11 +36,11 @@ class LocalPerturbation:
 
     Attributes
     ----------
-    effect : Effect
+    effect : Candidate
     value, low, high : float
     """
 
-    effect: Effect
+    effect: Candidate
     value: float
     low: float
     high: float

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.missing.collinear import grouped
 from calib.missing.evidence import at_lower
 from calib.missing.explanation import CandidateFit
@@ -21,7 +21,7 @@ PAIRS_OF_BEST, PAIRS_OF_NEXT = 3, 2
 
 
 def fit_pairs(
-    fits: Refits, best: CandidateFit, found: Scores, singles: Sequence[CandidateFit], candidates: Sequence[Effect]
+    fits: Refits, best: CandidateFit, found: Scores, singles: Sequence[CandidateFit], candidates: Sequence[Candidate]
 ) -> list[CandidateFit]:
     """Fit pairs of effects, best first: the best effect with those that then stand out, and the runner-up likewise.
 
@@ -73,7 +73,7 @@ def _first_of(
     fits: Refits,
     left: Mapping[str, tuple[float, LinearisedFit, Scores]],
     linearisations: Sequence[tuple[LinearisedFit, Scores]],
-    candidates: Sequence[Effect],
+    candidates: Sequence[Candidate],
     count: int,
 ) -> list[str]:
     """The effects predicted to leave the least misfit, each with all that are collinear with it."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.errors import EvaluationError
 from calib.missing.hypotheses import FitProblem, Hypotheses
 from calib.missing.linearised_fit import LinearisedFit
@@ -14,7 +14,10 @@ from calib.missing.rules import RULES
 
 
 def pairing_points(
-    hypotheses: Hypotheses, fit: LinearisedFit, candidates: Sequence[Effect], fit_problem: Callable[[str], FitProblem]
+    hypotheses: Hypotheses,
+    fit: LinearisedFit,
+    candidates: Sequence[Candidate],
+    fit_problem: Callable[[str], FitProblem],
 ) -> dict[str, dict[str, float]]:
     """Points at which effects pair measured modes that a fitted model leaves unpaired.
 
@@ -26,7 +29,7 @@ def pairing_points(
     ----------
     hypotheses : Hypotheses
     fit : LinearisedFit
-    candidates : sequence of Effect
+    candidates : sequence of Candidate
     fit_problem : callable
         Takes the name of a candidate, returns the fit problem with that candidate added.
 
@@ -54,7 +57,7 @@ def pairing_points(
     return out
 
 
-def tried_points(effect: Effect) -> list[dict[str, float]]:
+def tried_points(effect: Candidate) -> list[dict[str, float]]:
     """Decades of magnitude of either sign within the limits, each with the nuisance parameters of the grid."""
     p = effect.magnitude
     sizes = [sign * effect.plausible * 10.0**k for k in RULES.decades for sign in (1.0, -1.0)]

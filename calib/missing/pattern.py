@@ -32,7 +32,9 @@ def pattern_table(found: Explanation, labels: pd.DataFrame) -> pd.DataFrame:
 
     All three are in standard deviations of the data, less what the parameters of the base model absorb to first order:
     ``P r``, ``a P g`` with the fitted magnitude a, and ``P r`` less the signatures of all effects of the fit. The
-    signature is that of the score test, so that ``z = (a P g)^T P r/|a P g|`` up to the sign of a.
+    signature is that of the score test, so that ``z = (a P g)^T P r/|a P g|`` up to the sign of a. Where a limit holds
+    a parameter of the base model, all three keep the limits instead of P: the residual is that of the base fit, and the
+    signature what the effect takes from it beside the others of its fit (`LinearisedFit.remaining`).
 
     Parameters
     ----------
@@ -52,10 +54,11 @@ def pattern_table(found: Explanation, labels: pd.DataFrame) -> pd.DataFrame:
     rows = pd.concat([labels, priors], ignore_index=True)
     parts = []
     for fit in explaining(found):
-        signatures = {name: named.signature(name, fit.fit.values[name]) for name in fit.names}
-        left = base.projected - sum(signatures.values())
-        for name, signature in signatures.items():
-            own = rows.assign(residual=base.projected, signature=signature, left=left)
+        changes = {name: fit.fit.values[name] * named.raw[:, named.best(name)] for name in fit.names}
+        whole = np.sum(list(changes.values()), axis=0)
+        residual, left = base.remaining(np.zeros_like(whole)), base.remaining(whole)
+        for name, change in changes.items():
+            own = rows.assign(residual=residual, signature=base.remaining(whole - change) - left, left=left)
             own.insert(0, "effect", name)
             own.insert(0, "effects", " + ".join(fit.names))
             parts.append(own)

@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.space import Parameter
 
 
-def pulls(fit: LinearisedFit, added: Sequence[Effect] = ()) -> pd.DataFrame:
+def pulls(fit: LinearisedFit, added: Sequence[Candidate] = ()) -> pd.DataFrame:
     """Pull of each calibration parameter: its shift over the standard deviation of that shift.
 
     In a correctly specified model ``theta - c`` has the variance ``s^2 - V``, prior less posterior, and the pull is
@@ -31,7 +31,7 @@ def pulls(fit: LinearisedFit, added: Sequence[Effect] = ()) -> pd.DataFrame:
 
 
 def _pulls(
-    fit: LinearisedFit, added: Sequence[Effect]
+    fit: LinearisedFit, added: Sequence[Candidate]
 ) -> list[tuple[str, str, float, float, float, float, float, bool]]:
     """Rows of `pulls`, without the cost of a DataFrame: a decision needs hundreds of them."""
     own = {name for effect in added for name in effect.names}
@@ -47,7 +47,7 @@ def _pulls(
     return rows
 
 
-def implausible(fit: LinearisedFit, added: Sequence[Effect]) -> str:
+def implausible(fit: LinearisedFit, added: Sequence[Candidate]) -> str:
     """Why a fitted model is implausible, in words; empty when it is plausible."""
     reasons = []
     for name, *_, score, limit, pulled in _pulls(fit, added):

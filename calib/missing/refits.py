@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.errors import EvaluationError
 from calib.inference.gauss_newton import FitSettings
 from calib.missing.allowance import Allowance
@@ -87,7 +87,7 @@ class Refits:
         object.__setattr__(self, "allowance", Allowance(self.hypotheses, self.settings.budget))
 
     @cached_property
-    def by_name(self) -> Mapping[str, Effect]:
+    def by_name(self) -> Mapping[str, Candidate]:
         """Effects, local perturbations and faults of the measurement."""
         h = self.hypotheses
         return {e.name: e for e in (*h.effects, *h.perturbations, *h.faults)}
@@ -100,7 +100,7 @@ class Refits:
         """Whether that part of the budget is used up; then only the fits that the verdict needs are made."""
         return self.allowance.spent(part)
 
-    def scores(self, fit: LinearisedFit, candidates: Sequence[Effect]) -> Scores:
+    def scores(self, fit: LinearisedFit, candidates: Sequence[Candidate]) -> Scores:
         """Scores of candidates that a model lacks; of effects also at points where they pair more modes.
 
         The search for these points over decades of magnitude is not charged: the budget is for fits.

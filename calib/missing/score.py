@@ -11,7 +11,7 @@ import numpy as np
 import scipy.linalg as la
 from scipy.special import ndtr, ndtri, stdtr
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.errors import EvaluationError
 from calib.missing.hypotheses import FitProblem
 from calib.missing.linearised_fit import LinearisedFit
@@ -80,14 +80,6 @@ class Scores:
         """Column of a candidate with the largest test statistic."""
         return max(self.of(name), key=lambda k: float(self.magnitude[k]))
 
-    def signature(self, name: str, magnitude: float) -> np.ndarray:
-        """Change of the data by a candidate of that magnitude that the parameters cannot absorb, (n_rows + p,).
-
-        To first order, by the column of the largest test statistic.
-        """
-        k = self.best(name)
-        return magnitude * self.size[k] * self.unit[:, k]
-
     def steps(self, name: str, count: int) -> list[int]:
         """Columns of a candidate that are predicted to lower the sum of squares most at their own magnitude."""
 
@@ -102,7 +94,7 @@ class Scores:
 
 def scores(
     fit: LinearisedFit,
-    candidates: Sequence[Effect],
+    candidates: Sequence[Candidate],
     fit_problems: Mapping[str, FitProblem],
     further: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
 ) -> Scores:
@@ -111,7 +103,7 @@ def scores(
     Parameters
     ----------
     fit : LinearisedFit
-    candidates : sequence of Effect
+    candidates : sequence of Candidate
         Signatures are differences at the points of the grid, or derivatives for candidates without a grid.
     fit_problems : mapping from str to FitProblem
         For every candidate with a grid or a further point, the fit problem with that candidate added.

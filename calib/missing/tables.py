@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.missing.collinear import Group
 from calib.missing.evidence import expected_ln_bayes, ln_bayes_linear, model_probabilities, rescaled
 from calib.missing.explanation import CandidateFit, Explanation
@@ -33,7 +33,7 @@ def effects_table(
     intervals: Mapping[str, tuple[float, float]],
     gains: Mapping[str, float],
     visible: Mapping[str, float] = MappingProxyType({}),
-    untested: Sequence[Effect] = (),
+    untested: Sequence[Candidate] = (),
 ) -> pd.DataFrame:
     """One row per effect, best first; `docs/tables.toml` lists the columns of ``effects.csv``.
 
@@ -46,7 +46,7 @@ def effects_table(
         Gain in the log density of modes left out in turn, for fitted effects.
     visible : mapping from str to float
         Smallest visible magnitudes beyond first order, where known.
-    untested : sequence of Effect
+    untested : sequence of Candidate
         Effects with which the model cannot be solved.
     """
     named = found.base_adequacy.named
@@ -107,7 +107,7 @@ def _stands_for(group: Group, fitted: Mapping[str, CandidateFit]) -> list[str]:
     return [e.name for e in group.others if e.name not in fitted]
 
 
-def _untested(e: Effect) -> dict[str, object]:
+def _untested(e: Candidate) -> dict[str, object]:
     """Row of an effect that could not be tested."""
     row: dict[str, object] = dict.fromkeys(EFFECT_COLUMNS, math.nan)
     row |= {"name": e.name, "title": e.title, "unit": e.magnitude.unit, "plausible": e.plausible}

@@ -8,13 +8,25 @@ from dataclasses import dataclass
 import pandas as pd
 
 from calib.answer import Answer
-from calib.effect import Effect
-from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.explanation import Explanation
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import WIDE, fault_words, interval_words, local_perturbation, unit_words
+from calib.missing.measurement_verdict import on_measurement
 from calib.missing.recommendation import Recommendation, as_ratio, rounded
 from calib.missing.rules import RULES
 from calib.missing.tables import UNTESTED
+from calib.missing.verdict_words import (
+    Words,
+    as_it_is,
+    collinear,
+    ended,
+    family,
+    look_for,
+    row_of,
+    sized,
+    with_words,
+    without,
+)
 from calib.missing.worst_misfit import p_words, where, worst_repeats
 
 _REPEATS = 3
@@ -26,8 +38,6 @@ MOST = 99.0
 GROUPS = {"left_out": "data left out in turn", **UNSEEN}
 """Groups of data that a fit has not seen, in words."""
 
-_WORST = "the worst kind of data or mode shape"
-"""What the p-value of a fit is of, corrected for their number; see `calib.missing.goodness.overall`."""
 _OUTSIDE = "An effect outside the library cannot be excluded."
 
 
@@ -45,16 +55,6 @@ class Verdict:
 
     answer: Answer
     sentences: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class _Words:
-    """What one kind of verdict says; ``then`` is what to do before anything is measured."""
-
-    found: str
-    sure: str
-    then: str = ""
-    support: tuple[str, ...] = ()
 
 
 def verdict(
@@ -87,7 +87,7 @@ def verdict(
         "effect": _effect,
         "indistinguishable": _indistinguishable,
         "two_effects": _two,
-        "measurement": _measurement,
+        "measurement": on_measurement,
         "unconfirmed": _unconfirmed,
         "partial": _partial,
         "none_explains": _none,
@@ -120,136 +120,60 @@ def verdict(
     return Verdict(answer, tuple(filter(None, (answer.found, answer.sure, words.then, *support))))
 
 
-# -- parts of sentences ------------------------------------------------------------------------------------------------
-
-
-def _without(found: Explanation) -> str:
-    """How improbable the misfit of the base model would be if nothing were missing."""
-    return f"If nothing were missing: {_family(found)}."
-
-
-def _family(found: Explanation) -> str:
-    """The tests of the base model, in words."""
-    adequacy = found.base_adequacy
-    local = f"{len(set(adequacy.perturbations.owners))} local perturbations"
-    tested = sum(len(g.names) for g in found.groups)
-    parts = [*([f"{tested} effect{'s' * (tested != 1)}"] if tested else []), local]
-    parts += [] if adequacy.faults is None else [_faults(found)]
-    counts = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else local
-    return f"{p_words(adequacy.p_family)} for the largest score of {counts}, {p_words(adequacy.p_fit)} for {_WORST}"
-
-
-def _with(found: Explanation, them: str = "it") -> str:
-    """How well the data fit with the chosen effects, in words."""
-    adequacy = found.chosen_adequacy
-    assert adequacy is not None
-    words = (
-        f"With {them} no other effect or local perturbation stands out ({p_words(adequacy.p_family)}) and {_WORST} has "
-        f"{p_words(adequacy.p_fit)}"
-    )
-    if adequacy.p_fit <= found.alpha:
-        return (
-            f"{words}, which is poor: the standard deviation may be larger than stated, or something more is missing."
-        )
-    return f"{words}."
-
-
-def _row(effects: pd.DataFrame, name: str) -> pd.Series:
-    return effects[effects["name"] == name].iloc[0]
-
-
-def _magnitude(effects: pd.DataFrame, name: str) -> str:
-    row = _row(effects, name)
-    if not row["refitted"]:
-        return f"with the signature of {str(row['confounded_with']).split(', ')[0]}"
-    return interval_words(row["magnitude"], row["magnitude_low"], row["magnitude_high"], str(row["unit"]))
-
-
-def _sized(effects: pd.DataFrame, e: Effect) -> str:
-    """An effect with its magnitude, such as ``a guy rope along x, about 12 kN/m (95 %: 10 to 14)``."""
-    return f"{e.in_words}, {_magnitude(effects, e.name)}"
-
-
-def _collinear(found: Explanation, effects: pd.DataFrame, chosen: CandidateFit) -> str:
-    """Effects whose signatures are those of the chosen ones, in words."""
-    out = []
-    for e in chosen.effects:
-        if len(chosen.effects) > 1:
-            own = {n for g in found.groups if e.name in g.names for n in g.names} - {e.name}
-            same = ", ".join(n for n in found.credible if n in own)
-        else:
-            same = str(_row(effects, e.name)["stands_for"])
-        out += [f"Collinear with {e.name} in these data: {same}."] if same else []
-    return " ".join(out)
-
-
-def _look_for(effects: Sequence[Effect], joint: str = " ") -> str:
-    return f"Look for: {joint.join(_ended(e.look_for) for e in effects)}"
-
-
-def _as_it_is(effects: Sequence[Effect]) -> str:
-    return "The model assumes: " + " ".join(_ended(e.lacks) for e in effects)
-
-
-def _ended(words: str) -> str:
-    """Text with a full stop at its end."""
-    return words if words.endswith((".", "!", "?")) or not words else f"{words}."
-
-
 # -- verdict by verdict ------------------------------------------------------------------------------------------------
 
 
-def _nothing(found: Explanation, effects: pd.DataFrame) -> _Words:
+def _nothing(found: Explanation, effects: pd.DataFrame) -> Words:
     if not found.base_adequacy.can_tell:
-        return _Words(
+        return Words(
             "Nothing can be told: the fitted parameters follow these data, whatever may be missing.",
             f"They leave {max(found.base_adequacy.dof, 0.0):.1f} effective degrees of freedom, and below two no fit "
             "can be tested.",
             "Measure more modes or mode shapes, or hold parameters that are known, and ask again.",
         )
-    sure = f"The data are as expected of a complete model: {_family(found)}."
+    sure = f"The data are as expected of a complete model: {family(found)}."
     if found.groups and not effects["visible"].astype(bool).any():
         blind = "The base model fits, but these data cannot show any effect of the library at a plausible magnitude."
-        return _Words(blind, sure, "Measure more before you conclude that nothing is missing.")
+        return Words(blind, sure, "Measure more before you conclude that nothing is missing.")
     fits = "The model fits: no missing effect is detectable in these data."
-    return _Words(fits, sure, "Nothing calls for a change of the model.")
+    return Words(fits, sure, "Nothing calls for a change of the model.")
 
 
-def _noise(found: Explanation, effects: pd.DataFrame) -> _Words:
+def _noise(found: Explanation, effects: pd.DataFrame) -> Words:
     factor = f"{found.noise_scale:.2g}"
-    return _Words(
+    return Words(
         f"The standard deviation seems understated: the residuals of all modes are {factor} times too large.",
-        f"With {factor} times the standard deviation nothing detectable is missing. {_without(found)}",
+        f"With {factor} times the standard deviation nothing detectable is missing. {without(found)}",
         "Check the standard deviation before anything else: repeats do not show what differs between set-ups, and an "
         "assumed one may be too small.",
     )
 
 
-def _effect(found: Explanation, effects: pd.DataFrame) -> _Words:
+def _effect(found: Explanation, effects: pd.DataFrame) -> Words:
     assert found.chosen is not None
     (e,) = found.chosen.effects
     tested = sum(len(g.names) for g in found.groups)
-    chance = 100 * float(_row(effects, e.name)["model_probability"])
+    chance = 100 * float(row_of(effects, e.name)["model_probability"])
     probable = f"{chance:.0f} % probable" if chance <= MOST else f"more than {MOST:g} % probable"
     among = f" among the {tested} effects of the library" if tested > 1 else " within the library"
-    return _Words(
-        f"The model lacks {_sized(effects, e)}.",
-        f"{e.name} is {probable}{among}. {_without(found)} {_with(found)}",
-        _look_for((e,)),
-        (_collinear(found, effects, found.chosen), _as_it_is((e,))),
+    return Words(
+        f"The model lacks {sized(effects, e)}.",
+        f"{e.name} is {probable}{among}. {without(found)} {with_words(found)}",
+        look_for((e,)),
+        (collinear(found, effects, found.chosen), as_it_is((e,))),
     )
 
 
-def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> _Words:
+def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> Words:
     rows = effects[effects["name"].isin(found.credible)].sort_values("ln_bayes", ascending=False)
     known = {e.name: e for g in found.groups for e in g.effects}
     credible = [known[name] for name in rows["name"]]
-    explaining = [(float(b), _sized(effects, e)) for e, b in zip(credible, rows["ln_bayes"], strict=True)]
+    explaining = [(float(b), sized(effects, e)) for e, b in zip(credible, rows["ln_bayes"], strict=True)]
     check = ""
     if found.fault is not None:
         told = f"a fault of the measurement: {fault_words(found.fault)}"
         explaining.append((found.ln_bayes(found.fault), told))
-        check = "Or: " + " ".join(_ended(e.look_for) for e in found.fault.effects)
+        check = "Or: " + " ".join(ended(e.look_for) for e in found.fault.effects)
     if found.datum is not None:
         explaining.append((found.ln_bayes(found.datum), found.datum.told))
         check = f"Or measure the {found.datum.what} again."
@@ -263,69 +187,39 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> _Words:
         first = "Model or measurement is wrong, and these data cannot tell which"
     else:
         first = "The model lacks something, and these data cannot tell which"
-    return _Words(
+    return Words(
         f"{first}: {named}.",
-        f"The odds of the first against the second are {as_ratio(ln_bayes)}. {_without(found)} {_with(found)}",
-        f"{_look_for(credible, ' Or: ')} {check}".strip(),
-        (_as_it_is(credible),),
+        f"The odds of the first against the second are {as_ratio(ln_bayes)}. {without(found)} {with_words(found)}",
+        f"{look_for(credible, ' Or: ')} {check}".strip(),
+        (as_it_is(credible),),
     )
 
 
-def _measurement(found: Explanation, effects: pd.DataFrame) -> _Words:
-    assert found.fault is not None and found.fault_adequacy is not None
-    (e,) = found.fault.effects
-    first, *others = [fault_words(t) for t in found.blamed] or [fault_words(found.fault)]
-    also = f" As well explained by: {'; '.join(others)}." if others else ""
-    best = found.singles[0] if found.singles else None
-    against = f" The best effect, {best.names[0]}, is {_behind(found, best)}." if best is not None else ""
-    after = found.fault_adequacy
-    return _Words(
-        f"The measurement is what does not fit: {first}: {e.look_for[:1].lower()}{_ended(e.look_for)[1:]}{also}",
-        f"Its log Bayes factor is {found.ln_bayes(found.fault):.1f} against the model without any fault or effect, "
-        f"chosen among {_faults(found)}.{against} {_without(found)} With it nothing else stands out "
-        f"({p_words(after.p_family)}) and {_WORST} has {p_words(after.p_fit)}.",
-        "Correct the measurement, or take it out, before the model is changed; nothing is added to the model.",
-        (f"It takes for granted: {_ended(e.lacks)}",),
-    )
-
-
-def _behind(found: Explanation, best: CandidateFit) -> str:
-    """How much worse the best effect is than the named fault, in words."""
-    assert found.fault is not None
-    ln = found.fault.ln_evidence - best.ln_evidence
-    return f"behind it by odds of {as_ratio(ln)}" if ln > 0 else "no better once the number of candidates is counted"
-
-
-def _faults(found: Explanation) -> str:
-    faults = found.base_adequacy.faults
-    return f"{0 if faults is None else len(set(faults.owners))} faults of the measurement"
-
-
-def _two(found: Explanation, effects: pd.DataFrame) -> _Words:
+def _two(found: Explanation, effects: pd.DataFrame) -> Words:
     assert found.chosen is not None
     phrases = []
     for e in found.chosen.effects:
         value, std = found.chosen.magnitude(e.name)
         ends = (max(value - WIDE * std, e.magnitude.lower), min(value + WIDE * std, e.magnitude.upper))
         phrases.append(f"{e.in_words}, {interval_words(value, *ends, e.magnitude.unit)}")
-    return _Words(
+    return Words(
         f"The model lacks two effects: {'; and '.join(phrases)}.",
-        f"No single effect removes the systematic misfit. {_without(found)} {_with(found, 'both')}",
-        _look_for(found.chosen.effects),
-        (_collinear(found, effects, found.chosen), _as_it_is(found.chosen.effects)),
+        f"No single effect removes the systematic misfit. {without(found)} {with_words(found, 'both')}",
+        look_for(found.chosen.effects),
+        (collinear(found, effects, found.chosen), as_it_is(found.chosen.effects)),
     )
 
 
-def _unconfirmed(found: Explanation, effects: pd.DataFrame) -> _Words:
+def _unconfirmed(found: Explanation, effects: pd.DataFrame) -> Words:
     assert found.chosen is not None
-    named = " together with ".join(_sized(effects, e) for e in found.chosen.effects)
+    named = " together with ".join(sized(effects, e) for e in found.chosen.effects)
     if found.uncontested:
         against = "but no local perturbation could be tested against it, so a wrong name cannot be excluded"
         then = "Measure more modes or sensors before it is added."
     else:
         against = "but data that no fit has seen contradict it"
         then = "Check the held-out data: it stands in for something else, or they are in error."
-    return _Words(f"No effect is confirmed: {named}, would fit, {against}.", _without(found), then)
+    return Words(f"No effect is confirmed: {named}, would fit, {against}.", without(found), then)
 
 
 def _rest(found: Explanation) -> str:
@@ -339,32 +233,32 @@ def _rest(found: Explanation) -> str:
     return f"Look first at this place: {size}; {words}. It is a place to look at, not a cause."
 
 
-def _partial(found: Explanation, effects: pd.DataFrame) -> _Words:
+def _partial(found: Explanation, effects: pd.DataFrame) -> Words:
     assert found.chosen is not None and found.chosen_adequacy is not None
     (e,) = found.chosen.effects
     before, after = found.base.fit.misfit, found.chosen.fit.misfit
-    return _Words(
-        f"The model lacks something that no listed effect explains fully: {_sized(effects, e)}, is a part of it or "
+    return Words(
+        f"The model lacks something that no listed effect explains fully: {sized(effects, e)}, is a part of it or "
         "stands in for something else.",
         f"It lowers the sum of squares from {before:.0f} to {after:.0f} but leaves "
-        f"{p_words(found.chosen_adequacy.p_family)}. {_without(found)}",
+        f"{p_words(found.chosen_adequacy.p_family)}. {without(found)}",
         _rest(found),
     )
 
 
-def _none(found: Explanation, effects: pd.DataFrame) -> _Words:
+def _none(found: Explanation, effects: pd.DataFrame) -> Words:
     what = "The model lacks something that no listed effect explains." if found.groups else "The model lacks something."
     attempt = ""
     if found.chosen is not None:
         (e,) = found.chosen.effects
-        attempt = f"The best attempt, {_sized(effects, e)}, is not believed: {_why_not(found)}."
-    return _Words(what, _without(found), _rest(found), (attempt,))
+        attempt = f"The best attempt, {sized(effects, e)}, is not believed: {_why_not(found)}."
+    return Words(what, without(found), _rest(found), (attempt,))
 
 
-def _unlocated(found: Explanation, effects: pd.DataFrame) -> _Words:
-    return _Words(
+def _unlocated(found: Explanation, effects: pd.DataFrame) -> Words:
+    return Words(
         "The model misses the data by more than their standard deviation, but no effect and no place stands out.",
-        f"{_without(found)} The misfit is largest {where(found.base_adequacy)}.",
+        f"{without(found)} The misfit is largest {where(found.base_adequacy)}.",
         "Look at that measurement first: its channel, its repeats, and whether its standard deviation is larger than "
         "stated.",
     )

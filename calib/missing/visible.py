@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calib.effect import Effect
+from calib.candidate import Candidate
 from calib.errors import EvaluationError
 from calib.missing.hypotheses import FitProblem
 from calib.missing.linearised_fit import LinearisedFit
@@ -35,7 +35,7 @@ def smallest_visible(found: Scores, name: str) -> float:
 
 
 def visible_within_limits(
-    fit_problem: FitProblem, fit: LinearisedFit, effect: Effect, nuisance: Mapping[str, float] = MappingProxyType({})
+    fit_problem: FitProblem, fit: LinearisedFit, effect: Candidate, nuisance: Mapping[str, float] = MappingProxyType({})
 ) -> float:
     """The same by evaluating the model, up to the limits of the magnitude; infinite when even these do not show.
 
@@ -50,7 +50,7 @@ def visible_within_limits(
         The fit problem with the effect added.
     fit : LinearisedFit
         Fit without it.
-    effect : Effect
+    effect : Candidate
     nuisance : mapping
         Values of its nuisance parameters.
     """
@@ -61,7 +61,7 @@ def visible_within_limits(
 
 
 def _onset(
-    fit_problem: FitProblem, fit: LinearisedFit, effect: Effect, end: float, nuisance: Mapping[str, float]
+    fit_problem: FitProblem, fit: LinearisedFit, effect: Candidate, end: float, nuisance: Mapping[str, float]
 ) -> float:
     start = effect.magnitude.value
 

@@ -20,7 +20,7 @@ from calib.report.suspects import draw_suspects
 from calib.report.tables import read_square, read_table
 from calib.report.verification import draw_error_versions, draw_errors, next_measurement_figure
 from calib.report.where import perturbation_map_figure, sensor_misfit_figure
-from calib.report.why import why_figure
+from calib.report.why import BY_TEST, why_figure
 
 
 def plan_explanation(folder: Folder) -> Iterator[Drawing]:
@@ -118,8 +118,12 @@ def _effects(folder: Folder, rest: np.ndarray | None, attempt: bool) -> Iterator
         fitted = _read(folder, "why_parameters", ["effect", "parameter"], ["value"], blank=["description", "unit"])
         acts = _read(folder, "effect_places", ["effect"], PLACE, complete=PLACE)
         alike = _read(folder, "why_places", ["effect", "perturbation", "kind"], ["x", "y", "z", "correlation"])
-        draw = bound(why_figure, why, alike, rest, effects=effects, parameters=fitted, acts=acts, attempt=attempt)
-        tables = existing(folder, ["why", "why_parameters", "why_places", "effect_places"])
+        by_test = _read(folder, BY_TEST, ["effects"], ["rows", "before", "after", "share"], unique="effects")
+        draw = bound(
+            why_figure, why, alike, rest, effects=effects, parameters=fitted, acts=acts, by_test=by_test,
+            attempt=attempt,
+        )  # fmt: skip
+        tables = existing(folder, ["why", "why_parameters", "why_places", BY_TEST, "effect_places"])
         yield Drawing("why_this_effect", "residual of the base model and signature of the effect", draw, tables)
     if effects is not None:
         yield Drawing("ranked_effects", "evidence for each effect", bound(ranked_effects_figure, effects), ("effects",))

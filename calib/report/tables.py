@@ -49,6 +49,7 @@ KEYS = {
     "sensors": ("sensor",),
     "shapes": ("mode", "sensor"),
     "pulls": ("model", "parameter"),
+    "reduction_by_test": ("effects", "test"),
     "std_by_test": ("parameter", "test"),
     "verdicts": ("parameter",),
     "versions": ("version", "group"),

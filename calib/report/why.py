@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from calib.report.alike import CORRELATION, STAR, TICKS, acting, draw_alike, most_alike, place_words, placed
-from calib.report.numbers import fixed, percent, with_unit
+from calib.report.numbers import counted, fixed, percent, significant, with_unit
 from calib.report.numbers import places as listed
 from calib.report.scene import (
     FOOT,
@@ -32,6 +32,8 @@ MANY = {"shape": "shape", "frf": "FRFs"}
 """Kinds with too many rows for bars, in words."""
 PRIOR = "prior"
 """Kind of the rows that are no data."""
+BY_TEST = "reduction_by_test"
+"""Table of what the effects take from the sum of squares of each of several tests."""
 RESPONSES = "responses"
 """Heading of the bars of scalar responses, whatever their kinds."""
 _NAMED = 3
@@ -51,9 +53,29 @@ def share(table: pd.DataFrame) -> float:
     return 1.0 - float((table["left"] ** 2).sum()) / total if total > 0.0 else float("nan")
 
 
-def squares(table: pd.DataFrame) -> str:
-    """Name the sum of squares over the rows of a table; those of one test among several are without the priors."""
-    return "sum of squares of data and priors" if (table["kind"] == PRIOR).any() else "sum of squares of the data"
+def explained_words(table: pd.DataFrame, by_test: pd.DataFrame | None = None) -> str:
+    """What the effects of a fit explain, in words.
+
+    Parameters
+    ----------
+    table : DataFrame
+        All rows of one effect of the fit, as for `why_figure`.
+    by_test : DataFrame, optional
+        As for `why_figure`. A fit of several tests lowers the sum of squares of all of them; of one test among several
+        a share of its own sum would tell nothing, so that its share of the whole decrease is told.
+    """
+    together = str(table["effects"].iloc[0])
+    verb = "explain" if together != str(table["effect"].iloc[0]) else "explains"
+    of_fit = [] if by_test is None else by_test[by_test["effects"] == together].to_dict("records")
+    if not of_fit:
+        part = percent(share(table), 0)
+        return f"To first order {together} {verb} {part} % of the sum of squares of data and priors"
+    (row,) = of_fit
+    way = "falls" if row["after"] <= row["before"] else "rises"
+    change = f"{way} from {significant(row['before'], 3)} to {significant(row['after'], 3)}"
+    data = counted(int(row["rows"]), "value")
+    words = f"With {together} fitted, the sum of squares of this test's data ({data}) {change}"
+    return f"{words}: {percent(row['share'], 0)} % of the decrease over all tests" if row["share"] > 0 else words
 
 
 def draw_bars(
@@ -179,6 +201,7 @@ def why_figure(
     effects: pd.DataFrame | None = None,
     parameters: pd.DataFrame | None = None,
     acts: pd.DataFrame | None = None,
+    by_test: pd.DataFrame | None = None,
     attempt: bool = False,
 ) -> Figure:
     """Draw for each effect the bars of `draw_bars` by kind, the dots of `draw_shapes`, and where it sits.
@@ -197,6 +220,8 @@ def why_figure(
         Columns ``effect, parameter, description, unit, value``: of each effect its fitted parameters, for the headings.
     acts : DataFrame, optional
         As for `draw_alike`.
+    by_test : DataFrame, optional
+        For one of several tests: ``effects, rows, before, after, share`` of `calib.missing.by_test.reduction_table`.
     attempt : bool
         Whether the effects are a rejected attempt.
     """
@@ -206,7 +231,10 @@ def why_figure(
     if places is not None and (rest is None or all(placed(places, name).empty for name in names)):
         places = None
     stars = {name: acting(acts if places is not None else None, name) for name in names}
-    headings = [_heading(table[table["effect"] == n], effects, parameters, places, stars[n], attempt) for n in names]
+    headings = [
+        _heading(table[table["effect"] == n], effects, parameters, places, stars[n], attempt, by_test) for n in names
+    ]
+    shares = by_test is None
     top = 0.34 + _LINE * max(words.count("\n") + 1 for words in headings)
     below = max(0.5, 0.14 + 0.075 * max(map(len, _names(bars)), default=0))
     foot = FOOT if places is not None else 0.4
@@ -220,10 +248,10 @@ def why_figure(
         over.text(0.1 / WIDTH, 1.0, heading, transform=over.transAxes, fontsize=8.5, va="top", linespacing=1.3)
         cells = _cells(grid[3 * k + 1], not bars.empty, shapes, places is not None)
         if "bars" in cells:
-            _draw_kinds(figure, cells["bars"], own[own.index.isin(bars.index)], attempt)
+            _draw_kinds(figure, cells["bars"], own[own.index.isin(bars.index)], attempt, shares)
         if "shapes" in cells:
             rows = own[_of_shapes(own)]
-            title = _explained(rows, MANY[str(rows["kind"].iloc[0])])
+            title = _explained(rows, MANY[str(rows["kind"].iloc[0])], shares)
             draw_shapes(rows, figure.add_subplot(cells["shapes"]), attempt=attempt).set_title(title)
         if places is not None and rest is not None:
             draw_alike(places, rest, figure.add_subplot(cells["structure"], projection="3d"), effect=name, acts=acts)
@@ -267,7 +295,10 @@ def _names(table: pd.DataFrame) -> list[str]:
     return [str(r["mode"] or r["sensor"]) for r in table.to_dict("records")]
 
 
-def _explained(table: pd.DataFrame, kind: str) -> str:
+def _explained(table: pd.DataFrame, kind: str, shares: bool) -> str:
+    """Title of a panel, with the share of its sum of squares that the effect explains, if it is to be told."""
+    if not shares:
+        return kind
     explained = share(table)
     return f"{kind}: {percent(explained, 0)} % explained" if explained > 0 else f"{kind}: not explained"
 
@@ -291,17 +322,17 @@ def _heading(
     places: pd.DataFrame | None,
     stars: np.ndarray,
     attempt: bool,
+    by_test: pd.DataFrame | None,
 ) -> str:
     """Effect with its magnitude and further parameters, the share that it explains, and where it acts."""
-    name, together = str(own["effect"].iloc[0]), str(own["effects"].iloc[0])
+    name = str(own["effect"].iloc[0])
     words = name
     if effects is not None and name in set(effects["name"]):
         row = effects[effects["name"] == name].to_dict("records")[0]
         words = f"{row['title']} ({name}), {with_unit(row['magnitude'], str(row['unit']))}"
     words += ": best attempt, not believed" if attempt else ""
-    which = f"{together} explain" if together != name else "It explains"
     told = [words, *further_parameters(parameters, name)]
-    told.append(f"{which} {percent(share(own), 0)} % of the {squares(own)}, to first order.")
+    told.append(f"{explained_words(own, by_test)}.")
     if len(stars):
         told.append(f"In the library it acts at {listed(stars.tolist(), _NAMED)} m, marked by a star.")
     if places is not None and (where := place_words(places, name)):
@@ -324,7 +355,7 @@ def _cells(spec: SubplotSpec, bars: bool, shapes: bool, structure: bool) -> dict
     return {name: grid[0, k] for k, name in enumerate(widths) if name in ("bars", "shapes", "structure")}
 
 
-def _draw_kinds(figure: Figure, spec: SubplotSpec, table: pd.DataFrame, attempt: bool) -> None:
+def _draw_kinds(figure: Figure, spec: SubplotSpec, table: pd.DataFrame, attempt: bool, shares: bool) -> None:
     """Draw the bars of every kind above one another, over the same modes; scalar responses are of one kind."""
     panels = table["kind"].where(table["mode"].astype(bool), RESPONSES)
     kinds, names = list(dict.fromkeys(panels)), list(dict.fromkeys(_names(table)))
@@ -332,7 +363,7 @@ def _draw_kinds(figure: Figure, spec: SubplotSpec, table: pd.DataFrame, attempt:
     for k, kind in enumerate(kinds):
         rows = table[panels == kind]
         ax = draw_bars(rows, figure.add_subplot(grid[k, 0]), names=names, attempt=attempt, legend=False)
-        ax.set_title(_explained(rows, kind))
+        ax.set_title(_explained(rows, kind, shares))
         ax.tick_params(labelbottom=k == len(kinds) - 1)
 
 

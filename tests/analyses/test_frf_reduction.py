@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from calib.analyses import reduction
-from calib.analyses.explain import adapter_of, explain
+from calib.analyses.adapters import adapter_of
+from calib.analyses.explain import explain
 from calib.analyses.library import basis_of, local_perturbations
 from calib.analyses.reduction import Wanted, reduction_of
 from calib.errors import ToleranceError
@@ -106,7 +107,7 @@ def adapter_on(study, results, vectors, monkeypatch):
     local = local_perturbations(study.model, [study.problem.measured], study.search_space.values)
     basis = basis_of(study, results, local)
     poor = replace(basis, vectors=basis.vectors[:, :vectors])
-    monkeypatch.setattr("calib.analyses.explain.basis_of", lambda *a: poor)
+    monkeypatch.setattr("calib.analyses.adapters.basis_of", lambda *a: poor)
     return adapter_of(study, results, lambda *a: None, local)
 
 

@@ -86,10 +86,13 @@ def test_errors_of_the_fit_match_a_direct_calculation(study, fit):
     row = errors(study, fit).loc["fit"]
     n = len(fit.residual)
     g = fit.slope
-    dof = n - 5 - np.trace(g @ np.linalg.inv(g.T @ g + np.diag(1 / fit.prior_sd**2)) @ g.T)  # one factor a mode
+    hat = g @ np.linalg.inv(g.T @ g + np.diag(1 / fit.prior_sd**2)) @ g.T
+    dof = n - 5 - np.trace(hat)  # one factor a mode
+    square = n - 5 - 2 * np.trace(hat) + np.sum(hat**2)
     assert row["rms"] == pytest.approx(np.sqrt(np.mean(fit.residual**2)))
     assert row["expected"] == pytest.approx(math.sqrt(dof / n))
-    assert row["p"] == pytest.approx(stats.chi2.sf(fit.residual @ fit.residual, dof))
+    matched = stats.chi2.sf(fit.residual @ fit.residual * dof / square, dof**2 / square)
+    assert row["p"] == pytest.approx(matched)
 
 
 def test_a_standard_deviation_from_few_repeats_is_uncertain(study, fit):
@@ -100,7 +103,8 @@ def test_a_standard_deviation_from_few_repeats_is_uncertain(study, fit):
         (len(fit.residual), len(fit.residual) * errors(study, fit).loc["fit", "expected"] ** 2),
     )
     behind = n**2 / (5**2 / 4.0 + 50**2 / 6.0)  # frequencies and shapes, by their number (Satterthwaite)
-    assert few.loc["fit", "p"] == pytest.approx(stats.f.sf(e @ e / dof, dof, behind))
+    # The priors say little here: the variate of the sum of squares has nearly the scale one.
+    assert few.loc["fit", "p"] == pytest.approx(stats.f.sf(e @ e / dof, dof, behind), rel=1e-3)
     assert few.loc["fit", "p"] != pytest.approx(known, abs=0.01)
 
 
@@ -242,7 +246,9 @@ def test_errors_of_a_scalar_fit_match_a_direct_calculation(linear):
     dof = N - np.trace(a[:N] @ np.linalg.inv(information) @ a[:N].T)
     assert table.loc["fit", "rms"] == pytest.approx(np.sqrt(np.mean(e**2)))
     assert table.loc["fit", "expected"] == pytest.approx(math.sqrt(dof / N))
-    assert table.loc["fit", "p"] == pytest.approx(stats.chi2.sf(e @ e, dof))
+    hat = a[:N] @ np.linalg.inv(information) @ a[:N].T
+    square = np.sum((np.eye(N) - hat) ** 2)
+    assert table.loc["fit", "p"] == pytest.approx(stats.chi2.sf(e @ e * dof / square, dof**2 / square))
 
 
 def test_leave_one_response_out_errors_match_refits(linear):

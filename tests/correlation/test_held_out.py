@@ -8,8 +8,9 @@ import pytest
 from scipy import stats
 
 from calib.correlation.held_out import group_table, held_out_errors
+from calib.correlation.modal_rows import Row
 from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual, Row
+from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
 from calib.errors import InputError
 

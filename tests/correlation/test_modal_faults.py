@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calib.correlation.fault_library import gain_words, modal_faults
+from calib.correlation.faulty_modes import FaultyModes
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 
@@ -27,11 +28,11 @@ def faulty(build, twin):
 
 
 def sized(residual, name, part=0.3):
-    return part * next(f.effect.plausible for f in residual.faults if f.effect.name == name)
+    return part * next(f.plausible for f in residual.faults if f.name == name)
 
 
 def one_of_each(residual):
-    return {f.kind + (f.effect.name if f.kind == "damping" else ""): f.effect.name for f in residual.faults}
+    return {f.kind + (f.name if f.kind == "damping" else ""): f.name for f in residual.faults}
 
 
 def test_without_a_fault_the_residual_is_the_plain_one(faulty):
@@ -46,7 +47,7 @@ def test_all_kinds_are_there(faulty):
     kinds = {f.kind for f in faulty().faults}
     assert kinds == {"gain", "delay", "rotation", "place", "cross-talk", "set-up", "damping"}
     assert {f.kind for f in faulty(real=True).faults} - kinds == {"modulus"}
-    assert len({f.effect.name for f in faulty().faults}) == len(faulty().faults)
+    assert len({f.name for f in faulty().faults}) == len(faulty().faults)
 
 
 @pytest.mark.parametrize("real", [False, True])
@@ -80,7 +81,8 @@ def test_derivatives_at_full_agreement(faulty):
 def read(residual, name, magnitude):
     """What the measurement would be with a fault of the structure at the truth, in the shape of the measured shapes."""
     found = residual.solve({**TRUTH, name: magnitude})
-    return np.column_stack([residual._reading(found, i, residual._partner(found, i)) for i in found.pairing.paired])
+    modes, partner = FaultyModes(residual.problem, residual.faults), found.pairing.model_index
+    return np.column_stack([modes.reading(found, i, int(partner[i])) for i in found.pairing.paired])
 
 
 def test_readings_are_what_the_faults_say(faulty):
@@ -100,8 +102,8 @@ def test_readings_are_what_the_faults_say(faulty):
     node = measured.sensors[3].node
     for f in residual.faults:
         if f.kind == "rotation" and f.sensor == names[3]:
-            other = names.index(f"{node}{f.effect.name[-1]}") if f"{node}{f.effect.name[-1]}" in names else None
-            turned = read(residual, f.effect.name, 10.0)
+            other = names.index(f"{node}{f.name[-1]}") if f"{node}{f.name[-1]}" in names else None
+            turned = read(residual, f.name, 10.0)
             if other is not None:
                 angle = np.radians(10.0)
                 np.testing.assert_allclose(turned[3], np.cos(angle) * sound[3] + np.sin(angle) * sound[other])
@@ -118,7 +120,7 @@ def test_a_shift_follows_the_gradient_to_the_next_nodes(faulty):
     gap = np.linalg.norm(np.subtract(last.point, first.point))
     index = found.pairing.model_index
     expected = found.sensor_shapes[k] + 0.02 * (motion[1] - motion[0]) / gap
-    np.testing.assert_allclose(read(residual, one.effect.name, 20.0)[k], expected[index])
+    np.testing.assert_allclose(read(residual, one.name, 20.0)[k], expected[index])
 
 
 def test_damping_of_the_analysis_is_added_to_the_ratios(faulty):

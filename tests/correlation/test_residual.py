@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from calib.correlation.modal_rows import Row
 from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual, Row
+from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors, std_for
 from calib.effect import Effect
 from calib.errors import InputError

@@ -65,7 +65,7 @@ def test_faults_at_zero_change_nothing():
 def test_an_error_that_is_fitted_is_no_fault():
     data = hypotheses(truth()).pair.problem.measured
     known = (ChannelError("gain", "1x"), ChannelError("delay", "1x", "reference", 1e-4))
-    names = {f.effect.name for f in frf_faults(data, known)}
+    names = {f.name for f in frf_faults(data, known)}
     assert len(names) == 10 and not names & {"gain_1x", "delay_force_1x"}
 
 

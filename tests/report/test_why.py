@@ -7,7 +7,7 @@ from calib.report.alike import draw_alike, most_alike, place_words
 from calib.report.figures import Figures
 from calib.report.scene import plot_coordinates
 from calib.report.style import GREY, WITH
-from calib.report.why import draw_bars, draw_shapes, share, why_figure
+from calib.report.why import draw_bars, draw_shapes, explained_words, share, why_figure
 
 REST = np.array([[[0.0, 0.0, -1.0], [4.0, 0.0, -1.0]], [[4.0, 0.0, -1.0], [4.0, 1.0, 1.0]]])
 
@@ -103,6 +103,19 @@ def test_names_of_lines_have_four_digits_and_do_not_meet():
     assert {t.get_text() for t in ax.texts} == {"15.22 Hz 1x/2x", "15.25 Hz 1x/2x", "15.3 Hz 1x/2x"}
     heights = np.sort([t.xyann[1] for t in ax.texts])  # over that of the panel, 2.5 inches
     assert np.diff(heights).min() * 2.5 * 72 > 1.2 * ax.texts[0].get_fontsize()
+
+
+def test_of_one_of_several_tests_its_share_of_the_whole_decrease_is_told(table):
+    """Not a share of its own sum of squares, which no fit minimises by itself."""
+    own = table[table["effect"] == "arb"]
+    together = str(own["effects"].iloc[0])
+    numbers = {"effects": [together], "rows": [11.0], "before": [43.7], "after": [0.209], "share": [0.0453]}
+    words = explained_words(own, pd.DataFrame(numbers))
+    assert [part for part in ("11", "43.7", "0.209", "5 %") if part not in words] == []
+    worse = explained_words(own, pd.DataFrame(numbers | {"before": [0.1], "share": [-0.02]}))
+    assert "%" not in worse and "0.100" in worse and f"{100 * share(own):.0f} %" in explained_words(own)
+    titles = [ax.get_title() for ax in why_figure(table, by_test=pd.DataFrame(numbers)).axes]
+    assert any(titles) and not any("%" in title or "explained" in title for title in titles)
 
 
 def test_the_share_is_of_the_sum_of_squares(table):

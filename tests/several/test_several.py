@@ -2,13 +2,16 @@
 
 import shutil
 
+import numpy as np
 import pandas as pd
 import pytest
 
 import calib
 from calib import cli
 from calib.errors import InputError
+from calib.front.first_test import in_order
 from calib.report.figures import Figures
+from calib.results import Results
 from calib.several import JointStudy, load
 from calib.study import Study
 from calib.study_file import StudyFile
@@ -89,7 +92,7 @@ def test_a_calibration_draws_each_test_by_itself_and_all_together(own, monkeypat
     monkeypatch.setattr(Figures, "save", planned)
     asked = ["calibrate", str(own), "--case", "C1", "--workers", "1", "--results", str(results)]
     assert cli.execute(asked) == 0
-    assert list(drawn) == [f"frame{end}/case_C1" for end in (".empty", ".loaded", "")]
+    assert list(drawn) == [f"frame{end}/case_C1" for end in (".loaded", ".empty", "")]  # what is drawn last leads
     assert drawn["frame/case_C1"] == {"parameters"}
     assert (
         drawn["frame.empty/case_C1"] == drawn["frame.loaded/case_C1"] > {"parameters", "model", "modes", "comparison"}
@@ -98,8 +101,14 @@ def test_a_calibration_draws_each_test_by_itself_and_all_together(own, monkeypat
 
 @pytest.mark.slow
 def test_the_run_draws_each_test_by_itself_and_all_together(run, unrendered, tmp_path):
-    _, results, drawn, reported = run
-    assert drawn == [f"{name}{end}" for name in ("frame_extended", "frame") for end in (".empty", ".loaded", "")]
+    study, results, drawn, reported = run
+    table = pd.read_csv(results / "frame/reduction_by_test.csv").set_index("test")
+    first = table["share"].idxmax()
+    order = [*[f".{test}" for test in table.index if test != first][::-1], f".{first}", ""]
+    extended = ["frame_extended.loaded", "frame_extended.empty", "frame_extended"]
+    assert drawn == extended + [f"frame{end}" for end in order]
+    assert table["shown_first"].tolist() == [test == first for test in table.index]
+    assert in_order(StudyFile.read(study).parts, Results(results / "frame"))[0].test == first
     assert reported == [name for name in drawn if "." in name]
     together = shutil.copytree(results / "frame", tmp_path / "frame")
     assert {path.stem for path in Figures(together, "together", True).save()} >= OF_ALL
@@ -115,6 +124,23 @@ def test_report_draws_what_every_folder_holds(frame, tmp_path):
     assert names[""] >= OF_ALL
     of_one = {"model", "mode_shapes_before", "mode_shapes_after", "modes", "selection", "sensor_misfit", "added_errors"}
     assert names[".empty"] == names[".loaded"] >= of_one | {"ranked_effects"}
+
+
+@pytest.mark.slow
+def test_the_decrease_of_each_test_is_that_of_the_joint_fits(frame):
+    _, results = frame
+    table = pd.read_csv(results / "frame/reduction_by_test.csv").set_index("test")
+    fits = pd.read_csv(results / "frame/candidate_fits.csv").set_index("effects")["misfit"]
+    whole = fits["none"] - fits["contact_3"]
+    np.testing.assert_allclose(table["share"], (table["before"] - table["after"]) / whole, rtol=1e-6)
+    for test in table.index:
+        own = pd.read_csv(results / f"frame.{test}/reduction_by_test.csv")
+        assert list(own.columns) == [c for c in table.reset_index().columns if c != "test"]
+        assert own[["before", "after"]].to_numpy().tolist() == [table.loc[test, ["before", "after"]].tolist()]
+        errors = pd.read_csv(results / f"frame.{test}/errors.csv").set_index(["group", "stage"])
+        for stage in ("before", "after"):
+            fit = errors.loc[("fit", stage)]
+            assert table.loc[test, stage] == pytest.approx(fit["rows"] * fit["rms"] ** 2, rel=1e-6)
 
 
 @pytest.mark.slow
@@ -150,7 +176,6 @@ def test_a_result_is_outdated_where_another_test_has_changed(frame, tmp_path):
         (again / f"frame.{test}/owner.json").unlink()
     edit(own, "load = 1500.0", "load = 1400.0")
     from calib.analyses.stale import stale_answers
-    from calib.results import Results
 
     empty = next(part for part in StudyFile.read(own).parts if part.test == "empty")
     stale = stale_answers(empty, Results(again / "frame.empty"))

@@ -9,9 +9,9 @@ from calib.report.alike import place_words
 from calib.report.explanation import COLLINEAR, ranked
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
-from calib.report.numbers import counted, fixed, flag, percent, place, places, probability, significant, with_unit
+from calib.report.numbers import counted, fixed, flag, place, places, probability, significant, with_unit
 from calib.report.scene import PLACE
-from calib.report.why import PRIOR, further_parameters, share, squares
+from calib.report.why import BY_TEST, PRIOR, explained_words, further_parameters
 
 NUMBERS = (
     "z", "unabsorbed", "magnitude", "magnitude_low", "magnitude_high", "magnitude_min", "plausible", "largest",
@@ -81,11 +81,12 @@ def _why(results: StudyResults) -> list[Picture]:
         return []
     fits = results.table("candidate_fits", ["effects"], ["misfit"])
     misfit = {} if fits is None else dict(zip(fits["effects"], fits["misfit"], strict=True))
+    by_test = results.table(BY_TEST, ["effects"], ["rows", "before", "after", "share"], unique="effects")
     told = []
     for together in dict.fromkeys(table["effects"]):
         rows = table[table["effects"] == together]
         own = rows[rows["effect"] == rows["effect"].iloc[0]]  # each effect of a fit has all rows
-        words = f"To first order {together} explains {percent(share(own), 0)} % of the {squares(own)}"
+        words = explained_words(own, by_test)
         if {"none", together} <= misfit.keys() and (own["kind"] == PRIOR).any():  # the fits are of all rows
             words += f"; fitted, it falls from {significant(misfit['none'], 3)} to {significant(misfit[together], 3)}"
         told.append(words)

@@ -1,0 +1,109 @@
+"""Words that the verdicts of an explanation share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+
+from calib.candidate import Candidate
+from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.local import interval_words
+from calib.missing.worst_misfit import p_words
+
+WORST = "the worst kind of data or mode shape"
+"""What the p-value of a fit is of, corrected for their number; see `calib.missing.goodness.overall`."""
+
+
+@dataclass(frozen=True)
+class Words:
+    """What one kind of verdict says; ``then`` is what to do before anything is measured."""
+
+    found: str
+    sure: str
+    then: str = ""
+    support: tuple[str, ...] = ()
+
+
+def without(found: Explanation) -> str:
+    """How improbable the misfit of the base model would be if nothing were missing."""
+    return f"If nothing were missing: {family(found)}."
+
+
+def family(found: Explanation) -> str:
+    """The tests of the base model, in words."""
+    adequacy = found.base_adequacy
+    local = f"{len(set(adequacy.perturbations.owners))} local perturbations"
+    tested = sum(len(g.names) for g in found.groups)
+    parts = [*([f"{tested} effect{'s' * (tested != 1)}"] if tested else []), local]
+    parts += [] if adequacy.faults is None else [counted_faults(found)]
+    counts = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else local
+    return f"{p_words(adequacy.p_family)} for the largest score of {counts}, {p_words(adequacy.p_fit)} for {WORST}"
+
+
+def with_words(found: Explanation, them: str = "it") -> str:
+    """How well the data fit with the chosen effects, in words."""
+    adequacy = found.chosen_adequacy
+    assert adequacy is not None
+    words = (
+        f"With {them} no other effect or local perturbation stands out ({p_words(adequacy.p_family)}) and {WORST} has "
+        f"{p_words(adequacy.p_fit)}"
+    )
+    if adequacy.p_fit <= found.alpha:
+        return (
+            f"{words}, which is poor: the standard deviation may be larger than stated, or something more is missing."
+        )
+    return f"{words}."
+
+
+def row_of(effects: pd.DataFrame, name: str) -> pd.Series:
+    """Row of an effect."""
+    return effects[effects["name"] == name].iloc[0]
+
+
+def magnitude(effects: pd.DataFrame, name: str) -> str:
+    """Fitted magnitude with its interval, or the effect that it is collinear with."""
+    row = row_of(effects, name)
+    if not row["refitted"]:
+        return f"with the signature of {str(row['confounded_with']).split(', ')[0]}"
+    return interval_words(row["magnitude"], row["magnitude_low"], row["magnitude_high"], str(row["unit"]))
+
+
+def sized(effects: pd.DataFrame, e: Candidate) -> str:
+    """An effect with its magnitude, such as ``a guy rope along x, about 12 kN/m (95 %: 10 to 14)``."""
+    return f"{e.in_words}, {magnitude(effects, e.name)}"
+
+
+def collinear(found: Explanation, effects: pd.DataFrame, chosen: CandidateFit) -> str:
+    """Effects whose signatures are those of the chosen ones, in words."""
+    out = []
+    for e in chosen.effects:
+        if len(chosen.effects) > 1:
+            own = {n for g in found.groups if e.name in g.names for n in g.names} - {e.name}
+            same = ", ".join(n for n in found.credible if n in own)
+        else:
+            same = str(row_of(effects, e.name)["stands_for"])
+        out += [f"Collinear with {e.name} in these data: {same}."] if same else []
+    return " ".join(out)
+
+
+def look_for(effects: Sequence[Candidate], joint: str = " ") -> str:
+    """What to look for on the structure."""
+    return f"Look for: {joint.join(ended(e.look_for) for e in effects)}"
+
+
+def as_it_is(effects: Sequence[Candidate]) -> str:
+    """What the model assumes without the effects."""
+    return "The model assumes: " + " ".join(ended(e.lacks) for e in effects)
+
+
+def ended(words: str) -> str:
+    """Text with a full stop at its end."""
+    return words if words.endswith((".", "!", "?")) or not words else f"{words}."
+
+
+def counted_faults(found: Explanation) -> str:
+    """Number of faults of the measurement that were tested."""
+    faults = found.base_adequacy.faults
+    return f"{0 if faults is None else len(set(faults.owners))} faults of the measurement"
