@@ -29,6 +29,7 @@ from calib.measurement.corrections import correctable
 from calib.missing import explain as engine
 from calib.missing.accuracy import changing, less_accurate
 from calib.missing.accuracy import sentence as accuracy_sentence
+from calib.missing.between_tests import BETWEEN, Differences, differences
 from calib.missing.by_test import BY_TEST, reduction_table
 from calib.missing.explanation import CandidateFit, Explanation
 from calib.missing.fault_table import faults_table
@@ -98,7 +99,7 @@ def explain(
     answer = answered(adapter, found, progress, started)
     answer = replace(answer, tables=answer.tables | {TABLE: explained_fits(study, found)})
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
-    of_all = {name: table for name, table in answer.tables.items() if TEST not in table or name == BY_TEST}
+    of_all = {name: table for name, table in answer.tables.items() if TEST not in table or name in (BY_TEST, BETWEEN)}
     seen: list[tuple[AnyStudy, Results, ExplanationResult]] = [(study, results, replace(answer, tables=of_all))]
     if isinstance(adapter, JointAdapter):
         seen += [(one, folders[one.test], adapter.seen(one.test, answer)) for one in tests]
@@ -183,10 +184,12 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
     named = " and ".join(found.credible) if found.verdict == "effect" else ""
+    differing = _between(adapter, found)
     more = (
         correction_offered(found),
         "" if found.blamed else suspect_sentence(found.suspects, named),
         accuracy_sentence(accuracy, found.alpha),
+        "" if differing is None else differing.sentence(found.alpha),
     )
     told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed)
     words = (*told.sentences, *filter(None, more))
@@ -206,6 +209,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     labels = adapter.labels()
     tables = {
         **({BY_TEST: reduction_table(found, labels[TEST].tolist())} if TEST in labels else {}),
+        **({} if differing is None else {BETWEEN: differing.table}),
         "faults": faults_table(found, adapter.places(), units),
         "perturbations": _perturbations(adapter, found),
         "confounding": confounding_table(found),
@@ -226,6 +230,14 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     seconds = time.perf_counter() - started
     traces = tuple(reason.first.trace for reason in reasons(adapter.failed())[:SHOWN] if reason.first.trace)
     return ExplanationResult(found, told.answer, words, tuple(notes), effects, errors, tables, figures, seconds, traces)
+
+
+def _between(adapter: Adapter, found: Explanation) -> Differences | None:
+    """Which shared parameter differs between several tests, with the best explanation so far; None for one test."""
+    if not isinstance(adapter, JointAdapter):
+        return None
+    best = next(iter(found.blamed), found.chosen or found.base)
+    return differences(best.fit, adapter.hypotheses, adapter.facts.seed)
 
 
 def correction_offered(found: Explanation) -> str:

@@ -51,6 +51,7 @@ KEYS = {
     "pulls": ("model", "parameter"),
     "reduction_by_test": ("effects", "test"),
     "std_by_test": ("parameter", "test"),
+    "test_differences": ("parameter", "test"),
     "verdicts": ("parameter",),
     "versions": ("version", "group"),
     "where_it_fails": ("kind", "what"),
