@@ -9,7 +9,8 @@ from typing import Any, Protocol
 
 from calib.correlation.frf_nuisance import Nuisance, belonging_to, concerned, of_every_channel
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
-from calib.correlation.problem import FunctionProblem, ModalProblem, usual_mode_count
+from calib.correlation.function_problem import FunctionProblem
+from calib.correlation.problem import ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
 from calib.errors import InputError

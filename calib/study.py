@@ -10,7 +10,8 @@ from types import MappingProxyType
 
 from calib.correlation.frf_nuisance import Nuisance
 from calib.correlation.frf_residual import FRFProblem
-from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.correlation.function_problem import FunctionProblem
+from calib.correlation.problem import ModalProblem
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.fingerprint import digest_of, digest_of_files

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from calib.correlation.problem import FunctionProblem
+from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.response_residual import ResponseResidual
 from calib.differences import central_jacobian, difference
 from calib.errors import EvaluationError, InputError

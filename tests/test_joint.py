@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.correlation.problem import FunctionProblem
+from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.response_residual import ResponseResidual
 from calib.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import Prior, fit

@@ -13,7 +13,7 @@ from calib.analyses.library import basis_of, faults_of, local_perturbations, mod
 from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.reduction import worthwhile
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
-from calib.correlation.problem import FunctionProblem
+from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
 from calib.function import FunctionModel

@@ -32,7 +32,7 @@ from calib.analyses.user_function import ledger_keys_of_modes
 from calib.analyses.verify import errors_at
 from calib.answer import Answer
 from calib.correlation.frf_residual import FRFProblem
-from calib.correlation.problem import FunctionProblem
+from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.standard_deviations import known_std
 from calib.errors import EvaluationError, InputError
 from calib.inference.agreement import Agreement, agreement, agreement_sentences

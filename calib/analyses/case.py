@@ -32,7 +32,7 @@ from calib.analyses.reduction import Reduction, reduction_of
 from calib.analyses.stored import confirm
 from calib.analyses.user_function import function_of, ledger_key
 from calib.correlation.frf_residual import FRFProblem
-from calib.correlation.problem import FunctionProblem
+from calib.correlation.function_problem import FunctionProblem
 from calib.errors import EvaluationError, InputError, ToleranceError
 from calib.forward import ForwardProblem
 from calib.inference.cases import Case, CaseResult, run_case

@@ -19,8 +19,9 @@ from calib.correlation.compare import FAR_ERROR, Comparison
 from calib.correlation.expansion import ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
 from calib.correlation.frf_comparison import FRFComparison
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.mesh import geometry_tables
-from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.correlation.problem import ModalProblem
 from calib.correlation.rigid import unpaired_sentence, unpaired_table
 from calib.correlation.sensors import suspicious_sensors
 from calib.correlation.units import frequency_hint, response_hints

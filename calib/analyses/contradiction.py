@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pandas as pd
 
-from calib.correlation.problem import FunctionProblem
+from calib.correlation.function_problem import FunctionProblem
 from calib.missing.held_out import contradicting
 from calib.missing.verdict import GROUPS
 from calib.outcome import answered

@@ -20,7 +20,7 @@ from calib.analyses.state import changed, made_from
 from calib.analyses.stored import confirmed
 from calib.answer import Answer
 from calib.correlation.frf_residual import FRFProblem
-from calib.correlation.problem import FunctionProblem
+from calib.correlation.function_problem import FunctionProblem
 from calib.errors import InputError
 from calib.forward import ForwardProblem
 from calib.ledger import Ledger

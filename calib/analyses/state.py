@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from calib.correlation.problem import FunctionProblem
+from calib.correlation.function_problem import FunctionProblem
 from calib.inference import rules as inference
 from calib.measurement.responses import MeasuredResponses
 from calib.missing import rules as missing

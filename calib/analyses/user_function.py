@@ -11,7 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.correlation.function_problem import FunctionProblem
+from calib.correlation.problem import ModalProblem
 from calib.fingerprint import digest_of
 from calib.forward import ForwardProblem
 from calib.measurement.modal import Sensor

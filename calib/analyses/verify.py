@@ -11,8 +11,9 @@ import pandas as pd
 
 from calib.analyses.joint_part import JointPart
 from calib.correlation.frf_residual import FRFProblem
+from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.held_out import group_table, held_out_errors
-from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
 from calib.degrees_of_freedom import KNOWN, behind, chance, matched

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.correlation.problem import FunctionProblem
+from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.responses import ResponseRow, response_rows
 from calib.differences import STEP, central_jacobian
 from calib.errors import EvaluationError, InputError

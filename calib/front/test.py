@@ -13,7 +13,8 @@ from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.uncertainty import assumed_responses, claimed_words
 from calib.analyses.verify import errors_of
 from calib.correlation.frf_nuisance import belonging_to
-from calib.correlation.problem import FunctionProblem, ModalProblem, usual_mode_count
+from calib.correlation.function_problem import FunctionProblem
+from calib.correlation.problem import ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
 from calib.correlation.standard_deviations import assumptions

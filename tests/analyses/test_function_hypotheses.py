@@ -8,7 +8,7 @@ import pytest
 
 import calib
 from calib.analyses.function_hypotheses import function_hypotheses
-from calib.correlation.problem import FunctionProblem
+from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.response_residual import ResponseResidual
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError

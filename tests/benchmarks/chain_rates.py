@@ -26,7 +26,7 @@ import numpy as np
 from rates_subject import ROOT
 
 from calib.analyses.function_hypotheses import function_hypotheses
-from calib.correlation.problem import FunctionProblem
+from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.response_residual import ResponseResidual
 from calib.function import FunctionModel
 from calib.loading import module_of

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from calib.correlation.problem import FunctionProblem, ModalProblem
+from calib.correlation.function_problem import FunctionProblem
+from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
 from calib.inference.identify import posterior

@@ -5,7 +5,8 @@ import pickle
 import numpy as np
 import pytest
 
-from calib.correlation.problem import RESPONSES, FunctionProblem, ModalProblem
+from calib.correlation.function_problem import FunctionProblem
+from calib.correlation.problem import RESPONSES, ModalProblem
 from calib.errors import EvaluationError, InputError
 from calib.space import Parameter, ParameterSpace
 from calib.structure.reduced import ReducedModel

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from calib.analyses.function_hypotheses import function_hypotheses
-from calib.correlation.problem import FunctionProblem
+from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
 from calib.errors import EvaluationError
