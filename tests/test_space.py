@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from calib.errors import InputError
-from calib.space import SI_FACTORS, LinearConstraint, Parameter, ParameterSpace
+from calib.space import LinearConstraint, Parameter, ParameterSpace
+from calib.units import SI_FACTORS
 
 
 def space() -> ParameterSpace:
