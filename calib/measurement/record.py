@@ -68,7 +68,7 @@ class MeasuredRecord:
         if len(self.values) < SAMPLES_FEWEST:
             raise InputError(
                 f"{len(self.values)} samples are too few to identify modes", place=place,
-                remedy=f"give a record of at least {SAMPLES_FEWEST}, and better of a thousand periods of the first mode",
+                remedy=f"give at least {SAMPLES_FEWEST}, and better a thousand periods of the first mode",
             )  # fmt: skip
         for k, sensor in enumerate(self.sensors):
             own = self.values[:, k]
