@@ -21,6 +21,8 @@ from calib.modal_analysis.stabilisation import Chain, follow, pole_table, stable
 
 INSTEAD = 'fit the FRFs themselves: kind = "frf" in study.toml, or calib.FRFTest'
 """Remedy where modes do not describe the FRFs."""
+AMBIENT = "measure longer, or give a band around the modes that are wanted"
+"""Remedy where time records do not tell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +44,12 @@ class Identification:
         ``freq`` (Hz), ``measured`` and ``synthesised``: root mean squares over all functions, in the quantity's unit.
     missed : tuple of float
         Resonances without a mode, Hz.
-    std_from : {"repeats", "orders"}
-        Whether standard deviations come from leaving out each repeat in turn, or from the spread over model orders.
+    std_from : {"repeats", "orders", "parts"}
+        Whether standard deviations come from leaving out each repeat in turn, from the spread over model orders, or
+        from leaving out parts of the one record.
+    of : {"FRFs", "records"}
+        What they were identified from; of records ``curves`` are half-spectra, in the squared unit a Hz, and an order
+        of ``poles`` is a number of states, not of pole pairs.
     """
 
     modes: MeasuredModes
@@ -52,16 +58,20 @@ class Identification:
     curves: pd.DataFrame
     missed: tuple[float, ...]
     std_from: str
+    of: str = "FRFs"
 
     @property
     def verdict(self) -> str:
-        """Whether the modes describe the FRFs, in one sentence."""
+        """Whether the modes describe what they were identified from, in one sentence."""
         refused = self.fit[self.fit["refused"] != ""]
         doubts = [f"{_hz(refused['freq'])} refused"] * bool(len(refused))
         doubts += [f"no mode for the resonances at {_hz(self.missed)}"] * bool(self.missed)
         whole = self.fit["frac"][self.fit["refused"] == ""]
         if not doubts:
-            return f"The modes describe the FRFs around their resonances (FRAC {whole.min():.4f} or more)."
+            what = "FRFs" if self.of == "FRFs" else "correlations of the records"
+            return f"The modes describe the {what} around their resonances (FRAC {whole.min():.4f} or more)."
+        if self.of == "records":
+            return f"These records tell some modes only ({'; '.join(doubts)}): {AMBIENT}."
         return f"Modes alone do not describe these FRFs ({'; '.join(doubts)}): {INSTEAD}."
 
 

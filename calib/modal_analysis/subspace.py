@@ -32,8 +32,6 @@ DAMPING_MOST = 0.5
 """Above this ratio a pole stands for noise."""
 MAC_SAME = 0.8
 """Least MAC of a mode with itself when a part of the records is left out."""
-ORDERS_RESAMPLED = 3
-"""Orders at which parts are left out."""
 PRESET = "Kvaale"
 """Clusters of pyOMA2: HDBSCAN by poles and MAC over the poles that are stable from one order to the next."""
 
@@ -195,9 +193,7 @@ def _package() -> _Package:
         from pyoma2.algorithms.data.run_params import Clustering
         from pyoma2.functions import clus, gen, ssi
     except ImportError:
-        raise InputError(
-            "pyOMA2, which identifies modes from time records, is not installed", remedy=EXTRA
-        ) from None
+        raise InputError("pyOMA2, which identifies modes from time records, is not installed", remedy=EXTRA) from None
     finally:
         log.setLevel(level)
     logging.getLogger("pyoma2").setLevel(logging.CRITICAL)
