@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -39,8 +39,11 @@ RATE_OVER_BAND = 2.56
 """Samples a second that are kept, over the highest frequency of a band."""
 DECIMATED_MOST = 10
 """Largest factor of one step of decimation."""
-ORDERS_RESAMPLED = (24, 36, 48)
-"""Orders at which parts are left out, for modes that have poles there."""
+ONE_SHAPE_LEAST = 0.9
+"""Least share of the correlations of a mode that one shape describes."""
+ORDERS_RESAMPLED = (18, 24, 30, 36, 42)
+"""Orders at which parts are left out, for modes that have poles there; of each part their median counts, as
+of the whole the median over all orders does: at single orders poles of noise come close."""
 
 
 def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, float] | None = None) -> Identification:
@@ -54,8 +57,9 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     where there are several, else over `BLOCKS` parts of the record, whose correlations count as independent.
 
     A mode is refused where it does not appear whichever record or part is left out, where its natural frequency is
-    uncertain by more than 1 % or its damping ratio by more than half of it, and where the modal model misses the
-    half-spectra around it (see `half_spectra`) by more than `EXCESS_MOST` beyond noise.
+    uncertain by more than 1 % or its damping ratio by more than half of it, where one shape does not describe its share
+    of the half-spectra (see `half_spectra`), and where the modal model misses these by more than `EXCESS_MOST` beyond
+    noise.
 
     Parameters
     ----------
@@ -90,7 +94,8 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     moved = np.array([c.pole for c in chains]) - window_rate(table.rate)
     model = fit_residues(spectra, moved)
     judged = fits(spectra, model, len(chains))
-    why = [_refused(c, k, judged[k], spread, lacking, len(records)) for k, c in enumerate(chains)]
+    one_shape = [rank_one(own)[2] for own in model.residues]
+    why = [_refused(c, k, judged[k], one_shape[k], spread, lacking, len(records)) for k, c in enumerate(chains)]
     kept = [k for k, own in enumerate(why) if not own]
     names = {k: str(n) for n, k in enumerate(kept, start=1)}
     fit = pd.DataFrame([
@@ -98,7 +103,7 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
             "mode": names.get(k, ""), "freq": _freq(c), "freq_std": spread.freq[k], "damping": _ratio(c),
             "damping_std": spread.damping[k], "orders": len(c.orders), "frac": judged[k].frac,
             "residual_std": judged[k].residual_std, "excess": judged[k].excess,
-            "rank_one": rank_one(model.residues[k])[2], "refused": why[k],
+            "rank_one": one_shape[k], "refused": why[k],
         }
         for k, c in enumerate(chains)
     ])  # fmt: skip
@@ -151,17 +156,12 @@ def _shape(chain: Chain) -> np.ndarray:
     """Median over the orders of both parts, largest modulus 1, as real as possible."""
     middle = chain.residues[int(np.argmin(np.abs(chain.natural_freq - np.median(chain.natural_freq))))]
     every = np.array([aligned(middle, own) for own in chain.residues])
-    median = np.median(every.real, axis=0) + 1j * np.median(every.imag, axis=0)
-    return np.asarray(scaled(most_real(median)[:, None])[0][:, 0])
+    return np.asarray(scaled(most_real(_median(every))[:, None])[0][:, 0])
 
 
-@dataclass(frozen=True, eq=False)
-class _Resampled:
-    """Of one mode at one order: values without each part in turn, (n_parts,) and (n_parts, n_sensors)."""
-
-    freq: np.ndarray
-    damping: np.ndarray
-    shapes: np.ndarray
+def _median(shapes: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+    """Median of both parts of aligned shapes (n, n_sensors)."""
+    return np.asarray(np.median(np.real(shapes), axis=0) + 1j * np.median(np.imag(shapes), axis=0))
 
 
 def _jackknife(
@@ -181,25 +181,21 @@ def _jackknife(
                 at = chain.orders.index(order)
                 own_freq = chain.natural_freq[at]
                 found[k, order] = [_nearest(one, own_freq, chain.residues[at], shapes[:, k]) for one in here]
-    freq, damping, std = np.zeros(len(chains)), np.zeros(len(chains)), np.zeros(shapes.shape)
-    lacking = set()
     n = len(groups)
     grown = np.sqrt((n - 1) ** 2 / n)
+    freq, damping, std = np.full(len(chains), np.nan), np.full(len(chains), np.nan), np.full(shapes.shape, np.nan)
+    lacking = set()
     for k in range(len(chains)):
-        deviations = []
-        for order in chosen[k]:
-            there = [one for one in found[k, order] if one is not None]
-            if len(there) == n:
-                deviations.append((
-                    np.std([one[0] for one in there], ddof=1), np.std([one[1] for one in there], ddof=1),
-                    both_parts(np.array([one[2] for one in there])),
-                ))  # fmt: skip
-        if not deviations:
+        each_part = [
+            [one for one in row if one is not None] for row in zip(*(found[k, o] for o in chosen[k]), strict=True)
+        ]
+        if min(map(len, each_part)) < max(1, len(chosen[k]) // 2):
             lacking.add(k)
-            freq[k], damping[k], std[:, k] = np.nan, np.nan, np.nan
             continue
-        freq[k], damping[k] = (grown * np.median([one[j] for one in deviations]) for j in (0, 1))
-        std[:, k] = grown * np.median([one[2] for one in deviations], axis=0)
+        freq[k], damping[k] = (
+            grown * np.std([np.median([one[j] for one in own]) for own in each_part], ddof=1) for j in (0, 1)
+        )
+        std[:, k] = grown * both_parts(np.array([_median([one[2] for one in own]) for own in each_part]))
     return Spread(freq, damping, std), lacking
 
 
@@ -220,7 +216,9 @@ def _nearest(
     return float(found[0][best]), float(found[1][best]), aligned(reference, found[2][best])
 
 
-def _refused(chain: Chain, k: int, judged: Adequacy, spread: Spread, lacking: set[int], n_records: int) -> str:
+def _refused(
+    chain: Chain, k: int, judged: Adequacy, one_shape: float, spread: Spread, lacking: set[int], n_records: int
+) -> str:
     """Why a mode does not count; empty where it does."""
     if k in lacking:
         return f"not found whichever {'record' if n_records > 1 else 'part of the record'} is left out"
@@ -228,6 +226,8 @@ def _refused(chain: Chain, k: int, judged: Adequacy, spread: Spread, lacking: se
         return f"its natural frequency is uncertain by {100 * spread.freq[k] / _freq(chain):.2g} %"
     if spread.damping[k] > DAMPING_UNSURE * _ratio(chain):
         return f"its damping ratio is uncertain by {100 * spread.damping[k] / _ratio(chain):.0f} % of it"
+    if one_shape < ONE_SHAPE_LEAST:
+        return f"one shape describes only {100 * one_shape:.0f} % of the correlations around it"
     if judged.excess > EXCESS_MOST:
         return f"the modes miss {100 * judged.excess:.0f} % of the correlations around it beyond noise"
     return ""
