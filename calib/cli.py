@@ -127,13 +127,11 @@ def modes(
     ] = Path("modes"),
     sensors: Annotated[Path | None, typer.Option("--sensors", metavar="CSV", help="Places of the nodes, m.")] = None,
     quantity: Annotated[_Quantity | None, typer.Option("--quantity", help="Where the files do not state it.")] = None,
-    unit: Annotated[
-        str | None, typer.Option("--unit", help="Such as g/N, or g of records, where the files do not state it.")
-    ] = None,
+    unit: Annotated[str | None, typer.Option("--unit", help="Such as g/N, or g of records; where not stated.")] = None,
     averages: Annotated[int | None, typer.Option("--averages", help="Averages behind a single file.")] = None,
     band: Annotated[
         tuple[float, float] | None,
-        typer.Option("--band", metavar="LOW HIGH", help="Lines that are used, or band of the modes, Hz."),
+        typer.Option("--band", metavar="LOW HIGH", help="Lines that are used, Hz."),
     ] = None,
     synthetic: Annotated[bool, typer.Option("--synthetic", help="No structure was measured.")] = False,
     verbose: Verbose = False,

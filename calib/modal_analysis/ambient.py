@@ -41,7 +41,7 @@ DECIMATED_MOST = 10
 """Largest factor of one step of decimation."""
 ONE_SHAPE_LEAST = 0.9
 """Least share of the correlations of a mode that one shape describes."""
-ORDERS_RESAMPLED = (18, 24, 30, 36, 42)
+ORDERS_RESAMPLED = tuple(range(16, 50, 4))
 """Orders at which parts are left out, for modes that have poles there; of each part their median counts, as
 of the whole the median over all orders does: at single orders poles of noise come close."""
 

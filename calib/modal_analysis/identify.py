@@ -71,7 +71,7 @@ class Identification:
             what = "FRFs" if self.of == "FRFs" else "correlations of the records"
             return f"The modes describe the {what} around their resonances (FRAC {whole.min():.4f} or more)."
         if self.of == "records":
-            return f"These records tell some modes only ({'; '.join(doubts)}): {AMBIENT}."
+            return f"Not all of these records is described by modes that count ({'; '.join(doubts)}): {AMBIENT}."
         return f"Modes alone do not describe these FRFs ({'; '.join(doubts)}): {INSTEAD}."
 
 

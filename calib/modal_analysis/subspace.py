@@ -153,8 +153,10 @@ def modes_of(poles: Poles) -> tuple[Chain, ...]:
         clusters = {label: np.flatnonzero(labels == label) for label in set(labels.tolist()) - {-1}}
         clusters, _ = package.clus.post_1xorder(clusters, labels, distance, order)
     chains = []
+    farthest = steps[0].sc_dict["err_fn"]  # a cluster may hold poles of noise at single orders
     for one in clusters.values():
-        members = one[np.argsort(order[one])]
+        near = one[np.abs(size[one] / np.median(size[one]) - 1) <= farthest]
+        members = near[np.argsort(order[near])]
         chains.append(Chain(tuple(order[members].tolist()), own[members], shapes[members]))
     return stable(chains, HIGHEST_ORDER)
 
