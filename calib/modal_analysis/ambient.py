@@ -39,6 +39,9 @@ RATE_OVER_BAND = 2.56
 """Samples a second that are kept, over the highest frequency of a band."""
 DECIMATED_MOST = 10
 """Largest factor of one step of decimation."""
+PERIODS_LEAST = 1.0
+"""Fewest periods of a mode in the lags of the Hankel matrix: of slower ones the damping is biased beyond its standard
+deviation."""
 ONE_SHAPE_LEAST = 0.9
 """Least share of the correlations of a mode that one shape describes."""
 ORDERS_RESAMPLED = tuple(range(16, 50, 4))
@@ -57,7 +60,8 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     where there are several, else over `BLOCKS` parts of the record, whose correlations count as independent.
 
     A mode is refused where it does not appear whichever record or part is left out, where its natural frequency is
-    uncertain by more than 1 % or its damping ratio by more than half of it, where one shape does not describe its share
+    uncertain by more than 1 % or its damping ratio by more than half of it, where it is too slow for the sampling rate
+    (a band then decimates the record), where one shape does not describe its share
     of the half-spectra (see `half_spectra`), and where the modal model misses these by more than `EXCESS_MOST` beyond
     noise.
 
@@ -95,7 +99,13 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     model = fit_residues(spectra, moved)
     judged = fits(spectra, model, len(chains))
     one_shape = [rank_one(own)[2] for own in model.residues]
-    why = [_refused(c, k, judged[k], one_shape[k], spread, lacking, len(records)) for k, c in enumerate(chains)]
+    slowest = PERIODS_LEAST * table.rate / (2 * table.rows)
+    why = [
+        f"slower than {slowest:.3g} Hz, which the sampling rate is too fast for: give a band that ends closer above it"
+        if _freq(c) < slowest
+        else _refused(c, k, judged[k], one_shape[k], spread, lacking, len(records))
+        for k, c in enumerate(chains)
+    ]
     kept = [k for k, own in enumerate(why) if not own]
     names = {k: str(n) for n, k in enumerate(kept, start=1)}
     fit = pd.DataFrame([

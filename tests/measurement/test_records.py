@@ -110,7 +110,7 @@ def test_unequal_sampling_is_refused_where_it_occurs(tmp_path):
     path = table(tmp_path)
     lines = path.read_text("utf-8").splitlines()
     path.write_text("\n".join(lines[:700] + lines[750:]), encoding="utf-8")
-    with pytest.raises(InputError, match="not equally spaced: 10.89"):
+    with pytest.raises(InputError, match=r"not equally spaced: 10\.89"):
         read_records(path)
 
 

@@ -59,6 +59,14 @@ def test_the_band_and_a_faster_rate_leave_the_modes_as_they_are():
     assert low.poles["freq"].between(1.0, 12.5).all() and low.curves["freq"].max() <= 12.5
 
 
+def test_a_mode_too_slow_for_the_rate_is_refused_and_a_band_finds_it():
+    slow = AMBIENT.chain(4000.0 / 16)  # a quarter of the frequencies: the first lies below a fortieth of the rate
+    records = [AMBIENT.record(slow, 40_000, seed) for seed in (1, 2)]
+    fit = modes_from_records(records).fit
+    assert fit["refused"].iloc[0].endswith("closer above it") and fit["freq"].iloc[0] < AMBIENT.RATE / 40
+    np.testing.assert_allclose(modes_from_records(records, (0.3, 6.0)).modes.natural_freq, FREQ / 4, rtol=1e-2)
+
+
 def test_the_unit_of_one_sensor_scales_its_entry_of_the_shapes_alone():
     records = [AMBIENT.record(CHAIN, 20_000, seed) for seed in (3, 4)]
     one = modes_from_records(records)
