@@ -29,8 +29,8 @@ def hold_records(paths: Sequence[Path]) -> bool:
     kinds = [_holds_uff(path) if is_uff else TIME in header_of(path)[0] for path in paths]
     if len(set(kinds)) > 1:
         raise InputError(
-            "it holds a time record, other files hold FRFs", place=paths[kinds.index(True)],
-            remedy="identify modes from one kind at a time",
+            f"it holds no time record, as {paths[kinds.index(True)]} does", place=paths[kinds.index(False)],
+            remedy="give records or FRFs, one kind at a time",
         )  # fmt: skip
     return kinds[0]
 

@@ -78,7 +78,7 @@ def test_content_tells_records_from_frfs(tmp_path):
     frfs = sorted(FRF.write_study(tmp_path / "chain").glob("repeat_*.uff"))
     record = universal(tmp_path, *sets())
     assert not hold_records(frfs) and hold_records([record]) and hold_records([table(tmp_path)])
-    with pytest.raises(InputError, match="other files hold FRFs"):
+    with pytest.raises(InputError, match="holds no time record, as"):
         hold_records([*frfs, record])
 
 
