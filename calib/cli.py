@@ -119,7 +119,7 @@ class _Quantity(StrEnum):
     accelerance = "accelerance"
 
 
-@app.command(short_help="Identify modes from measured FRFs.")
+@app.command(short_help="Identify modes from FRFs or time records.")
 def modes(
     files: Annotated[list[Path], typer.Argument(metavar="FILES...", help="Universal or CSV files, one a repeat.")],
     into: Annotated[
@@ -127,18 +127,20 @@ def modes(
     ] = Path("modes"),
     sensors: Annotated[Path | None, typer.Option("--sensors", metavar="CSV", help="Places of the nodes, m.")] = None,
     quantity: Annotated[_Quantity | None, typer.Option("--quantity", help="Where the files do not state it.")] = None,
-    unit: Annotated[str | None, typer.Option("--unit", help="Such as g/N, where the files do not state it.")] = None,
+    unit: Annotated[str | None, typer.Option("--unit", help="Such as g/N, or g of records; where not stated.")] = None,
     averages: Annotated[int | None, typer.Option("--averages", help="Averages behind a single file.")] = None,
     band: Annotated[
-        tuple[float, float] | None, typer.Option("--band", metavar="LOW HIGH", help="Lines that are used, Hz.")
+        tuple[float, float] | None,
+        typer.Option("--band", metavar="LOW HIGH", help="Lines that are used, Hz."),
     ] = None,
     synthetic: Annotated[bool, typer.Option("--synthetic", help="No structure was measured.")] = False,
     verbose: Verbose = False,
 ) -> None:
-    """Identify modes from measured FRFs, and say where modes do not describe these.
+    """Identify modes from FRFs, or from time records of responses alone, and say where modes do not describe these.
 
     Writes modes.csv and shapes.csv for a study, and the stabilisation diagram. Poles count that are stable over model
-    orders and whichever repeat is left out; no pole is picked by hand. Needs: pip install 'calib[modes]'.
+    orders and whichever repeat is left out; no pole is picked by hand. Needs: pip install 'calib[modes]' for FRFs,
+    'calib[ambient]' for time records.
     """
     from calib.console.identified import entries
     from calib.console.told import tell_entries

@@ -14,7 +14,8 @@ from calib.place import Place
 GRAVITY = 9.80665
 """Standard gravity, m/s^2, by which accelerometers are calibrated in g."""
 
-_LENGTHS: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254, "ft": 0.3048}
+LENGTHS: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254, "ft": 0.3048}
+"""Metres per unit of length."""
 _FORCES: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605}
 _POWERS: Mapping[Quantity, tuple[str, ...]] = {"receptance": ("",), "mobility": ("s",), "accelerance": ("s2", "ss")}
 _TOLERANCE = 1e-3
@@ -68,7 +69,7 @@ def parse_unit(text: str, place: str | Path | Place) -> tuple[Quantity, FRFUnits
     for force, newtons in _FORCES.items():
         if bare == f"g/{force}":
             return "accelerance", FRFUnits(GRAVITY, 1.0, newtons)
-        for length, metres in _LENGTHS.items():
+        for length, metres in LENGTHS.items():
             for quantity, powers in _POWERS.items():
                 for power in powers:
                     if bare in (f"{length}/{power}/{force}", f"{length}/{force}/{power}", f"{length}/{force}{power}"):

@@ -1,1 +1,1 @@
-"""Experimental modal analysis: modes from measured FRFs, with the rules by which they count."""
+"""Experimental modal analysis: modes from measured FRFs or ambient records, with the rules by which they count."""

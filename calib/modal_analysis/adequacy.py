@@ -51,7 +51,7 @@ def adequacy(frfs: MeasuredFRFs, model: ModalModel, n_modes: int) -> tuple[Adequ
     cannot be told apart.
     """
     windows = [_window(frfs, pole) for pole in model.poles[:n_modes]]
-    judged = [_fit(frfs, model, own) for own in windows]
+    judged = fits(frfs, model, n_modes)
     doubted: dict[int, str] = {}
     surplus = [_surplus(frfs, model, own) for own in windows]
     if surplus and max(surplus) > SURE:
@@ -63,6 +63,11 @@ def adequacy(frfs: MeasuredFRFs, model: ModalModel, n_modes: int) -> tuple[Adequ
             why = f"the fit around it misses {100 * one.excess:.0f} % of the FRFs beyond noise"
         out.append(replace(one, refused=why))
     return tuple(out)
+
+
+def fits(frfs: MeasuredFRFs, model: ModalModel, n_modes: int) -> tuple[Adequacy, ...]:
+    """The fit around each of the first ``n_modes`` poles of a model, none refused."""
+    return tuple(_fit(frfs, model, _window(frfs, pole)) for pole in model.poles[:n_modes])
 
 
 def resonances_without_mode(frfs: MeasuredFRFs, poles: np.ndarray) -> tuple[float, ...]:

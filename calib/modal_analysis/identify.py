@@ -9,18 +9,20 @@ import numpy as np
 import pandas as pd
 
 from calib.errors import InputError
-from calib.mac import align, most_real
+from calib.mac import most_real
 from calib.measurement.average import scaled
 from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.matching import match_modes
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.modal_analysis.adequacy import Adequacy, adequacy, resonances_without_mode
 from calib.modal_analysis.model import ModalModel, fit_residues, rank_one, refined
 from calib.modal_analysis.poles import poles_by_order
+from calib.modal_analysis.spread import Spread, aligned, both_parts, jackknife
 from calib.modal_analysis.stabilisation import Chain, follow, pole_table, stable
 
 INSTEAD = 'fit the FRFs themselves: kind = "frf" in study.toml, or calib.FRFTest'
 """Remedy where modes do not describe the FRFs."""
+AMBIENT = "measure longer, or give a band around the modes that are wanted"
+"""Remedy where time records do not tell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +44,12 @@ class Identification:
         ``freq`` (Hz), ``measured`` and ``synthesised``: root mean squares over all functions, in the quantity's unit.
     missed : tuple of float
         Resonances without a mode, Hz.
-    std_from : {"repeats", "orders"}
-        Whether standard deviations come from leaving out each repeat in turn, or from the spread over model orders.
+    std_from : {"repeats", "orders", "parts"}
+        Whether standard deviations come from leaving out each repeat in turn, from the spread over model orders, or
+        from leaving out parts of the one record.
+    of : {"FRFs", "records"}
+        What they were identified from; of records ``curves`` are half-spectra, in the squared unit a Hz, and an order
+        of ``poles`` is a number of states, not of pole pairs.
     """
 
     modes: MeasuredModes
@@ -52,16 +58,20 @@ class Identification:
     curves: pd.DataFrame
     missed: tuple[float, ...]
     std_from: str
+    of: str = "FRFs"
 
     @property
     def verdict(self) -> str:
-        """Whether the modes describe the FRFs, in one sentence."""
+        """Whether the modes describe what they were identified from, in one sentence."""
         refused = self.fit[self.fit["refused"] != ""]
         doubts = [f"{_hz(refused['freq'])} refused"] * bool(len(refused))
         doubts += [f"no mode for the resonances at {_hz(self.missed)}"] * bool(self.missed)
         whole = self.fit["frac"][self.fit["refused"] == ""]
         if not doubts:
-            return f"The modes describe the FRFs around their resonances (FRAC {whole.min():.4f} or more)."
+            what = "FRFs" if self.of == "FRFs" else "correlations of the records"
+            return f"The modes describe the {what} around their resonances (FRAC {whole.min():.4f} or more)."
+        if self.of == "records":
+            return f"Not all of these records is described by modes that count ({'; '.join(doubts)}): {AMBIENT}."
         return f"Modes alone do not describe these FRFs ({'; '.join(doubts)}): {INSTEAD}."
 
 
@@ -101,7 +111,7 @@ def modes_from_frfs(frfs: MeasuredFRFs, repeats: Sequence[MeasuredFRFs] = ()) ->
     else:
         spread = _over_orders(frfs, whole)
     wider = np.array([max(1.0, one.residual_std) if np.isfinite(one.residual_std) else 1.0 for one in judged])
-    spread = _Spread(spread.freq * wider, spread.damping * wider, spread.shapes * wider)
+    spread = Spread(spread.freq * wider, spread.damping * wider, spread.shapes * wider)
     kept = [k for k, own in enumerate(why) if not own]
     names = {k: str(n) for n, k in enumerate(kept, start=1)}
     fit = _fit_table(whole, judged, spread, names, why)
@@ -139,15 +149,6 @@ class _Identified:
     def damping_ratio(self) -> np.ndarray:
         own = self.model.poles[: len(self.chains)]
         return np.asarray(-own.real / np.abs(own))
-
-
-@dataclass(frozen=True, eq=False)
-class _Spread:
-    """Standard deviations: (n_modes,) in Hz, (n_modes,), and (n_sensors, n_modes) of real and imaginary part each."""
-
-    freq: np.ndarray
-    damping: np.ndarray
-    shapes: np.ndarray
 
 
 def _identified(frfs: MeasuredFRFs) -> _Identified:
@@ -206,7 +207,7 @@ def _places(repeat: MeasuredFRFs, own: Sequence[Sensor], wanted: Sequence[Sensor
     return np.array([names.index(sensor.name) for sensor in wanted])
 
 
-def _jackknife(frfs: MeasuredFRFs, whole: _Identified, repeats: Sequence[MeasuredFRFs]) -> tuple[_Spread, set[int]]:
+def _jackknife(frfs: MeasuredFRFs, whole: _Identified, repeats: Sequence[MeasuredFRFs]) -> tuple[Spread, set[int]]:
     """Standard deviations over the repeats, and the modes that some set of all repeats but one lacks."""
     n, values = len(repeats), np.array([one.values for one in repeats])
     less = float(np.sqrt(n / (n - 1)))
@@ -214,44 +215,13 @@ def _jackknife(frfs: MeasuredFRFs, whole: _Identified, repeats: Sequence[Measure
         _identified(replace(frfs, values=np.delete(values, k, axis=0).mean(axis=0), std=frfs.std * less))
         for k in range(n)
     ]
-    every = [whole, *without]
-    sources = ["all repeats", *(f"all repeats but {one.source}" for one in repeats)]
     try:
-        index = match_modes(sources, [one.natural_freq for one in every], [one.shapes for one in every]).index
+        return jackknife(whole, without, [one.source for one in repeats])
     except InputError as fault:
         raise InputError(fault.problem, place=fault.place, remedy=INSTEAD) from None
-    freq, damping, shapes = np.zeros(len(whole.chains)), np.zeros(len(whole.chains)), np.zeros(whole.shapes.shape)
-    lacking = set()
-    for k in range(len(whole.chains)):
-        there = [(one, int(m)) for one, m in zip(without, index[1:, k], strict=True) if m >= 0]
-        if len(there) < n:
-            lacking.add(k)
-        if len(there) < 2:
-            freq[k], damping[k], shapes[:, k] = np.nan, np.nan, np.nan
-            continue
-        freq[k] = _jackknifed(np.array([one.natural_freq[m] for one, m in there]), whole.natural_freq[k])
-        damping[k] = _jackknifed(np.array([one.damping_ratio[m] for one, m in there]), whole.damping_ratio[k])
-        own = np.array([_aligned(whole.shapes[:, k], one.shapes[:, m]) for one, m in there])
-        shapes[:, k] = _both_parts(own) * (len(own) - 1) / np.sqrt(len(own))
-    return _Spread(freq, damping, shapes), lacking
 
 
-def _jackknifed(values: np.ndarray, estimate: float) -> float:
-    """Standard deviation of an estimate from those without each repeat in turn, its bias included."""
-    n = len(values)
-    return float(np.hypot(np.std(values, ddof=1) * (n - 1) / np.sqrt(n), (n - 1) * (values.mean() - estimate)))
-
-
-def _aligned(reference: np.ndarray, shape: np.ndarray) -> np.ndarray:
-    return np.asarray(shape * align(reference, shape))
-
-
-def _both_parts(every: np.ndarray) -> np.ndarray:
-    """Standard deviation (n_sensors,) of the real and of the imaginary part each, of shapes (n, n_sensors)."""
-    return np.asarray(np.sqrt((every.real.var(axis=0, ddof=1) + every.imag.var(axis=0, ddof=1)) / 2))
-
-
-def _over_orders(frfs: MeasuredFRFs, whole: _Identified) -> _Spread:
+def _over_orders(frfs: MeasuredFRFs, whole: _Identified) -> Spread:
     freq, damping = np.array([chain.spread for chain in whole.chains]).T
     shapes = []
     for k, chain in enumerate(whole.chains):
@@ -260,13 +230,13 @@ def _over_orders(frfs: MeasuredFRFs, whole: _Identified) -> _Spread:
             table = np.full(frfs.values.shape[1:], complex(np.nan, np.nan))
             for one, value in zip(frfs.functions, flat, strict=True):
                 table[one.i, one.j] = value
-            own.append(_aligned(whole.shapes[:, k], _shape(frfs, table)))
-        shapes.append(_both_parts(np.array(own)))
-    return _Spread(freq, damping, np.stack(shapes, axis=1))
+            own.append(aligned(whole.shapes[:, k], _shape(frfs, table)))
+        shapes.append(both_parts(np.array(own)))
+    return Spread(freq, damping, np.stack(shapes, axis=1))
 
 
 def _fit_table(
-    whole: _Identified, judged: Sequence[Adequacy], spread: _Spread, names: dict[int, str], why: Sequence[str]
+    whole: _Identified, judged: Sequence[Adequacy], spread: Spread, names: dict[int, str], why: Sequence[str]
 ) -> pd.DataFrame:
     return pd.DataFrame([
         {
@@ -280,7 +250,7 @@ def _fit_table(
 
 
 def _measured(
-    frfs: MeasuredFRFs, whole: _Identified, spread: _Spread, kept: Sequence[int], n_repeats: int, std_from: str
+    frfs: MeasuredFRFs, whole: _Identified, spread: Spread, kept: Sequence[int], n_repeats: int, std_from: str
 ) -> MeasuredModes:
     sensors: tuple[Sensor, ...] = frfs.responses if _by_response(frfs) else frfs.references
     words = {

@@ -10,7 +10,9 @@ from calib.report.style import BLUE, GREY, MEASURED, REST, legend_above, new_fig
 from calib.report.svg import hover_points
 
 
-def stabilisation_figure(poles: pd.DataFrame, curves: pd.DataFrame, fit: pd.DataFrame, *, unit: str) -> Figure:
+def stabilisation_figure(
+    poles: pd.DataFrame, curves: pd.DataFrame, fit: pd.DataFrame, *, unit: str, of: str = "FRFs"
+) -> Figure:
     """Draw poles by frequency and order, and the FRFs on the same axis of frequency.
 
     Parameters
@@ -23,6 +25,8 @@ def stabilisation_figure(poles: pd.DataFrame, curves: pd.DataFrame, fit: pd.Data
         Columns ``mode`` (empty where it was refused) and ``freq`` (Hz) of every stable mode.
     unit : str
         Of the functions.
+    of : {"FRFs", "records"}
+        What the modes were identified from: of records the functions are half-spectra, and orders count states.
 
     Returns
     -------
@@ -50,8 +54,8 @@ def stabilisation_figure(poles: pd.DataFrame, curves: pd.DataFrame, fit: pd.Data
         ("synthesised", "synthesised from the modes", BLUE, "--"),
     ):
         functions.semilogy(curves["freq"], np.maximum(curves[column], 1e-300), line, color=colour, label=label)
-    orders.set_ylabel("order (pole pairs)")
-    functions.set_ylabel(f"rms of all functions ({unit})")
+    orders.set_ylabel("order (pole pairs)" if of == "FRFs" else "order (states)")
+    functions.set_ylabel(f"rms of all {'functions' if of == 'FRFs' else 'half-spectra'} ({unit})")
     functions.set_xlabel("frequency (Hz)")
     functions.set_xlim(curves["freq"].iloc[0], curves["freq"].iloc[-1])
     for ax in (orders, functions):

@@ -1,0 +1,286 @@
+"""Modes from time records of responses alone, with standard deviations, and what the records say against them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from scipy import signal
+
+from calib.errors import InputError
+from calib.mac import mac, most_real
+from calib.measurement.average import scaled
+from calib.measurement.modal import MeasuredModes
+from calib.measurement.record import MeasuredRecord
+from calib.modal_analysis.adequacy import EXCESS_MOST, Adequacy, fits, resonances_without_mode
+from calib.modal_analysis.half_spectra import half_spectra, window_rate
+from calib.modal_analysis.identify import AMBIENT, Identification
+from calib.modal_analysis.model import fit_residues, rank_one
+from calib.modal_analysis.spread import Spread, aligned, both_parts
+from calib.modal_analysis.stabilisation import FREQ_CHANGE, Chain
+from calib.modal_analysis.subspace import (
+    BLOCKS,
+    DAMPING_MOST,
+    HIGHEST_ORDER,
+    MAC_SAME,
+    Correlations,
+    Poles,
+    correlations,
+    modes_of,
+    poles_at,
+    poles_at_orders,
+)
+
+DAMPING_UNSURE = 0.5
+"""Largest standard deviation of a damping ratio, over the ratio: above it the pole may as well be undamped, a hum."""
+RATE_OVER_BAND = 2.56
+"""Samples a second that are kept, over the highest frequency of a band."""
+DECIMATED_MOST = 10
+"""Largest factor of one step of decimation."""
+PERIODS_LEAST = 1.0
+"""Fewest periods of a mode in the lags of the Hankel matrix: of slower ones the damping is biased beyond its standard
+deviation."""
+ONE_SHAPE_LEAST = 0.9
+"""Least share of the correlations of a mode that one shape describes."""
+ORDERS_RESAMPLED = tuple(range(16, 50, 4))
+"""Orders at which parts are left out, for modes that have poles there; of each part their median counts, as
+of the whole the median over all orders does: at single orders poles of noise come close."""
+
+
+def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, float] | None = None) -> Identification:
+    """Identify modes from responses to unmeasured, broad-banded forces.
+
+    Poles come from covariance-driven stochastic subspace identification at ascending orders (`poles_at_orders`),
+    clustered by pyOMA2's preset (`modes_of`); natural frequency, damping ratio and shape are medians over the orders.
+    Shapes have no scale.
+
+    Standard deviations come from the jackknife (Efron and Stein 1981) with the poles at fixed orders: over the records
+    where there are several, else over `BLOCKS` parts of the record, whose correlations count as independent.
+
+    A mode is refused where it does not appear whichever record or part is left out, where its natural frequency is
+    uncertain by more than 1 % or its damping ratio by more than half of it, where it is too slow for the sampling rate
+    (a band then decimates the record), where one shape does not describe its share
+    of the half-spectra (see `half_spectra`), and where the modal model misses these by more than `EXCESS_MOST` beyond
+    noise.
+
+    Parameters
+    ----------
+    records : sequence of MeasuredRecord
+        With the same sensors and rate; see `calib.measurement.read_records.read_records`.
+    band : (float, float), optional
+        In which modes are identified, Hz; records that are sampled faster than it needs are decimated.
+
+    Raises
+    ------
+    InputError
+        When pyOMA2 is not installed, records are too short, or no mode counts.
+    """
+    place = ", ".join(one.source for one in records) or "records"
+    low, high = _in_record(band, records[0].rate, place)
+    used = [_prepared(one, None if band is None else high) for one in records]
+    scale = np.sqrt(np.mean([np.mean(one.values**2, axis=0) for one in used], axis=0))
+    used = [replace(one, values=one.values / scale) for one in used]  # sensors of small motion count as others do
+    table = correlations(used, BLOCKS)
+    poles = poles_at_orders(table.hankel, table.rows, table.rate)
+    chains = tuple(c for c in modes_of(poles) if low <= abs(c.pole) / (2 * np.pi) <= high)
+    if not chains:
+        raise InputError("no pole is stable over the model orders", place=place, remedy=AMBIENT)
+    shapes = np.stack([_shape(c) for c in chains], axis=1)
+    spread, lacking = _jackknife(table, chains, shapes, len(records))
+    shapes, spread = shapes * scale[:, None], replace(spread, shapes=spread.shapes * scale[:, None])
+    peak = np.abs(shapes).max(axis=0)
+    spread, shapes = replace(spread, shapes=spread.shapes / peak), scaled(shapes)[0]
+
+    spectra = half_spectra(used, BLOCKS, (low, high))
+    spectra = replace(spectra, values=spectra.values * np.outer(scale, scale), std=spectra.std * np.outer(scale, scale))
+    moved = np.array([c.pole for c in chains]) - window_rate(table.rate)
+    model = fit_residues(spectra, moved)
+    judged = fits(spectra, model, len(chains))
+    one_shape = [rank_one(own)[2] for own in model.residues]
+    slowest = PERIODS_LEAST * table.rate / (2 * table.rows)
+    why = [
+        f"slower than {slowest:.3g} Hz, which the sampling rate is too fast for: give a band that ends closer above it"
+        if _freq(c) < slowest
+        else _refused(c, k, judged[k], one_shape[k], spread, lacking, len(records))
+        for k, c in enumerate(chains)
+    ]
+    kept = [k for k, own in enumerate(why) if not own]
+    names = {k: str(n) for n, k in enumerate(kept, start=1)}
+    fit = pd.DataFrame([
+        {
+            "mode": names.get(k, ""), "freq": _freq(c), "freq_std": spread.freq[k], "damping": _ratio(c),
+            "damping_std": spread.damping[k], "orders": len(c.orders), "frac": judged[k].frac,
+            "residual_std": judged[k].residual_std, "excess": judged[k].excess,
+            "rank_one": one_shape[k], "refused": why[k],
+        }
+        for k, c in enumerate(chains)
+    ])  # fmt: skip
+    if not kept:
+        raise InputError(
+            f"none of its {len(why)} stable poles counts ({_first_reason(fit)})", place=place, remedy=AMBIENT
+        )
+    curves = pd.DataFrame({
+        "freq": spectra.freq,
+        **{name: np.sqrt(np.mean(np.abs(v) ** 2, axis=(1, 2)))
+           for name, v in (("measured", spectra.values), ("synthesised", model.synthesised))},
+    })  # fmt: skip
+    std_from = "repeats" if len(records) > 1 else "parts"
+    return Identification(
+        _measured(records, chains, shapes, spread, kept), fit, _pole_table(poles, chains, names, (low, high)), curves,
+        resonances_without_mode(spectra, moved), std_from, "records",
+    )  # fmt: skip
+
+
+def _in_record(band: tuple[float, float] | None, rate: float, place: str) -> tuple[float, float]:
+    low, high = band or (0.0, rate / 2)
+    if not 0 <= low < high:
+        raise InputError(f"the band {low:g} to {high:g} Hz is empty", place=place, remedy="give its lower end first")
+    if high > rate / 2:
+        raise InputError(
+            f"the band ends at {high:g} Hz, above half the rate of {rate:g} Hz", place=place, remedy="end it below"
+        )
+    return low, high
+
+
+def _prepared(record: MeasuredRecord, high: float | None) -> MeasuredRecord:
+    """A record without its trend, decimated to what a band up to a frequency needs."""
+    values, rate = signal.detrend(record.values, axis=0), record.rate
+    factor = 1 if high is None else int(rate / (RATE_OVER_BAND * high))
+    while factor > 1:
+        step = min(factor, DECIMATED_MOST)
+        values, rate, factor = signal.decimate(values, step, ftype="fir", axis=0), rate / step, factor // step
+    return replace(record, values=values, rate=rate)
+
+
+def _freq(chain: Chain) -> float:
+    return float(abs(chain.pole) / (2 * np.pi))
+
+
+def _ratio(chain: Chain) -> float:
+    return float(-chain.pole.real / abs(chain.pole))
+
+
+def _shape(chain: Chain) -> np.ndarray:
+    """Median over the orders of both parts, largest modulus 1, as real as possible."""
+    middle = chain.residues[int(np.argmin(np.abs(chain.natural_freq - np.median(chain.natural_freq))))]
+    every = np.array([aligned(middle, own) for own in chain.residues])
+    return np.asarray(scaled(most_real(_median(every))[:, None])[0][:, 0])
+
+
+def _median(shapes: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+    """Median of both parts of aligned shapes (n, n_sensors)."""
+    return np.asarray(np.median(np.real(shapes), axis=0) + 1j * np.median(np.imag(shapes), axis=0))
+
+
+def _jackknife(
+    table: Correlations, chains: Sequence[Chain], shapes: np.ndarray, n_records: int
+) -> tuple[Spread, set[int]]:
+    """Standard deviations, and the modes that are not found whichever part, or record, is left out."""
+    n_parts = len(table.parts)
+    each = n_parts // n_records if n_records > 1 else 1
+    groups = [range(k, k + each) for k in range(0, n_parts, each)]
+    hankels = [table.without(list(group)) for group in groups]
+    chosen = [_orders(chain) for chain in chains]
+    found: dict[tuple[int, int], list[tuple[float, float, np.ndarray] | None]] = {}
+    for order in sorted({order for own in chosen for order in own}):
+        here = [poles_at(hankel, table.rows, table.rate, order) for hankel in hankels]
+        for k, chain in enumerate(chains):
+            if order in chosen[k]:
+                at = chain.orders.index(order)
+                own_freq = chain.natural_freq[at]
+                found[k, order] = [_nearest(one, own_freq, chain.residues[at], shapes[:, k]) for one in here]
+    n = len(groups)
+    grown = np.sqrt((n - 1) ** 2 / n)
+    freq, damping, std = np.full(len(chains), np.nan), np.full(len(chains), np.nan), np.full(shapes.shape, np.nan)
+    lacking = set()
+    for k in range(len(chains)):
+        each_part = [
+            [one for one in row if one is not None] for row in zip(*(found[k, o] for o in chosen[k]), strict=True)
+        ]
+        if min(map(len, each_part)) < max(1, len(chosen[k]) // 2):
+            lacking.add(k)
+            continue
+        freq[k], damping[k] = (
+            grown * np.std([np.median([one[j] for one in own]) for own in each_part], ddof=1) for j in (0, 1)
+        )
+        std[:, k] = grown * both_parts(np.array([_median([one[2] for one in own]) for own in each_part]))
+    return Spread(freq, damping, std), lacking
+
+
+def _orders(chain: Chain) -> tuple[int, ...]:
+    """Orders at which a mode is identified again."""
+    common = tuple(order for order in ORDERS_RESAMPLED if order in chain.orders)
+    return common or (chain.orders[len(chain.orders) // 2],)
+
+
+def _nearest(
+    found: tuple[np.ndarray, np.ndarray, np.ndarray], freq: float, shape: np.ndarray, reference: np.ndarray
+) -> tuple[float, float, np.ndarray] | None:
+    """The pole nearest to a mode among those of its shape; None without one."""
+    alike = np.flatnonzero(mac(found[2].T, shape[:, None])[:, 0] >= MAC_SAME)
+    if not len(alike):
+        return None
+    best = alike[np.argmin(np.abs(found[0][alike] - freq))]
+    return float(found[0][best]), float(found[1][best]), aligned(reference, found[2][best])
+
+
+def _refused(
+    chain: Chain, k: int, judged: Adequacy, one_shape: float, spread: Spread, lacking: set[int], n_records: int
+) -> str:
+    """Why a mode does not count; empty where it does."""
+    if k in lacking:
+        return f"not found whichever {'record' if n_records > 1 else 'part of the record'} is left out"
+    if spread.freq[k] > FREQ_CHANGE * _freq(chain):
+        return f"its natural frequency is uncertain by {100 * spread.freq[k] / _freq(chain):.2g} %"
+    if spread.damping[k] > DAMPING_UNSURE * _ratio(chain):
+        return f"its damping ratio is uncertain by {100 * spread.damping[k] / _ratio(chain):.0f} % of it"
+    if one_shape < ONE_SHAPE_LEAST:
+        return f"one shape describes only {100 * one_shape:.0f} % of the correlations around it"
+    if judged.excess > EXCESS_MOST:
+        return f"the modes miss {100 * judged.excess:.0f} % of the correlations around it beyond noise"
+    return ""
+
+
+def _first_reason(fit: pd.DataFrame) -> str:
+    return f"{fit['freq'].iloc[0]:.4g} Hz: {fit['refused'].iloc[0]}"
+
+
+def _pole_table(
+    poles: Poles, chains: Sequence[Chain], names: dict[int, str], band: tuple[float, float]
+) -> pd.DataFrame:
+    """Columns of `calib.modal_analysis.stabilisation.pole_table`; the order is the number of states."""
+    of = {
+        (order, round(float(f), 9)): names.get(k, "")
+        for k, chain in enumerate(chains)
+        for order, f in zip(chain.orders, chain.natural_freq, strict=True)
+    }
+    row, order = np.nonzero(np.isfinite(poles.natural_freq) & (poles.damping_ratio < DAMPING_MOST))
+    freq = poles.natural_freq[row, order]
+    table = pd.DataFrame({
+        "order": order, "freq": freq, "damping": poles.damping_ratio[row, order],
+        "stable": poles.steady[row, order],
+        "mode": [of.get((int(o), round(float(f), 9)), "") for o, f in zip(order, freq, strict=True)],
+    })  # fmt: skip
+    inside = (table["freq"] >= band[0]) & (table["freq"] <= band[1]) & (table["order"] <= HIGHEST_ORDER)
+    return table[inside].sort_values(["order", "freq"], ignore_index=True)
+
+
+def _measured(
+    records: Sequence[MeasuredRecord], chains: Sequence[Chain], shapes: np.ndarray, spread: Spread, kept: list[int]
+) -> MeasuredModes:
+    several = len(records) > 1
+    words = (
+        f"standard deviations from {len(records)} records, each left out in turn" if several else
+        f"one record: standard deviations from {BLOCKS} parts of it, each left out in turn, not from repeated tests"
+    )  # fmt: skip
+    freq, damping = (np.array([of(chains[k]) for k in kept]) for of in (_freq, _ratio))
+    return MeasuredModes(
+        names=tuple(str(k) for k in range(1, len(kept) + 1)), natural_freq=freq,
+        damped_freq=freq * np.sqrt(1 - damping**2), freq_std=spread.freq[kept], damping_ratio=damping,
+        damping_std=spread.damping[kept], sensors=records[0].sensors, shapes=shapes[:, kept],
+        shape_std=spread.shapes[:, kept], n_repeats=len(records), synthetic=records[0].synthetic,
+        source=", ".join(one.source for one in records),
+        notes=(words, *(note for one in records for note in one.notes)), misplaced=records[0].misplaced,
+    )  # fmt: skip

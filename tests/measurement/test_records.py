@@ -1,0 +1,157 @@
+"""Time records from tables and universal files: what is read, and what is refused with the place and the remedy."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyuff
+
+from calib.errors import InputError
+from calib.loading import module_of
+from calib.measurement.read_records import hold_records, read_records
+from calib.measurement.record import MeasuredRecord, parse_motion_unit
+
+ROOT = Path(__file__).resolve().parents[2]
+AMBIENT = module_of(ROOT / "tests/template/ambient_chain.py")
+FRF = module_of(ROOT / "tests/template/frf_chain.py")
+VALUES = np.random.default_rng(0).standard_normal((1200, 4))
+
+
+def table(tmp_path, values=VALUES, name="record.csv", **others):
+    return AMBIENT.write_csv(tmp_path / name, values, **others)
+
+
+def universal(tmp_path, *sets, name="record.uff"):
+    pyuff.UFF(str(tmp_path / name)).write_sets([dict(one) for one in sets], mode="overwrite")
+    return tmp_path / name
+
+
+def sets(**others):
+    return [AMBIENT.uff_set(k + 1, VALUES[:, k], **others) for k in range(4)]
+
+
+def test_a_table_and_a_universal_file_hold_the_same_record(tmp_path):
+    (from_table,) = read_records(table(tmp_path))
+    (from_uff,) = read_records(universal(tmp_path, *sets()))
+    for own in (from_table, from_uff):
+        assert [sensor.name for sensor in own.sensors] == ["1x", "2x", "3x", "4x"]
+        assert own.rate == pytest.approx(AMBIENT.RATE) and own.motion == "acceleration"
+        np.testing.assert_allclose(own.values, VALUES, rtol=1e-6, atol=1e-7)
+
+
+def test_signs_units_places_and_semicolons(tmp_path):
+    path = tmp_path / "record.csv"
+    header = "# unit: g\ntime;1x;2-x;3rx"
+    rows = [";".join(f"{v:.7f}".replace(".", ",") for v in (k / 64, *row[:3])) for k, row in enumerate(VALUES)]
+    path.write_text("\n".join([header, *rows]), encoding="utf-8")
+    places = tmp_path / "sensors.csv"
+    places.write_text("node,x,y,z\n1,0,0,0\n2,1,0,0\n3,2,0,0\n", encoding="utf-8")
+    (own,) = read_records(path, sensors=places, synthetic=True)
+    np.testing.assert_allclose(own.values, VALUES[:, :3] * [9.80665, -9.80665, 1.0], atol=1e-5)
+    assert [(s.name, s.point) for s in own.sensors][1] == ("2x", (1.0, 0.0, 0.0)) and own.synthetic
+
+
+def test_a_sensor_against_its_axis_in_a_universal_file_is_reversed(tmp_path):
+    every = sets()
+    every[1]["rsp_dir"] = -1
+    (own,) = read_records(universal(tmp_path, *every))
+    np.testing.assert_allclose(own.values, VALUES * [1, -1, 1, 1], rtol=1e-6, atol=1e-7)
+
+
+def test_records_take_the_order_of_sensors_of_the_first(tmp_path):
+    paths = [table(tmp_path), table(tmp_path, VALUES[:, ::-1], "two.csv", header="# unit: m/s2\ntime,4x,3x,2x,1x")]
+    one, two = read_records(paths)
+    assert one.sensors == two.sensors
+    np.testing.assert_array_equal(one.values, two.values)
+
+
+@pytest.mark.parametrize(
+    ("text", "motion", "factor"),
+    [("m/s2", "acceleration", 1.0), ("mm/s^2", "acceleration", 1e-3), ("g", "acceleration", 9.80665),
+     ("in/s", "velocity", 0.0254), ("µm", "displacement", 1e-6)],
+)  # fmt: skip
+def test_units(text, motion, factor):
+    assert parse_motion_unit(text, "here") == (motion, pytest.approx(factor))
+
+
+def test_content_tells_records_from_frfs(tmp_path):
+    frfs = sorted(FRF.write_study(tmp_path / "chain").glob("repeat_*.uff"))
+    record = universal(tmp_path, *sets())
+    assert not hold_records(frfs) and hold_records([record]) and hold_records([table(tmp_path)])
+    with pytest.raises(InputError, match="holds no time record, as"):
+        hold_records([*frfs, record])
+
+
+def gap(values):
+    out = values.copy()
+    out[100, 2] = np.nan
+    return out
+
+
+@pytest.mark.parametrize(
+    ("values", "header", "word"),
+    [
+        (gap(VALUES), None, "3x has no value 1.5625 s"),
+        (VALUES * [1, 1, 1, 0], None, "dead channel"),
+        (VALUES[:200], None, "200 samples are too few"),
+        (VALUES, "time,1x,2x,3x,force", "neither 'time' nor a node"),
+        (VALUES, "time,1x,2x,3x,1x", "twice"),
+        (VALUES, "# unit: kg\ntime,1x,2x,3x,4x", "unknown"),
+    ],
+)
+def test_bad_tables_are_refused_in_one_sentence(tmp_path, values, header, word):
+    path = table(tmp_path, values, **({} if header is None else {"header": header}))
+    with pytest.raises(InputError, match=word) as fault:
+        read_records(path)
+    assert "record.csv" in str(fault.value) and fault.value.remedy
+
+
+def test_unequal_sampling_is_refused_where_it_occurs(tmp_path):
+    path = table(tmp_path)
+    lines = path.read_text("utf-8").splitlines()
+    path.write_text("\n".join(lines[:700] + lines[750:]), encoding="utf-8")
+    with pytest.raises(InputError, match=r"not equally spaced: 10\.89"):
+        read_records(path)
+
+
+def test_a_word_in_a_table_is_shown_with_its_line(tmp_path):
+    path = table(tmp_path)
+    lines = path.read_text("utf-8").splitlines()
+    lines[500] = lines[500].rsplit(",", 1)[0] + ",overload"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(InputError, match="overload") as fault:
+        read_records(path)
+    assert "line 501" in str(fault.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"abscissa_spec_data_type": 18}, "no time"),
+        ({"rsp_dir": 0}, "direction is 0"),
+        ({"rsp_node": 1}, "twice"),
+        ({"ordinate_spec_data_type": 8}, "not that of the first sensor"),
+        ({"x": np.arange(1100) / 64, "data": VALUES[:1100, 3], "num_pts": 1100}, "same instants"),
+    ],
+)
+def test_bad_universal_files_are_refused(tmp_path, change, word):
+    every = sets()
+    every[3] |= change
+    with pytest.raises(InputError, match=word) as fault:
+        read_records(universal(tmp_path, *every))
+    assert fault.value.remedy
+
+
+def test_records_that_differ_are_refused(tmp_path):
+    first = table(tmp_path)
+    fewer = table(tmp_path, VALUES[:, :3], "fewer.csv", header="# unit: m/s2\ntime,1x,2x,3x")
+    other = table(tmp_path, VALUES, "other.csv", header="# unit: m/s\ntime,1x,2x,3x,4x")
+    with pytest.raises(InputError, match="lacks 4x"):
+        read_records([first, fewer])
+    with pytest.raises(InputError, match="motion is not that"):
+        read_records([first, other])
+
+
+def test_values_that_are_not_finite_are_refused_in_python_too():
+    with pytest.raises(InputError, match="no value"):
+        MeasuredRecord(64.0, gap(VALUES), AMBIENT.record(AMBIENT.chain(), 1000, 1).sensors)
