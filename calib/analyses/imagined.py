@@ -48,21 +48,10 @@ def linearised(
     Parameters
     ----------
     imagined : Imagined
-    believed : sequence of CandidateFit
-        The credible model, or the two that the data cannot discriminate.
-    effects : sequence of Candidate
-        Candidates.
-    found : Scores
-        Scores of the candidates; of an effect with a grid, at its best point.
-    scale : float
-        Factor on the standard deviation.
+    believed, effects, found, scale, samples, seed, progress
+        As of `calib.analyses.experimental_design.modal_design`.
     measured : (n_rows,) bool ndarray
         Rows that were measured.
-    samples : int
-        Posterior samples of each model.
-    seed : int
-    progress : callable
-        Called before every sample.
     """
     seeds = np.random.default_rng(seed).integers(2**31, size=len(believed))
     points = [posterior_samples(one.fit, samples, int(s)) for one, s in zip(believed, seeds, strict=True)]
