@@ -88,3 +88,19 @@ class Candidate(Protocol):
     def plausible(self) -> float:
         """A large but plausible magnitude, in its own unit."""
         ...
+
+
+class WithMagnitude:
+    """What a candidate's magnitude, a `calib.space.Parameter`, tells of it."""
+
+    magnitude: Parameter
+
+    @property
+    def signed(self) -> bool:
+        """Whether the magnitude may be negative."""
+        return self.magnitude.lower < 0
+
+    @property
+    def plausible(self) -> float:
+        """A large but plausible magnitude, in its own unit."""
+        return self.magnitude.prior_width

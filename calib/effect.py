@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from calib.candidate import WithMagnitude
 from calib.errors import InputError
 from calib.space import Parameter, ParameterSpace
 
 
 @dataclass(frozen=True)
-class Effect:
+class Effect(WithMagnitude):
     """One physical effect that the base model leaves out.
 
     Attributes
@@ -106,16 +107,6 @@ class Effect:
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return tuple(p.name for p in self.parameters)
-
-    @property
-    def signed(self) -> bool:
-        """Whether the magnitude may be negative."""
-        return self.magnitude.lower < 0
-
-    @property
-    def plausible(self) -> float:
-        """A large but plausible magnitude, in its own unit."""
-        return self.magnitude.prior_width
 
     def require_new(self, space: ParameterSpace, model: str) -> None:
         """InputError when a model of that name and space already has one of its parameters."""

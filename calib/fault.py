@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from calib.candidate import WithMagnitude
 from calib.space import Parameter
 
 NOWHERE = (math.nan, math.nan, math.nan)
@@ -13,7 +14,7 @@ NOWHERE = (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
-class Fault:
+class Fault(WithMagnitude):
     """An error of a measurement; a `calib.candidate.Candidate`.
 
     Attributes
@@ -84,13 +85,3 @@ class Fault:
     def in_words(self) -> str:
         """The fault as part of a sentence."""
         return f"the fault {self.title!r}"
-
-    @property
-    def signed(self) -> bool:
-        """Whether the magnitude may be negative."""
-        return self.magnitude.lower < 0
-
-    @property
-    def plausible(self) -> float:
-        """A large but plausible magnitude, in its own unit."""
-        return self.magnitude.prior_width

@@ -9,14 +9,13 @@ import pandas as pd
 
 from calib.joint import JointRows
 from calib.missing.linearised_fit import LinearisedFit
-from calib.missing.local import interval_words
+from calib.missing.local import WIDE, interval_words
 from calib.missing.score import family_p, scored
 from calib.missing.worst_misfit import p_words
 
 BETWEEN = "test_differences"
 """Name of the table."""
 COLUMNS = ("parameter", "test", "value", "change", "change_low", "change_high", "unit", "z")
-_WIDTH = 1.96
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ def differences(fit: LinearisedFit, tests: JointRows, seed: int) -> Differences:
     for k, (name, test) in enumerate(found):
         if scores.size[k]:
             change, std = scores.z[k] / scores.size[k], 1 / scores.size[k]
-            ends = (change - _WIDTH * std, change + _WIDTH * std)
+            ends = (change - WIDE * std, change + WIDE * std)
             rows.append((name, test, fit.values[name], change, *ends, space[name].unit, scores.z[k]))
     table = pd.DataFrame(rows, columns=list(COLUMNS)).sort_values("z", key=np.abs, ascending=False, ignore_index=True)
     return Differences(table, family_p(scores, tests, seed))
