@@ -12,12 +12,11 @@ from calib.measurement.csv_format import read_sensor_table
 from calib.measurement.csv_record import TIME, header_of, read_record_csv
 from calib.measurement.places import Point, common_points
 from calib.measurement.read import Named, found_files, require_files
-from calib.measurement.record import MeasuredRecord
+from calib.measurement.record import SAME_RATE, MeasuredRecord
 from calib.measurement.sensors import place_sensors
-from calib.measurement.uff_record import TIME_RESPONSE, function_sets, read_record_uff
+from calib.measurement.uff_record import TIME_RESPONSE, function_types, read_record_uff
 
 _FRF = 4
-_SAME_RATE = 1e-5
 
 
 def hold_records(paths: Sequence[Path]) -> bool:
@@ -36,7 +35,7 @@ def hold_records(paths: Sequence[Path]) -> bool:
 
 
 def _holds_uff(path: Path) -> bool:
-    types = {int(data["func_type"]) for data in function_sets(path)}
+    types = function_types(path)
     if {TIME_RESPONSE, _FRF} <= types:
         raise InputError("it holds FRFs and time records", place=path, remedy="export them to files of their own")
     return TIME_RESPONSE in types
@@ -83,7 +82,7 @@ def read_records(
         else:
             own = read_record_csv(path, unit)
         read.append(own.in_order(read[0].sensors) if read else own)
-        if abs(own.rate / read[0].rate - 1) > _SAME_RATE or own.motion != read[0].motion:
+        if abs(own.rate / read[0].rate - 1) > SAME_RATE or own.motion != read[0].motion:
             what = "motion" if own.motion != read[0].motion else f"rate of {own.rate:.6g} Hz"
             raise InputError(
                 f"its {what} is not that of {read[0].source}", place=path, remedy="give records measured alike"

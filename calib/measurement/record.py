@@ -140,3 +140,5 @@ def even_rate(time: np.ndarray, place: str) -> float:
 
 UNEVEN = 0.1
 """Largest deviation of an instant from equal spacing, over the spacing: files round their times."""
+SAME_RATE = 1e-5
+"""Relative difference of equal rates; universal files round them."""

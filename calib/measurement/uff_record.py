@@ -13,7 +13,7 @@ from calib.errors import InputError
 from calib.measurement.frf_units import GRAVITY
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.measurement.places import Point
-from calib.measurement.record import MeasuredRecord, Motion, even_rate, parse_motion_unit
+from calib.measurement.record import SAME_RATE, MeasuredRecord, Motion, even_rate, parse_motion_unit
 from calib.measurement.uff import length_factor, points_of
 from calib.measurement.uff_blocks import extract_sets, read_blocks
 from calib.measurement.uff_sets import pyuff_faults
@@ -26,13 +26,19 @@ _TIME = (0, 17)
 _COMPLEX = (5, 6)
 
 
-def function_sets(path: Path) -> list[dict[str, Any]]:
+def function_types(path: Path) -> set[int]:
+    """Function types of the datasets 58 of a file."""
+    return {int(data["func_type"]) for data in _function_sets(path, header_only=True)}
+
+
+def _function_sets(path: Path, header_only: bool = False) -> list[dict[str, Any]]:
     """Datasets 58 of a file."""
     read_blocks(path)  # a truncated file would lose its last functions without a word
     remedy = "export it again"
     with pyuff_faults(lambda words: InputError(f"its functions cannot be read ({words})", place=path, remedy=remedy)):
         reader = pyuff.UFF(str(path))
-        return [dict(reader.read_sets(k)) for k, kind in enumerate(reader.get_set_types()) if int(kind) == 58]
+        kinds = reader.get_set_types()
+        return [dict(reader.read_sets(k, header_only)) for k, kind in enumerate(kinds) if int(kind) == 58]
 
 
 def read_record_uff(path: Path, unit: str | None = None) -> tuple[MeasuredRecord, dict[int, Point]]:
@@ -54,7 +60,7 @@ def read_record_uff(path: Path, unit: str | None = None) -> tuple[MeasuredRecord
         sensors, or with several motions.
     """
     blocks = read_blocks(path)
-    every = function_sets(path)
+    every = _function_sets(path)
     own = [data for data in every if int(data["func_type"]) == TIME_RESPONSE]
     if not own:
         raise InputError("it holds no time record (dataset 58 of function type 1)", place=path, remedy="export records")
@@ -85,7 +91,7 @@ def read_record_uff(path: Path, unit: str | None = None) -> tuple[MeasuredRecord
         sensors.append(sensor)
     lengths = {len(column) for column in columns}
     rates = [_rate(f"{path}, response {data['rsp_node']}", data) for data in own]
-    if len(lengths) > 1 or max(rates) > (1 + _SAME_RATE) * min(rates):
+    if len(lengths) > 1 or max(rates) > (1 + SAME_RATE) * min(rates):
         raise InputError(
             "its sensors are not sampled at the same instants", place=path, remedy="export all with one rate and length"
         )
@@ -94,10 +100,6 @@ def read_record_uff(path: Path, unit: str | None = None) -> tuple[MeasuredRecord
         rates[0], np.stack(columns, axis=1), tuple(sensors), motion, source=str(path), notes=tuple(notes)
     )
     return record, points_of(path, blocks, per_metre, [])
-
-
-_SAME_RATE = 1e-5
-"""Relative difference of equal rates; universal files round them."""
 
 
 def _sensor(where: str, data: Mapping[str, Any]) -> tuple[Sensor, float]:

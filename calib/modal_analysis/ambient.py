@@ -59,7 +59,7 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     Standard deviations come from the jackknife (Efron and Stein 1981) with the poles at fixed orders: over the records
     where there are several, else over `BLOCKS` parts of the record, whose correlations count as independent.
 
-    A mode is refused where it does not appear whichever record or part is left out, where its natural frequency is
+    A mode is refused where it is lost when one of the records or parts is left out, where its natural frequency is
     uncertain by more than 1 % or its damping ratio by more than half of it, where it is too slow for the sampling rate
     (a band then decimates the record), where one shape does not describe its share
     of the half-spectra (see `half_spectra`), and where the modal model misses these by more than `EXCESS_MOST` beyond
@@ -177,7 +177,7 @@ def _median(shapes: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
 def _jackknife(
     table: Correlations, chains: Sequence[Chain], shapes: np.ndarray, n_records: int
 ) -> tuple[Spread, set[int]]:
-    """Standard deviations, and the modes that are not found whichever part, or record, is left out."""
+    """Standard deviations, and the modes that are lost when one of the parts, or records, is left out."""
     n_parts = len(table.parts)
     each = n_parts // n_records if n_records > 1 else 1
     groups = [range(k, k + each) for k in range(0, n_parts, each)]
@@ -192,7 +192,7 @@ def _jackknife(
                 own_freq = chain.natural_freq[at]
                 found[k, order] = [_nearest(one, own_freq, chain.residues[at], shapes[:, k]) for one in here]
     n = len(groups)
-    grown = np.sqrt((n - 1) ** 2 / n)
+    grown = (n - 1) / np.sqrt(n)
     freq, damping, std = np.full(len(chains), np.nan), np.full(len(chains), np.nan), np.full(shapes.shape, np.nan)
     lacking = set()
     for k in range(len(chains)):
@@ -231,7 +231,7 @@ def _refused(
 ) -> str:
     """Why a mode does not count; empty where it does."""
     if k in lacking:
-        return f"not found whichever {'record' if n_records > 1 else 'part of the record'} is left out"
+        return f"lost when one of the {'records' if n_records > 1 else 'parts of the record'} is left out"
     if spread.freq[k] > FREQ_CHANGE * _freq(chain):
         return f"its natural frequency is uncertain by {100 * spread.freq[k] / _freq(chain):.2g} %"
     if spread.damping[k] > DAMPING_UNSURE * _ratio(chain):

@@ -107,7 +107,10 @@ def modes_from_frfs(frfs: MeasuredFRFs, repeats: Sequence[MeasuredFRFs] = ()) ->
     why = [one.refused for one in judged]
     if len(repeats) > 1:
         spread, lacking = _jackknife(frfs, whole, [_in_order(one, frfs) for one in repeats])
-        why = [own or ("not stable whichever repeat is left out" if k in lacking else "") for k, own in enumerate(why)]
+        why = [
+            own or ("not stable when one of the repeats is left out" if k in lacking else "")
+            for k, own in enumerate(why)
+        ]
     else:
         spread = _over_orders(frfs, whole)
     wider = np.array([max(1.0, one.residual_std) if np.isfinite(one.residual_std) else 1.0 for one in judged])
