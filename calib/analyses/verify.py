@@ -184,8 +184,8 @@ def modal_errors(
     every = np.vstack([jacobian, -others.slope])
     known = posterior(names, every, prior_sd)
     modes = [row.mode for row in residual.rows]
-    free = np.array([name not in on_limit for name in names], dtype=float)
-    predicted = leave_one_out(vector, -jacobian * free, prior_sd, modes, others.slope * free)
+    at_limit = [name in on_limit for name in names]
+    predicted = leave_one_out(vector, -jacobian, prior_sd, modes, others.slope, at_limit)
     own: dict[Hashable, int] = {mode: residual.n_fitted_factors_of({mode}) for mode in dict.fromkeys(modes)}
     finite = {kind: dof for kind, dof in std_dof.items() if np.isfinite(dof)}
     held_out = pd.DataFrame(columns=[*ERROR_COLUMNS, "chi2", "dof"])
@@ -260,8 +260,8 @@ def group_errors(
     others = others or none_beside(len(names), held.shape[1])
     every = np.vstack([jacobian, -others.slope])
     known = with_held(posterior(names, every, prior_sd), every, np.vstack([held, -others.held]))
-    free = np.array([name not in on_limit for name in names], dtype=float)
-    predicted = leave_one_out(residual, -jacobian * free, prior_sd, list(labels), others.slope * free)
+    at_limit = [name in on_limit for name in names]
+    predicted = leave_one_out(residual, -jacobian, prior_sd, list(labels), others.slope, at_limit)
     scale, dof = matched(jacobian, prior_sd, others=others.slope)
     p, p_left_out = float(chance(residual @ residual / scale, dof, std)), predicted.p({}, std)
     rows: list[tuple[str, int, float, float, float, int]] = [

@@ -65,6 +65,7 @@ def leave_one_out(
     prior_sd: np.ndarray,
     groups: Sequence[Hashable],
     others: np.ndarray | None = None,
+    held: Sequence[bool] | np.ndarray | None = None,
 ) -> LeaveOneOut:
     """Predict every group from all others, in closed form.
 
@@ -85,7 +86,7 @@ def leave_one_out(
     residual : ndarray (n_rows,)
         Whitened, at the optimum.
     slope : ndarray (n_rows, n_params)
-        ``G = -de/dtheta`` of the free parameters, without those held at a limit.
+        ``G = -de/dtheta``.
     prior_sd : ndarray (n_params,)
         Prior standard deviations, in the units of the slope; infinite without a prior.
     groups : sequence, length n_rows
@@ -93,6 +94,8 @@ def leave_one_out(
     others : ndarray (n_others, n_params), optional
         Slope of further rows of the same fit, which are never left out, such as those of other tests; see
         `calib.inference.other_rows`.
+    held : sequence of bool, length n_params, optional
+        Whether a limit holds a parameter: it stays there whatever is left out.
 
     Raises
     ------
@@ -112,7 +115,9 @@ def leave_one_out(
     number = np.array([place[label] for label in groups], dtype=int)
     rows = [np.flatnonzero(number == k) for k in range(len(names))]
     # Columns of length one, the prior included, make the numbers independent of units.
-    beside = np.zeros((0, len(s))) if others is None else np.asarray(others, dtype=float)
+    free = np.ones(len(s)) if held is None else 1.0 - np.asarray(held, dtype=float)
+    beside = (np.zeros((0, len(s))) if others is None else np.asarray(others, dtype=float)) * free
+    g = g * free
     size = np.sqrt(np.sum(g**2, axis=0) + np.sum(beside**2, axis=0) + 1.0 / s**2)
     size = np.where(size > 0, size, 1.0)
     scaled, prior = g / size, np.diag(1.0 / (s * size) ** 2) + (beside / size).T @ (beside / size)

@@ -134,9 +134,9 @@ class LinearisedFit:
 
     def left_out(self, groups: Sequence[Hashable]) -> LeaveOneOut:
         """Every group of rows predicted from all others; a parameter that a limit holds stays there."""
-        free = np.array([name not in self.on_limit for name in self.names], dtype=float)
-        others = None if self.others is None else self.others.slope * free
-        return leave_one_out(self.residual, self.slope * free, self.prior_sd, groups, others)
+        others = None if self.others is None else self.others.slope
+        held = [name in self.on_limit for name in self.names]
+        return leave_one_out(self.residual, self.slope, self.prior_sd, groups, others, held)
 
     def remaining(self, change: np.ndarray) -> np.ndarray:
         """What the parameters leave of the residual less a change of the data (n_rows,), (n_rows + n_others + p,).
