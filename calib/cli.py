@@ -85,6 +85,7 @@ class SensitivityMethod(StrEnum):
 class CalibrationMethod(StrEnum):
     """Methods of calibration."""
 
+    auto = "auto"
     genetic = "genetic"
     gauss_newton = "gauss-newton"
     cmcf = "cmcf"

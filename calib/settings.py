@@ -266,13 +266,14 @@ class ReductionSettings(_Section):
 class CalibrationSettings(_Section):
     """``[calibration]``: genetic searches from independent populations, and least squares after them."""
 
-    method: Literal["genetic", "gauss-newton", "cmcf"] = "genetic"
-    """Genetic search followed by least squares; least squares alone from several starts; or of FRFs the linear
-    cross-model equations alone (Li and Hong 2012), with which least squares on FRFs begin too."""
+    method: Literal["auto", "genetic", "gauss-newton", "cmcf"] = "auto"
+    """Least squares from random starts until they agree, else a genetic search as well; genetic search followed by
+    least squares; least squares alone from several starts; or of FRFs the linear cross-model equations alone (Li and
+    Hong 2012), with which least squares on FRFs begin too."""
     refine: bool = True
     """Whether least squares follow a search."""
     starts: int = Field(default=6, ge=1, le=10_000)
-    """Starts of least squares where there is no search."""
+    """Starts of ``gauss-newton``."""
     time_limit: float = Field(default=3600.0, gt=0, le=1e7)
     """Longest time of one evaluation of a function of your own, s."""
     weight_freq: float = Field(default=1.0, ge=0, le=1e12)

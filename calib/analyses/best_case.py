@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from calib.analyses.case import CaseFound
-from calib.analyses.fit_statistics import EQUAL
 from calib.inference.agreement import Agreement
 from calib.inference.cases import CaseResult
+from calib.inference.starts import EQUAL
 from calib.space import ParameterSpace
 
 

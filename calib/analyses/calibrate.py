@@ -48,7 +48,7 @@ from calib.study_file import StudyFile
 
 CHECKING = "leave-one-out and held-out errors"
 """Name of the stage that follows all cases."""
-Method: TypeAlias = Literal["genetic", "gauss-newton", "cmcf"]
+Method: TypeAlias = Literal["auto", "genetic", "gauss-newton", "cmcf"]
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,10 @@ def calibrate(
     progress("solving the model")
     before = compare(study, results)
     finder = CaseFinder(study, home or results, ledger, workers, quick, progress, seconds)
-    by = {"genetic": finder.by_search, "gauss-newton": finder.by_least_squares, "cmcf": finder.by_equations}
+    by = {
+        "auto": finder.by_agreement, "genetic": finder.by_search, "gauss-newton": finder.by_least_squares,
+        "cmcf": finder.by_equations,
+    }  # fmt: skip
     found = tuple(by[chosen](cases))
     progress(CHECKING)
     notes = partial(notes_on, study, ledger, finder.home, finder.notes)
@@ -227,7 +230,7 @@ class CalibrationRun:
 
     Attributes
     ----------
-    method : {"genetic", "gauss-newton", "cmcf"}
+    method : {"auto", "genetic", "gauss-newton", "cmcf"}
     started : float
         When, in seconds of `time.perf_counter`.
     quick : bool

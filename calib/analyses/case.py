@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from typing import TypeAlias
@@ -27,7 +27,14 @@ from calib.analyses.fit_statistics import (
     statistics_at,
 )
 from calib.analyses.frf_start import linear_starts
-from calib.analyses.places import QUICK_GENERATIONS, QUICK_POPULATION, QUICK_STARTS, Workers, open_evaluator
+from calib.analyses.places import (
+    QUICK_GENERATIONS,
+    QUICK_POPULATION,
+    QUICK_SAMPLED,
+    QUICK_STARTS,
+    Workers,
+    open_evaluator,
+)
 from calib.analyses.reduction import Reduction, reduction_of
 from calib.analyses.stored import confirm
 from calib.analyses.user_function import function_of, ledger_key
@@ -38,6 +45,8 @@ from calib.forward import ForwardProblem
 from calib.inference.cases import Case, CaseResult, run_case
 from calib.inference.genetic import GeneticSettings
 from calib.inference.objective import FrequencyMacObjective, ResponseObjective
+from calib.inference.rules import RULES
+from calib.inference.starts import Enough, UntilAgreed, never
 from calib.ledger import Ledger
 from calib.outcome import Outcome, answered, as_cause, key_of
 from calib.problem import Counts, Pair, Problem
@@ -50,10 +59,14 @@ from calib.study_file import StudyFile
 
 Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
 Starts: TypeAlias = Sequence[Mapping[str, float]]
+Fit: TypeAlias = Callable[[Starts, int, FitProgress, Counts], FitStatistics]
+"""Takes starts, the number of integer combinations, a callback after every fit, and the counts of requested points."""
 
 SEARCH, FITTED = "search", "least squares"
 """Names of the points of a case."""
 
+_SEARCHED = " A genetic search followed."
+"""End of the sentence on starts that do not agree."""
 REFITS, REFINE_REFITS = 25, 12
 """Integer combinations fitted from each start, and after a search (its own and the nearest neighbours)."""
 
@@ -151,7 +164,7 @@ class CaseFinder:
     seconds : float or None
         Duration of one evaluation of the study's problem (s), where known.
     notes : list of str
-        Where a search deviated from the study's settings.
+        Where a search deviated from the study's settings, and how many starts agreed.
     """
 
     study: Study
@@ -175,11 +188,33 @@ class CaseFinder:
         linear = linear_starts(self.exact, self.study.search_space.values)
         return (*linear, *known_starts(self.study, explained_fit(self.study, self.home)))
 
-    def by_search(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
+    def by_agreement(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
+        """Least squares from sampled points until the starts agree; where they do not, a genetic search from there too.
+
+        The search goes first where the study states the weights of its objective, or forbids least squares after it.
+        """
+        given = self.study.settings.calibration
+        if not given.refine or {"weight_freq", "weight_mac"} & given.model_fields_set:
+            yield from self.by_search(cases)
+            return
+        reduction = reduction_noted(self.study, self.home, self.notes, self.progress)
+        for case in cases:
+            sampled, until, found = until_agreed(case, self.study, self.quick), UntilAgreed(), None
+            fit = partial(self.refined, reduction, shared=True, told=named(self.progress, case.name), enough=until)
+            with suppress(EvaluationError):  # the search copes with points that fail
+                found = reported(self.study, *from_starts(case, sampled, fit))
+            self.notes.append(f"{case.name}: {until.optima.sentence}.{_SEARCHED * (not until.optima.agree)}")
+            if found is not None and until.optima.agree:
+                yield found
+            else:
+                yield from self.by_search([case], () if found is None else [found.result.values])
+
+    def by_search(self, cases: Sequence[Case], also: Starts = ()) -> Iterator[CaseFound]:
         """Genetic search, refined where requested by least squares from its best point, `known` and the nominal values.
 
-        Fits from starting points that all cases share are run once. The solution of the search is reported unless the
-        data prefer the one from the nominal values: solutions that only the priors distinguish remain several.
+        Fits from starting points that all cases share are run once. ``also`` are further starts. The solution of the
+        search is reported unless the data prefer the one from the nominal values: solutions that only the priors
+        distinguish remain several.
         """
         study, space = self.study, self.study.search_space
         settings, objective = genetic_settings(study, self.quick), objective_of(study)
@@ -201,7 +236,9 @@ class CaseFinder:
                         progress=partial(told, "genetic search"), certify=certify,
                     )  # fmt: skip
                     if study.settings.calibration.refine:
-                        statistics = self.refined(reduction, [search.values], REFINE_REFITS, shared=True, told=told)
+                        statistics = self.refined(
+                            reduction, [search.values, *also], REFINE_REFITS, shared=True, told=told
+                        )
                     else:
                         statistics = statistics_at(self.exact, Terms.of(study), search.values)
                     told("checking at full order")
@@ -249,16 +286,18 @@ class CaseFinder:
         counts: Counts | None = None,
         shared: bool = False,
         told: Progress = unheard,
+        enough: Enough = never,
     ) -> FitStatistics:
         """See `calib.analyses.fit_statistics.refined`.
 
-        ``shared`` adds the starting points that all cases share. ``counts`` counts every requested point.
+        ``shared`` adds the starting points that all cases share. ``counts`` counts every requested point. ``enough``
+        tells after every start whether the others may be left out.
         """
         study, counts = self.study, counts or Counts()
         exact = posed(study, self.ledger, counts=counts)
         near = None if reduction is None else posed(study, self.ledger, reduction.problem, counts)
         common = self._in_common(exact if near is None else near, refits, told) if shared else None
-        return refined(exact, near, Terms.of(study), starts, refits, progress, self.known, common, told)
+        return refined(exact, near, Terms.of(study), starts, refits, progress, self.known, common, told, enough)
 
     def _in_common(self, problem: Problem[Pair], refits: int, told: Progress) -> Shared:
         """Fits from the starting points that all cases share, run once per basis."""
@@ -318,24 +357,27 @@ def known_starts(study: AnyStudy, *others: Mapping[str, float]) -> tuple[dict[st
 
 
 def least_squares(
-    case: Case,
-    study: AnyStudy,
-    known: Sequence[dict[str, float]],
-    quick: bool,
-    fit: Callable[[Starts, int, FitProgress, Counts], FitStatistics],
+    case: Case, study: AnyStudy, known: Sequence[dict[str, float]], quick: bool, fit: Fit
 ) -> tuple[CaseResult, FitStatistics]:
-    """One case by least squares alone: from known points, the nominal values, and points sampled with its seed.
-
-    ``fit`` takes the starting points, the number of integer combinations, a callback after every fit, and the counts
-    of requested points.
-    """
-    started, space, given = time.perf_counter(), study.search_space, study.settings.calibration.starts
+    """One case by least squares alone: from known points, the nominal values, and points sampled with its seed."""
+    space, given = study.search_space, study.settings.calibration.starts
     count = min(given, QUICK_STARTS) if quick else given
     sampled = [space.complete(x) for x in sample(space, count, case.seed).points]
     starts = [*known, space.values, *sampled][: max(count, len(known) + 1)]
-    steps, counts = Steps(), Counts()
     with evaluable(study):
-        statistics = fit(starts, REFITS, steps, counts)
+        return from_starts(case, starts, fit)
+
+
+def until_agreed(case: Case, study: AnyStudy, quick: bool) -> list[dict[str, float]]:
+    """Points from which least squares start until they agree, sampled with the seed of the case."""
+    most = min(RULES.most_starts, QUICK_SAMPLED) if quick else RULES.most_starts
+    return [study.search_space.complete(x) for x in sample(study.search_space, most, case.seed).points]
+
+
+def from_starts(case: Case, starts: Starts, fit: Fit) -> tuple[CaseResult, FitStatistics]:
+    """One case by least squares from given points."""
+    started, steps, counts = time.perf_counter(), Steps(), Counts()
+    statistics = fit(starts, REFITS, steps, counts)
     seconds = time.perf_counter() - started
     return CaseResult.fitted(case.name, statistics.values, counts, steps.table(), seconds), statistics
 

@@ -24,6 +24,7 @@ from calib.inference.gauss_newton import FitResult, Prior
 from calib.inference.identify import Identification, identify, prediction_interval
 from calib.inference.integers import MixedResult, fit_mixed
 from calib.inference.region import InfeasibleError, on_limit
+from calib.inference.starts import EQUAL, Enough, never
 from calib.inference.verdicts import integer_std, parameter_verdicts
 from calib.joint import JointProblem
 from calib.ledger import Ledger
@@ -41,8 +42,6 @@ PosedProblem: TypeAlias = Problem[Pair] | JointProblem
 
 LEAST_SQUARES = "least squares"
 """Name of the stage of a fit."""
-EQUAL = 0.1
-"""Insignificant difference of sums of squares: a third of a standard deviation of one parameter."""
 
 
 def posed(
@@ -260,17 +259,19 @@ def fitted(
     shared: Shared | None = None,
     told: Progress = unheard,
     stage: str = LEAST_SQUARES,
+    enough: Enough = never,
 ) -> FitStatistics:
     """The best least-squares fit from several starts, with the limits, constraints and priors of the problem's space.
 
     ``refits`` bounds the integer combinations tried from every start. ``before`` is an earlier fit that tried them, for
     a final fit that tries no more. ``shared`` holds fits of the same residual from further starts: the fit from the
     nominal values replaces the own one only if its data misfit is lower by more than `EQUAL`, the fit from known points
-    if it is better in data and priors together. ``told`` receives the progress of the stage of that name.
+    if it is better in data and priors together. ``told`` receives the progress of the stage of that name. ``enough``
+    tells after every start whether the others may be left out.
     """
     space = problem.space
     found: MixedResult = fit_mixed(
-        problem, space, starts, refits=refits, progress=progress, step=partial(told, stage, total=1)
+        problem, space, starts, refits=refits, progress=progress, step=partial(told, stage, total=1), enough=enough
     )
     told("identifiability")
     if shared is not None and shared.nominal is not None:
@@ -294,12 +295,14 @@ def refined(
     known: Sequence[Mapping[str, float]] = (),
     shared: Shared | None = None,
     told: Progress = unheard,
+    enough: Enough = never,
 ) -> FitStatistics:
     """Least squares as in `fitted`, first on a reduced problem if there is one, then at full order.
 
     The full-order fit starts from the best of the reduced fit and ``known``, so that it never ends above them.
     """
-    found = fitted(exact if near is None else near, terms, starts, refits, progress, shared=shared, told=told)
+    first = exact if near is None else near
+    found = fitted(first, terms, starts, refits, progress, shared=shared, told=told, enough=enough)
     if near is None:
         return found
     begin = min((found.values, *known), key=lambda values: sum(criteria(exact, values)))

@@ -16,13 +16,23 @@ from calib.analyses.calibrate import (
     CHECKING,
     Calibration,
     CalibrationRun,
+    Method,
     chosen_cases,
     expected_misfit,
     keep,
     notes_on,
     options_of,
 )
-from calib.analyses.case import Starts, known_starts, least_squares, reduction_noted, reported
+from calib.analyses.case import (
+    Starts,
+    evaluable,
+    from_starts,
+    known_starts,
+    least_squares,
+    reduction_noted,
+    reported,
+    until_agreed,
+)
 from calib.analyses.compare import before_and_after, compare
 from calib.analyses.fit_statistics import FitProgress, FitStatistics, Terms, posed, refined
 from calib.analyses.frf_start import linear_starts
@@ -33,6 +43,8 @@ from calib.answer import Answer
 from calib.errors import InputError
 from calib.forward import ForwardProblem
 from calib.inference.agreement import agreement
+from calib.inference.cases import Case, CaseResult
+from calib.inference.starts import Enough, UntilAgreed, never
 from calib.joint import JointProblem, of_test, stacked
 from calib.ledger import Ledger
 from calib.problem import Counts
@@ -49,9 +61,12 @@ class JointCalibration:
     ----------
     tests : mapping from str to Calibration
         The results for each test: its comparisons before and after, and its errors. The parameters are joint.
+    notes : tuple of str
+        How many starts agreed.
     """
 
     tests: Mapping[str, Calibration]
+    notes: tuple[str, ...] = ()
 
     @property
     def any(self) -> Calibration:
@@ -77,7 +92,7 @@ class JointCalibration:
     @property
     def sentences(self) -> tuple[str, ...]:
         """Identified parameters, goodness of fit, and the errors of each test before and after."""
-        out = [*self.any.parameter_sentences, *self.any.case_sentences]
+        out = [*self.any.parameter_sentences, *self.any.case_sentences, *self.notes]
         for test, answer in self.tests.items():
             before, after = answer.before.mean_freq_error, answer.best.answer.mean_freq_error
             out.append(of_test(test, f"mean absolute error {100 * before:.2f} % before, {100 * after:.2f} % after."))
@@ -95,7 +110,7 @@ def calibrate_jointly(
     ledger: Ledger,
     only: str | None = None,
     quick: bool = False,
-    method: str | None = None,
+    method: Method | None = None,
     progress: Progress = unheard,
     homes: Mapping[str, Results] | None = None,
 ) -> JointCalibration:
@@ -105,8 +120,9 @@ def calibrate_jointly(
     ``homes`` hold the reduced bases of the tests, by default their folders.
     """
     started = time.perf_counter()
-    given, homes = study.settings.calibration, homes or folders
-    if (method or (given.method if "method" in given.model_fields_set else "")) == "genetic":
+    homes = homes or folders
+    chosen: Method = method or study.settings.calibration.method
+    if chosen == "genetic":
         raise InputError(
             "a genetic search takes one test, and the study has several", place=study.file,
             remedy="leave the method out: several tests are fitted by least squares from several starts",
@@ -128,31 +144,45 @@ def calibrate_jointly(
 
     known = (*linear_starts(problem({}, Counts()), study.search_space.values), *known_starts(study))
 
-    def fit(told: Progress, starts: Starts, refits: int, steps: FitProgress, counts: Counts) -> FitStatistics:
+    def fit(
+        told: Progress, enough: Enough, starts: Starts, refits: int, steps: FitProgress, counts: Counts
+    ) -> FitStatistics:
         near = problem(reduced, counts) if reduced else None
-        return refined(problem({}, counts), near, terms, starts, refits, steps, known, told=told)
+        return refined(problem({}, counts), near, terms, starts, refits, steps, known, told=told, enough=enough)
 
-    fits = [
-        least_squares(case, behind_ledger, known, quick, partial(fit, named(progress, case.name))) for case in cases
-    ]
+    def of_case(case: Case) -> tuple[CaseResult, FitStatistics]:
+        told = named(progress, case.name)
+        if chosen != "auto":
+            return least_squares(case, behind_ledger, known, quick, partial(fit, told, never))
+        given = [*known, behind_ledger.search_space.values]
+        until = UntilAgreed(len(given))
+        starts = [*given, *until_agreed(case, behind_ledger, quick)]
+        with evaluable(behind_ledger):
+            found = from_starts(case, starts, partial(fit, told, until))
+        agreeing.append(f"{case.name}: {until.optima.sentence}.")
+        return found
+
+    agreeing: list[str] = []
+    fits = [of_case(case) for case in cases]
     progress(CHECKING)
     found = {s.test: [reported(s, *case) for case in fits] for s in behind_ledger.studies}
     answers, options, best = {}, options_of(only, method), best_of(list(found.values()))
     levels = (expected_misfit(one, before[one.test]) for one in behind_ledger.studies)
     agreed = agreement(summed(list(found.values())), study.search_space, sum(levels))
     agreed = with_starts(agreed, next(iter(found.values())), study.search_space)
+    used: Method = "auto" if chosen == "auto" else "gauss-newton"
     for one in behind_ledger.studies:
         noted = partial(notes_on, one, ledger, homes[one.test], notes[one.test])
-        ran = CalibrationRun("gauss-newton", started, quick, options, noted, ledger.retried, study.search_space)
+        ran = CalibrationRun(used, started, quick, options, noted, ledger.retried, study.search_space)
         answers[one.test] = keep(one, folders[one.test], found[one.test], best, before[one.test], ran, agreed)
-    answer = JointCalibration(answers)
-    _write(study, results, answer, time.perf_counter() - started)
+    answer = JointCalibration(answers, tuple(agreeing))
+    _write(study, results, answer, used, time.perf_counter() - started)
     seeds = {c.name: c.seed for c in cases}
     write_record(study, results, "calibrate", seeds, answer.sentences, quick, options, answer.answer)
     return answer
 
 
-def _write(study: JointStudy, results: Results, answer: JointCalibration, seconds: float) -> None:
+def _write(study: JointStudy, results: Results, answer: JointCalibration, method: Method, seconds: float) -> None:
     """Write the parameters and the tables on all tests together; those on one test are in its own folder."""
     best = answer.any.best
     begin_analysis(results, "calibrate")
@@ -165,7 +195,7 @@ def _write(study: JointStudy, results: Results, answer: JointCalibration, second
     results.write_json("summary", {
         "study": study.name,
         "synthetic": study.synthetic,
-        "method": "gauss-newton",
+        "method": method,
         "best_case": best.name,
         **best.statistics.figures,
         "seconds": seconds,

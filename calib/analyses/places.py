@@ -27,6 +27,7 @@ QUICK = "quick"
 
 QUICK_SAMPLES, QUICK_POPULATION, QUICK_GENERATIONS, QUICK_STARTS = 60, 20, 15, 2
 QUICK_TRAJECTORIES, QUICK_BASE = 5, 16
+QUICK_SAMPLED = 5
 """Sizes of a quick run: enough to see whether a study works, too few to rely on its results."""
 
 LEDGER = "ledger.sqlite"

@@ -14,6 +14,7 @@ import pandas as pd
 from calib.errors import EvaluationError, InputError, again
 from calib.inference.gauss_newton import DEFAULT, FitResult, FitSettings, LeastSquares, Prior, Step, fit, unstepped
 from calib.inference.region import InfeasibleError
+from calib.inference.starts import Enough, never
 from calib.space import ParameterSpace
 
 
@@ -74,6 +75,7 @@ def fit_mixed(
     refits: int = 40,
     progress: Callable[[int, int, float], None] = lambda start, fits, misfit: None,
     step: Step = unstepped,
+    enough: Enough = never,
 ) -> MixedResult:
     """Fit from several starts, integer parameters by coordinate search around each continuous optimum.
 
@@ -94,6 +96,8 @@ def fit_mixed(
         Called after every fit with start, number of fits of this start and lowest misfit so far.
     step : callable
         Called before every step of a fit with the share of all fits that is behind, as if every start used its refits.
+    enough : callable
+        Called after every start with the ends of all so far; the others are left out where it says so.
 
     Raises
     ------
@@ -104,7 +108,8 @@ def fit_mixed(
         raise InputError("no start is given", place="fit", remedy="give at least one point")
     whole = tuple(p.name for p in space.free if p.integer)
     rows: list[dict[str, float | bool]] = []
-    ends, exhausted, fault = [], [], EvaluationError()
+    every: list[FitResult | None] = []
+    exhausted, fault = [], EvaluationError()
     lowest = math.inf
     for k, start in enumerate(starts):
         walk = _Walk(problem, space, prior, settings, refits, whole)
@@ -122,10 +127,12 @@ def fit_mixed(
         fault = walk.fault or fault
         rows += [{"start": k, **dict(zip(whole, key, strict=True)), "misfit": m, "converged": c}
                  for key, (m, c) in walk.tried.items()]  # fmt: skip
-        if here is not None:
-            ends.append(here)
-            if walk.exhausted:
-                exhausted.append(k)
+        every.append(here)
+        if here is not None and walk.exhausted:
+            exhausted.append(k)
+        if enough(every):
+            break
+    ends = [end for end in every if end is not None]
     if not ends:
         raise again(fault)
     table = pd.DataFrame(rows, columns=["start", *whole, "misfit", "converged"])

@@ -29,6 +29,11 @@ class Rules:
         2013).
     nearly_equal : float
         Relative difference up to which misfits count as equal.
+    unseen : float
+        Largest share of the search space, expected to lead to an optimum not found yet, at which starts of least
+        squares agree; see `calib.inference.starts.Optima`.
+    most_starts : int
+        Starts after which a genetic search follows if they do not agree.
     """
 
     identified: float = 0.025
@@ -39,6 +44,8 @@ class Rules:
     takes_part: float = 0.3
     stable: float = 0.10
     nearly_equal: float = 0.05
+    unseen: float = 0.10
+    most_starts: int = 20
 
 
 RULES = Rules()

@@ -73,10 +73,15 @@ def section(results: StudyResults) -> Section | None:
 
 
 def _method(results: StudyResults, parameters: pd.DataFrame) -> str:
-    if results.summary.get("method") != "genetic":
+    if not _searched(results):
         return "least squares from several starting points"
     refined = parameters["search_value"].notna().any()  # known where least squares followed
     return "a genetic algorithm, then least squares" if refined else "a genetic algorithm alone"
+
+
+def _searched(results: StudyResults) -> bool:
+    """Whether a genetic search ran."""
+    return any(case.get("search_misfit") is not None for case in results.summary.get("cases", {}).values())
 
 
 def _cases(results: StudyResults) -> list[Block]:
@@ -185,7 +190,7 @@ def _convergence(results: StudyResults) -> list[Picture]:
     table = results.table("convergence", ["case"], ["generation", *misfit], complete=["generation"], unbounded=misfit)
     if table is None:
         return []
-    step = "generation" if results.summary.get("method") == "genetic" else "fit"
+    step = "generation" if _searched(results) else "fit"
     ends = "; ".join(f"{case} {significant(rows['best'].iloc[-1])}" for case, rows in table.groupby("case", sort=False))
     caption = f"Lowest misfit so far over the {step}s of every case."
     return results.picture("convergence", caption, f"Falling lines. They end at: {ends}.")

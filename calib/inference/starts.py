@@ -1,0 +1,95 @@
+"""When enough starts of least squares were tried: optima found so far, and the share that is likely not found yet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import TypeAlias
+
+from calib.inference.gauss_newton import FitResult
+from calib.inference.rules import RULES
+
+EQUAL = 0.1
+"""Insignificant difference of sums of squares: a third of a standard deviation of one parameter."""
+
+Enough: TypeAlias = Callable[[Sequence[FitResult | None]], bool]
+"""Whether the starts tried so far suffice, from the end of each; None for one that cannot be evaluated."""
+
+
+@dataclass(frozen=True)
+class Optima:
+    """Optima that random starts of least squares found.
+
+    Attributes
+    ----------
+    starts : int
+        Starts tried.
+    found : int
+        Different sums of squares among their ends, more than `EQUAL` apart. A fit that did not converge, or that
+        could not begin, counts as one of its own.
+    lowest : int
+        Starts that ended at the lowest of them.
+    """
+
+    starts: int
+    found: int
+    lowest: int
+
+    @classmethod
+    def of(cls, ends: Sequence[FitResult | None]) -> Optima:
+        """Count them."""
+        ended = sorted(end.misfit for end in ends if end is not None and end.converged)
+        apart = [k for k, (low, high) in enumerate(pairwise(ended), 1) if high - low > EQUAL]
+        lowest = apart[0] if apart else len(ended)
+        return cls(len(ends), len(apart) + bool(ended) + len(ends) - len(ended), lowest)
+
+    @property
+    def unseen(self) -> float:
+        """Expected share of the search space from which least squares would lead to an optimum not found yet.
+
+        Of n starts that found w optima: w (w + 1) / (n (n - 1)), from equal prior probabilities of all partitions of
+        the space (Boender and Rinnooy Kan 1987, Mathematical Programming 37, 59-80).
+        """
+        n, w = self.starts, self.found
+        return min(w * (w + 1) / (n * (n - 1)), 1.0) if n > 1 else 1.0
+
+    @property
+    def agree(self) -> bool:
+        """Whether two starts or more reached the lowest optimum and the unseen share is small."""
+        return self.lowest > 1 and self.unseen <= RULES.unseen
+
+    @property
+    def sentence(self) -> str:
+        """The counts in words."""
+        optima = "1 optimum" if self.found == 1 else f"{self.found} optima"
+        return (
+            f"{self.lowest} of {self.starts} starts of least squares reached the lowest sum of squares, all together "
+            f"{optima}; a further start would find another one with a probability of about {100 * self.unseen:.0f} %"
+        )
+
+
+@dataclass
+class UntilAgreed:
+    """Stops as soon as the starts agree; see `Optima.agree`.
+
+    Attributes
+    ----------
+    given : int
+        Starts before the random ones, which say nothing about the others.
+    optima : Optima
+        Of the random starts so far.
+    """
+
+    given: int = 0
+    optima: Optima = field(default_factory=lambda: Optima.of(()))
+
+    def __call__(self, ends: Sequence[FitResult | None]) -> bool:
+        """Whether the starts agree."""
+        self.optima = Optima.of(ends[self.given :])
+        return self.optima.agree
+
+
+def never(ends: Sequence[FitResult | None]) -> bool:
+    """Try all starts."""
+    return False
