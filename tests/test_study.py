@@ -130,7 +130,7 @@ BAD = [
     ),
     ("begin unselected", ("[calibration]", "[calibration]\nbegin_at = { h = 1.0 }"), "'h', which is not selected", ""),
     ("wrong type", ("population = 30", 'population = "many"'), "calibration.population", "many"),
-    ("both weights zero", ("weight_freq = 1.0", "weight_freq = 0.0"), "weights", ""),
+    ("both weights zero", ("# weight_freq = 1.0", "weight_freq = 0.0"), "weights", ""),
     ("std without repeats", ('std_of = "mean"', 'std_of = "repeat"'), "repeats", ""),
     ("broken toml", ("[held_out]", "[held_out"), "not valid TOML", "line"),
     (
@@ -147,7 +147,7 @@ BAD = [
 
 @pytest.mark.parametrize(("change", "words", "more"), [b[1:] for b in BAD], ids=[b[0] for b in BAD])
 def test_bad_studies_are_refused_in_one_sentence_with_their_place(example, change, words, more):
-    changes = [change] + ([("weight_mac = 1.0", "weight_mac = 0.0")] if "weight_freq" in change[0] else [])
+    changes = [change] + ([("# weight_mac = 1.0", "weight_mac = 0.0")] if "weight_freq" in change[0] else [])
     said = complaint(edited(example, *changes))
     assert words in said and more in said
     assert str(example) in said

@@ -53,7 +53,7 @@ KEYS = {
     "override of an unknown mode": [("override = {}", 'override = { B1x = 1, ⟦"B 9"⟧ = 2 }')],
     "window reversed": [("freq_window = [0.5, 100.0]", "freq_window = ⟦[100.0, 0.5]⟧")],
     "too few modes": [("mode_count = 6", "mode_count = ⟦2⟧")],
-    "weights zero": [("weight_freq = 1.0", "weight_freq = ⟦0.0⟧"), ("weight_mac = 1.0", "weight_mac = 0.0")],
+    "weights zero": [("# weight_freq = 1.0", "weight_freq = ⟦0.0⟧"), ("# weight_mac = 1.0", "weight_mac = 0.0")],
     "file missing": [('shapes = ["shapes.csv"]', 'shapes = [⟦"shape.csv"⟧]')],
     "file of results missing": [("depends_on = []", 'depends_on = ["model.py", ⟦"deck.inp"⟧]')],
     "no such function": [('model = "model.py:mast"', 'model = ⟦"model.py:must"⟧')],
