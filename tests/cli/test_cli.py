@@ -85,7 +85,7 @@ def test_run_does_every_analysis_and_writes_the_documented_files(whole):
     assert summary.keys() >= SUMMARY
     assert summary["synthetic"] and summary["study"] == "mast"
     assert set(summary["cases"]) == {"A1", "A2"}
-    assert summary["evaluations"] == 2 * 30 * GENERATIONS
+    assert summary["evaluations"] == sum(case["evaluations"] for case in summary["cases"].values()) > 0
     assert summary["evaluations"] == sum(summary[k] for k in ("solved", "reused", "infeasible", "failed"))
     for case in summary["cases"].values():
         assert case.keys() >= SUMMARY - {"study", "synthetic", "best_case", "cases"}
