@@ -345,7 +345,8 @@ def reduction_noted(study: Study, home: Results, notes: list[str], progress: Pro
     try:
         return reduction_of(study, home, progress)
     except ToleranceError as fault:
-        notes.append(f"Searched at full order: {fault.problem}.")
+        words = f"Searched at full order: {fault.problem}."
+        notes.extend([] if words in notes else [words])
         return None
 
 
