@@ -55,10 +55,15 @@ def report(rows: Sequence[Row], code: str | None, counts: Path | None = None, ma
 
 def write(rows: Sequence[Row], file: Path, code: str, made: str) -> None:
     """Write the counts as CSV, with the code and the date (ISO) of the runs; the documents are built from it."""
+    write_rates(rates(rows), file, code, made)
+
+
+def write_rates(found: Sequence[Rate], file: Path, code: str, made: str) -> None:
+    """The same for rates already counted."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow([*Rate._fields, "code", "date"])
-    table.writerows([*rate, code, made] for rate in rates(rows) if rate.n)
+    table.writerows([*rate, code, made] for rate in found if rate.n)
     file.write_text(text.getvalue(), "utf-8")
 
 

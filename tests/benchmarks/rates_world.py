@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -53,8 +53,13 @@ _NEAR = 3.0
 
 def code_digest(subject: Subject) -> str:
     """Hash over all code that a run depends on; comments and docstrings do not count."""
+    return digest_of(subject.sources)
+
+
+def digest_of(sources: Iterable[str]) -> str:
+    """The same of the code that answers and of further files and folders, from the top of the repository."""
     digest = hashlib.sha256()
-    for place in (*ANSWERING, *subject.sources):
+    for place in (*ANSWERING, *sources):
         path = ROOT / place
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
             text = file.read_text("utf-8")

@@ -1,7 +1,7 @@
 """How often the search for a missing effect is right on blind tires.
 
     python tests/benchmarks/tire_rates.py run --runs 72
-    python tests/benchmarks/tire_rates.py report
+    python tests/benchmarks/tire_rates.py report --write docs/rates_tire.csv
 
 A tire of ``studies/hidden_tire`` is drawn anew in every run: parameters, effect and its magnitude, noise. It is
 measured at 100 and 200 kPa; its mesh has 53 x 36 cells, the fitted one 29 x 16, corrected by one of 49 x 32 at nominal
@@ -24,6 +24,7 @@ import time
 import warnings
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from datetime import date
 from functools import cache
 from itertools import count, islice
 from pathlib import Path
@@ -31,6 +32,8 @@ from typing import Any
 
 import numpy as np
 from rates_subject import ROOT
+from rates_table import Rate, write_rates
+from rates_world import digest_of
 from scipy.stats import beta
 
 import calib
@@ -43,6 +46,8 @@ FOLDER = ROOT / "studies/hidden_tire"
 MESH = (53, 36)
 PRESSURES = (100.0, 200.0)
 VISIBLE = 6.0
+SOURCES = ("models/tire", "studies/hidden_tire")
+"""What a run depends on beside the code that answers."""
 
 
 @cache
@@ -67,7 +72,10 @@ def one(kind: str, design: str, number: int) -> dict[str, Any]:
     claimed = read_settings(FOLDER / "study.toml").tests[0].accuracy
     rng = np.random.default_rng([number, *kind.encode(), *design.encode()])
     truth = make.draw(rng, kind, design)
-    row: dict[str, Any] = {"kind": kind, "design": design, "number": number, "designs": dict(truth.designs)}
+    row: dict[str, Any] = {
+        "kind": kind, "design": design, "number": number, "designs": dict(truth.designs), "code": digest_of(SOURCES),
+        "date": date.today().isoformat(),
+    }  # fmt: skip
     try:
         exact, row["visible"] = make.exact(truth, PRESSURES, MESH), 0.0
         if truth.designs:
@@ -128,6 +136,8 @@ def lines(file: Path) -> list[dict[str, Any]]:
 def report(given: argparse.Namespace) -> None:
     """Counts by design with 95 % bounds of their sums (Clopper and Pearson 1934)."""
     rows = lines(given.folder / "runs.jsonl")
+    if given.write is not None:
+        write_rates(rates(rows), given.write, rows[-1]["code"], rows[-1]["date"])
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         name = row["design"] or "nothing"
@@ -149,6 +159,26 @@ def report(given: argparse.Namespace) -> None:
             if runs:
                 low, high = bounds(own.get(kind, 0), runs)
                 print(f"{group}: {kind} {own.get(kind, 0)} of {runs} (95 %: {low:.0%} to {high:.0%})")
+
+
+def rates(rows: list[dict[str, Any]]) -> list[Rate]:
+    """Counts that the documents tell, each with the share that is required."""
+    effects = [r for r in rows if r["kind"] == "effect"]
+    seen = [r for r in effects if r["visible"] >= VISIBLE]
+    outside = [r for r in rows if r["kind"] == "outside"]
+    nothing = [r for r in rows if r["kind"] == "nothing"]
+
+    def rate(hidden: str, verdict: str, required: float, at_least: bool, some: list, *outcomes: str) -> Rate:
+        return Rate(hidden, verdict, required, at_least, sum(outcome(r) in outcomes for r in some), len(some))
+
+    return [
+        rate(f"one effect, expected score {VISIBLE:g} or more", "names it rightly", 0.90, True, seen, "right"),
+        rate("one effect of any magnitude", "names a wrong effect", 0.02, False, effects, "wrong"),
+        rate(
+            "something that is not in the library", "names something", 0.02, False, outside, "right", "among", "wrong"
+        ),
+        rate("nothing", "says that something is missing", 0.03, False, nothing, "right", "among", "wrong", "unnamed"),
+    ]
 
 
 def outcome(row: dict[str, Any]) -> str:
@@ -177,6 +207,7 @@ def main() -> None:
     arguments.add_argument("--runs", type=int, default=72, help="how many runs of the plan (default 72)")
     arguments.add_argument("--workers", type=int, default=2)
     arguments.add_argument("--folder", type=Path, default=ROOT / "results/rates_tire")
+    arguments.add_argument("--write", type=Path, help="where the counts go as CSV, for the documents")
     given = arguments.parse_args()
     run(given) if given.what == "run" else report(given)
 
