@@ -37,7 +37,6 @@ from calib.analyses.places import (
 )
 from calib.analyses.reduction import Reduction, reduction_of
 from calib.analyses.stored import confirm
-from calib.analyses.user_function import function_of, ledger_key
 from calib.correlation.frf_residual import FRFProblem
 from calib.correlation.function_problem import FunctionProblem
 from calib.errors import EvaluationError, InputError, ToleranceError
@@ -310,11 +309,11 @@ class CaseFinder:
     def _searched(self, objective: Objective, search: CaseResult, statistics: FitStatistics) -> CaseFound:
         """A case that a search began, with both criteria at its end, at full order."""
         problem = self.study.problem
-        if function_of(problem) is not None:
+        if problem.function is not None:
             key = key_of(search.values)
-            confirm(self.study, self.ledger, self.ledger.lookup(ledger_key(problem), [key])[key])
-        scalar = isinstance(problem, FunctionProblem)
-        full = objective(search.responses if scalar else answered(problem.evaluate, search.values))
+            confirm(self.study, self.ledger, self.ledger.lookup(problem.ledger_key, [key])[key])
+        known = self.exact.pair.told_by_responses
+        full = objective(search.responses if known else answered(problem.evaluate, search.values))
         return reported(self.study, search, statistics, search, (full, *criteria(self.exact, search.values)))
 
 

@@ -102,6 +102,22 @@ class FRFProblem:
         object.__setattr__(self, "_responses", model.sensor_rows(self.measured.responses))
         object.__setattr__(self, "_references", model.sensor_rows(self.measured.references))
 
+    @property
+    def numbers_function(self) -> None:
+        """None: a model of matrices runs no user code."""
+        return
+
+    function = numbers_function
+
+    def with_function(self, function: object) -> FRFProblem:
+        """The problem itself, which has no function."""
+        return self
+
+    @property
+    def ledger_key(self) -> str:
+        """Fingerprint of the responses in the ledger."""
+        return self.fingerprint
+
     def reduced(self, basis: Basis) -> FRFProblem:
         """The same problem with a reduced model; InputError when the basis belongs to another model."""
         if not isinstance(self.model, StructuralModel):

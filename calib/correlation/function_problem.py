@@ -57,6 +57,20 @@ class FunctionProblem:
         """The same targets for another function."""
         return replace(self, space=model.space, function=model.function)
 
+    def with_function(self, function: Callable[[Mapping[str, float]], Mapping[str, float]]) -> FunctionProblem:
+        """The same targets for another form of the function."""
+        return replace(self, function=function)
+
+    @property
+    def numbers_function(self) -> None:
+        """None: the function returns the responses themselves, not modes."""
+        return
+
+    @property
+    def ledger_key(self) -> str:
+        """Fingerprint of the responses in the ledger."""
+        return self.fingerprint
+
     @property
     def n_measured(self) -> int:
         """Number of measured responses."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -21,6 +21,7 @@ from calib.mac import mac
 from calib.measurement.modal import MeasuredModes
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
+from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.modal_model import ModalModel
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
@@ -138,6 +139,23 @@ class ModalProblem:
         if not self.measured.has_shapes:
             digest.update(repr(sorted({**self.space.values, **self.reference}.items())).encode())
         return digest.hexdigest()[:16]
+
+    @property
+    def numbers_function(self) -> Callable[[Mapping[str, float]], Mapping[str, float]] | None:
+        """The user's function of the numbers of modes; None for a model of matrices, which runs no user code."""
+        return self.model.numbers_function if isinstance(self.model, ModalFunctionModel) else None
+
+    function = numbers_function
+
+    def with_function(self, function: Callable[[Mapping[str, float]], Mapping[str, float]]) -> ModalProblem:
+        """The same problem with another function of the numbers of modes."""
+        assert isinstance(self.model, ModalFunctionModel)
+        return replace(self, model=self.model.with_function(function))
+
+    @property
+    def ledger_key(self) -> str:
+        """Fingerprint of the numbers in the ledger; that of a function's modes does not depend on the measurement."""
+        return self.model.fingerprint if self.numbers_function is not None else self.fingerprint
 
     def with_model(self, model: ModalModel, added: int | None = None) -> ModalProblem:
         """The same problem with another model.
