@@ -37,8 +37,7 @@ from calib.analyses.places import (
 )
 from calib.analyses.reduction import Reduction, reduction_of
 from calib.analyses.stored import confirm
-from calib.correlation.frf_residual import FRFProblem
-from calib.correlation.function_problem import FunctionProblem
+from calib.correlation.problem import ModalProblem
 from calib.errors import EvaluationError, InputError, ToleranceError
 from calib.forward import ForwardProblem
 from calib.inference.cases import Case, CaseResult, run_case
@@ -121,10 +120,8 @@ def objective_of(study: Study) -> Objective:
 
 def objective_for(problem: ForwardProblem, weight_freq: float = 1.0, weight_mac: float = 1.0) -> Objective:
     """The same for a model against its measurement."""
-    if isinstance(problem, FunctionProblem):
-        return ResponseObjective({name: value for name, (value, _) in problem.targets.items()})
-    if isinstance(problem, FRFProblem):
-        return ResponseObjective(dict.fromkeys(problem.response_names, 1.0))
+    if not isinstance(problem, ModalProblem):
+        return ResponseObjective(problem.search_targets)
     measured = problem.measured
     return FrequencyMacObjective(
         modes=measured.names,
