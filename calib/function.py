@@ -48,6 +48,10 @@ class FunctionModel:
         """Hash over the function: its file, its code and the objects it holds (closure, defaults)."""
         return digest_of(self.name, self.function)[:16]
 
+    def with_function(self, function: Callable[[Mapping[str, float]], Mapping[str, float]]) -> FunctionModel:
+        """The model with another function."""
+        return replace(self, function=function)
+
 
 def slope_entry(response: str, parameter: str) -> str:
     """Name under which a function may return a derivative beside its responses: ``d(load)/d(stiffness)``.

@@ -31,9 +31,6 @@ from calib.analyses.uncertainty import accuracy_words
 from calib.analyses.user_function import ledger_keys_of_modes
 from calib.analyses.verify import errors_at
 from calib.answer import Answer
-from calib.correlation.frf_residual import FRFProblem
-from calib.correlation.function_problem import FunctionProblem
-from calib.correlation.standard_deviations import known_std
 from calib.errors import EvaluationError, InputError
 from calib.inference.agreement import Agreement, agreement, agreement_sentences
 from calib.inference.cases import Case, convergence_table
@@ -324,12 +321,10 @@ def expected_misfit(study: Study, answer: ComparisonResult) -> float:
     """Mean misfit of a perfect model, due to the measurement's standard deviation alone; 0 where unknown."""
     settings = study.settings.calibration
     errors = float(np.nan_to_num(_noise_errors(study)).sum())
-    if isinstance(study.problem, FunctionProblem):
+    if answer.comparison is None:  # only frequencies and MAC have weights
         return errors
-    if isinstance(study.problem, FRFProblem):
-        return 0.0
-    measured, total = study.problem.measured, settings.weight_freq * errors
-    if measured.has_shapes and answer.comparison is not None:
+    total = settings.weight_freq * errors
+    if answer.comparison.measured.has_shapes:
         total += settings.weight_mac * float(np.nansum(1.0 - answer.comparison.noise_mac()))
     return total
 
@@ -344,12 +339,7 @@ def _noise_errors(study: Study) -> np.ndarray:
     The standard deviation is the one that calibration weights by, accuracy and floors included; NaN where it would be
     assumed.
     """
-    if isinstance(study.problem, FunctionProblem):
-        targets = study.problem.targets.values()
-        return _MEAN_ABSOLUTE * np.array([std / abs(value) if std else np.nan for value, std in targets])
-    if isinstance(study.problem, FRFProblem):
-        return np.array([np.nan])
-    return _MEAN_ABSOLUTE * known_std(study.problem.measured).freq
+    return _MEAN_ABSOLUTE * study.problem.known_std
 
 
 def _summary(

@@ -37,9 +37,7 @@ from calib.analyses.places import (
 )
 from calib.analyses.reduction import Reduction, reduction_of
 from calib.analyses.stored import confirm
-from calib.analyses.user_function import function_of, ledger_key
-from calib.correlation.frf_residual import FRFProblem
-from calib.correlation.function_problem import FunctionProblem
+from calib.correlation.problem import ModalProblem
 from calib.errors import EvaluationError, InputError, ToleranceError
 from calib.forward import ForwardProblem
 from calib.inference.cases import Case, CaseResult, run_case
@@ -122,10 +120,8 @@ def objective_of(study: Study) -> Objective:
 
 def objective_for(problem: ForwardProblem, weight_freq: float = 1.0, weight_mac: float = 1.0) -> Objective:
     """The same for a model against its measurement."""
-    if isinstance(problem, FunctionProblem):
-        return ResponseObjective({name: value for name, (value, _) in problem.targets.items()})
-    if isinstance(problem, FRFProblem):
-        return ResponseObjective(dict.fromkeys(problem.response_names, 1.0))
+    if not isinstance(problem, ModalProblem):
+        return ResponseObjective(problem.search_targets)
     measured = problem.measured
     return FrequencyMacObjective(
         modes=measured.names,
@@ -310,11 +306,11 @@ class CaseFinder:
     def _searched(self, objective: Objective, search: CaseResult, statistics: FitStatistics) -> CaseFound:
         """A case that a search began, with both criteria at its end, at full order."""
         problem = self.study.problem
-        if function_of(problem) is not None:
+        if problem.function is not None:
             key = key_of(search.values)
-            confirm(self.study, self.ledger, self.ledger.lookup(ledger_key(problem), [key])[key])
-        scalar = isinstance(problem, FunctionProblem)
-        full = objective(search.responses if scalar else answered(problem.evaluate, search.values))
+            confirm(self.study, self.ledger, self.ledger.lookup(problem.ledger_key, [key])[key])
+        known = self.exact.pair.told_by_responses
+        full = objective(search.responses if known else answered(problem.evaluate, search.values))
         return reported(self.study, search, statistics, search, (full, *criteria(self.exact, search.values)))
 
 

@@ -6,11 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from calib.analyses.user_function import function_of, numbered, with_function
-from calib.correlation.problem import ModalProblem
 from calib.evaluate import Evaluator
 from calib.forward import ForwardProblem
-from calib.function import FunctionModel
 from calib.outcome import failure
 from calib.structure.model import StructuralModel
 from calib.study import EvaluationSource, Study
@@ -43,10 +40,10 @@ def evaluator_of(problem: ForwardProblem) -> Evaluator:
 
     For a model of matrices it evaluates responses.
     """
-    function = function_of(problem)
+    function = problem.function
     if isinstance(function, ChildFunction):
         return function.evaluator
-    evaluated = function if isinstance(problem, ModalProblem) and function is not None else problem.evaluate
+    evaluated = problem.numbers_function or problem.evaluate
     return Evaluator(lambda: evaluated)
 
 
@@ -62,8 +59,8 @@ def isolated(study: Study) -> Study:
     child = ChildFunction(Evaluator(source, 1, study.settings.calibration.time_limit, isolated=True))
     return replace(
         study,
-        model=replace(model, function=child) if isinstance(model, FunctionModel) else numbered(model, child),
-        problem=with_function(problem, child),
+        model=model.with_function(child),
+        problem=problem.with_function(child),
         library=tuple(replace(effect, build=KnownThere(effect.build)) for effect in study.library),
     )
 

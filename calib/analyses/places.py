@@ -10,8 +10,6 @@ from typing import TypeAlias
 
 from calib.analyses.isolation import ChildFunction
 from calib.analyses.recorded import ModesEvaluator, reevaluated, unrecorded
-from calib.analyses.user_function import function_of
-from calib.correlation.problem import ModalProblem
 from calib.errors import InputError
 from calib.evaluate import BatchEvaluator, Evaluator
 from calib.executor import ExecutorEvaluator, Injected
@@ -152,7 +150,7 @@ def open_evaluator(
         if seconds is None:
             seconds = reevaluated(bare, study.model.space.values).seconds
         chosen = available_cores() if seconds * count > _WORTHWHILE else 1
-    function = function_of(bare)
+    function = bare.function
     if chosen == 1 and isinstance(function, ChildFunction):
         return nullcontext(_answering(given, function.evaluator))
     return _opened_for(given, Evaluator(source, chosen, study.settings.calibration.time_limit))
@@ -172,7 +170,7 @@ def _opened_for(problem: ForwardProblem, evaluator: Evaluator | ExecutorEvaluato
 
 def _answering(problem: ForwardProblem, evaluator: Evaluator | ExecutorEvaluator) -> BatchEvaluator:
     """The evaluator of responses; for a function of modes it wraps the evaluator of its modes."""
-    if isinstance(problem, ModalProblem) and function_of(problem) is not None:
+    if problem.numbers_function is not None:
         return ModesEvaluator(problem, evaluator)
     return evaluator
 

@@ -34,6 +34,7 @@ from calib.settings import HeldOutSettings
 from calib.several import AnyStudy, JointStudy
 from calib.structure.model import Assumption
 from calib.study import Study
+from calib.study_file import Measured
 from calib.version import __version__
 
 PACKAGES = ("numpy", "scipy", "pandas", "pymoo", "SALib", "pyuff", "matplotlib")
@@ -94,8 +95,7 @@ def write_record(
         "sensors": {
             one.test: sensors_table(whole, one.settings.held_out.sensors)
             for one in tests
-            if isinstance(whole := one.measurement(), MeasuredFRFs)
-            or (isinstance(whole, MeasuredModes) and whole.has_shapes)
+            if (whole := one.given).sensors
         },
         "repeat_disagreements": {one.test: disagreements_table(one) for one in tests},
         "assumptions": {one.test: assumptions_table(one) for one in tests},
@@ -221,18 +221,14 @@ def disagreements_table(of: HasRepeats) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
-def sensors_table(measured: MeasuredModes | MeasuredFRFs, held_out: Sequence[str]) -> pd.DataFrame:
+def sensors_table(measured: Measured, held_out: Sequence[str]) -> pd.DataFrame:
     """Every sensor with its location (m); columns `SENSOR_COLUMNS`.
 
     ``shape_std`` is the root mean square over the modes of the standard deviation of its shape entries, with the
     largest entry of each mode scaled to 1; NaN where unknown, and for sensors of FRFs, references among them.
     """
     rows = []
-    none = np.full((len(measured.sensors), 1), np.nan)
-    every = none if isinstance(measured, MeasuredFRFs) else measured.shape_std
-    for sensor, std in zip(measured.sensors, every, strict=True):
-        known = std[np.isfinite(std)]
-        shape_std = float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+    for sensor, shape_std in zip(measured.sensors, measured.sensor_std.tolist(), strict=True):
         place = sensor.point or (np.nan, np.nan, np.nan)
         part = sensor.on or ""
         rows.append((sensor.name, sensor.node, sensor.direction, *place, part, sensor.name in held_out, shape_std))

@@ -6,8 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from calib.analyses.isolation import evaluator_of
-from calib.analyses.user_function import Forward, function_of, ledger_key, outcome_of, with_function, with_library
-from calib.correlation.problem import ModalProblem
+from calib.analyses.user_function import outcome_of, with_library
 from calib.errors import EvaluationError
 from calib.evaluate import Arrived, BatchEvaluator
 from calib.forward import ForwardProblem
@@ -25,7 +24,7 @@ class RecordedFunction:
     asked : callable
         The function itself.
     fingerprint : str
-        Key of its numbers in the ledger; see `calib.analyses.user_function.ledger_key`.
+        Key of its numbers in the ledger; the `ledger_key` of the problem.
     ledger : Ledger
     evaluator : BatchEvaluator
         Of that function.
@@ -52,14 +51,14 @@ class RecordedFunction:
         return outcome.responses
 
 
-def recorded_problem(problem: Forward, ledger: Ledger, library: str = "") -> Forward:
+def recorded_problem(problem: ForwardProblem, ledger: Ledger, library: str = "") -> ForwardProblem:
     """The same problem with its function behind a ledger; unchanged for matrices, or if it is behind one already."""
-    function = function_of(problem)
+    function = problem.function
     if function is None or isinstance(function, RecordedFunction):
         return problem
     names = frozenset(problem.space.names)
-    return with_function(
-        problem, RecordedFunction(function, ledger_key(problem), ledger, evaluator_of(problem), names, library)
+    return problem.with_function(
+        RecordedFunction(function, problem.ledger_key, ledger, evaluator_of(problem), names, library)
     )
 
 
@@ -68,10 +67,10 @@ def recorded(study: Study, ledger: Ledger) -> Study:
     return replace(study, problem=recorded_problem(study.problem, ledger, study.library_digest))
 
 
-def unrecorded(problem: Forward) -> Forward:
+def unrecorded(problem: ForwardProblem) -> ForwardProblem:
     """The same problem without its ledger, so that points are evaluated again."""
-    function = function_of(problem)
-    return with_function(problem, function.asked) if isinstance(function, RecordedFunction) else problem
+    function = problem.function
+    return problem.with_function(function.asked) if isinstance(function, RecordedFunction) else problem
 
 
 def reevaluated_numbers(problem: ForwardProblem, values: Mapping[str, float]) -> Outcome:
@@ -81,17 +80,14 @@ def reevaluated_numbers(problem: ForwardProblem, values: Mapping[str, float]) ->
 
 def reevaluated(problem: ForwardProblem, values: Mapping[str, float]) -> Outcome:
     """One point, evaluated again even if stored; its duration excludes the start of a process."""
-    if function_of(problem) is None:
+    if problem.function is None:
         return attempt(problem.evaluate, values)
     return outcome_of(problem, reevaluated_numbers(problem, values))
 
 
 def traced(problem: ForwardProblem, values: Mapping[str, float], fault: EvaluationError) -> EvaluationError:
     """A failure with the traceback of the user's code, which no ledger stores: the point is evaluated again."""
-    if (
-        not isinstance(function_of(problem), RecordedFunction)
-        or Outcome(dict(values), "failed", {}, str(fault)).transient
-    ):
+    if not isinstance(problem.function, RecordedFunction) or Outcome(dict(values), "failed", {}, str(fault)).transient:
         return fault
     again = reevaluated(problem, values)
     return failure(again) if again.status == "failed" else fault
@@ -103,13 +99,13 @@ class ModesEvaluator:
 
     Attributes
     ----------
-    problem : ModalProblem
+    problem : ForwardProblem
         Where its function is behind a ledger, modes are looked up and stored there.
     numbers : BatchEvaluator
         Evaluates the function.
     """
 
-    problem: ModalProblem
+    problem: ForwardProblem
     numbers: BatchEvaluator
 
     @property
@@ -125,7 +121,7 @@ class ModesEvaluator:
             found[key_of(numbers.values)] = outcome = outcome_of(self.problem, numbers)
             arrived(outcome)
 
-        function = function_of(self.problem)
+        function = self.problem.function
         evaluator = _WithListener(self.numbers, came)
         if isinstance(function, RecordedFunction):
             numbers = function.ledger.evaluate(function.fingerprint, points, evaluator)

@@ -19,10 +19,7 @@ from calib.analyses.recorded import recorded
 from calib.analyses.state import changed, made_from
 from calib.analyses.stored import confirmed
 from calib.answer import Answer
-from calib.correlation.frf_residual import FRFProblem
-from calib.correlation.function_problem import FunctionProblem
 from calib.errors import InputError
-from calib.forward import ForwardProblem
 from calib.ledger import Ledger
 from calib.outcome import Outcome
 from calib.results import Results
@@ -115,7 +112,7 @@ def sensitivity(
     drawn = sample(space, count, settings.seed)
     outcomes = _evaluate(study, ledger, [space.complete(x) for x in drawn.points], workers, progress)
     forced = None if isinstance(study.settings.selection, str) else study.settings.selection
-    answer = measured(space, drawn, outcomes, {name: name for name in sensitivity_responses(study.problem)}, forced)
+    answer = measured(space, drawn, outcomes, {name: name for name in study.problem.sensitivity_responses}, forced)
     assessment = answer.assessment
     begin_analysis(results, "sensitivity")
     results.write_table("sensitivity", assessment.spearman, index=True)
@@ -272,7 +269,7 @@ def screen(
     else:
         design = sobol_design(space, QUICK_BASE if quick else BASE, seed, ignore_constraints)
     outcomes = _evaluate(study, ledger, [space.complete(x) for x in design.points], workers, progress)
-    responses = table_of(outcomes, sensitivity_responses(study.problem))
+    responses = table_of(outcomes, study.problem.sensitivity_responses)
     table = morris_effects(design, responses) if method == "morris" else sobol_shares(design, responses)
     analysis = f"sensitivity --method {method}"
     begin_analysis(results, analysis)
@@ -318,13 +315,3 @@ def table_of(outcomes: Sequence[Outcome], names: Sequence[str]) -> pd.DataFrame:
     """Named responses, one row per point, NaN where there is none."""
     rows = [[o.responses.get(name, np.nan) for name in names] for o in outcomes]
     return pd.DataFrame(rows, columns=list(names)).astype(float)
-
-
-def sensitivity_responses(problem: ForwardProblem) -> list[str]:
-    """Responses of the sensitivity analysis: scalar targets, FRAC and amplitude of FRFs, frequency and MAC of modes."""
-    if isinstance(problem, FunctionProblem):
-        return list(problem.targets)
-    if isinstance(problem, FRFProblem):
-        return list(problem.response_names)
-    kinds = ("natural_freq", "mac") if problem.measured.has_shapes else ("natural_freq",)
-    return [f"{kind}_{mode}" for kind in kinds for mode in problem.measured.names]

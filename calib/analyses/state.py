@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from calib.correlation.function_problem import FunctionProblem
 from calib.inference import rules as inference
 from calib.measurement.responses import MeasuredResponses
 from calib.missing import rules as missing
@@ -89,8 +88,7 @@ def made_from(study: AnyStudy, analysis: str) -> dict[str, Any]:
     models, settings = [], []
     for one in study.studies:
         problem, given = one.problem, one.settings
-        model = problem.fingerprint if isinstance(problem, FunctionProblem) else problem.model.fingerprint
-        models.append(_digest(model, one.model.space, given.with_effects))
+        models.append(_digest(problem.model_fingerprint, one.model.space, given.with_effects))
         settings.append(_digest(given.pairing.model_dump(), *_SETTINGS[analysis.partition(" ")[0]](one)))
     adopted = study.settings.adopted
     return {

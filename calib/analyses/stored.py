@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 
 from calib.analyses.recorded import recorded, reevaluated, reevaluated_numbers
-from calib.analyses.user_function import function_of, ledger_key, outcome_of
-from calib.correlation.problem import ModalProblem
+from calib.analyses.user_function import outcome_of
 from calib.errors import InputError
 from calib.ledger import Ledger
 from calib.outcome import Outcome
@@ -41,9 +40,9 @@ def confirmed(study: Study, ledger: Ledger) -> float | None:
         When the model returns other results than before.
     """
     problem = study.problem
-    kept = ledger_key(problem)
+    kept = problem.ledger_key
     stored = ledger.stored(kept)
-    is_function = function_of(problem) is not None
+    is_function = problem.function is not None
     if stored is None:
         if not is_function:
             return None
@@ -73,7 +72,7 @@ def confirm(study: Study, ledger: Ledger, known: Outcome) -> float:
             place=study.file,
             remedy="seed its random numbers, and let every evaluation start from the same state",
         )
-    since = ledger.stored_at(ledger_key(problem), known.values)
+    since = ledger.stored_at(problem.ledger_key, known.values)
     raise InputError(
         f"the model returns other results than when a point was stored on {since}: {different}, at {point}; "
         "the stored points are stale, or the results depend on earlier evaluations",
@@ -104,7 +103,7 @@ def modes_kept(study: AnyStudy, opened: Callable[[], AbstractContextManager[Ledg
 
 
 def _has_modes(study: Study) -> bool:
-    return isinstance(study.problem, ModalProblem) and function_of(study.problem) is not None
+    return study.problem.numbers_function is not None
 
 
 def point_words(space: ParameterSpace, values: Mapping[str, float]) -> str:

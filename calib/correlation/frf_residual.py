@@ -23,7 +23,7 @@ from calib.structure.derivatives import beside_roots
 from calib.structure.frf import frf, frf_derivatives
 from calib.structure.frf_target import FRFTarget
 from calib.structure.loaded import loaded
-from calib.structure.model import StructuralModel
+from calib.structure.model import Assumption, StructuralModel
 from calib.structure.reduced import ReducedModel
 
 UNKNOWN_STD = 0.02
@@ -56,6 +56,14 @@ class FRFRow(NamedTuple):
     sensor: str
     part: str
     freq: float
+
+
+def assumed_frfs(frfs: MeasuredFRFs) -> tuple[Assumption, ...]:
+    """Assumed standard deviations of FRFs; empty when all are stated."""
+    if not (np.isfinite(frfs.values) & ~np.isfinite(frfs.total_std)).any():
+        return ()
+    reason = "neither repeats nor coherence are given"
+    return (Assumption("standard deviation of FRFs", f"{100 * UNKNOWN_STD:g}", "% of each modulus", reason),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +109,47 @@ class FRFProblem:
         object.__setattr__(self, "_channels", Channels(errors, self.measured))
         object.__setattr__(self, "_responses", model.sensor_rows(self.measured.responses))
         object.__setattr__(self, "_references", model.sensor_rows(self.measured.references))
+
+    @property
+    def numbers_function(self) -> None:
+        """None: a model of matrices runs no user code."""
+        return
+
+    function = numbers_function
+
+    def with_function(self, function: object) -> FRFProblem:
+        """The problem itself, which has no function."""
+        return self
+
+    @property
+    def ledger_key(self) -> str:
+        """Fingerprint of the responses in the ledger."""
+        return self.fingerprint
+
+    @property
+    def model_fingerprint(self) -> str:
+        """Hash that changes whenever a result of the model could."""
+        return self.model.fingerprint
+
+    @property
+    def assumptions(self) -> tuple[Assumption, ...]:
+        """Assumed standard deviations, where none is known."""
+        return assumed_frfs(self.measured)
+
+    @property
+    def known_std(self) -> np.ndarray:
+        """NaN, (1,): the misfit of a search has no share of known noise."""
+        return np.array([np.nan])
+
+    @property
+    def sensitivity_responses(self) -> list[str]:
+        """FRAC and amplitude of every function."""
+        return list(self.response_names)
+
+    @property
+    def search_targets(self) -> dict[str, float]:
+        """Responses that a search compares, each 1 for a right model."""
+        return dict.fromkeys(self.response_names, 1.0)
 
     def reduced(self, basis: Basis) -> FRFProblem:
         """The same problem with a reduced model; InputError when the basis belongs to another model."""

@@ -6,11 +6,14 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
-from calib.correlation.responses import response_dof
+import numpy as np
+
+from calib.correlation.responses import assumed_responses, response_dof
 from calib.errors import EvaluationError, InputError
 from calib.function import FunctionModel, responses_of
 from calib.own_code import defined_at
 from calib.space import ParameterSpace
+from calib.structure.model import Assumption
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +59,45 @@ class FunctionProblem:
     def with_model(self, model: FunctionModel) -> FunctionProblem:
         """The same targets for another function."""
         return replace(self, space=model.space, function=model.function)
+
+    def with_function(self, function: Callable[[Mapping[str, float]], Mapping[str, float]]) -> FunctionProblem:
+        """The same targets for another form of the function."""
+        return replace(self, function=function)
+
+    @property
+    def numbers_function(self) -> None:
+        """None: the function returns the responses themselves, not modes."""
+        return
+
+    @property
+    def ledger_key(self) -> str:
+        """Fingerprint of the responses in the ledger."""
+        return self.fingerprint
+
+    @property
+    def model_fingerprint(self) -> str:
+        """Hash that changes whenever a result of the function could."""
+        return self.fingerprint
+
+    @property
+    def assumptions(self) -> tuple[Assumption, ...]:
+        """Assumed standard deviations, where none is known."""
+        return assumed_responses(self.targets)
+
+    @property
+    def known_std(self) -> np.ndarray:
+        """Relative standard deviation of every target, (n_targets,); NaN where it would be assumed."""
+        return np.array([std / abs(value) if std else np.nan for value, std in self.targets.values()])
+
+    @property
+    def sensitivity_responses(self) -> list[str]:
+        """The measured responses."""
+        return list(self.targets)
+
+    @property
+    def search_targets(self) -> dict[str, float]:
+        """Measured values of the responses that a search compares."""
+        return {name: value for name, (value, _) in self.targets.items()}
 
     @property
     def n_measured(self) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -16,13 +16,15 @@ from calib.correlation.energy import emac
 from calib.correlation.mode_tracking import Point, follow
 from calib.correlation.order import Costs
 from calib.correlation.pairing import Pairing, check_override, in_window, pair_by_order, pair_by_shape
+from calib.correlation.standard_deviations import assumptions, known_std
 from calib.errors import EvaluationError, InputError
 from calib.mac import mac
 from calib.measurement.modal import MeasuredModes
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
+from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.modal_model import ModalModel
-from calib.structure.model import StructuralModel
+from calib.structure.model import Assumption, StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduced import ReducedModel
 
@@ -138,6 +140,44 @@ class ModalProblem:
         if not self.measured.has_shapes:
             digest.update(repr(sorted({**self.space.values, **self.reference}.items())).encode())
         return digest.hexdigest()[:16]
+
+    @property
+    def numbers_function(self) -> Callable[[Mapping[str, float]], Mapping[str, float]] | None:
+        """The user's function of the numbers of modes; None for a model of matrices, which runs no user code."""
+        return self.model.numbers_function if isinstance(self.model, ModalFunctionModel) else None
+
+    function = numbers_function
+
+    def with_function(self, function: Callable[[Mapping[str, float]], Mapping[str, float]]) -> ModalProblem:
+        """The same problem with another function of the numbers of modes."""
+        assert isinstance(self.model, ModalFunctionModel)
+        return replace(self, model=self.model.with_function(function))
+
+    @property
+    def ledger_key(self) -> str:
+        """Fingerprint of the numbers in the ledger; that of a function's modes does not depend on the measurement."""
+        return self.model.fingerprint if self.numbers_function is not None else self.fingerprint
+
+    @property
+    def model_fingerprint(self) -> str:
+        """Hash that changes whenever a result of the model could."""
+        return self.model.fingerprint
+
+    @property
+    def assumptions(self) -> tuple[Assumption, ...]:
+        """Assumed standard deviations, where none is known."""
+        return assumptions(self.measured)
+
+    @property
+    def known_std(self) -> np.ndarray:
+        """Relative standard deviation of every frequency, accuracy and floors included, (n_modes,); NaN unknown."""
+        return known_std(self.measured).freq
+
+    @property
+    def sensitivity_responses(self) -> list[str]:
+        """Frequency and, with measured shapes, MAC of every mode."""
+        kinds = ("natural_freq", "mac") if self.measured.has_shapes else ("natural_freq",)
+        return [f"{kind}_{mode}" for kind in kinds for mode in self.measured.names]
 
     def with_model(self, model: ModalModel, added: int | None = None) -> ModalProblem:
         """The same problem with another model.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.correlation.function_problem import FunctionProblem
-from calib.correlation.responses import ResponseRow, response_rows
+from calib.correlation.responses import UNKNOWN_STD, ResponseRow, response_rows
 from calib.differences import STEP, central_jacobian
 from calib.errors import EvaluationError, InputError
 from calib.fault import Fault
@@ -16,9 +16,6 @@ from calib.fingerprint import digest_of
 from calib.function import FunctionModel, slope_entry
 from calib.outcome import answered
 from calib.space import ParameterSpace
-
-UNKNOWN_STD = 0.01
-"""Assumed standard deviation where none is known, relative to the value."""
 
 _DEFINITION = "response residual 1"
 """Part of the fingerprint; increment it whenever the same responses would give another residual or derivative."""

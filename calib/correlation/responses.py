@@ -7,6 +7,13 @@ from typing import NamedTuple
 
 from calib.degrees_of_freedom import repeats_dof
 from calib.measurement.responses import response_kinds
+from calib.structure.model import Assumption
+
+UNKNOWN_STD = 0.01
+"""Assumed standard deviation where none is known, relative to the value."""
+
+_LISTED = 4
+"""Responses that are listed by name."""
 
 
 class ResponseRow(NamedTuple):
@@ -45,3 +52,14 @@ def response_dof(names: Iterable[str], repeats: float | None, shares: Mapping[st
     """
     rows = response_rows(names)
     return repeats_dof((row.kind for row in rows), repeats, [shares.get(row.sensor, 1.0) for row in rows])
+
+
+def assumed_responses(targets: Mapping[str, tuple[float, float | None]]) -> tuple[Assumption, ...]:
+    """Assumed standard deviations of scalar responses, each a value with its standard deviation or None."""
+    unknown = [name for name, (_, std) in targets.items() if not std]
+    if not unknown:
+        return ()
+    value = f"{100 * UNKNOWN_STD:g}"
+    reason = "no standard deviation and no accuracy is stated"
+    listed = ", ".join(unknown) if len(unknown) <= _LISTED else f"{unknown[0]} and {len(unknown) - 1} more responses"
+    return (Assumption(f"standard deviation of {listed}", value, "% of each", reason),)

@@ -10,10 +10,17 @@ from typing import Any
 import pandas as pd
 
 from calib.analyses.fit_statistics import FitStatistics
-from calib.analyses.uncertainty import assumed_frfs, claimed_frf
 from calib.analyses.verify import errors_of
-from calib.correlation.frf_nuisance import AddedMass, ChannelError, Nuisance, Stinger, concerned, require_channels
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_nuisance import (
+    AddedMass,
+    ChannelError,
+    Nuisance,
+    Stinger,
+    belonging_to,
+    concerned,
+    require_channels,
+)
+from calib.correlation.frf_residual import FRFProblem, FRFResidual, assumed_frfs
 from calib.errors import InputError
 from calib.forward import Unseen, unseen_frfs
 from calib.front.checked import UNNAMED, Claimed, band, named, place_of
@@ -22,6 +29,7 @@ from calib.measurement.accuracy import frf_claim
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_parts import HeldOutFRFs
+from calib.space import ParameterSpace
 from calib.structure.model import Assumption, StructuralModel
 
 
@@ -105,6 +113,15 @@ class FRFTest:
             )  # fmt: skip
         return FRFProblem(model, self.used, concerned(self.nuisances, self.used))
 
+    @property
+    def beside(self) -> FRFTest:
+        """The test as one of several: parameters of its own bear its name."""
+        return replace(self, nuisances=belonging_to(self.name, self.nuisances))
+
+    def space(self, model: Any) -> ParameterSpace:
+        """Parameters of a model, and those of the test itself."""
+        return self.problem(model).space
+
     def pair(self, model: Any) -> FRFResidual:
         """The whitened residual of a model, without held-out FRFs."""
         return FRFResidual(self.problem(model))
@@ -124,7 +141,7 @@ class FRFTest:
     @property
     def claimed(self) -> str:
         """The claimed accuracy, in words; empty without."""
-        return claimed_frf(self.frfs)
+        return self.frfs.claimed
 
     @property
     def assumed(self) -> tuple[Assumption, ...]:

@@ -23,7 +23,7 @@ from calib.front.responses import own
 from calib.front.search import refined, searched
 from calib.front.sensitivity import Assessed, assessed
 from calib.front.shown import Compared
-from calib.front.test import TESTS, Model, Test, beside, under
+from calib.front.test import TESTS, Model, Test, under
 from calib.function import FunctionModel, extend_function
 from calib.given import integer, objects
 from calib.given import names as names_of
@@ -129,7 +129,7 @@ class Problem:
         """Every test with its model, no condition applied, joined problems after this one."""
         own = tuple((self.model, test) for test in self._tests)
         every = (*own, *(pair for problem in self.beside for pair in problem._given))
-        return tuple((model, beside(test)) for model, test in every) if len(every) > 1 else every
+        return tuple((model, test.beside) for model, test in every) if len(every) > 1 else every
 
     @property
     def by_model(self) -> tuple[tuple[Model, tuple[Test, ...]], ...]:

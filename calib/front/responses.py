@@ -8,12 +8,11 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 from calib.analyses.case import objective_for
-from calib.analyses.sensitivity import sensitivity_responses
 from calib.evaluate import Evaluator
 from calib.executor import ExecutorEvaluator, Injected
 from calib.forward import ForwardProblem
 from calib.front.posed import PosedProblem
-from calib.front.test import Model, Test, space_of
+from calib.front.test import Model, Test
 from calib.inference.objective import JointObjective, Objective
 from calib.joint import of_test
 from calib.outcome import Function
@@ -21,7 +20,7 @@ from calib.outcome import Function
 
 def own(model: Model, test: Test, values: Mapping[str, float]) -> dict[str, float]:
     """The values that belong to a model and a test, except those that the test's condition sets."""
-    space = space_of(model, test)
+    space = test.space(model)
     return {name: v for name, v in values.items() if name in space and name not in test.condition}
 
 
@@ -43,7 +42,7 @@ class Responses:
     @classmethod
     def of(cls, problem: PosedProblem) -> Responses:
         """Responses of a problem."""
-        names = {test.name: frozenset(own(model, test, space_of(model, test).values)) for model, test in problem.pairs}
+        names = {test.name: frozenset(own(model, test, test.space(model).values)) for model, test in problem.pairs}
         return cls({test.name: test.problem(model) for model, test in problem.pairs}, names)
 
     def __call__(self) -> Function:
@@ -75,7 +74,7 @@ class Responses:
         return {
             of_test(test, name): of_test(test, name) if several else name
             for test, problem in self.problems.items()
-            for name in sensitivity_responses(problem)
+            for name in problem.sensitivity_responses
         }
 
     def evaluator(self, executor: Executor | Injected | None) -> AbstractContextManager[Evaluator | ExecutorEvaluator]:

@@ -10,13 +10,12 @@ from functools import cached_property
 import pandas as pd
 
 from calib.analyses.fit_statistics import FitStatistics
-from calib.analyses.uncertainty import assumed_responses, claimed_words
 from calib.analyses.verify import errors_of
-from calib.correlation.frf_nuisance import belonging_to
 from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.problem import ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
+from calib.correlation.responses import assumed_responses
 from calib.correlation.standard_deviations import assumptions
 from calib.errors import InputError
 from calib.forward import Unseen, unseen_responses
@@ -128,6 +127,15 @@ class ModalTest:
             override={m: k for m, k in self.override.items() if m not in held_out},
         )
 
+    @property
+    def beside(self) -> ModalTest:
+        """The test as one of several: it has no parameters of its own that would bear its name."""
+        return self
+
+    def space(self, model: Model) -> ParameterSpace:
+        """Parameters of a model; the test has none of its own."""
+        return model.space
+
     def pair(self, model: Model) -> ModalResidual:
         """The whitened residual of a model, without held-out data."""
         return ModalResidual(self.problem(model))
@@ -158,7 +166,7 @@ class ModalTest:
     @property
     def claimed(self) -> str:
         """The claimed accuracy, in words; empty without."""
-        return self.modes.accuracy.words
+        return self.modes.claimed
 
     @property
     def assumed(self) -> tuple[Assumption, ...]:
@@ -222,6 +230,15 @@ class ResponseTest:
             model.space, model.function, used, model.fingerprint, measured.pooled_repeats, measured.shares
         )
 
+    @property
+    def beside(self) -> ResponseTest:
+        """The test as one of several: it has no parameters of its own that would bear its name."""
+        return self
+
+    def space(self, model: Model) -> ParameterSpace:
+        """Parameters of a model; the test has none of its own."""
+        return model.space
+
     def pair(self, model: Model) -> ResponseResidual:
         """The whitened residual of a model, without held-out responses."""
         return ResponseResidual(self.problem(model))
@@ -251,7 +268,7 @@ class ResponseTest:
     @property
     def claimed(self) -> str:
         """The claimed accuracy, in words; empty without."""
-        return claimed_words(self.accuracy)
+        return self.measured.claimed
 
     @property
     def assumed(self) -> tuple[Assumption, ...]:
@@ -292,16 +309,6 @@ def model_of(study: Study) -> Model:
     space = study.search_space
     own = {name: value for name, value in space.values.items() if name not in study.model.space}
     return replace(study.model, space=space.without(own))
-
-
-def beside(test: Test) -> Test:
-    """The test as one of several: parameters of its own bear its name."""
-    return replace(test, nuisances=belonging_to(test.name, test.nuisances)) if isinstance(test, FRFTest) else test
-
-
-def space_of(model: Model, test: Test) -> ParameterSpace:
-    """Parameters of a model, and those of the test itself."""
-    return test.problem(model).space if isinstance(test, FRFTest) else model.space
 
 
 def under(model: Model, test: str, condition: Mapping[str, float]) -> Model:

@@ -151,6 +151,17 @@ class MeasuredFRFs:
         return ()
 
     @property
+    def claimed(self) -> str:
+        """The claimed accuracy in words; empty without."""
+        words = "at each line by itself; errors that lines share make the true intervals wider"
+        return f"{self.accuracy.words('SI')} of FRFs, {words}" if self.accuracy.given else ""
+
+    @property
+    def sensor_std(self) -> np.ndarray:
+        """NaN, (n_sensors,): an FRF has a standard deviation of its own on every line."""
+        return np.full(len(self.sensors), np.nan)
+
+    @property
     def lowest_freq(self) -> float:
         """Lowest line above zero, Hz."""
         return float(self.freq[self.freq > 0][0])

@@ -144,6 +144,20 @@ class MeasuredModes:
         return float(self.natural_freq.min())
 
     @property
+    def claimed(self) -> str:
+        """The claimed accuracy in words; empty without."""
+        return self.accuracy.words
+
+    @property
+    def sensor_std(self) -> np.ndarray:
+        """Root mean square over the modes of the standard deviation of each sensor's entries, (n_sensors,).
+
+        NaN where unknown. The largest entry of each mode is 1.
+        """
+        known = [std[np.isfinite(std)] for std in self.shape_std]
+        return np.array([float(np.sqrt(np.mean(own**2))) if len(own) else np.nan for own in known])
+
+    @property
     def has_shapes(self) -> bool:
         """Whether any mode shape was measured."""
         return len(self.sensors) > 0

@@ -16,6 +16,7 @@ from calib.measurement.accuracy import widened
 from calib.measurement.average import mean_and_std
 from calib.measurement.csv_format import ONE, read_responses_csv
 from calib.measurement.disagreements import Disagreement, Pooling, value_disagreements
+from calib.measurement.modal import Sensor
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,8 @@ class MeasuredResponses:
     notes : tuple of str
     shares : mapping from response name to float
         Part of the variance of each that repeats show, the rest being claimed; 1 for a response without an entry.
+    claimed : str
+        The claimed accuracy in words; empty without.
     """
 
     targets: Mapping[str, tuple[float, float | None]]
@@ -39,6 +42,17 @@ class MeasuredResponses:
     disagreements: tuple[Disagreement, ...] = ()
     notes: tuple[str, ...] = ()
     shares: Mapping[str, float] = field(default_factory=dict)
+    claimed: str = ""
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """Empty: scalar responses have no place."""
+        return ()
+
+    @property
+    def sensor_std(self) -> np.ndarray:
+        """Empty, (0,)."""
+        return np.zeros(0)
 
     @property
     def repeats(self) -> int | None:
@@ -103,7 +117,7 @@ class MeasuredResponses:
         for name, (_, std) in self.targets.items():
             total, repeated = targets[name][1], self.counts.get(name, 2) > 1
             shares[name] = 0.0 if std is None or total is None or not repeated else (std / total) ** 2
-        return replace(self, targets=targets, shares=shares)
+        return replace(self, targets=targets, shares=shares, claimed=_words(accuracy))
 
 
 def response_kinds(names: Iterable[str]) -> dict[str, str]:
@@ -172,3 +186,12 @@ def _relative(measured: MeasuredResponses, name: str) -> float:
     """Standard deviation of one repeat of a response over its value; 0 where the repeats are equal."""
     value, std = measured.targets[name]
     return (std or 0.0) * float(np.sqrt(measured.counts[name])) / abs(value) if value else float("inf")
+
+
+def _words(given: str | float | Mapping[str, str | float] | None) -> str:
+    """A claimed accuracy of scalar responses in words; empty without."""
+    if given is None:
+        return ""
+    if isinstance(given, Mapping):
+        return ", ".join(f"{value} of {name}" for name, value in given.items())
+    return f"{given} of every value"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -20,7 +20,7 @@ from calib.own_code import defined_at
 from calib.space import ParameterSpace
 from calib.structure.derivatives import ModeDerivatives
 from calib.structure.geometry import Mesh
-from calib.structure.modal_result import modes_of, numbers_of
+from calib.structure.modal_result import Numbered, modes_of, numbers_of
 from calib.structure.mode_tracking import followed_derivatives
 from calib.structure.model import Assumption
 from calib.structure.modes import Modes
@@ -165,6 +165,15 @@ class ModalFunctionModel:
         """
         own = {name: v for name, v in values.items() if name in self.space}
         return numbers_of(self._solved({**self.space.complete(own), **values}), self.sensors)
+
+    @property
+    def numbers_function(self) -> Callable[[Mapping[str, float]], Mapping[str, float]]:
+        """The function of these numbers, be it `numbers` or that of `with_function`."""
+        return self.function.numbers if isinstance(self.function, Numbered) else self.numbers
+
+    def with_function(self, numbers: Callable[[Mapping[str, float]], Mapping[str, float]]) -> ModalFunctionModel:
+        """The model with another function, which returns the numbers of its modes."""
+        return replace(self, function=Numbered(numbers, self.sensors, self.damped), memory=Memory())
 
     def _solved(self, values: dict[str, float]) -> Modes:
         found: list[Modes] = []

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -134,3 +135,24 @@ def modes_from(numbers: Mapping[str, float], sensors: Sequence[Sensor], damped: 
     except KeyError as missing:
         raise EvaluationError(f"the stored modes lack {missing}") from None
     return {"natural_freq": freq, "damping_ratio": ratio if damped else None, "shapes": shapes}
+
+
+@dataclass(frozen=True, eq=False)
+class Numbered:
+    """A function of modes that takes their numbers from another function.
+
+    Attributes
+    ----------
+    numbers : callable
+        See `numbers_of`.
+    sensors : tuple of Sensor
+    damped : bool
+    """
+
+    numbers: Callable[[Mapping[str, float]], Mapping[str, float]]
+    sensors: tuple[Sensor, ...]
+    damped: bool
+
+    def __call__(self, values: Mapping[str, float]) -> Mapping[str, Any]:
+        """Modes, as `calib.structure.modal_function.ModalFunctionModel` expects them."""
+        return modes_from(self.numbers(values), self.sensors, self.damped)

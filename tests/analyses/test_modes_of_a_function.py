@@ -17,7 +17,6 @@ from calib.analyses.recorded import recorded
 from calib.analyses.reduction import fingerprints
 from calib.analyses.sensitivity import sensitivity
 from calib.analyses.stored import modes_kept
-from calib.analyses.user_function import function_of, ledger_key
 from calib.errors import EvaluationError, InputError
 from calib.ledger import Ledger
 from calib.outcome import WORKER_DIED
@@ -104,7 +103,7 @@ def test_no_point_is_solved_twice_and_a_second_run_solves_none(few, tmp_path):
     for _ in range(2):
         with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
             tables.append(calibrate(study, Results.at(tmp_path / "results", study.name), ledger).parameters)
-            kept = ledger.count(ledger_key(study.problem))
+            kept = ledger.count(study.problem.ledger_key)
         counted.append(calls())
         study = Study.load(folder)
     assert tables[0].equals(tables[1])
@@ -141,7 +140,7 @@ def test_a_search_stores_modes_that_least_squares_reuse(few, tmp_path):
     study = Study.load(folder)
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
         found = calibrate(study, Results.at(tmp_path / "results", study.name), ledger, method="genetic")
-        assert ledger.count(ledger_key(study.problem)) == len(calls())
+        assert ledger.count(study.problem.ledger_key) == len(calls())
     assert found.best.statistics.misfit < 2e4
     twice = [point for point, count in calls().items() if count > 1]
     assert len(twice) <= 2  # evaluated again on purpose: the nominal values and the best point of the search
@@ -196,7 +195,7 @@ def test_a_point_that_ends_the_process_is_a_failed_row(own, tmp_path):
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
         with open_evaluator(recorded(study, ledger), 1, 2) as evaluator:
             good, bad = evaluator.evaluate(points)
-        assert len(ledger.failed(ledger_key(study.problem))) == 1
+        assert len(ledger.failed(study.problem.ledger_key)) == 1
     assert good.status == "ok" and good.responses["mac_m1"] > 0.9
     assert bad.status == "failed" and bad.error == WORKER_DIED
 
@@ -231,13 +230,13 @@ def test_changed_code_is_another_model_and_a_changed_pairing_is_not(own):
     paired = Study.load(folder)
     edit(folder / "cantilever.py", "LENGTH, LINE, ELEMENTS, PROP_AT = 2.0", "LENGTH, LINE, ELEMENTS, PROP_AT = 2.1")
     longer = Study.load(folder)
-    assert ledger_key(paired.problem) == ledger_key(first.problem) != ledger_key(longer.problem)
+    assert paired.problem.ledger_key == first.problem.ledger_key != longer.problem.ledger_key
     assert paired.problem.fingerprint != first.problem.fingerprint
 
 
 def test_models_of_matrices_have_no_user_function(folders):
     study = Study.load(folders["matrices"])
-    assert function_of(study.problem) is None and isolated(study) is study
+    assert study.problem.function is None and isolated(study) is study
 
 
 # -- what needs matrices -----------------------------------------------------------------------------------------------
