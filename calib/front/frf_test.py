@@ -95,6 +95,11 @@ class FRFTest:
         return self._held_out.split(self.frfs)
 
     @property
+    def synthetic(self) -> bool:
+        """Whether the measurement is marked as synthetic."""
+        return self.frfs.synthetic
+
+    @property
     def used(self) -> MeasuredFRFs:
         """The FRFs in use, without held-out ones."""
         return self._parts[0]

@@ -96,10 +96,9 @@ def write_pages(fit: Solved, path: Path) -> tuple[Path, ...]:
     out = []
     for model, test in pairs:
         where = path if len(pairs) == 1 else path.with_name(f"{path.stem}_{test.name}{path.suffix}")
-        synthetic = isinstance(test, ModalTest) and test.modes.synthetic
         with tempfile.TemporaryDirectory() as folder:
             _write(fit, model, test, Results(Path(folder)))
-            text = page(StudyResults(Path(folder), f"{model.name} against {test.name}", synthetic))
+            text = page(StudyResults(Path(folder), f"{model.name} against {test.name}", test.synthetic))
         try:
             with whole(where) as draft:
                 draft.write_text(text, encoding="utf-8")

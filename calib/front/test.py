@@ -100,6 +100,11 @@ class ModalTest:
             raise InputError(str(fault), place=f"{place}, accuracy") from None
         object.__setattr__(self, "modes", replace(self.modes, accuracy=claimed))
 
+    @property
+    def synthetic(self) -> bool:
+        """Whether the measurement is marked as synthetic."""
+        return self.modes.synthetic
+
     @cached_property
     def used(self) -> MeasuredModes:
         """The modes in use, without held-out data."""
@@ -204,6 +209,11 @@ class ResponseTest:
                     f"held-out response {name!r} was not measured", place=place,
                     remedy=f"the measured ones are {', '.join(known)}",
                 )  # fmt: skip
+
+    @property
+    def synthetic(self) -> bool:
+        """False: scalar responses carry no such mark."""
+        return False
 
     @cached_property
     def measured(self) -> MeasuredResponses:

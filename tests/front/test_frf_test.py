@@ -11,6 +11,7 @@ from calib.correlation.frf_nuisance import AddedMass, ChannelError
 from calib.errors import InputError
 from calib.loading import module_of
 from calib.measurement.modal import Sensor
+from calib.report.html.measured import SYNTHETIC
 
 WORLD = module_of(Path(__file__).parents[1] / "template/frf_chain.py")
 HELD_OUT = {"held_out": ["3x"], "held_out_references": ["4x"], "held_out_bands": [(20.0, 26.0)]}
@@ -266,3 +267,10 @@ def test_the_prior_of_a_held_out_channel_widens_what_is_expected_there():
         rows[name] = errors.loc["held_out_sensors"]
     assert rows["blamed"]["p"] < 1e-3 < 0.05 < rows["freed"]["p"]
     assert rows["freed"]["rms"] == pytest.approx(rows["blamed"]["rms"]) and rows["freed"]["expected"] > 1.3
+
+
+@pytest.mark.parametrize("synthetic", [True, False])
+def test_the_report_says_whether_the_functions_are_synthetic(unrendered, tmp_path, synthetic):
+    fit = problem_of(replace(WORLD.measured(1), synthetic=synthetic)).calibrate(progress=False)
+    (page,) = fit.report(tmp_path / "report.html")
+    assert (SYNTHETIC in page.read_text()) == synthetic
