@@ -25,8 +25,10 @@ from calib.report.tables import read_table
 from calib.report.worst import draw_worst
 
 HERE = Path(__file__).resolve().parent
-COLOURS = 160
-"""Of a PNG: enough for every figure, and a third of its size."""
+COLOURS = (160, 96, 64)
+"""Of a PNG: the first that keeps it below `LARGEST`; enough for every figure, and a third of its size."""
+LARGEST = 150_000
+"""Of a PNG, bytes."""
 TICKS = [m * 10**k for k in range(-3, 3) for m in (1, 2, 3, 5)]
 """Of a logarithmic axis that spans little more than a decade."""
 
@@ -143,7 +145,10 @@ def write(figure: Figure, path: Path) -> None:
     with style():
         figure.savefig(drawn, format="png", dpi=DPI)
     draft = path.with_suffix(".draft")
-    Image.open(drawn).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(draft, "png", optimize=True)
+    for colours in COLOURS:
+        Image.open(drawn).convert("RGB").quantize(colours, dither=Image.Dither.NONE).save(draft, "png", optimize=True)
+        if draft.stat().st_size <= LARGEST:
+            break
     os.replace(draft, path)
     print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
 

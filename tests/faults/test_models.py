@@ -100,7 +100,7 @@ def faulty(here, monkeypatch):
             'title = "Faulty"\nmodel = "model.py:model"\nselection = ["what", "a", "b"]\n'
             '[measurement]\nresponses = "measured.csv"\n'
             f"[sensitivity]\nsamples = {2 * (last + 1)}\n"
-            "[calibration]\npopulation = 12\ngenerations = 4\ncases = [{ name = 'A1', seed = 1 }]\n"
+            "[calibration]\nmethod = 'genetic'\npopulation = 12\ngenerations = 4\ncases = [{ name = 'A1', seed = 1 }]\n"
         )
 
     return make
