@@ -222,7 +222,7 @@ def _calibration(folder: Folder) -> Iterator[Drawing]:
         yield Drawing("parameters", "calibrated parameters", draw, ("parameters",))
         if found["case"].nunique() > 1 or ("search_value" in found and found["search_value"].notna().any()):
             draw = bound(draw_searches, found, best_case=best)
-            yield Drawing("searches", "ends of the searches", draw, ("parameters",))
+            yield Drawing("searches", "where the cases ended", draw, ("parameters",))
     path = folder / "posterior_correlation.csv"
     if path.exists() and len(posterior := read_square(path, may_be_empty=True)) > 1:
         draw = bound(draw_correlation, posterior, threshold=STRONG, label=POSTERIOR, most_in_matrix=MOST_IN_MATRIX)
