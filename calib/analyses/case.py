@@ -195,12 +195,12 @@ class CaseFinder:
             return
         reduction = reduction_noted(self.study, self.home, self.notes, self.progress)
         for case in cases:
-            sampled, until, found = until_agreed(case, self.study, self.quick), UntilAgreed(), None
-            fit = partial(self.refined, reduction, shared=True, told=named(self.progress, case.name), enough=until)
+            until, found = UntilAgreed(len(self.known) + 1), None
+            fit = partial(self.refined, reduction, told=named(self.progress, case.name), enough=until)
             with suppress(EvaluationError):  # the search copes with points that fail
-                found = reported(self.study, *from_starts(case, sampled, fit))
-            self.notes.append(f"{case.name}: {until.optima.sentence}.{_SEARCHED * (not until.optima.agree)}")
-            if found is not None and until.optima.agree:
+                found = reported(self.study, *until_agreed(case, self.study, self.known, self.quick, fit))
+            self.notes.append(f"{case.name}: {until.optima.sentence}.{_SEARCHED * (not until.agree)}")
+            if found is not None and until.agree:
                 yield found
             else:
                 yield from self.by_search([case], () if found is None else [found.result.values])
@@ -365,10 +365,14 @@ def least_squares(
         return from_starts(case, starts, fit)
 
 
-def until_agreed(case: Case, study: AnyStudy, quick: bool) -> list[dict[str, float]]:
-    """Points from which least squares start until they agree, sampled with the seed of the case."""
+def until_agreed(
+    case: Case, study: AnyStudy, known: Sequence[dict[str, float]], quick: bool, fit: Fit
+) -> tuple[CaseResult, FitStatistics]:
+    """One case by least squares from known points, the nominal values, and as many sampled ones as ``fit`` takes."""
+    space = study.search_space
     most = min(RULES.most_starts, QUICK_SAMPLED) if quick else RULES.most_starts
-    return [study.search_space.complete(x) for x in sample(study.search_space, most, case.seed).points]
+    sampled = [space.complete(x) for x in sample(space, most, case.seed).points]
+    return from_starts(case, [*known, space.values, *sampled], fit)
 
 
 def from_starts(case: Case, starts: Starts, fit: Fit) -> tuple[CaseResult, FitStatistics]:

@@ -26,7 +26,6 @@ from calib.analyses.calibrate import (
 from calib.analyses.case import (
     Starts,
     evaluable,
-    from_starts,
     known_starts,
     least_squares,
     reduction_noted,
@@ -154,11 +153,9 @@ def calibrate_jointly(
         told = named(progress, case.name)
         if chosen != "auto":
             return least_squares(case, behind_ledger, known, quick, partial(fit, told, never))
-        given = [*known, behind_ledger.search_space.values]
-        until = UntilAgreed(len(given))
-        starts = [*given, *until_agreed(case, behind_ledger, quick)]
+        until = UntilAgreed(len(known) + 1)
         with evaluable(behind_ledger):
-            found = from_starts(case, starts, partial(fit, told, until))
+            found = until_agreed(case, behind_ledger, known, quick, partial(fit, told, until))
         agreeing.append(f"{case.name}: {until.optima.sentence}.")
         return found
 

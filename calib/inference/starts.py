@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -64,14 +65,14 @@ class Optima:
         """The counts in words."""
         optima = "1 optimum" if self.found == 1 else f"{self.found} optima"
         return (
-            f"{self.lowest} of {self.starts} starts of least squares reached the lowest sum of squares, all together "
+            f"{self.lowest} of {self.starts} starts of least squares reached their lowest sum of squares, all together "
             f"{optima}; a further start would find another one with a probability of about {100 * self.unseen:.0f} %"
         )
 
 
 @dataclass
 class UntilAgreed:
-    """Stops as soon as the starts agree; see `Optima.agree`.
+    """Stops as soon as the random starts agree and no start before them ended lower; see `Optima.agree`.
 
     Attributes
     ----------
@@ -79,15 +80,24 @@ class UntilAgreed:
         Starts before the random ones, which say nothing about the others.
     optima : Optima
         Of the random starts so far.
+    agree : bool
+        Whether they agree.
     """
 
     given: int = 0
+    agree: bool = False
     optima: Optima = field(default_factory=lambda: Optima.of(()))
 
     def __call__(self, ends: Sequence[FitResult | None]) -> bool:
         """Whether the starts agree."""
-        self.optima = Optima.of(ends[self.given :])
-        return self.optima.agree
+        random = ends[self.given :]
+        self.optima = Optima.of(random)
+        self.agree = self.optima.agree and _lowest(random) <= _lowest(ends[: self.given]) + EQUAL
+        return self.agree
+
+
+def _lowest(ends: Sequence[FitResult | None]) -> float:
+    return min((end.misfit for end in ends if end is not None), default=math.inf)
 
 
 def never(ends: Sequence[FitResult | None]) -> bool:

@@ -47,6 +47,12 @@ def test_an_optimum_that_one_start_reached_is_no_agreement():
     assert Optima.of(ends(1.0, 1.0, *[9.0] * 30)).agree
 
 
+def test_random_starts_above_a_known_one_do_not_agree():
+    until = UntilAgreed(given=1)
+    assert until(ends(1.0 - 0.5 * EQUAL, *[1.0] * 5))
+    assert not until(ends(1.0 - 2 * EQUAL, *[1.0] * 5)) and until.optima.agree
+
+
 class Wave:
     """Sum of squares with a valley near each integer, the lowest at the given one."""
 
