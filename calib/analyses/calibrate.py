@@ -339,7 +339,7 @@ def _noise_errors(study: Study) -> np.ndarray:
     The standard deviation is the one that calibration weights by, accuracy and floors included; NaN where it would be
     assumed.
     """
-    return _MEAN_ABSOLUTE * study.problem.known_std
+    return _MEAN_ABSOLUTE * study.problem.relative_std
 
 
 def _summary(

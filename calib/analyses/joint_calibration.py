@@ -23,15 +23,8 @@ from calib.analyses.calibrate import (
     notes_on,
     options_of,
 )
-from calib.analyses.case import (
-    Starts,
-    evaluable,
-    known_starts,
-    least_squares,
-    reduction_noted,
-    reported,
-    until_agreed,
-)
+from calib.analyses.case import reduction_noted, reported
+from calib.analyses.case_starts import Starts, evaluable, known_starts, least_squares, until_agreed
 from calib.analyses.compare import before_and_after, compare
 from calib.analyses.fit_statistics import FitProgress, FitStatistics, Terms, posed, refined
 from calib.analyses.frf_start import linear_starts

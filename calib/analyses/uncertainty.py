@@ -12,7 +12,7 @@ from calib.study import Study
 
 def assumed_std(study: Study) -> tuple[Assumption, ...]:
     """Standard deviations that calibration and explanation assume; empty when all are stated."""
-    return study.problem.assumptions
+    return study.problem.assumed_std
 
 
 def assumed_words(study: Study) -> str:

@@ -111,11 +111,14 @@ class FRFProblem:
         object.__setattr__(self, "_references", model.sensor_rows(self.measured.references))
 
     @property
-    def numbers_function(self) -> None:
+    def function(self) -> None:
         """None: a model of matrices runs no user code."""
         return
 
-    function = numbers_function
+    @property
+    def numbers_function(self) -> None:
+        """None: a model of matrices runs no user code."""
+        return
 
     def with_function(self, function: object) -> FRFProblem:
         """The problem itself, which has no function."""
@@ -132,12 +135,12 @@ class FRFProblem:
         return self.model.fingerprint
 
     @property
-    def assumptions(self) -> tuple[Assumption, ...]:
+    def assumed_std(self) -> tuple[Assumption, ...]:
         """Assumed standard deviations, where none is known."""
         return assumed_frfs(self.measured)
 
     @property
-    def known_std(self) -> np.ndarray:
+    def relative_std(self) -> np.ndarray:
         """NaN, (1,): the misfit of a search has no share of known noise."""
         return np.array([np.nan])
 

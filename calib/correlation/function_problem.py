@@ -80,12 +80,12 @@ class FunctionProblem:
         return self.fingerprint
 
     @property
-    def assumptions(self) -> tuple[Assumption, ...]:
+    def assumed_std(self) -> tuple[Assumption, ...]:
         """Assumed standard deviations, where none is known."""
         return assumed_responses(self.targets)
 
     @property
-    def known_std(self) -> np.ndarray:
+    def relative_std(self) -> np.ndarray:
         """Relative standard deviation of every target, (n_targets,); NaN where it would be assumed."""
         return np.array([std / abs(value) if std else np.nan for value, std in self.targets.values()])
 

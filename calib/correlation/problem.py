@@ -164,12 +164,12 @@ class ModalProblem:
         return self.model.fingerprint
 
     @property
-    def assumptions(self) -> tuple[Assumption, ...]:
+    def assumed_std(self) -> tuple[Assumption, ...]:
         """Assumed standard deviations, where none is known."""
         return assumptions(self.measured)
 
     @property
-    def known_std(self) -> np.ndarray:
+    def relative_std(self) -> np.ndarray:
         """Relative standard deviation of every frequency, accuracy and floors included, (n_modes,); NaN unknown."""
         return known_std(self.measured).freq
 

@@ -9,7 +9,7 @@ from functools import partial
 
 import pandas as pd
 
-from calib.analyses.case import REFINE_REFITS
+from calib.analyses.case_starts import REFINE_REFITS
 from calib.analyses.failures import reasons_sentence, stored_reasons
 from calib.analyses.fit_statistics import FitStatistics, Shared, ended, fitted
 from calib.executor import Injected

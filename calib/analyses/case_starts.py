@@ -1,0 +1,93 @@
+"""Least squares of one case from several starting points: a given number of them, or until they agree."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+import pandas as pd
+
+from calib.analyses.fit_statistics import FitProgress, FitStatistics
+from calib.analyses.places import QUICK_SAMPLED, QUICK_STARTS
+from calib.errors import EvaluationError, InputError
+from calib.inference.cases import Case, CaseResult
+from calib.inference.rules import RULES
+from calib.outcome import as_cause
+from calib.problem import Counts
+from calib.sampling import sample
+from calib.several import AnyStudy
+from calib.study_file import StudyFile
+
+Starts: TypeAlias = Sequence[Mapping[str, float]]
+Fit: TypeAlias = Callable[[Starts, int, FitProgress, Counts], FitStatistics]
+"""Takes starts, the number of integer combinations, a callback after every fit, and the counts of requested points."""
+
+REFITS, REFINE_REFITS = 25, 12
+"""Integer combinations fitted from each start, and after a search (its own and the nearest neighbours)."""
+
+
+def known_starts(study: AnyStudy, *others: Mapping[str, float]) -> tuple[dict[str, float], ...]:
+    """Further starting points of least squares: those of the study, and other points known to fit."""
+    space = study.search_space
+    given = {name: value for name, value in study.settings.calibration.begin_at.items() if name in space}
+    return tuple(space.complete(start) for start in (given, *others) if start)
+
+
+def least_squares(
+    case: Case, study: AnyStudy, known: Sequence[dict[str, float]], quick: bool, fit: Fit
+) -> tuple[CaseResult, FitStatistics]:
+    """One case by least squares alone: from known points, the nominal values, and points sampled with its seed."""
+    space, given = study.search_space, study.settings.calibration.starts
+    count = min(given, QUICK_STARTS) if quick else given
+    sampled = [space.complete(x) for x in sample(space, count, case.seed).points]
+    starts = [*known, space.values, *sampled][: max(count, len(known) + 1)]
+    with evaluable(study):
+        return from_starts(case, starts, fit)
+
+
+def until_agreed(
+    case: Case, study: AnyStudy, known: Sequence[dict[str, float]], quick: bool, fit: Fit
+) -> tuple[CaseResult, FitStatistics]:
+    """One case by least squares from known points, the nominal values, and as many sampled ones as ``fit`` takes."""
+    space = study.search_space
+    most = min(RULES.most_starts, QUICK_SAMPLED) if quick else RULES.most_starts
+    sampled = [space.complete(x) for x in sample(space, most, case.seed).points]
+    return from_starts(case, [*known, space.values, *sampled], fit)
+
+
+def from_starts(case: Case, starts: Starts, fit: Fit) -> tuple[CaseResult, FitStatistics]:
+    """One case by least squares from given points."""
+    started, steps, counts = time.perf_counter(), Steps(), Counts()
+    statistics = fit(starts, REFITS, steps, counts)
+    seconds = time.perf_counter() - started
+    return CaseResult.fitted(case.name, statistics.values, counts, steps.table(), seconds), statistics
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Records the lowest misfit after every fit of a case."""
+
+    lowest: list[float] = field(default_factory=list)
+
+    def __call__(self, start: int, fits: int, misfit: float) -> None:
+        """A fit has ended."""
+        self.lowest.append(misfit)
+
+    def table(self) -> pd.DataFrame:
+        """Convergence table with fits in place of generations."""
+        numbers = range(1, len(self.lowest) + 1)
+        return pd.DataFrame({"generation": numbers, "best": self.lowest, "mean": np.nan, "feasible": 1})
+
+
+@contextmanager
+def evaluable(study: StudyFile) -> Iterator[None]:
+    """Turn the failure of every point of a case into an InputError with a remedy."""
+    try:
+        yield
+    except EvaluationError as fault:
+        remedy = "check the model over the search limits"
+        raise InputError(str(fault), place=study.file, remedy=remedy, at=fault.at) from as_cause(fault)
