@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from calib import cli
-from calib.analyses import case
+from calib.analyses import case_starts
 from calib.inference.verdicts import identified_sentence
 from tests.template import plain
 
@@ -25,9 +25,9 @@ UNTRIED = "Not all neighbours of these integers were tried: another combination 
 pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
 
-@pytest.mark.parametrize("refits", [case.REFITS, 2])
+@pytest.mark.parametrize("refits", [case_starts.REFITS, 2])
 def test_an_incomplete_search_over_integers_is_reported(here, monkeypatch, capsys, refits):
-    monkeypatch.setattr(case, "REFITS", refits)
+    monkeypatch.setattr(case_starts, "REFITS", refits)
     monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
     measured = {"y": (51.0, 0.1), "z": (7.0, 0.1), "w": (2.0, 0.1)}
     plain.write(Path("plain"), FUNCTION, ASKED, SPACE, '["a", "n"]', **measured)
