@@ -151,6 +151,11 @@ def _legend(ax: Axes, cases: list[str], best_case: str | None, any_unstable: boo
     legend_above(ax, handles)
 
 
+def search_runs(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows of ``convergence.csv`` of cases that a genetic search ran: fits have no mean of a generation."""
+    return table[table.groupby("case")["mean"].transform("count") > 0]
+
+
 def draw_convergence(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     """Draw the misfit over the generations of the search, one line per case.
 

@@ -11,7 +11,7 @@ import pandas as pd
 
 from calib.errors import InputError
 from calib.named_values import read_json
-from calib.report.calibration import draw_convergence, draw_searches
+from calib.report.calibration import draw_convergence, draw_searches, search_runs
 from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix
 from calib.report.correlation import INDUCED, INPUTS, MOST_IN_MATRIX, POSTERIOR, STRONG, draw_correlation
 from calib.report.drawing import Drawing, bound, existing
@@ -232,7 +232,10 @@ def _calibration(folder: Folder) -> Iterator[Drawing]:
     if path.exists():
         misfit = ["best", "mean"]
         runs = read_table(path, ["case"], ["generation", *misfit], complete=["generation"], unbounded=misfit)
-        yield Drawing("convergence", "convergence of the search", bound(draw_convergence, runs), ("convergence",))
+        runs = search_runs(runs)
+        if len(runs):
+            draw = bound(draw_convergence, runs)
+            yield Drawing("convergence", "convergence of the search", draw, ("convergence",))
 
 
 def _all_modes(path: Path) -> pd.DataFrame | None:

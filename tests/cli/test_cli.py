@@ -101,12 +101,12 @@ def test_run_does_every_analysis_and_writes_the_documented_files(whole):
         "modes",
         "sensitivity",
         "parameters",
-        "convergence",
     ]
     for name in figures:
         assert (folder / f"{name}.png").is_file()
         assert f"{name}.png" in out
     assert "synthetic" in out
+    assert not (folder / "convergence.png").exists()  # its starts agree, so that nothing was searched
     # It has no library of effects: nothing is explained, nothing added.
     assert ": explain" not in out and ": extend" not in out
     assert not (folder / "explanation.json").exists() and not (folder / "added.json").exists()

@@ -308,3 +308,14 @@ def test_in_a_column_a_figure_that_is_not_legible_there_stays_as_wide_as_a_page(
     assert set(widths) == set(figures) and set(widths.values()) == {COLUMN, WIDTH}
     assert widths["convergence"] == COLUMN and widths["model"] == widths.get("mode_shapes_after", WIDTH) == WIDTH
     assert all(is_legible(figure) for name, figure in saved.items() if widths[name] == COLUMN)
+
+
+def test_fits_without_a_search_have_no_convergence(folder):
+    keep_only(folder, "convergence")
+    table = pd.read_csv(folder / "convergence.csv")
+    fitted = table["case"] == "GB1"
+    table.assign(mean=table["mean"].mask(fitted)).to_csv(folder / "convergence.csv", index=False)
+    ax = Figures(folder, "x", False).plan["convergence"].draw().axes[0]
+    assert [line.get_label().split()[0] for line in ax.lines if line.get_linewidth() > 1.5] == ["GB2"]
+    table.assign(mean=np.nan).to_csv(folder / "convergence.csv", index=False)
+    assert "convergence" not in Figures(folder, "x", False).plan

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
+from calib.report.calibration import search_runs
 from calib.report.correlation import STRONG, others, strongest
 from calib.report.html.compared import (
     error_picture,
@@ -190,9 +191,9 @@ def _convergence(results: StudyResults) -> list[Picture]:
     table = results.table("convergence", ["case"], ["generation", *misfit], complete=["generation"], unbounded=misfit)
     if table is None:
         return []
-    step = "generation" if _searched(results) else "fit"
-    ends = "; ".join(f"{case} {significant(rows['best'].iloc[-1])}" for case, rows in table.groupby("case", sort=False))
-    caption = f"Lowest misfit so far over the {step}s of every case."
+    runs = search_runs(table).groupby("case", sort=False)
+    ends = "; ".join(f"{case} {significant(rows['best'].iloc[-1])}" for case, rows in runs)
+    caption = "Lowest misfit so far over the generations of every search."
     return results.picture("convergence", caption, f"Falling lines. They end at: {ends}.")
 
 
