@@ -44,12 +44,10 @@ def test_wide_limits_let_several_solutions_appear_and_the_tool_says_so(tmp_path,
     assert cli.execute(["calibrate", str(ROOT / "studies/four_storey_rig_wide"), "--results", str(tmp_path)]) == 0
     assert "not unique" in capsys.readouterr().out
     results = summary(tmp_path / "four_storey_rig_wide")
-    met = [c for c, r in results["cases"].items() if r["mean_freq_error_after"] < 1e-5]
-    assert len(met) == 8
-    parameters = pd.read_csv(tmp_path / "four_storey_rig_wide/parameters.csv").set_index(["case", "parameter"])["value"]
-    first = [parameters[case, "k1"] for case in met]
-    assert max(first) - min(first) > 0.3  # equal frequencies from clearly different storeys
-    verdicts = pd.read_csv(tmp_path / "four_storey_rig_wide/verdicts.csv")
+    assert all(case["mean_freq_error_after"] < 1e-5 for case in results["cases"].values())
+    verdicts = pd.read_csv(tmp_path / "four_storey_rig_wide/verdicts.csv").set_index("parameter")
+    apart = verdicts["sentence"].str.extract(r"differ by (\d+) % of its range")[0].astype(float)
+    assert apart["k1"] > 11 and apart.notna().all()  # equal frequencies from clearly different storeys: k1 by over 0.3
     assert not verdicts["identified"].any() and set(verdicts["not_identified"]) == {"solutions"}
 
 
