@@ -8,7 +8,8 @@ import pandas as pd
 
 from calib.analyses.discretisation_error import DiscretisationError
 from calib.analyses.explanation_result import MeasurementFacts
-from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.candidate_fit import CandidateFit
+from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.recommendation import ExperimentalDesign
 from calib.outcome import Outcome

@@ -19,7 +19,8 @@ from calib.analyses.own_modes import sentence as own_sentence
 from calib.analyses.record import begin_analysis, write_record
 from calib.candidate import Candidate
 from calib.errors import EvaluationError
-from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.candidate_fit import CandidateFit
+from calib.missing.explanation import Explanation
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import WIDE
 from calib.missing.verdict import GROUPS

@@ -15,9 +15,9 @@ from calib.candidate import Candidate
 from calib.correlation.modal_rows import Row
 from calib.correlation.residual import ModalResidual
 from calib.measurement.modal import Sensor
+from calib.missing.candidate_fit import CandidateFit
 from calib.missing.candidate_measurement import CandidateMeasurement
 from calib.missing.competing import CompetingModels
-from calib.missing.explanation import CandidateFit
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.recommendation import ExperimentalDesign, Linearisation
 from calib.missing.score import Scores

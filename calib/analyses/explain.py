@@ -31,7 +31,8 @@ from calib.missing.accuracy import changing, less_accurate
 from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.between_tests import BETWEEN, Differences, differences
 from calib.missing.by_test import BY_TEST, reduction_table
-from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.candidate_fit import CandidateFit
+from calib.missing.explanation import Explanation
 from calib.missing.fault_table import faults_table
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Altered, Hypotheses

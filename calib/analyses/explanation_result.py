@@ -11,7 +11,8 @@ import pandas as pd
 from calib.analyses.record import check_repeats, disagreements_table
 from calib.analyses.uncertainty import accuracy_words, assumed_words, std_notes
 from calib.answer import Answer
-from calib.missing.explanation import CandidateFit, Explanation, WrongDatum
+from calib.missing.candidate_fit import CandidateFit, WrongDatum
+from calib.missing.explanation import Explanation
 from calib.missing.local import local_perturbation
 from calib.missing.verdict import GROUPS as UNSEEN_GROUPS
 from calib.several import AnyStudy

@@ -11,8 +11,8 @@ from calib.analyses.imagined_frfs import ImaginedFRFs
 from calib.candidate import Candidate
 from calib.correlation.frf_residual import FRFResidual
 from calib.measurement.frf import MeasuredFRFs
+from calib.missing.candidate_fit import CandidateFit
 from calib.missing.candidate_measurement import CandidateMeasurement
-from calib.missing.explanation import CandidateFit
 from calib.missing.recommendation import ExperimentalDesign
 from calib.missing.score import Scores
 from calib.stage import Progress, unheard

@@ -18,7 +18,8 @@ from calib.correlation.mesh import geometry_tables
 from calib.correlation.response_residual import ResponseResidual
 from calib.effect import Effect
 from calib.forward import Unseen, UnseenFRFs
-from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.candidate_fit import CandidateFit
+from calib.missing.explanation import Explanation
 from calib.missing.recommendation import ExperimentalDesign
 from calib.problem import Pair
 from calib.space import ParameterSpace

@@ -10,8 +10,8 @@ import numpy as np
 
 from calib.candidate import Candidate
 from calib.errors import EvaluationError, InputError
+from calib.missing.candidate_fit import CandidateFit
 from calib.missing.competing import CompetingModel, CompetingModels
-from calib.missing.explanation import CandidateFit
 from calib.missing.recommendation import Linearisation
 from calib.missing.samples import posterior_samples
 from calib.missing.score import Scores

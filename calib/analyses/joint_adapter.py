@@ -13,7 +13,8 @@ from calib.analyses.discretisation_error import DiscretisationError
 from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
 from calib.degrees_of_freedom import behind, chance, matched
 from calib.joint import TEST, of_test, said, stacked
-from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.candidate_fit import CandidateFit
+from calib.missing.explanation import Explanation
 from calib.missing.joint import JointHypotheses
 from calib.missing.recommendation import ExperimentalDesign
 from calib.outcome import Outcome

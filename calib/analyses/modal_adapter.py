@@ -18,7 +18,8 @@ from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.rigid import COLUMNS as UNPAIRED_COLUMNS
 from calib.correlation.rigid import unpaired_sentence, unpaired_table
-from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.candidate_fit import CandidateFit
+from calib.missing.explanation import Explanation
 from calib.missing.recommendation import ExperimentalDesign
 from calib.stage import Progress, unheard
 from calib.structure.model import StructuralModel

@@ -15,7 +15,8 @@ from calib.analyses.discretisation_error import DiscretisationError
 from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.hypotheses import Failure, ModelHypotheses
 from calib.candidate import Candidate
-from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.candidate_fit import CandidateFit
+from calib.missing.explanation import Explanation
 from calib.missing.recommendation import ExperimentalDesign
 from calib.missing.refits import DEFAULT
 from calib.missing.score import Scores

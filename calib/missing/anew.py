@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.candidate import Candidate
 from calib.errors import EvaluationError
-from calib.missing.explanation import AdequacyTests, CandidateFit
+from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.linearised_fit import LinearisedFit, linearised
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES

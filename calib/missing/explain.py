@@ -7,21 +7,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import numpy as np
-
 from calib.candidate import Candidate
 from calib.errors import EvaluationError, InputError
+from calib.missing.adequacy import adequate, beside, measured_scale, predicted_scale, predicts, tested
 from calib.missing.anew import anew, led_astray
+from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group, grouped
 from calib.missing.evidence import at_lower
-from calib.missing.explanation import AdequacyTests, CandidateFit, Explanation, WrongDatum
-from calib.missing.goodness import by_sensor, common_scale, goodness, overall
+from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
-from calib.missing.linearised_fit import LinearisedFit, nearest_whole
+from calib.missing.linearised_fit import nearest_whole
 from calib.missing.pairs import alone, fit_pairs
 from calib.missing.refits import DEFAULT, EARLY, LATE, Refits, Settings
 from calib.missing.rules import RULES
-from calib.missing.score import Scores, family_p
+from calib.missing.score import Scores
 from calib.missing.suspect import suspects
 from calib.missing.wrong_datum import wrong_datum
 from calib.stage import Progress, unheard
@@ -107,11 +106,11 @@ class _Decision:
         base = self.calibrated(starts.get(()))
         able, named = self.candidates(base)
         groups = grouped([e for e in hypotheses.effects if e in able], named, fits.settings.merge)
-        adequacy = self.adequacy(base, named)
+        adequacy = tested(fits, base, named)
         found = Explanation(
             verdict="nothing_detectable", base=base, base_adequacy=adequacy, groups=groups, candidate_fits=(),
             perturbation=None, chosen=None, chosen_adequacy=None, credible=(), noise_scale=fits.scale,
-            measured_scale=self.scale(base), evaluations=hypotheses.evaluations, alpha=alpha,
+            measured_scale=measured_scale(fits, base), evaluations=hypotheses.evaluations, alpha=alpha,
         )  # fmt: skip
         if adequacy.passes(alpha):
             return found
@@ -121,20 +120,20 @@ class _Decision:
         found = self.with_competing(found, singles[0])
         needed = self.needed(found)
         lead = self.lead(singles, able)
-        found = replace(found, measured_scale=self.scale(base, lead.best, found.perturbation, found.fault))
+        found = replace(found, measured_scale=measured_scale(fits, base, lead.best, found.perturbation, found.fault))
         settled = self.accepted(lead, needed) and not found.measured_scale > RULES.guard
         blamed = self.blamed(found, lead, needed)
         if not settled and blamed is None and not starts and fits.settings.budget > 0 and led_astray(base, adequacy):
             with fits.allowance.uncharged():  # refits from the nominal values have their own budget
                 singles = anew(fits, base, singles, able)
             lead = self.lead(singles, able)
-            scale = self.scale(base, lead.best, found.perturbation, found.fault)
-            found = replace(found, begun_anew=True, measured_scale=scale)
+            factor = measured_scale(fits, base, lead.best, found.perturbation, found.fault)
+            found = replace(found, begun_anew=True, measured_scale=factor)
             blamed = self.blamed(found, lead, needed)
         if blamed is not None:
             return blamed
         doubted = found.measured_scale > RULES.guard and not starts
-        if doubted and self.predicted_scale(lead.best, lead.adequacy.named) > RULES.guard:
+        if doubted and predicted_scale(fits, lead.best, lead.adequacy.named) > RULES.guard:
             return self.done(found, lead.singles, "none_explains", lead.best, lead.adequacy)
         if self.accepted(lead, needed):
             return self.named(found, lead)
@@ -146,8 +145,8 @@ class _Decision:
         lead = lead if again is lead.singles else self.lead(again, able)
         if self.accepted(lead, needed):
             return self.named(found, lead)
-        scale = self.scale(base, lead.best, found.perturbation, found.fault, *pairs[:1])
-        found = replace(found, measured_scale=scale)
+        factor = measured_scale(fits, base, lead.best, found.perturbation, found.fault, *pairs[:1])
+        found = replace(found, measured_scale=factor)
         return self.two_effects(found, lead, pairs, able) or self.unexplained(found, lead, pairs, needed)
 
     # -- steps ---------------------------------------------------------------------------------------------------------
@@ -216,12 +215,13 @@ class _Decision:
         if fault.ln_evidence <= max(limits):
             return None
         with self.fits.allowance.uncharged():
-            adequacy = self.adequacy(fault, self.beside(fault, [e for g in found.groups for e in g.effects]))
-        if not self.adequate(adequacy):
+            adequacy = tested(self.fits, fault, beside(self.fits, fault, [e for g in found.groups for e in g.effects]))
+        if not adequate(self.fits, adequacy):
             return None
         return replace(
             found, verdict="measurement", candidate_fits=() if lead is None else tuple(lead.singles), datum=None,
-            fault_adequacy=adequacy, measured_scale=self.scale(found.base, fault), evaluations=h.evaluations,
+            fault_adequacy=adequacy, evaluations=h.evaluations,
+            measured_scale=measured_scale(self.fits, found.base, fault),
         )  # fmt: skip
 
     def moved(self, lead: _Lead, able: Sequence[Candidate]) -> _Lead:
@@ -242,8 +242,8 @@ class _Decision:
         pair = self.pair(pairs, needed, found.groups)
         if not pair:
             return None
-        adequacy = self.adequacy(pair[0], self.beside(pair[0], able))
-        if not (self.adequate(adequacy) and self.predicts(pair[0], found.base)):
+        adequacy = tested(self.fits, pair[0], beside(self.fits, pair[0], able))
+        if not (adequate(self.fits, adequacy) and predicts(self.fits, pair[0], found.base)):
             return None
         credible = tuple(dict.fromkeys(name for t in pair for name in t.names))
         return self.done(found, (*lead.singles, *pairs), "two_effects", pair[0], adequacy, credible)
@@ -255,8 +255,11 @@ class _Decision:
         if blamed is not None:
             return blamed
         verdict = "none_explains" if found.base_adequacy.p_family <= found.alpha else "misfit_unlocated"
-        scale, evaluations = self.scale(found.base, found.perturbation), self.fits.hypotheses.evaluations
-        return replace(found, verdict=verdict, measured_scale=scale, evaluations=evaluations)
+        factor, evaluations = (
+            measured_scale(self.fits, found.base, found.perturbation),
+            self.fits.hypotheses.evaluations,
+        )
+        return replace(found, verdict=verdict, measured_scale=factor, evaluations=evaluations)
 
     def unexplained(self, found: Explanation, lead: _Lead, pairs: Sequence[CandidateFit], needed: float) -> Explanation:
         """Explanation when no effect may be named."""
@@ -320,26 +323,13 @@ class _Decision:
 
     def accepted(self, lead: _Lead, needed: float) -> bool:
         """Whether the leading effect may be named."""
-        return lead.best.ln_evidence > needed and not lead.best.implausible and self.adequate(lead.adequacy)
-
-    def adequate(self, adequacy: AdequacyTests) -> bool:
-        """Whether no systematic misfit is left and enough degrees of freedom remain to show one."""
-        return adequacy.adequate(self.fits.settings.alpha) and adequacy.can_tell
-
-    def predicts(self, candidate_fit: CandidateFit, base: CandidateFit) -> bool:
-        """Whether the leave-one-out error, by mode or by response, is no larger than that of the base model."""
-        groups = [row.mode or row.sensor for row in self.fits.hypotheses.rows]
-
-        def error(fit: LinearisedFit) -> float:
-            return float(np.linalg.norm(fit.left_out(groups).residual))
-
-        return error(candidate_fit.fit) <= error(base.fit)
+        return lead.best.ln_evidence > needed and not lead.best.implausible and adequate(self.fits, lead.adequacy)
 
     def lead(self, singles: list[CandidateFit], candidates: Sequence[Candidate]) -> _Lead:
         """The effect of the highest evidence, with its tests; a plausible one nearly as good is preferred."""
         near = [t for t in singles if t.ln_evidence > singles[0].ln_evidence - RULES.credible and not t.implausible]
         best = near[0] if near else singles[0]
-        return _Lead(singles, best, self.adequacy(best, self.beside(best, candidates)))
+        return _Lead(singles, best, tested(self.fits, best, beside(self.fits, best, candidates)))
 
     def pair(self, pairs: Sequence[CandidateFit], needed: float, groups: Sequence[Group]) -> tuple[CandidateFit, ...]:
         """The pair of effects that may be named, with pairs collinear with it; empty when there is none.
@@ -353,45 +343,6 @@ class _Decision:
         near = [t for t in credible if t.ln_evidence > credible[0].ln_evidence - RULES.credible]
         distinct = {frozenset(leader[name] for name in t.names) for t in near}
         return tuple(near) if len(distinct) == 1 else ()
-
-    # -- tests ---------------------------------------------------------------------------------------------------------
-
-    def scale(self, *candidate_fits: CandidateFit | None) -> float:
-        """Factor on the standard deviation that the shapes call for at the best of some fits, see `common_scale`."""
-        best = max((t for t in candidate_fits if t is not None), key=lambda t: t.ln_evidence)
-        return common_scale(best.fit, self.fits.hypotheses, self.fits.settings.alpha)
-
-    def predicted_scale(self, candidate_fit: CandidateFit, others: Scores) -> float:
-        """The same if the effect that stands out beside a fit removed all the misfit that its score predicts."""
-        if not others.owners:
-            return self.scale(candidate_fit)
-        k = int(np.argmax(others.magnitude))
-        left = candidate_fit.fit.residual - others.unit[: len(candidate_fit.fit.residual), k] * others.z[k]
-        return self.scale(replace(candidate_fit, fit=replace(candidate_fit.fit, residual=left)))
-
-    def beside(self, candidate_fit: CandidateFit, candidates: Sequence[Candidate]) -> Scores:
-        """Scores of the candidates that a fitted model lacks, with no prior on the magnitudes of its own effects."""
-        fit = candidate_fit.fit.granting(candidate_fit.names)
-        return self.fits.scores(fit, [e for e in candidates if e.name not in candidate_fit.names])
-
-    def adequacy(self, candidate_fit: CandidateFit, named: Scores) -> AdequacyTests:
-        """Tests of a fitted model, given the scores of the named effects that it lacks."""
-        hypotheses, seed = self.fits.hypotheses, self.fits.settings.seed
-        local = self.beside(candidate_fit, hypotheses.perturbations)
-        faults = self.beside(candidate_fit, hypotheses.faults) if hypotheses.faults else None
-        kinds, modes = goodness(candidate_fit.fit, hypotheses)
-        return AdequacyTests(
-            named=named,
-            perturbations=local,
-            p_named=family_p(named, hypotheses, seed),
-            p_perturbations=family_p(local, hypotheses, seed),
-            kinds=kinds,
-            modes=modes,
-            p_fit=overall(kinds, modes),
-            sensors=by_sensor(candidate_fit.fit, hypotheses),
-            faults=faults,
-            p_faults=1.0 if faults is None else family_p(faults, hypotheses, seed),
-        )
 
 
 def _ln(one: CandidateFit | WrongDatum | None) -> float:

@@ -1,135 +1,15 @@
-"""Result of an explanation: fitted models, their tests and the verdict."""
+"""Result of an explanation: the verdict, with the fitted models and tests behind it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
 import pandas as pd
 
-from calib.candidate import Candidate
-from calib.degrees_of_freedom import LEAST_DOF
+from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group
-from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
-from calib.missing.score import Scores
 from calib.missing.suspect import COLUMNS
-
-
-@dataclass(frozen=True, eq=False)
-class AdequacyTests:
-    """Tests of one fitted model.
-
-    Attributes
-    ----------
-    named, perturbations : Scores
-        Of the effects and of the local perturbations that the model lacks.
-    p_named, p_perturbations : float
-        Family-wise p-values of the largest score.
-    kinds, modes : DataFrame
-        Goodness of fit by kind, and by mode and kind.
-    p_fit : float
-        Of the goodness of fit as a whole.
-    sensors : DataFrame
-        Misfit by sensor, worst first.
-    faults : Scores or None
-        Of the faults of the measurement; None where the test has none.
-    p_faults : float
-        Family-wise p-value of their largest score.
-    """
-
-    named: Scores
-    perturbations: Scores
-    p_named: float
-    p_perturbations: float
-    kinds: pd.DataFrame
-    modes: pd.DataFrame
-    p_fit: float
-    sensors: pd.DataFrame = field(default_factory=pd.DataFrame)
-    faults: Scores | None = None
-    p_faults: float = 1.0
-
-    @property
-    def p_family(self) -> float:
-        """Family-wise p-value of the largest score among named effects, local perturbations and faults (Bonferroni)."""
-        families = [self.p_named, self.p_perturbations, *([] if self.faults is None else [self.p_faults])]
-        return min(1.0, len(families) * min(families))
-
-    @property
-    def dof(self) -> float:
-        """Effective degrees of freedom left by the fit."""
-        return float(self.kinds["dof"].sum())
-
-    @property
-    def can_tell(self) -> bool:
-        """Whether enough degrees of freedom are left to reject the fit."""
-        return self.dof >= LEAST_DOF
-
-    def passes(self, alpha: float) -> bool:
-        """Whether nothing seems missing."""
-        return self.p_family > alpha and self.p_fit > alpha
-
-    def adequate(self, alpha: float) -> bool:
-        """Whether no systematic misfit is left after an effect has been added.
-
-        Goodness of fit is an unspecific test: it must be far off to reject an effect that explains the data.
-        """
-        return self.p_family > alpha and self.p_fit > alpha / 10
-
-
-@dataclass(frozen=True, eq=False)
-class CandidateFit:
-    """A model with effects, fitted.
-
-    Attributes
-    ----------
-    effects : tuple of Candidate
-    fit : LinearisedFit
-    ln_evidence : float
-    implausible : str
-        Why it is physically implausible although it may fit; empty when it is plausible.
-    """
-
-    effects: tuple[Candidate, ...]
-    fit: LinearisedFit
-    ln_evidence: float
-    implausible: str
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of its effects."""
-        return tuple(e.name for e in self.effects)
-
-    def magnitude(self, name: str) -> tuple[float, float]:
-        """Fitted magnitude of an effect and its linearised standard deviation."""
-        k = self.fit.names.index(name)
-        return self.fit.values[name], float(np.sqrt(self.fit.covariance[k, k]))
-
-
-@dataclass(frozen=True, eq=False)
-class WrongDatum:
-    """The base model with one datum taken as wrong by an unknown amount.
-
-    Attributes
-    ----------
-    what : str
-        Such as ``frequency of 2B``.
-    kind : {"value", "shape", "mode", "sensor"}
-    ln_evidence : float
-        As that of a fitted model, see `calib.missing.evidence.ln_evidence`.
-    p_fit : float
-        Of the goodness of fit to all other data.
-    """
-
-    what: str
-    kind: str
-    ln_evidence: float
-    p_fit: float
-
-    @property
-    def told(self) -> str:
-        """In words, such as ``a wrong frequency of 2B``."""
-        return f"a wrong {self.what}" if self.kind in ("value", "shape") else f"a wrong measurement of {self.what}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 from calib.candidate import Candidate
 from calib.inference.other_rows import other_rows
 from calib.joint import JointProblem, JointRows, of_test
-from calib.missing.explanation import CandidateFit
+from calib.missing.candidate_fit import CandidateFit
 
 _NONE: Mapping[str, float] = MappingProxyType({})
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from calib.candidate import Candidate
-from calib.missing.explanation import CandidateFit
+from calib.missing.candidate_fit import CandidateFit
 
 WIDE = 1.96
 """Half-width of a 95 % interval, in standard deviations; the root of the increase of the sum of squares at its ends."""

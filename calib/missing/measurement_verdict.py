@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pandas as pd
 
-from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.candidate_fit import CandidateFit
+from calib.missing.explanation import Explanation
 from calib.missing.local import fault_words
 from calib.missing.recommendation import as_ratio
 from calib.missing.verdict_words import WORST, Words, counted_faults, ended, without

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calib.candidate import Candidate
+from calib.missing.candidate_fit import CandidateFit
 from calib.missing.collinear import grouped
 from calib.missing.evidence import at_lower
-from calib.missing.explanation import CandidateFit
 from calib.missing.linearised_fit import ROUGH, LinearisedFit, neighbours
 from calib.missing.refits import LATE, Refits
 from calib.missing.rules import RULES

@@ -13,9 +13,9 @@ from calib.candidate import Candidate
 from calib.errors import EvaluationError
 from calib.inference.gauss_newton import FitSettings
 from calib.missing.allowance import Allowance
+from calib.missing.candidate_fit import CandidateFit
 from calib.missing.collinear import Group
 from calib.missing.evidence import ln_bayes_linear, ln_evidence
-from calib.missing.explanation import CandidateFit
 from calib.missing.hypotheses import Altered, FitProblem, Hypotheses
 from calib.missing.linearised_fit import FINE, ROUGH, LinearisedFit, fitted, grown, nearest_whole
 from calib.missing.partners import pairing_points

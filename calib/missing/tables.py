@@ -10,9 +10,10 @@ import numpy as np
 import pandas as pd
 
 from calib.candidate import Candidate
+from calib.missing.candidate_fit import CandidateFit
 from calib.missing.collinear import Group
 from calib.missing.evidence import expected_ln_bayes, ln_bayes_linear, model_probabilities, rescaled
-from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.explanation import Explanation
 from calib.missing.local import WIDE
 from calib.missing.plausible import pulls
 from calib.missing.rules import RULES

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import pandas as pd
 
 from calib.candidate import Candidate
-from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.candidate_fit import CandidateFit
+from calib.missing.explanation import Explanation
 from calib.missing.local import interval_words
 from calib.missing.worst_misfit import p_words
 

@@ -6,7 +6,7 @@ import math
 
 import pandas as pd
 
-from calib.missing.explanation import AdequacyTests
+from calib.missing.candidate_fit import AdequacyTests
 from calib.missing.rules import RULES
 
 _LEAST = 2 / RULES.draws

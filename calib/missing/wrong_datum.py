@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 
 from calib.errors import EvaluationError
+from calib.missing.candidate_fit import CandidateFit, WrongDatum
 from calib.missing.evidence import ln_evidence, ln_wrong
-from calib.missing.explanation import CandidateFit, WrongDatum
 from calib.missing.goodness import overall_p
 from calib.missing.hypotheses import Altered
 from calib.missing.linearised_fit import FINE, fitted

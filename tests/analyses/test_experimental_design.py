@@ -15,9 +15,9 @@ from calib.analyses.library import modal_hypotheses
 from calib.correlation.residual import ModalResidual
 from calib.errors import EvaluationError
 from calib.measurement.modal import Sensor
+from calib.missing.candidate_fit import CandidateFit
 from calib.missing.candidate_measurement import at_effect
 from calib.missing.evidence import ln_evidence
-from calib.missing.explanation import CandidateFit
 from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.missing.recommendation import recommend
 from calib.missing.score import scores

@@ -39,10 +39,11 @@ from calib.analyses.experimental_design import modal_design
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.errors import EvaluationError, InputError
 from calib.measurement.modal import Sensor
+from calib.missing.candidate_fit import CandidateFit
 from calib.missing.candidate_measurement import CandidateMeasurement
 from calib.missing.competing import sharpness
 from calib.missing.explain import explain
-from calib.missing.explanation import CandidateFit, Explanation
+from calib.missing.explanation import Explanation
 from calib.missing.recommendation import recommend
 from calib.missing.refits import DEFAULT, Refits
 from calib.stage import unheard

@@ -10,7 +10,8 @@ import numpy as np
 
 from calib.effect import Effect
 from calib.measurement.modal import MeasuredModes
-from calib.missing.explanation import AdequacyTests, CandidateFit, Explanation
+from calib.missing.candidate_fit import AdequacyTests, CandidateFit
+from calib.missing.explanation import Explanation
 from calib.missing.profile import profile_interval
 
 NAMING = ("effect", "indistinguishable", "two_effects")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.missing.by_test import reduction_table
-from calib.missing.explanation import CandidateFit
+from calib.missing.candidate_fit import CandidateFit
 
 
 def fit_of(residual, prior=0.0):

@@ -7,7 +7,8 @@ import pytest
 
 from calib.degrees_of_freedom import effective_dof
 from calib.inference.leave_one_out import leave_one_out
-from calib.missing.explain import DEFAULT, _Decision, explain
+from calib.missing.adequacy import predicts
+from calib.missing.explain import DEFAULT, explain
 from calib.missing.refits import Refits
 from calib.stage import unheard
 
@@ -67,6 +68,6 @@ def test_two_effects_that_predict_left_out_modes_worse_are_not_named(toy, seed, 
 
 def test_the_leave_one_out_error_is_compared_with_that_of_the_base_model(toy):
     one = toy().drawn(np.random.default_rng(7), {"E1": 1.5})
-    found, decision = explain(one), _Decision(Refits(one, DEFAULT, 1.0, unheard))
+    found, fits = explain(one), Refits(one, DEFAULT, 1.0, unheard)
     worse = replace(found.chosen, fit=replace(found.chosen.fit, residual=20 * found.chosen.fit.residual))
-    assert decision.predicts(found.chosen, found.base) and not decision.predicts(worse, found.base)
+    assert predicts(fits, found.chosen, found.base) and not predicts(fits, worse, found.base)

@@ -1,0 +1,71 @@
+"""Tests of a fitted model: whether a systematic misfit is left, and how well the model predicts data left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.candidate import Candidate
+from calib.missing.candidate_fit import AdequacyTests, CandidateFit
+from calib.missing.goodness import by_sensor, common_scale, goodness, overall
+from calib.missing.refits import Refits
+from calib.missing.score import Scores, family_p
+
+
+def beside(fits: Refits, candidate_fit: CandidateFit, candidates: Sequence[Candidate]) -> Scores:
+    """Scores of the candidates that a fitted model lacks, with no prior on the magnitudes of its own effects."""
+    fit = candidate_fit.fit.granting(candidate_fit.names)
+    return fits.scores(fit, [e for e in candidates if e.name not in candidate_fit.names])
+
+
+def tested(fits: Refits, candidate_fit: CandidateFit, named: Scores) -> AdequacyTests:
+    """Tests of a fitted model, given the scores of the named effects that it lacks."""
+    hypotheses, seed = fits.hypotheses, fits.settings.seed
+    local = beside(fits, candidate_fit, hypotheses.perturbations)
+    faults = beside(fits, candidate_fit, hypotheses.faults) if hypotheses.faults else None
+    kinds, modes = goodness(candidate_fit.fit, hypotheses)
+    return AdequacyTests(
+        named=named,
+        perturbations=local,
+        p_named=family_p(named, hypotheses, seed),
+        p_perturbations=family_p(local, hypotheses, seed),
+        kinds=kinds,
+        modes=modes,
+        p_fit=overall(kinds, modes),
+        sensors=by_sensor(candidate_fit.fit, hypotheses),
+        faults=faults,
+        p_faults=1.0 if faults is None else family_p(faults, hypotheses, seed),
+    )
+
+
+def adequate(fits: Refits, adequacy: AdequacyTests) -> bool:
+    """Whether no systematic misfit is left and enough degrees of freedom remain to show one."""
+    return adequacy.adequate(fits.settings.alpha) and adequacy.can_tell
+
+
+def left_out_error(fits: Refits, candidate_fit: CandidateFit) -> float:
+    """Norm of the leave-one-out error, by mode or by response, in standard deviations."""
+    groups = [row.mode or row.sensor for row in fits.hypotheses.rows]
+    return float(np.linalg.norm(candidate_fit.fit.left_out(groups).residual))
+
+
+def predicts(fits: Refits, candidate_fit: CandidateFit, base: CandidateFit) -> bool:
+    """Whether the leave-one-out error is no larger than that of a model with fewer effects."""
+    return left_out_error(fits, candidate_fit) <= left_out_error(fits, base)
+
+
+def measured_scale(fits: Refits, *candidate_fits: CandidateFit | None) -> float:
+    """Factor on the standard deviation that the shapes call for at the best of some fits, see `common_scale`."""
+    best = max((t for t in candidate_fits if t is not None), key=lambda t: t.ln_evidence)
+    return common_scale(best.fit, fits.hypotheses, fits.settings.alpha)
+
+
+def predicted_scale(fits: Refits, candidate_fit: CandidateFit, others: Scores) -> float:
+    """The same if the effect that stands out beside a fit removed all the misfit that its score predicts."""
+    if not others.owners:
+        return measured_scale(fits, candidate_fit)
+    k = int(np.argmax(others.magnitude))
+    left = candidate_fit.fit.residual - others.unit[: len(candidate_fit.fit.residual), k] * others.z[k]
+    return measured_scale(fits, replace(candidate_fit, fit=replace(candidate_fit.fit, residual=left)))
