@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -95,6 +95,8 @@ class Specimen:
         Shapes of the modes at the nominal values, by which modes are identified.
     positions : tuple of int
         Range of the true integer parameters.
+    built : callable, optional
+        Builds named effects with given parameters into the twin's mesh; without it the twin has the library's terms.
     """
 
     file: Path
@@ -106,6 +108,7 @@ class Specimen:
     layout: tuple[Sensor, ...]
     nominal: np.ndarray
     positions: tuple[int, int] = (0, 0)
+    built: Callable[[Sequence[str], Mapping[str, float]], StructuralModel] | None = None
 
     @cached_property
     def settings(self) -> StudySettings:
@@ -152,7 +155,11 @@ class Specimen:
         self, effects: Sequence[Effect], values: Mapping[str, float], places: Sequence[Sensor] | None = None
     ) -> tuple[tuple[str, ...], Modes, np.ndarray]:
         """The twin's modes with some effects, as `identified`, at the true places of the sensors, nominal without."""
-        model = self.structure(effects)
+        if self.built is not None and effects:
+            model = self.built([effect.name for effect in effects], values)
+            values = {name: value for name, value in values.items() if name in model.space}
+        else:
+            model = self.structure(effects)
         return self._at(model, model.n_dof - self.fine.n_dof, values, self.layout if places is None else places)
 
     def seen(
@@ -343,7 +350,7 @@ def _tried(specimen: Specimen, kind: Kind, seed: int) -> Drawn | None:
     for effect in chosen:
         values |= draw_effect(effect, float(rng.uniform(*MAGNITUDES)), rng)
     # The finer mesh decides; the fitted one screens the seeds at less cost.
-    if _checked(replace(specimen, fine=specimen.base), kind, chosen, values, None, NEARLY) is None:
+    if _checked(replace(specimen, fine=specimen.base, built=None), kind, chosen, values, None, NEARLY) is None:
         return None
     places = twin.moved(specimen.layout, rng)
     found = _checked(specimen, kind, chosen, values, places, 1.0)

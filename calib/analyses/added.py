@@ -20,7 +20,7 @@ from calib.analyses.record import begin_analysis, write_record
 from calib.candidate import Candidate
 from calib.errors import EvaluationError
 from calib.missing.candidate_fit import CandidateFit
-from calib.missing.explanation import Explanation
+from calib.missing.explanation import NAMED, SEVERAL, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import WIDE
 from calib.missing.verdict import GROUPS
@@ -76,7 +76,7 @@ class Added:
 
 def to_add(found: Explanation) -> CandidateFit | None:
     """The fit with the named effects if the verdict leaves no competing model; None otherwise."""
-    if found.verdict not in ("effect", "two_effects") or found.chosen is None:
+    if found.verdict not in NAMED or found.chosen is None:
         return None
     return found.chosen if set(found.untold) == set(found.chosen.names) else None
 
@@ -87,12 +87,16 @@ def nothing_added(found: Explanation) -> str:
         f"These data cannot discriminate between {' and '.join(found.untold)}, so none of them is "
         "added: inspect the structure, or make a measurement that discriminates between them."
     )
+    if found.verdict in SEVERAL and found.steps is not None:
+        pairs = "; and between ".join(f"{name} and {other}" for name, other in found.steps.rivals)
+        untold = f"These data cannot discriminate between {pairs}, so nothing is added: inspect the structure."
     named = " and ".join(() if found.chosen is None else found.chosen.names)
     reasons = {
         "nothing_detectable": "These data show no missing effect, so nothing is added.",
         "noise_underestimated": "Correct the standard deviation of the measurement first: nothing is added.",
         "indistinguishable": untold,
         "two_effects": untold,
+        "several_effects": untold,
         "measurement": "The measurement is what does not fit, so nothing is added to the model: correct it first.",
         "unconfirmed": f"The best-fitting explanation, {named}, is not confirmed: "
         f"{'no local perturbation competed with it' if found.uncontested else 'held-out data contradict it'}, so "

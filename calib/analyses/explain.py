@@ -42,6 +42,7 @@ from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
 from calib.missing.recommendation import Recommendation, recommend, recommendation
 from calib.missing.rules import RULES
 from calib.missing.score import noise_limit
+from calib.missing.steps_table import step_fits, steps_tables
 from calib.missing.suspect import sentence as suspect_sentence
 from calib.missing.tables import (
     candidate_fits_table,
@@ -168,6 +169,8 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         intervals = {name: profile_interval(by_name[name].fit, name) for name in found.credible if name in by_name}
     progress("held-out data")
     found, errors, more_notes, figures = _confirmed(adapter, found)
+    along = step_fits(found)
+    stepped = steps_tables(found, adapter.errors(along, found.noise_scale)[0]) if along else {}
     untested = _untested(adapter, found)
     effects = effects_table(found, intervals, _gains(adapter.hypotheses, found), _visible(adapter, found), untested)
     progress("what to measure next")
@@ -211,6 +214,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     tables = {
         **({BY_TEST: reduction_table(found, labels[TEST].tolist())} if TEST in labels else {}),
         **({} if differing is None else {BETWEEN: differing.table}),
+        **stepped,
         "faults": faults_table(found, adapter.places(), units),
         "perturbations": _perturbations(adapter, found),
         "confounding": confounding_table(found),

@@ -32,6 +32,7 @@ from calib.front.test import Model, ResponseTest, Test, under
 from calib.function import FunctionModel
 from calib.given import integer, objects
 from calib.loading import require_distinct
+from calib.missing.explanation import NAMED
 from calib.progress import in_python
 from calib.settings import ExplainSettings, ReductionSettings
 from calib.structure.basis import Basis
@@ -74,7 +75,7 @@ class Explained(Shown, Generic[P]):
 
     @property
     def _named(self) -> Library:
-        credible = self.explanation.explanation.credible if self.verdict in ("effect", "two_effects") else ()
+        credible = self.explanation.explanation.credible if self.verdict in NAMED else ()
         return {model: tuple(e for e in own if e.name in credible) for model, own in self.effects.items()}
 
     @property

@@ -20,7 +20,7 @@ def beside(fits: Refits, candidate_fit: CandidateFit, candidates: Sequence[Candi
     return fits.scores(fit, [e for e in candidates if e.name not in candidate_fit.names])
 
 
-def tested(fits: Refits, candidate_fit: CandidateFit, named: Scores) -> AdequacyTests:
+def adequacy_of(fits: Refits, candidate_fit: CandidateFit, named: Scores) -> AdequacyTests:
     """Tests of a fitted model, given the scores of the named effects that it lacks."""
     hypotheses, seed = fits.hypotheses, fits.settings.seed
     local = beside(fits, candidate_fit, hypotheses.perturbations)
@@ -46,9 +46,9 @@ def adequate(fits: Refits, adequacy: AdequacyTests) -> bool:
 
 
 def left_out_error(fits: Refits, candidate_fit: CandidateFit) -> float:
-    """Norm of the leave-one-out error, by mode or by response, in standard deviations."""
+    """Rms of the leave-one-out error, by mode or by response, in standard deviations."""
     groups = [row.mode or row.sensor for row in fits.hypotheses.rows]
-    return float(np.linalg.norm(candidate_fit.fit.left_out(groups).residual))
+    return float(np.sqrt(np.mean(candidate_fit.fit.left_out(groups).residual ** 2)))
 
 
 def predicts(fits: Refits, candidate_fit: CandidateFit, base: CandidateFit) -> bool:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from calib.candidate import Candidate
 from calib.errors import EvaluationError, InputError
-from calib.missing.adequacy import adequate, beside, measured_scale, predicted_scale, predicts, tested
+from calib.missing.adequacy import adequacy_of, adequate, beside, measured_scale, predicted_scale, predicts
 from calib.missing.anew import anew, led_astray
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group, grouped
@@ -21,6 +21,7 @@ from calib.missing.pairs import alone, fit_pairs
 from calib.missing.refits import DEFAULT, EARLY, LATE, Refits, Settings
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
+from calib.missing.stepwise import Stepwise
 from calib.missing.suspect import suspects
 from calib.missing.wrong_datum import wrong_datum
 from calib.stage import Progress, unheard
@@ -106,7 +107,7 @@ class _Decision:
         base = self.calibrated(starts.get(()))
         able, named = self.candidates(base)
         groups = grouped([e for e in hypotheses.effects if e in able], named, fits.settings.merge)
-        adequacy = tested(fits, base, named)
+        adequacy = adequacy_of(fits, base, named)
         found = Explanation(
             verdict="nothing_detectable", base=base, base_adequacy=adequacy, groups=groups, candidate_fits=(),
             perturbation=None, chosen=None, chosen_adequacy=None, credible=(), noise_scale=fits.scale,
@@ -134,7 +135,10 @@ class _Decision:
             return blamed
         doubted = found.measured_scale > RULES.guard and not starts
         if doubted and predicted_scale(fits, lead.best, lead.adequacy.named) > RULES.guard:
-            return self.done(found, lead.singles, "none_explains", lead.best, lead.adequacy)
+            found = self.stepwise(found, lead, (), able)
+            return self.several(found, lead) or self.done(
+                found, lead.singles, "none_explains", lead.best, lead.adequacy
+            )
         if self.accepted(lead, needed):
             return self.named(found, lead)
         lead = self.moved(lead, able)
@@ -147,7 +151,11 @@ class _Decision:
             return self.named(found, lead)
         factor = measured_scale(fits, base, lead.best, found.perturbation, found.fault, *pairs[:1])
         found = replace(found, measured_scale=factor)
-        return self.two_effects(found, lead, pairs, able) or self.unexplained(found, lead, pairs, needed)
+        two = self.two_effects(found, lead, pairs, able)
+        if two is not None:
+            return two
+        found = self.stepwise(found, lead, pairs, able)
+        return self.several(found, lead, pairs) or self.unexplained(found, lead, pairs, needed)
 
     # -- steps ---------------------------------------------------------------------------------------------------------
 
@@ -215,7 +223,9 @@ class _Decision:
         if fault.ln_evidence <= max(limits):
             return None
         with self.fits.allowance.uncharged():
-            adequacy = tested(self.fits, fault, beside(self.fits, fault, [e for g in found.groups for e in g.effects]))
+            adequacy = adequacy_of(
+                self.fits, fault, beside(self.fits, fault, [e for g in found.groups for e in g.effects])
+            )
         if not adequate(self.fits, adequacy):
             return None
         return replace(
@@ -242,11 +252,42 @@ class _Decision:
         pair = self.pair(pairs, needed, found.groups)
         if not pair:
             return None
-        adequacy = tested(self.fits, pair[0], beside(self.fits, pair[0], able))
+        adequacy = adequacy_of(self.fits, pair[0], beside(self.fits, pair[0], able))
         if not (adequate(self.fits, adequacy) and predicts(self.fits, pair[0], found.base)):
             return None
         credible = tuple(dict.fromkeys(name for t in pair for name in t.names))
+        search = Stepwise(self.fits, found.base, found.base_adequacy, able)
+        found = replace(found, steps=search.path(*_first(lead, pair[0]), pair[0]))
         return self.done(found, (*lead.singles, *pairs), "two_effects", pair[0], adequacy, credible)
+
+    def stepwise(
+        self, found: Explanation, lead: _Lead, pairs: Sequence[CandidateFit], able: Sequence[Candidate]
+    ) -> Explanation:
+        """Take in one effect after the other, where the best one or the best pair has strong evidence."""
+        price = RULES.credible + math.log(len(found.groups))
+        start = max((lead.best, *pairs[:1]), key=lambda t: t.ln_evidence - price * len(t.names))
+        if start.ln_evidence - found.base.ln_evidence <= price * len(start.names):
+            return found
+        if self.fits.settings.budget <= 0:
+            return found
+        search = Stepwise(self.fits, found.base, found.base_adequacy, able)
+        return replace(found, steps=search.steps(*_first(lead, start), start))
+
+    def several(self, found: Explanation, lead: _Lead, pairs: Sequence[CandidateFit] = ()) -> Explanation | None:
+        """Explanation by the effects of a stepwise search, with those as good in their place; None without."""
+        steps = found.steps
+        if steps is None or not steps.explains:
+            return None
+        last = steps.last
+        if last.candidate_fit.ln_evidence <= max(_ln(found.fault), _ln(found.datum)) + RULES.credible:
+            return None
+        names = last.candidate_fit.names
+        verdict = "two_effects" if len(names) == 2 else "several_effects"
+        found = replace(found, measured_scale=measured_scale(self.fits, found.base, last.candidate_fit))
+        credible = tuple(dict.fromkeys((*names, *(rival for _, rival in steps.rivals))))
+        fitted = [step.candidate_fit for step in steps.steps[1:]]
+        every = (*lead.singles, *pairs, *(t for t in fitted if t not in (*lead.singles, *pairs)))
+        return self.done(found, every, verdict, last.candidate_fit, last.adequacy, credible)
 
     def unlisted(self, found: Explanation) -> Explanation:
         """Explanation without a library: the local perturbation that fits best, or where the fit is worst."""
@@ -329,7 +370,7 @@ class _Decision:
         """The effect of the highest evidence, with its tests; a plausible one nearly as good is preferred."""
         near = [t for t in singles if t.ln_evidence > singles[0].ln_evidence - RULES.credible and not t.implausible]
         best = near[0] if near else singles[0]
-        return _Lead(singles, best, tested(self.fits, best, beside(self.fits, best, candidates)))
+        return _Lead(singles, best, adequacy_of(self.fits, best, beside(self.fits, best, candidates)))
 
     def pair(self, pairs: Sequence[CandidateFit], needed: float, groups: Sequence[Group]) -> tuple[CandidateFit, ...]:
         """The pair of effects that may be named, with pairs collinear with it; empty when there is none.
@@ -343,6 +384,11 @@ class _Decision:
         near = [t for t in credible if t.ln_evidence > credible[0].ln_evidence - RULES.credible]
         distinct = {frozenset(leader[name] for name in t.names) for t in near}
         return tuple(near) if len(distinct) == 1 else ()
+
+
+def _first(lead: _Lead, pair: CandidateFit) -> list[CandidateFit]:
+    """The best fit with one effect of a pair; nothing for a single effect."""
+    return [t for t in lead.singles if t.names[0] in pair.names][:1] if len(pair.names) > 1 else []
 
 
 def _ln(one: CandidateFit | WrongDatum | None) -> float:

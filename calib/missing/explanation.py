@@ -9,7 +9,13 @@ import pandas as pd
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group
 from calib.missing.rules import RULES
+from calib.missing.steps import Steps
 from calib.missing.suspect import COLUMNS
+
+SEVERAL = ("two_effects", "several_effects")
+"""Verdicts that name several effects together."""
+NAMED = ("effect", *SEVERAL)
+"""Verdicts that name effects, all of which the model lacks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,10 +25,10 @@ class Explanation:
     Attributes
     ----------
     verdict : str
-        ``nothing_detectable``, ``effect``, ``indistinguishable``, ``two_effects``, ``measurement`` (a fault of the
-        measurement explains the misfit), ``unconfirmed`` (an effect fits, but held-out data contradict it or it had no
-        unnamed competing model), ``partial``, ``none_explains``, ``misfit_unlocated`` (the fit is bad, and no effect or
-        local perturbation stands out) or ``noise_underestimated``.
+        ``nothing_detectable``, ``effect``, ``indistinguishable``, ``two_effects``, ``several_effects`` (three or four),
+        ``measurement`` (a fault of the measurement explains the misfit), ``unconfirmed`` (an effect fits, but held-out
+        data contradict it or it had no unnamed competing model), ``partial``, ``none_explains``, ``misfit_unlocated``
+        (the fit is bad, and no effect or local perturbation stands out) or ``noise_underestimated``.
     base : CandidateFit
         Without effects.
     base_adequacy : AdequacyTests
@@ -57,6 +63,8 @@ class Explanation:
         Fitted faults of the measurement, best first.
     fault_adequacy : AdequacyTests or None
         Tests of the fault of the verdict ``measurement``.
+    steps : Steps or None
+        The stepwise search for several effects; None where one was enough or where none had strong evidence.
     """
 
     verdict: str
@@ -78,6 +86,7 @@ class Explanation:
     suspects: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(COLUMNS)))
     faults: tuple[CandidateFit, ...] = ()
     fault_adequacy: AdequacyTests | None = None
+    steps: Steps | None = None
 
     def ln_bayes(self, candidate_fit: CandidateFit | WrongDatum) -> float:
         """Log Bayes factor of a candidate fit, or of a wrong datum, against the base model."""
@@ -109,7 +118,7 @@ class Explanation:
     @property
     def names_something(self) -> bool:
         """Whether the verdict names an effect."""
-        return self.verdict in ("effect", "indistinguishable", "two_effects")
+        return self.verdict in (*NAMED, "indistinguishable")
 
     @property
     def uncontested(self) -> bool:

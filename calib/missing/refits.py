@@ -252,12 +252,12 @@ class Refits:
     ) -> CandidateFit | None:
         """Fit of the local perturbation with the largest score that is not collinear with the best effect.
 
-        A changed component is preferred to an addition at a sensor, which must fit clearly better. ``best`` is the base
-        model when there is no effect.
+        A changed component is preferred to an addition at a sensor, which must fit clearly better. ``best`` has one
+        effect more than ``base``; it is the base model when there is none.
         """
         usable = np.array(found.magnitude)
-        if best.names:
-            column = named.unit[:, named.best(best.names[0])]
+        for own in (n for n in best.names if n not in base.names):
+            column = named.unit[:, named.best(own)]
             usable[np.abs(found.unit.T @ column) > RULES.same] = -np.inf
         scales = np.array([bool(self.by_name[n].part) for n in found.owners], dtype=bool)
         part, other = (
@@ -314,7 +314,7 @@ class Refits:
     def _local(self, name: str, base: CandidateFit, found: Scores, best: CandidateFit) -> CandidateFit | None:
         """Fit of one local perturbation, refined where it comes near the best effect."""
         first = self.starts(base.fit, found, name)[0]
-        perturbation = self.best_of((name,), [first], base)
+        perturbation = self.best_of((*base.names, name), [first], base)
         if self.spent():
             return perturbation
         if perturbation is not None and best.ln_evidence - perturbation.ln_evidence < RULES.close:

@@ -70,6 +70,14 @@ class Rules:
         Least part of the budget for pairs of effects, whatever single effects have spent.
     decades : tuple of float
         Powers of ten times the plausible magnitude at which an effect is tried for pairing further modes.
+    most_effects : int
+        Effects that a stepwise search may take in.
+    further : int
+        Groups of collinear effects that are fitted beside those taken in, at every step.
+    stepped : float
+        Least part of the budget for the stepwise search, whatever was spent before.
+    rivals : int
+        Other groups that are fitted in the place of each effect before several are named.
     worth : float
         Smallest predicted decrease of the sum of squares for which another integer is tried.
     blamed : int
@@ -107,6 +115,10 @@ class Rules:
     starts_anew: int = 2
     paired: float = 0.5
     decades: tuple[float, ...] = (-2, -1, 0, 1, 2)
+    most_effects: int = 4
+    further: int = 3
+    stepped: float = 1.0
+    rivals: int = 1
     worth: float = 0.5
     blamed: int = 3
     confounded: float = 0.9

@@ -14,6 +14,7 @@ from calib.missing.local import WIDE, fault_words, interval_words, local_perturb
 from calib.missing.measurement_verdict import on_measurement
 from calib.missing.recommendation import Recommendation, as_ratio, rounded
 from calib.missing.rules import RULES
+from calib.missing.steps_table import rivals_sentence, steps_sentence
 from calib.missing.tables import UNTESTED
 from calib.missing.verdict_words import (
     Words,
@@ -86,7 +87,8 @@ def verdict(
         "noise_underestimated": _noise,
         "effect": _effect,
         "indistinguishable": _indistinguishable,
-        "two_effects": _two,
+        "two_effects": _several,
+        "several_effects": _several,
         "measurement": on_measurement,
         "unconfirmed": _unconfirmed,
         "partial": _partial,
@@ -195,16 +197,23 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> Words:
     )
 
 
-def _two(found: Explanation, effects: pd.DataFrame) -> Words:
+_NUMBERS = {2: "two", 3: "three", 4: "four"}
+
+
+def _several(found: Explanation, effects: pd.DataFrame) -> Words:
     assert found.chosen is not None
     phrases = []
     for e in found.chosen.effects:
         value, std = found.chosen.magnitude(e.name)
         ends = (max(value - WIDE * std, e.magnitude.lower), min(value + WIDE * std, e.magnitude.upper))
         phrases.append(f"{e.in_words}, {interval_words(value, *ends, e.magnitude.unit)}")
+    count = len(phrases)
+    named = f"The model lacks {_NUMBERS[count]} effects: {'; and '.join(phrases)}."
+    fewer = "No single effect removes" if count == 2 else "No single effect and no pair removes"
+    them = "both" if count == 2 else f"all {_NUMBERS[count]}"
     return Words(
-        f"The model lacks two effects: {'; and '.join(phrases)}.",
-        f"No single effect removes the systematic misfit. {without(found)} {with_words(found, 'both')}",
+        f"{named} {rivals_sentence(found)}".strip(),
+        f"{fewer} the systematic misfit. {without(found)} {with_words(found, them)}",
         look_for(found.chosen.effects),
         (collinear(found, effects, found.chosen), as_it_is(found.chosen.effects)),
     )
@@ -243,6 +252,7 @@ def _partial(found: Explanation, effects: pd.DataFrame) -> Words:
         f"It lowers the sum of squares from {before:.0f} to {after:.0f} but leaves "
         f"{p_words(found.chosen_adequacy.p_family)}. {without(found)}",
         _rest(found),
+        (steps_sentence(found),),
     )
 
 
@@ -252,7 +262,7 @@ def _none(found: Explanation, effects: pd.DataFrame) -> Words:
     if found.chosen is not None:
         (e,) = found.chosen.effects
         attempt = f"The best attempt, {sized(effects, e)}, is not believed: {_why_not(found)}."
-    return Words(what, without(found), _rest(found), (attempt,))
+    return Words(what, without(found), _rest(found), (attempt, steps_sentence(found)))
 
 
 def _unlocated(found: Explanation, effects: pd.DataFrame) -> Words:

@@ -18,7 +18,13 @@ from calib.report.scene import PLACE
 from calib.report.shown import Folder
 from calib.report.suspects import draw_suspects
 from calib.report.tables import read_square, read_table
-from calib.report.verification import draw_error_versions, draw_errors, next_measurement_figure
+from calib.report.verification import (
+    STEP_ERRORS,
+    draw_error_steps,
+    draw_error_versions,
+    draw_errors,
+    next_measurement_figure,
+)
 from calib.report.where import perturbation_map_figure, sensor_misfit_figure
 from calib.report.why import BY_TEST, why_figure
 
@@ -53,6 +59,10 @@ def plan_explanation(folder: Folder) -> Iterator[Drawing]:
     if both is not None:
         caption = "errors without and with the added effects, both models calibrated"
         yield Drawing("added_errors", caption, bound(draw_errors, both, name=name), ("added_errors",))
+    steps = _read(folder, "steps_errors", ["effects", "group"], ["step", "rms", "expected"])
+    if steps is not None:
+        caption = "errors with every effect that is taken in"
+        yield Drawing(STEP_ERRORS, caption, bound(draw_error_steps, steps), ("steps_errors",))
     versions = _read(
         folder, "versions", ["group"], ["version", "rms", "expected"], complete=["version"], blank=["effects"]
     )

@@ -50,6 +50,8 @@ KEYS = {
     "shapes": ("mode", "sensor"),
     "pulls": ("model", "parameter"),
     "reduction_by_test": ("effects", "test"),
+    "steps": ("step",),
+    "steps_errors": ("step", "group"),
     "std_by_test": ("parameter", "test"),
     "test_differences": ("parameter", "test"),
     "verdicts": ("parameter",),

@@ -56,6 +56,8 @@ _KINDS = {
     "repeats": ("more repeats", GREEN),
     "bench": ("bench test", PURPLE),
 }
+STEP_ERRORS = "error_by_step"
+"""Name of the figure of `draw_error_steps`."""
 _RANGE = 20.0
 """Ratio of the largest to the smallest error above which the axis is logarithmic."""
 _SHOWN = 10
@@ -123,6 +125,28 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
     return ax
 
 
+def draw_error_steps(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
+    """Draw the error in every group of data over the steps of a search for several effects.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``step``, ``effects`` (names in the model; ``none`` for the base model), ``group``, ``rms`` and
+        ``expected`` (sigma; NaN where unknown).
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+        As those of `draw_error_versions`.
+    """
+    steps = table.rename(columns={"step": "version"}).replace({"effects": {"none": "calibrated base model"}})
+    steps["effects"] = steps["effects"].str.replace(" + ", "\n+ ", regex=False)
+    ax = draw_error_versions(steps, ax)
+    ax.set_xlabel("step, and the effects in the model")
+    return ax
+
+
 def draw_error_versions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     """Draw the error in every group of data over the versions of a model.
 
@@ -164,7 +188,7 @@ def draw_error_versions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     _scale(ax, table, 1.1)
     effects = table.groupby("version")["effects"].first().reindex(versions).fillna("")
     width = max(12, int(100 / len(versions)) - 4)
-    words = [textwrap.fill(str(e) or "base model", width) for e in effects]
+    words = ["\n".join(textwrap.fill(line, width) for line in (str(e) or "base model").split("\n")) for e in effects]
     ax.set_xticks(x, [f"{version:g}\n{text}" for version, text in zip(versions, words, strict=True)])
     ax.set_xlim(-0.5, len(versions) - 0.5)
     ax.grid(axis="y")

@@ -20,8 +20,8 @@ pytestmark = pytest.mark.usefixtures("fewer_draws")
 WORST = "the worst kind of data or mode shape"
 UNITS = {"E0": "kg", "E1": "-", "E2": "kN/m", "E3": "-", "E4": "kg"}
 VERDICTS = (
-    "nothing_detectable", "effect", "indistinguishable", "two_effects", "partial", "none_explains",
-    "noise_underestimated",
+    "nothing_detectable", "effect", "indistinguishable", "two_effects", "several_effects", "partial",
+    "none_explains",    "noise_underestimated",
 )  # fmt: skip
 
 
@@ -60,6 +60,7 @@ def cases(toy):
         "effect": first(plain, {"E2": 1.5}, "effect"),
         "indistinguishable": first(plain.correlated("E3", "E2", 0.9), {"E2": 0.9}, "indistinguishable"),
         "two_effects": first(plain, {"E0": 1.2, "E3": 1.2}, "two_effects"),
+        "several_effects": first(plain, {"E0": 1.2, "E3": 1.2, "E4": 1.5}, "several_effects"),
         "partial": first(partly, {"E1": 3.0, "hidden": 2.0}, "partial"),
         "none_explains": first(plain, {"A7": 1.5}, "none_explains"),
         "noise_underestimated": first(dressed(toy(modes=12, sensors=60)), {}, "noise_underestimated", 2.0),

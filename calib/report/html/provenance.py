@@ -119,7 +119,7 @@ def not_run(results: StudyResults) -> Section | None:
         lines.append(f"Which parameter values fit: calib calibrate {name}")
     if not results.explanation and results.record.get("effects_known") and "explain" not in results.stale:
         lines.append(f"Which effects the model lacks: calib explain {name}")
-    if not results.added and results.explanation.get("verdict") in ("effect", "two_effects"):
+    if not results.added and results.explanation.get("verdict") in ("effect", "two_effects", "several_effects"):
         lines.append(f"The model with the named effects added: calib run {name}")
     if not lines:
         return None

@@ -124,7 +124,7 @@ def _identified(flags: pd.Series) -> str:
 def _explained(results: StudyResults) -> list[tuple[str, str]]:
     explanation = results.explanation
     out = []
-    if explanation.get("verdict") in ("effect", "indistinguishable", "two_effects"):
+    if explanation.get("verdict") in ("effect", "indistinguishable", "two_effects", "several_effects"):
         table = effects_table(results)
         for r in [] if table is None else table.to_dict("records"):
             if r["name"] in explanation.get("chosen", []) and flag(r["refitted"]):

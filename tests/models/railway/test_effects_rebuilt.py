@@ -11,9 +11,10 @@ from calib.structure.extend import extend
 from models.railway import bogie_effects, bogie_on_rig
 
 HERE = Path(__file__)
-STUDY = HERE.resolve().parents[3] / "studies" / "bogie" / "measured"
 EFFECTS = {e.name: e for e in bogie_effects()}
-rebuilt, rediscovery = (module_of(HERE.with_name(f"{name}.py")) for name in ("rebuilt_bogie", "rediscovery"))
+STUDIES = HERE.resolve().parents[3] / "studies"
+MEASURED = STUDIES / "bogie/measured"
+rebuilt, rediscovery = module_of(STUDIES / "hidden_bogie/remodelled.py"), module_of(HERE.with_name("rediscovery.py"))
 MODES = 9
 
 
@@ -25,7 +26,7 @@ def base():
 @pytest.fixture(scope="module")
 def measure(effect_checks):
     """Noise-free modes of a rebuilt bogie at the sensors of the study."""
-    sensors = read_modes([STUDY / "repeat_1.uff"], sensors=STUDY / "sensors.csv").sensors
+    sensors = read_modes([MEASURED / "repeat_1.uff"], sensors=MEASURED / "sensors.csv").sensors
 
     def measured(model):
         return effect_checks.noise_free(model, sensors, model.modes({}, MODES), range(MODES))
@@ -53,7 +54,7 @@ def test_the_magnitude_found_is_the_one_built_in(base, measure, plain, name):
     effect = EFFECTS[name]
     truth = dict(effect.grid[len(effect.grid) // 2]) if effect.grid else {name: effect.plausible}
     start = {p.name: truth[p.name] * (0.6 if p.name == name else 1.1) for p in effect.parameters}
-    found = rediscovery.rediscovered(base, effect, plain, measure(rebuilt.BOGIES[name](truth)), start, 12)
+    found = rediscovery.rediscovered(base, effect, plain, measure(rebuilt.built([name], truth)), start, 12)
     assert found.values[name] == pytest.approx(truth[name], rel=0.02)
     assert abs(found.values[name] - truth[name]) < 1.96 * found.std
     assert found.after < 0.1 * found.before
@@ -65,7 +66,7 @@ def test_the_magnitude_found_is_the_one_built_in(base, measure, plain, name):
 @pytest.mark.parametrize("offset", [-600.0, 280.0])
 def test_a_gear_case_anywhere_on_its_axle_is_felt_there(base, measure, plain, offset):
     name = "gear_case_offset"
-    changed = measure(rebuilt.BOGIES[name]({name: offset}))
+    changed = measure(rebuilt.built([name], {name: offset}))
     found = rediscovery.rediscovered(base, EFFECTS[name], plain, changed, {name: 0.8 * offset}, 12)
     assert found.values[name] == pytest.approx(offset, rel=0.02) and found.after < 0.1 * found.before
 
@@ -74,7 +75,7 @@ def test_a_gear_case_anywhere_on_its_axle_is_felt_there(base, measure, plain, of
 def test_a_gear_case_off_the_middle_bends_its_axle_less(base):
     # The axle is softest in its middle: a mass that leaves it lets the axle's own bending rise.
     name = "gear_case_offset"
-    before, after = rebuilt.rebuilt().modes({}, MODES), rebuilt.BOGIES[name]({name: 300.0}).modes({}, MODES)
+    before, after = rebuilt.rebuilt().modes({}, MODES), rebuilt.built([name], {name: 300.0}).modes({}, MODES)
     change = after.natural_freq / before.natural_freq - 1
     assert change[MODES - 1] > 0.03
     found = extend(base, [EFFECTS[name]]).modes({name: 300.0}, MODES)

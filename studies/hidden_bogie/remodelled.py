@@ -1,18 +1,19 @@
-"""The bogie on its rig, rebuilt with each of its effects modelled in the mesh itself.
+"""The bogie on its rig with effects really built into the mesh, one of them or several together.
 
 Masses move or are added, sections are reduced, bushes and bodies are added; no term of the library is used. Every
-function takes the effect's parameters and builds a mesh with half the element size of the fitted one.
+function takes the effect's parameters and tells what is built otherwise. Nothing here is a candidate of any analysis.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
+from unittest import mock
 
 import numpy as np
-import pytest
 
 from calib.structure.model import StructuralModel
 from models.fem.discrete import PointMass, Spring, rod
@@ -53,25 +54,46 @@ ADOPTED = {p.name: p.value for p in (*BOGIE, *RIG)}
 C_PRIMARY, K_BLOCK = ADOPTED["c_primary"] * 1e3, ADOPTED["K_block"] * 1e3
 
 
-def rebuilt(change: Callable[[Bogie], Bogie] | None = None, **of_rig: Any) -> StructuralModel:
-    """The bogie on its rig on a fine mesh, with its parts changed, or names of the rig's module replaced."""
-    with pytest.MonkeyPatch.context() as patch:
-        if change is not None:
-            patch.setattr(rig, "bogie", lambda size, distributed: change(bogie(size, distributed)))
-        for name, value in of_rig.items():
-            patch.setattr(rig, name, value)
-        return rig.bogie_on_rig(element_size=FINE)
+@dataclass(frozen=True)
+class Otherwise:
+    """What is built otherwise.
+
+    Attributes
+    ----------
+    change : callable
+        Changes the parts of the bogie.
+    of_rig : mapping from str to object
+        Names of the rig's module that are replaced.
+    """
+
+    change: Callable[[Bogie], Bogie] = lambda bogie: bogie
+    of_rig: Mapping[str, object] = field(default_factory=dict)
+
+
+def rebuilt(*parts: Otherwise, element_size: float = FINE, distributed: bool = False) -> StructuralModel:
+    """The bogie on its rig with parts built otherwise, by default with half the element size of the fitted mesh."""
+
+    def changed(size: float, spread: bool) -> Bogie:
+        whole = bogie(size, spread)
+        for part in parts:
+            whole = part.change(whole)
+        return whole
+
+    with ExitStack() as stack:
+        for name, value in {"bogie": changed, **{n: v for part in parts for n, v in part.of_rig.items()}}.items():
+            stack.enter_context(mock.patch.object(rig, name, value))
+        return rig.bogie_on_rig(element_size=element_size, distributed=distributed)
 
 
 # -- rig ---------------------------------------------------------------------------------------------------------------
 
 
-def flexible_actuators(v: Values) -> StructuralModel:
+def flexible_actuators(v: Values) -> Otherwise:
     """Supports that are as soft as oil column and frame in series."""
-    return rebuilt(K_SUPPORT=1 / (1 / rig.K_SUPPORT + v["actuator_flexibility"] * 1e-9))
+    return Otherwise(of_rig={"K_SUPPORT": 1 / (1 / rig.K_SUPPORT + v["actuator_flexibility"] * 1e-9)})
 
 
-def wide_blocks(v: Values) -> StructuralModel:
+def wide_blocks(v: Values) -> Otherwise:
     """Every elastic block stands on two lines as far apart as its resistance to tilting tells."""
     half = float(np.sqrt(v["block_tilt"] * 1e3 / K_BLOCK))
     block, contact, restraint = rig._rig_springs()
@@ -82,13 +104,13 @@ def wide_blocks(v: Values) -> StructuralModel:
             (x, y, z), (a, b, c) = spring.end[1], spring.other[1]
             end, other = (spring.end[0], (x, y, z + s)), (spring.other[0], (a, b, c + s))
             wide.append(replace(spring, end=end, other=other, weight=spring.weight / 2))
-    return rebuilt(_rig_springs=lambda: (tuple(wide), contact, restraint))
+    return Otherwise(of_rig={"_rig_springs": lambda: (tuple(wide), contact, restraint)})
 
 
-def blocks_with_dampers(v: Values) -> StructuralModel:
+def blocks_with_dampers(v: Values) -> Otherwise:
     """Dampers within the elastic blocks."""
     dampers = [replace(s, weight=s.weight * v["block_damping"] * 1e3 / C_PRIMARY) for s in rig._rig_springs()[0]]
-    return rebuilt(lambda b: replace(b, dampers=(*b.dampers, *dampers)))
+    return Otherwise(lambda b: replace(b, dampers=(*b.dampers, *dampers)))
 
 
 # -- frame -------------------------------------------------------------------------------------------------------------
@@ -112,7 +134,7 @@ def recut(member: Member, cuts: Sequence[tuple[float, Section]]) -> list[Member]
     return out
 
 
-def thin_joints(v: Values) -> StructuralModel:
+def thin_joints(v: Values) -> Otherwise:
     """Crossbars of a reduced section next to the girders."""
     thin = reduced(CROSSBAR, v["crossbar_joint"])
 
@@ -130,10 +152,10 @@ def thin_joints(v: Values) -> StructuralModel:
                 members.append(m)
         return replace(b, members=tuple(members))
 
-    return rebuilt(change)
+    return Otherwise(change)
 
 
-def thin_girder_ends(v: Values) -> StructuralModel:
+def thin_girder_ends(v: Values) -> Otherwise:
     """Girder ends of a reduced section between crossbar and axle."""
     stretches = [
         (AXLE_X - CROSSBAR_X, reduced(GIRDER_END, v["girder_end"])), (GIRDER_TIP - CROSSBAR_X, GIRDER_END)
@@ -143,13 +165,13 @@ def thin_girder_ends(v: Values) -> StructuralModel:
         members = [n for m in b.members for n in (recut(m, stretches) if m.group == "girder_end" else [m])]
         return replace(b, members=tuple(members))
 
-    return rebuilt(change)
+    return Otherwise(change)
 
 
-def loaded_crossbar(v: Values) -> StructuralModel:
+def loaded_crossbar(v: Values) -> Otherwise:
     """A mass on the crossbar's middle."""
     mass = PointMass(("crossbar", (CROSSBAR_X, GIRDER_Y, 0.0)), v["crossbar_mass"])
-    return rebuilt(lambda b: replace(b, masses=(*b.masses, mass)))
+    return Otherwise(lambda b: replace(b, masses=(*b.masses, mass)))
 
 
 def stub(body: str, at: Point) -> Member:
@@ -181,7 +203,7 @@ def with_parts(
     return replace(b, members=(*b.members, *members), springs=fixed, dampers=(*b.dampers, *dampers))
 
 
-def hung_brake_unit(v: Values) -> StructuralModel:
+def hung_brake_unit(v: Values) -> Otherwise:
     """A body of its own on bushes that give upright."""
     at: Point = (CROSSBAR_X, GIRDER_Y, BRAKE_UNIT_Z)
     mass, omega = v["brake_unit"], 2 * np.pi * v["brake_unit_freq"]
@@ -192,7 +214,7 @@ def hung_brake_unit(v: Values) -> StructuralModel:
         b = with_parts(b, [stub("unit", at)], [*held("unit", "crossbar", at, (UY,)), bush], [loss])
         return replace(b, masses=(*b.masses, PointMass(("unit", at), mass)))
 
-    return rebuilt(change)
+    return Otherwise(change)
 
 
 # -- suspension --------------------------------------------------------------------------------------------------------
@@ -204,18 +226,18 @@ def scaled(springs: Sequence[Spring], factors: Mapping[str, float]) -> tuple[Spr
     return tuple(replace(s, weight=factors.get(s.name, 1.0) * s.weight) for s in springs)
 
 
-def stiffer(group: str, factors: Callable[[Values], Mapping[str, float]], v: Values) -> StructuralModel:
+def stiffer(group: str, factors: Callable[[Values], Mapping[str, float]], v: Values) -> Otherwise:
     """Some springs of a group stiffer or softer."""
-    return rebuilt(lambda b: replace(b, springs=b.springs | {group: scaled(b.springs[group], factors(v))}))
+    return Otherwise(lambda b: replace(b, springs=b.springs | {group: scaled(b.springs[group], factors(v))}))
 
 
-def leaking_damper(v: Values) -> StructuralModel:
+def leaking_damper(v: Values) -> Otherwise:
     """One damper weaker."""
     lost = {"primary damper front left": 1 - v["weak_damper"]}
-    return rebuilt(lambda b: replace(b, dampers=scaled(b.dampers, lost)))
+    return Otherwise(lambda b: replace(b, dampers=scaled(b.dampers, lost)))
 
 
-def damper_eyes(v: Values) -> StructuralModel:
+def damper_eyes(v: Values) -> Otherwise:
     """An eye between each damper and its box, on a bush."""
     bush = 1 / (v["damper_mount"] * 1e-9)
 
@@ -228,10 +250,10 @@ def damper_eyes(v: Values) -> StructuralModel:
             dampers.append(replace(damper, end=(body, at)))
         return with_parts(replace(b, dampers=tuple(dampers)), members, springs)
 
-    return rebuilt(change)
+    return Otherwise(change)
 
 
-def turning_wheels(v: Values) -> StructuralModel:
+def turning_wheels(v: Values) -> Otherwise:
     """Rims that turn freely on the axles and roll on the rails without slip."""
 
     def change(b: Bogie) -> Bogie:
@@ -249,10 +271,10 @@ def turning_wheels(v: Values) -> StructuralModel:
         b = with_parts(b, members, grip)
         return replace(b, ties=(*b.ties, *ties), masses=(*b.masses, *masses))
 
-    return rebuilt(change)
+    return Otherwise(change)
 
 
-def moved_gear_case(v: Values) -> StructuralModel:
+def moved_gear_case(v: Values) -> Otherwise:
     """The gear case elsewhere on its axle."""
 
     def change(b: Bogie) -> Bogie:
@@ -261,27 +283,27 @@ def moved_gear_case(v: Values) -> StructuralModel:
         moved = replace(case, at=(body, (x, y, z + 1e-3 * v["gear_case_offset"])))
         return replace(b, masses=tuple(moved if m is case else m for m in b.masses))
 
-    return rebuilt(change)
+    return Otherwise(change)
 
 
-def linked_gear_case(v: Values) -> StructuralModel:
+def linked_gear_case(v: Values) -> Otherwise:
     """A link as a spring between an arm of the gear case and the crossbar."""
     low, high = (CROSSBAR_X, AXLE_Y, 0.0), (CROSSBAR_X, GIRDER_Y, 0.0)
     link = rod(("axle_front", low), ("crossbar", high), v["torque_link"] * 1e3)
-    return rebuilt(lambda b: with_parts(b, springs=[link]))
+    return Otherwise(lambda b: with_parts(b, springs=[link]))
 
 
-def rods_with_dampers(v: Values) -> StructuralModel:
+def rods_with_dampers(v: Values) -> Otherwise:
     """Dampers along the connecting rods."""
 
     def change(b: Bogie) -> Bogie:
         rods = (*b.springs["rod_upper"], *b.springs["rod_lower"])
         return with_parts(b, dampers=[damped(s, v["rod_damping"] * 1e3) for s in rods])
 
-    return rebuilt(change)
+    return Otherwise(change)
 
 
-def rods_as_bars(v: Values) -> StructuralModel:
+def rods_as_bars(v: Values) -> Otherwise:
     """Connecting rods as bars of their own between bushes that resist turning."""
     bush = v["stiff_bushes"] * 1e3
     across = replace(AXLE, density=0.0, area=1.0, i_y=1e-2, i_z=1e-2, torsion=1e-2, shear_coefficient=10.0)
@@ -305,10 +327,10 @@ def rods_as_bars(v: Values) -> StructuralModel:
             axial[group] = tuple(along)
         return with_parts(replace(b, springs=b.springs | axial), members, springs)
 
-    return rebuilt(change)
+    return Otherwise(change)
 
 
-BOGIES: dict[str, Callable[[Values], StructuralModel]] = {
+BOGIES: dict[str, Callable[[Values], Otherwise]] = {
     "actuator_flexibility": flexible_actuators,
     "block_tilt": wide_blocks,
     "block_damping": blocks_with_dampers,
@@ -330,4 +352,9 @@ BOGIES: dict[str, Callable[[Values], StructuralModel]] = {
     "rod_damping": rods_with_dampers,
     "stiff_bushes": rods_as_bars,
 }
-"""The rebuilt bogie of every effect by name."""
+"""What is built otherwise for every effect of the library, by name."""
+
+
+def built(names: Sequence[str], values: Values, **mesh: Any) -> StructuralModel:
+    """The bogie on its rig with some effects really built into it; ``mesh`` is that of `rebuilt`."""
+    return rebuilt(*(BOGIES[name](values) for name in names), **mesh)
