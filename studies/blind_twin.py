@@ -160,7 +160,7 @@ class Specimen:
             values = {name: value for name, value in values.items() if name in model.space}
         else:
             model = self.structure(effects)
-        return self._at(model, model.n_dof - self.fine.n_dof, values, self.layout if places is None else places)
+        return self._at(model, max(model.n_dof - self.fine.n_dof, 0), values, self.layout if places is None else places)
 
     def seen(
         self, model: ModalModel, added: int, values: Mapping[str, float], rng: np.random.Generator | None = None

@@ -212,8 +212,9 @@ def recommendation(
         return None
     if pair is None and named:
         more = recommendation(table, None, [name for name in unseen if name not in named])
-        parts = [*(_narrowing(table, name) for name in named), *([] if more is None else [more])]
-        return Recommendation(" ".join(p.sentence for p in parts), " ".join(p.short for p in parts))
+        parts = [_narrowing(table, name) for name in named]
+        in_short = [*_narrowing_in_short(table, named), *([] if more is None else [more.short])]
+        return Recommendation(" ".join([*parts, *([] if more is None else [more.sentence])]), " ".join(in_short))
     if pair is not None:
         own = table[table["effect"] == pair[0]]
         best = own.iloc[0]
@@ -237,7 +238,7 @@ def recommendation(
     return Recommendation(f"{purpose}, {told}. {AVERAGED} {USED}", f"{purpose}, {_in_short(names)}.")
 
 
-def _narrowing(table: pd.DataFrame, name: str) -> Recommendation:
+def _narrowing(table: pd.DataFrame, name: str) -> str:
     """What narrows the magnitude of a named effect most: its standard deviation falls as its expected score rises."""
     own = table[table["effect"] == name]
     there = own[own["measurement"].str.startswith(at_effect(name)) & (own["gain"] < WORTHWHILE)]
@@ -246,10 +247,26 @@ def _narrowing(table: pd.DataFrame, name: str) -> Recommendation:
     )
     own = own[own["gain"] >= WORTHWHILE]
     if own.empty:
-        none = f"{name} needs no further measurement: none looked at raises its score {WORTHWHILE:g} times."
-        return Recommendation(f"{none}{little}", none)
-    to, short = f"To narrow the magnitude of {name}", _in_short([str(own["measurement"].iloc[0])])
-    return Recommendation(f"{to}, {_used_or_measured(own)}.{little}", f"{to}, {short}.")
+        return f"{_no_need(name)}{little}"
+    return f"To narrow the magnitude of {name}, {_used_or_measured(own)}.{little}"
+
+
+def _no_need(name: str) -> str:
+    return f"{name} needs no further measurement: none looked at raises its score {WORTHWHILE:g} times."
+
+
+def _narrowing_in_short(table: pd.DataFrame, named: Sequence[str]) -> list[str]:
+    """The best measurement for the magnitudes of named effects; those that need the same one share a sentence."""
+    best: dict[str, list[str]] = {}
+    for name in named:
+        own = table[(table["effect"] == name) & (table["gain"] >= WORTHWHILE)]
+        best.setdefault("" if own.empty else str(own["measurement"].iloc[0]), []).append(name)
+    none = [_no_need(name) for name in best.pop("", [])]
+    told = [
+        (f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0], m) for m, names in best.items()
+    ]
+    many = {measurement: "s" * (len(names) > 1) for measurement, names in best.items()}
+    return [*(f"To narrow the magnitude{many[m]} of {names}, {_in_short([m])}." for names, m in told), *none]
 
 
 def _in_short(names: Sequence[str]) -> str:

@@ -208,7 +208,7 @@ def _several(found: Explanation, effects: pd.DataFrame) -> Words:
         ends = (max(value - WIDE * std, e.magnitude.lower), min(value + WIDE * std, e.magnitude.upper))
         phrases.append(f"{e.in_words}, {interval_words(value, *ends, e.magnitude.unit)}")
     count = len(phrases)
-    named = f"The model lacks {_NUMBERS[count]} effects: {'; and '.join(phrases)}."
+    named = f"The model lacks {_NUMBERS[count]} effects: {'; '.join(phrases[:-1])}; and {phrases[-1]}."
     fewer = "No single effect removes" if count == 2 else "No single effect and no pair removes"
     them = "both" if count == 2 else f"all {_NUMBERS[count]}"
     return Words(

@@ -334,14 +334,14 @@ def _heading(
     told = [words, *further_parameters(parameters, name)]
     told.append(f"{explained_words(own, by_test)}.")
     if len(stars):
-        told.append(f"In the library it acts at {listed(stars.tolist(), _NAMED)} m, marked by a star.")
+        told.append(f"In the library it acts at (m, marked by a star): {listed(stars.tolist(), _NAMED)}.")
     if places is not None and (where := place_words(places, name)):
         told.append(
             f"Most alike among the local perturbations, marked 1: {where}"
             if most_alike(places, name) is not None
             else where
         )
-    return "\n".join(textwrap.fill(line, 125, subsequent_indent="    ") for line in told)
+    return "\n".join(textwrap.fill(line, 112, subsequent_indent="    ") for line in told)
 
 
 def _cells(spec: SubplotSpec, bars: bool, shapes: bool, structure: bool) -> dict[str, SubplotSpec]:

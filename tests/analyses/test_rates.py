@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 BENCH = Path(__file__).resolve().parents[1] / "benchmarks"
 BEYOND = 40
 """Evaluations beyond the budget: of the fit that is running when it ends, and those that a verdict needs."""
-NAMING = ("effect", "indistinguishable", "two_effects")
+NAMING = ("effect", "indistinguishable", "two_effects", "several_effects")
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def no_wrong_name(row):
     assert row["outcome"] not in ("wrong", "extra", "mixed"), row
     assert set(row["credible"]) <= set(row["hidden"]) or row["outcome"] in ("right", "second")
     decisions = 1 + (row["noise_scale"] != 1)  # a second decision with a larger standard deviation
-    parts = decisions * (1 + RULES.paired) + RULES.anew * row["begun_anew"]
+    parts = decisions * (1 + RULES.paired + RULES.stepped) + RULES.anew * row["begun_anew"]
     assert row["evaluations"] <= parts * DEFAULT.budget + BEYOND
 
 

@@ -35,7 +35,7 @@ from calib.space import ParameterSpace
 from calib.study import Study
 
 FOLDER = ROOT / "studies/five_mass_chain"
-NAMING = ("effect", "indistinguishable", "two_effects")
+NAMING = ("effect", "indistinguishable", "two_effects", "several_effects")
 FAULTS: dict[str, tuple[str, float, float]] = {
     "damping too high": ("damping", 0.003, 0.010),
     "frequency too high": ("freq", 0.05, 0.20),
@@ -104,7 +104,7 @@ def _outcome(verdict: str, untold: tuple[str, ...], hidden: str) -> str:
         return "wrong"
     if len(untold) == 1:
         return "right"
-    return "with a false one" if verdict == "two_effects" else "competing model left in"
+    return "with a false one" if verdict in ("two_effects", "several_effects") else "competing model left in"
 
 
 if __name__ == "__main__":

@@ -11,10 +11,8 @@ import numpy as np
 from calib.effect import Effect
 from calib.measurement.modal import MeasuredModes
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
-from calib.missing.explanation import Explanation
+from calib.missing.explanation import SEVERAL, Explanation
 from calib.missing.profile import profile_interval
-
-NAMING = ("effect", "indistinguishable", "two_effects")
 
 
 class Truth(Protocol):
@@ -64,13 +62,13 @@ class Measured:
 def outcome(found: Explanation, measured: Truth) -> dict[str, Any]:
     """What was found, and whether it is right.
 
-    ``right``: the true effect (its group) is in the printed set and the best, or both of two are named; ``part``: one
-    of two; ``second``: in the set but not the best; ``extra``: named with a second one that is not there; ``wrong``:
+    ``right``: the true effect (its group) is in the printed set and the best, or all of several are named; ``part``:
+    one of several; ``second``: in the set but not the best; ``extra``: named with another one that is not there; ``wrong``:
     something is named and the truth is not in the set; otherwise the verdict itself.
     """
     stands = {name: g.effect.name for g in found.groups for name in g.names}
     true = {stands[name] for name in measured.hidden if name in stands}
-    named = found.verdict in NAMING
+    named = found.names_something
     best = list(found.chosen.names) if found.chosen is not None else []
     pairs = [t for t in found.candidate_fits if len(t.names) > 1]
     base = found.base_adequacy
@@ -84,6 +82,8 @@ def outcome(found: Explanation, measured: Truth) -> dict[str, Any]:
         "measured_scale": found.measured_scale,
         "noise_scale": found.noise_scale, "evaluations": found.evaluations,
         "begun_anew": found.begun_anew,
+        "steps": [] if found.steps is None else [list(step.candidate_fit.names) for step in found.steps.steps],
+        "stopped": "" if found.steps is None else found.steps.stopped,
         "base_misfit": round(found.base.fit.misfit, 1),
         "candidate_fits": [_row(t, found) for t in (*found.singles[:4], *pairs[:3])],
         "perturbation": None if found.perturbation is None else _row(found.perturbation, found),
@@ -116,10 +116,12 @@ def magnitude(found: Explanation, measured: Truth) -> dict[str, Any]:
 
 
 def _judged(verdict: str, credible: set[str], best: list[str], true: set[str]) -> str:
-    if verdict == "two_effects":
+    if verdict in SEVERAL:
         if credible == true:
             return "right"
-        return "extra" if credible & true and len(true) < 2 else "mixed" if credible & true else "wrong"
+        if credible < true:
+            return "part"
+        return "extra" if true and credible > true else "mixed" if credible & true else "wrong"
     if best[0] in true:
         return "right" if len(true) == 1 else "part"
     return "second" if credible & true else "wrong"

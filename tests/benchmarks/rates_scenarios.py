@@ -70,6 +70,7 @@ def scenarios(subject: Subject, library: Sequence[Effect]) -> tuple[Scenario, ..
     out += [Scenario(f"outside/{n}/{s}", "outside", (n,), f) for s, f in MAGNITUDES.items() for n in subject.outside]
     out += [Scenario(f"without/{e.name}/{s}", "removed", (e.name,), MAGNITUDES[s], True) for s in "ML" for e in library]
     out += [Scenario(f"{a}+{b}/{s}", "pair", (a, b), MAGNITUDES[s]) for s in "ML" for a, b in subject.pairs]
+    out += [Scenario(f"{'+'.join(t)}/{s}", "triple", t, MAGNITUDES[s]) for s in "ML" for t in subject.triples]
     return tuple(out)
 
 

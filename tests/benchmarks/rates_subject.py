@@ -23,6 +23,10 @@ class Subject:
         Designs that no effect describes.
     pairs : tuple of (str, str)
         Effects that are hidden together.
+    triples : tuple of (str, str, str)
+        The same of three effects.
+    really_built : bool
+        Whether effects of the library are built into the twin's mesh, instead of added as the library's terms.
     reduced_twin : bool
         Whether the finer mesh is solved on a reduced basis of its own, for which full order would take too long.
     by_way : bool
@@ -34,6 +38,8 @@ class Subject:
     sources: tuple[str, ...]
     outside: tuple[str, ...]
     pairs: tuple[tuple[str, str], ...]
+    triples: tuple[tuple[str, str, str], ...] = ()
+    really_built: bool = False
     reduced_twin: bool = False
     by_way: bool = False
 
@@ -46,7 +52,8 @@ class Subject:
 BOGIE = Subject(
     "bogie", "studies/hidden_bogie_none",
     (
-        "studies/hidden_bogie/make_twin.py", "studies/hidden_bogie/outside.py", "studies/hidden_bogie/study.toml",
+        "studies/hidden_bogie/make_twin.py", "studies/hidden_bogie/outside.py", "studies/hidden_bogie/remodelled.py",
+        "studies/hidden_bogie/study.toml",
         "studies/bogie/make_twin.py", "studies/blind_twin.py",
     ),
     ("heavy_rear", "stiff_rear_rods", "soft_girder", "skew_block"),
@@ -54,6 +61,11 @@ BOGIE = Subject(
         ("brake_unit", "weak_damper"), ("crossbar_mass", "rolling_wheels"), ("gear_case_offset", "primary_uneven"),
         ("damper_mount", "rod_damping"),
     ),
+    (
+        ("brake_unit", "weak_damper", "gear_case_offset"), ("crossbar_mass", "damper_mount", "primary_uneven"),
+        ("rolling_wheels", "wheel_contact", "block_damping"), ("torque_link", "rod_damping", "actuator_flexibility"),
+    ),
+    really_built=True,
 )  # fmt: skip
 
 VEHICLE = Subject(

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rates_outcome import NAMING
 from scipy import stats
 
 Row = dict[str, Any]
 
+NAMING = ("effect", "indistinguishable", "two_effects", "several_effects")
+"""Verdicts that name effects."""
 DETECTABLE = 6.0
-"""Expected score from which an effect outside the library counts as detectable, and both of a pair as visible."""
+"""Expected score from which an effect outside the library counts as detectable, and all of several as visible."""
 
 
 class Rate(NamedTuple):
@@ -94,7 +95,7 @@ def wrong(row: Row) -> bool:
 
 
 def score(row: Row) -> float:
-    """Expected score of what is hidden, of the less visible one of two.
+    """Expected score of what is hidden, of the least visible one of several.
 
     It is the length of the change of the data that the parameters cannot absorb, at the true parameters and without
     noise. For small effects that is the fingerprint's length times the magnitude; effects that saturate change the data
@@ -121,9 +122,10 @@ def rates(rows: Sequence[Row]) -> list[Rate]:
     outside = group("outside", "removed")
     seen = [r for r in outside if score(r) >= DETECTABLE]
     nothing, noise = group("nothing"), group("noise")
-    pairs = group("pair")
+    pairs, triples = group("pair"), group("triple")
     covering = [r for r in single if "covers" in r]
     both = [r for r in pairs if score(r) >= DETECTABLE]
+    all_three = [r for r in triples if score(r) >= DETECTABLE]
 
     def right(r: Row) -> bool:
         return r["outcome"] == "right"
@@ -134,7 +136,7 @@ def rates(rows: Sequence[Row]) -> list[Rate]:
     def some(r: Row) -> bool:
         return r["verdict"] != "nothing_detectable"
 
-    one, two, detectable = "one effect", "two effects", f"expected score {DETECTABLE:g} or more"
+    one, two, three, detectable = "one effect", "two effects", "three effects", f"expected score {DETECTABLE:g} or more"
     none_there, doubled = "nothing", "standard deviation understated twofold"
     outside_, names = "something that is not in the library", "names something"
     return [
@@ -165,6 +167,8 @@ def rates(rows: Sequence[Row]) -> list[Rate]:
         rate(f"{one}, {doubled}", "names a wrong effect", 0.02, False, group("noise_effect"), wrong),
         rate(f"{two}, each of {detectable}", "names both", 0.80, True, both, right),
         rate(f"{two} of any score", "names a wrong effect", 0.02, False, pairs, wrong),
+        rate(f"{three}, each of {detectable}", "names all three", 0.80, True, all_three, right),
+        rate(f"{three} of any score", "names a wrong effect", 0.02, False, triples, wrong),
         rate(f"{one}, named", "its 95 % interval covers the truth", 0.88, True, covering, lambda r: bool(r["covers"])),
     ]  # fmt: skip
 
@@ -264,8 +268,8 @@ def _complaint(r: Row) -> str:
         and r["verdict"] not in ("none_explains", "misfit_unlocated")
     ):
         return f"outside: {r['verdict']}"
-    if r["group"] == "pair" and score(r) >= DETECTABLE and r["outcome"] != "right":
-        return f"pair: {r['outcome']}"
+    if r["group"] in ("pair", "triple") and score(r) >= DETECTABLE and r["outcome"] != "right":
+        return f"{r['group']}: {r['outcome']}"
     return ""
 
 

@@ -103,7 +103,7 @@ class World:
     @cached_property
     def specimen(self) -> Any:
         """What is measured."""
-        return self.maker.specimen()
+        return self.maker.specimen(really_built=True) if self.subject.really_built else self.maker.specimen()
 
     @cached_property
     def study(self) -> Study:
@@ -208,6 +208,13 @@ class World:
         self, hidden: Sequence[Effect], values: dict[str, float], rng: np.random.Generator
     ) -> tuple[tuple[str, ...], Modes, np.ndarray]:
         own = tuple(e.name for e in hidden)
+        if self.specimen.built is not None and own and set(own) <= {e.name for e in self.library}:
+            model = self.specimen.built(own, values)
+            true = {name: value for name, value in values.items() if name in model.space}
+            rebuilt: tuple[tuple[str, ...], Modes, np.ndarray] = self.specimen.seen(
+                model, max(model.n_dof - self.specimen.fine.n_dof, 0), true, rng
+            )
+            return rebuilt
         found: tuple[tuple[str, ...], Modes, np.ndarray] = self.specimen.seen(
             self.twin.with_effects(own), self.twin.added(own), values, rng
         )

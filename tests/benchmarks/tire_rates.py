@@ -94,7 +94,7 @@ def one(kind: str, design: str, number: int) -> dict[str, Any]:
             found = fit.explain(list(make.tire_effects()), progress=False)
     except EvaluationError as fault:
         return row | {"verdict": f"failed: {fault}"}
-    naming = found.verdict in ("effect", "indistinguishable", "two_effects")
+    naming = found.verdict in ("effect", "indistinguishable", "two_effects", "several_effects")
     return row | {
         "verdict": found.verdict, "named": list(found.explanation.explanation.untold) if naming else [],
         "seconds": time.process_time() - begun,
