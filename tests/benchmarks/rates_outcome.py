@@ -63,8 +63,8 @@ def outcome(found: Explanation, measured: Truth) -> dict[str, Any]:
     """What was found, and whether it is right.
 
     ``right``: the true effect (its group) is in the printed set and the best, or all of several are named; ``part``:
-    one of several; ``second``: in the set but not the best; ``extra``: named with another one that is not there; ``wrong``:
-    something is named and the truth is not in the set; otherwise the verdict itself.
+    one of several; ``second``: in the set but not the best; ``extra``: named with another one that is not there;
+    ``wrong``: something is named and the truth is not in the set; otherwise the verdict itself.
     """
     stands = {name: g.effect.name for g in found.groups for name in g.names}
     true = {stands[name] for name in measured.hidden if name in stands}
