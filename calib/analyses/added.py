@@ -20,7 +20,7 @@ from calib.analyses.record import begin_analysis, write_record
 from calib.candidate import Candidate
 from calib.errors import EvaluationError
 from calib.missing.candidate_fit import CandidateFit
-from calib.missing.explanation import NAMED, SEVERAL, Explanation
+from calib.missing.explanation import NAMED, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import WIDE
 from calib.missing.verdict import GROUPS
@@ -87,7 +87,7 @@ def nothing_added(found: Explanation) -> str:
         f"These data cannot discriminate between {' and '.join(found.untold)}, so none of them is "
         "added: inspect the structure, or make a measurement that discriminates between them."
     )
-    if found.verdict in SEVERAL and found.steps is not None:
+    if found.steps is not None and found.steps.rivals:
         pairs = "; and between ".join(f"{name} and {other}" for name, other in found.steps.rivals)
         untold = f"These data cannot discriminate between {pairs}, so nothing is added: inspect the structure."
     named = " and ".join(() if found.chosen is None else found.chosen.names)

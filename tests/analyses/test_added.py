@@ -82,7 +82,7 @@ def study(mast, tmp_path_factory):
 
 def found(verdict, *names, untold=()):
     chosen = SimpleNamespace(names=names) if names else None
-    return SimpleNamespace(verdict=verdict, chosen=chosen, untold=untold or names, uncontested=False)
+    return SimpleNamespace(verdict=verdict, chosen=chosen, untold=untold or names, steps=None, uncontested=False)
 
 
 def test_only_effects_without_a_competing_model_are_added():
