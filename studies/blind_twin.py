@@ -158,9 +158,11 @@ class Specimen:
         if self.built is not None and effects:
             model = self.built([effect.name for effect in effects], values)
             values = {name: value for name, value in values.items() if name in model.space}
-        else:
-            model = self.structure(effects)
-        return self._at(model, max(model.n_dof - self.fine.n_dof, 0), values, self.layout if places is None else places)
+            return self._at(
+                model, max(model.n_dof - self.fine.n_dof, 0), values, self.layout if places is None else places
+            )
+        model = self.structure(effects)
+        return self._at(model, model.n_dof - self.fine.n_dof, values, self.layout if places is None else places)
 
     def seen(
         self, model: ModalModel, added: int, values: Mapping[str, float], rng: np.random.Generator | None = None
@@ -259,6 +261,12 @@ def change_seen(
     return float(np.linalg.norm(direction - basis @ (basis.T @ direction)))
 
 
+def turn(shapes: np.ndarray) -> np.ndarray:
+    """Phase factor of the largest entry of every shape, (n_modes,): a solver returns shapes of any sign or phase."""
+    largest = np.take_along_axis(shapes, np.abs(shapes).argmax(axis=0)[None], axis=0)[0]
+    return largest / np.abs(largest)
+
+
 def make(specimen: Specimen, kinds: Mapping[str, Kind], title: str, what: str) -> None:
     """Draw true values, measure the twin five times, write truth and repeats; arguments from the command line."""
     arguments = argparse.ArgumentParser(description=what)
@@ -269,6 +277,8 @@ def make(specimen: Specimen, kinds: Mapping[str, Kind], title: str, what: str) -
     kind = kinds[given.kind]
     found = drawn(specimen, kind)
     modes, shapes, rng = found.modes, found.shapes, found.rng
+    if specimen.built is not None:
+        shapes = shapes / turn(shapes)
     twin.write_measurement(
         given.into, specimen.modes, *set_up_errors(modes, shapes, kind.noise, rng), specimen.layout, rng, title
     )

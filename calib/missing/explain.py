@@ -21,7 +21,7 @@ from calib.missing.pairs import alone, fit_pairs
 from calib.missing.refits import DEFAULT, EARLY, LATE, Refits, Settings
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
-from calib.missing.stepwise import Stepwise
+from calib.missing.stepwise import Stepwise, further_price
 from calib.missing.suspect import suspects
 from calib.missing.wrong_datum import wrong_datum
 from calib.stage import Progress, unheard
@@ -246,9 +246,8 @@ class _Decision:
         self, found: Explanation, lead: _Lead, pairs: Sequence[CandidateFit], able: Sequence[Candidate]
     ) -> Explanation | None:
         """Explanation by two effects, with those collinear with them; None when no pair may be named."""
-        second = 2 * RULES.credible + math.log(max(len(found.groups) - 1, 1))
-        measurement = max(_ln(found.fault), _ln(found.datum)) + RULES.credible
-        needed = max(lead.singles[0].ln_evidence + second, self.competitor(found), measurement)
+        second = further_price(len(found.groups) - 1)
+        needed = max(lead.singles[0].ln_evidence + second, self.unlike_effects(found))
         pair = self.pair(pairs, needed, found.groups)
         if not pair:
             return None
@@ -264,11 +263,10 @@ class _Decision:
         self, found: Explanation, lead: _Lead, pairs: Sequence[CandidateFit], able: Sequence[Candidate]
     ) -> Explanation:
         """Take in one effect after the other, where the best one or the best pair has strong evidence."""
-        price = RULES.credible + math.log(len(found.groups))
-        start = max((lead.best, *pairs[:1]), key=lambda t: t.ln_evidence - price * len(t.names))
-        if start.ln_evidence - found.base.ln_evidence <= price * len(start.names):
-            return found
-        if self.fits.settings.budget <= 0:
+        first, second = RULES.credible + math.log(len(found.groups)), further_price(len(found.groups) - 1)
+        start = next((t for t in pairs[:1] if t.ln_evidence - lead.best.ln_evidence > second), lead.best)
+        strong = lead.best.ln_evidence - found.base.ln_evidence > first or start is not lead.best
+        if not strong or self.fits.settings.budget <= 0:
             return found
         search = Stepwise(self.fits, found.base, found.base_adequacy, able)
         return replace(found, steps=search.steps(*_first(lead, start), start))
@@ -279,7 +277,7 @@ class _Decision:
         if steps is None or not steps.explains:
             return None
         last = steps.last
-        if last.candidate_fit.ln_evidence <= max(_ln(found.fault), _ln(found.datum)) + RULES.credible:
+        if last.candidate_fit.ln_evidence <= self.unlike_effects(found):
             return None
         names = last.candidate_fit.names
         verdict = "two_effects" if len(names) == 2 else "several_effects"
@@ -357,6 +355,10 @@ class _Decision:
         number = len(self.fits.hypotheses.perturbations) / len(found.groups)
         fault = None if self.fits.hypotheses.faults else found.fault  # else `blamed` weighs it
         return max(_ln(found.perturbation), _ln(fault)) - math.log(max(number, 1.0))
+
+    def unlike_effects(self, found: Explanation) -> float:
+        """Log evidence above which several effects may be named: of anything else that explains the data alone."""
+        return max(self.competitor(found), max(_ln(found.fault), _ln(found.datum)) + RULES.credible)
 
     def needed(self, found: Explanation) -> float:
         """Log evidence above which one effect may be named."""

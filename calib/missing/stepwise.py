@@ -99,7 +99,7 @@ class Stepwise:
         found: Step | None = None
         for one in tried:
             what = one.effects[-1]
-            if one.ln_evidence - model.ln_evidence <= self._price(len(groups)) or at_lower(one.fit, what):
+            if one.ln_evidence - model.ln_evidence <= further_price(len(groups)) or at_lower(one.fit, what):
                 self._reject(one, model, what, "evidence")
             elif found is not None:
                 self._reject(one, model, what, "weaker")
@@ -110,10 +110,6 @@ class Stepwise:
             else:
                 found = step
         return found
-
-    def _price(self, choices: int) -> float:
-        """Log Bayes factor that one more effect needs, out of so many to choose from."""
-        return RULES.credible + math.log(max(choices, 1))
 
     def _groups(self, model: CandidateFit, scores: Scores) -> list[Group]:
         """Groups of collinear effects that the model lacks, those predicted to explain most first."""
@@ -156,7 +152,7 @@ class Stepwise:
             model = step.candidate_fit
             smaller = [(rest, e) for e in model.effects[:-1] if (rest := self._without(model, e)) is not None]
             smaller.sort(key=lambda one: -one[0].ln_evidence)
-            price = self._price(len(self.candidates) - len(model.names) + 1)
+            price = further_price(len(self.candidates) - len(model.names) + 1)
             if not smaller or model.ln_evidence - smaller[0][0].ln_evidence > price:
                 return step
             rest, least = smaller[0]
@@ -220,6 +216,14 @@ class Stepwise:
             faults = fits.faults(rest, beside(fits, rest, h.faults), model)[:1] if h.faults else ()
             out += [(one, "fault") for one in faults if one.ln_evidence - _chance(h.faults, groups) > near]
         return out
+
+
+def further_price(choices: int) -> float:
+    """Log Bayes factor above which a further effect is taken in beside others, out of so many to choose from.
+
+    Twice that of a first effect: a wrong model is often improved by any effect.
+    """
+    return 2 * RULES.credible + math.log(max(choices, 1))
 
 
 def _chance(unnamed: Sequence[Candidate], groups: Sequence[Group]) -> float:

@@ -14,6 +14,7 @@ from calib.results import Results
 
 ROOT = Path(__file__).resolve().parents[2]
 HIDDEN, NONE, OUTSIDE = "hidden_bogie", "hidden_bogie_none", "hidden_bogie_outside"
+THREE = "hidden_three"
 EACH = [HIDDEN, NONE, OUTSIDE]
 # test_explain.py covers the same with smaller structures.
 pytestmark = pytest.mark.slow
@@ -195,3 +196,27 @@ def test_the_extended_model_predicts_held_out_sensors_better(explained, tmp_path
     assert abs(values.loc[name, "value"] / hidden["magnitudes"][name] - 1) < 0.2
     for place in ("pos_long_left", "pos_long_right"):
         assert values.loc[place, "value"] == hidden["parameters"][place]
+
+
+# -- three effects at once ---------------------------------------------------------------------------------------------
+
+
+def test_three_effects_that_were_built_into_the_mesh_are_found_one_after_the_other(explained):
+    folder = explained(THREE)
+    summary, effects, errors = written(folder)
+    hidden = truth(THREE)
+    assert summary["verdict"] == "several_effects" and len(hidden["effects"]) == 3
+    assert set(summary["credible_set"]) == set(summary["chosen"]) == set(hidden["effects"])
+    for name, true in hidden["magnitudes"].items():
+        assert effects.loc[name, "magnitude_low"] <= true <= effects.loc[name, "magnitude_high"]
+    steps = pd.read_csv(folder / "steps.csv", keep_default_na=False)
+    assert steps["effects"].iloc[0] == "none" and set(steps["effects"].iloc[-1].split(" + ")) == set(hidden["effects"])
+    assert steps["ln_bayes"].is_monotonic_increasing and (steps["p_family"].iloc[:-1] < 0.01).all()
+    along = pd.read_csv(folder / "steps_errors.csv").pivot(index="step", columns="group", values="rms")
+    first, last = along.iloc[0], along.iloc[-1]
+    assert (last < first).all() and (last < 1.1).all() and len(along) == len(steps)
+    for group in along.columns:
+        assert errors["rms"][group, "before"] == pytest.approx(first[group])
+        assert errors["rms"][group, "after"] == pytest.approx(last[group])
+    rejected = pd.read_csv(folder / "steps_rejected.csv", keep_default_na=False)
+    assert len(rejected) and not set(rejected["effect"]) & set(hidden["effects"])

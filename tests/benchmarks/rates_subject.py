@@ -63,7 +63,7 @@ BOGIE = Subject(
     ),
     (
         ("brake_unit", "weak_damper", "gear_case_offset"), ("crossbar_mass", "damper_mount", "primary_uneven"),
-        ("rolling_wheels", "wheel_contact", "block_damping"), ("torque_link", "rod_damping", "actuator_flexibility"),
+        ("rolling_wheels", "primary_uneven", "block_damping"), ("torque_link", "rod_damping", "actuator_flexibility"),
     ),
     really_built=True,
 )  # fmt: skip
