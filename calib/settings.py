@@ -320,8 +320,18 @@ class ExplainSettings(_Section):
     """Model options of a finer mesh, from which the discretisation error is estimated."""
     samples: int = Field(default=10, ge=1, le=100_000)
     """Posterior samples over which the recommended next measurement is averaged."""
+    fixed_sd: str | None = None
+    """Standard deviation of parameters that are not selected, a share of their nominal value such as ``"3 %"``; by
+    default they are exact."""
     seed: Seed = 1
     """Seed of all random numbers of the analysis."""
+
+    @field_validator("fixed_sd")
+    @classmethod
+    def _share(cls, given: str | None) -> str | None:
+        if given is not None and not 0 < Claim.of(given).share <= 0.2:
+            raise ValueError("fixed_sd is a share of the nominal values, from above 0 to '20 %', such as '3 %'")
+        return given
 
 
 class StudySettings(_Section):

@@ -53,6 +53,7 @@ FIGURES = {
     "hidden_why": Shown("hidden_bogie", "why_this_effect"),
     "hidden_next": Shown("hidden_bogie", "next_measurement"),
     "hidden_errors": Shown("hidden_bogie", "added_errors"),
+    "hidden_three_steps": Shown("hidden_three", "error_by_step"),
     "vehicle_model": Shown("vehicle", "model"),
     "vehicle_frequencies": Shown("vehicle", "modes"),
     "vehicle_comparison": Shown("vehicle", "comparison"),

@@ -20,6 +20,7 @@ from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.joint_adapter import JointAdapter, together
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.state import ADDED
+from calib.analyses.uncertain import uncertain_note, with_uncertain
 from calib.candidate import Candidate
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
@@ -95,11 +96,15 @@ def explain(
         engine.require_modes(sum(one.problem.n_measured for one in tests))
     started, local = time.perf_counter(), perturbations_of(study)
     adapter = together({
-        s.test: adapter_of(s, homes.get(s.test, results), progress, local.get(s.test), study.held_sd) for s in tests
+        s.test: adapter_of(with_uncertain(s), homes.get(s.test, results), progress, local.get(s.test), study.held_sd)
+        for s in tests
     })  # fmt: skip
     found = decided(adapter, study.settings.explain, study.file, progress)
     answer = answered(adapter, found, progress, started)
-    answer = replace(answer, tables=answer.tables | {TABLE: explained_fits(study, found)})
+    taken = dict.fromkeys(note for one in tests for note in uncertain_note(one))
+    answer = replace(
+        answer, tables=answer.tables | {TABLE: explained_fits(study, found)}, notes=(*answer.notes, *taken)
+    )  # fmt: skip
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
     of_all = {name: table for name, table in answer.tables.items() if TEST not in table or name in (BY_TEST, BETWEEN)}
     seen: list[tuple[AnyStudy, Results, ExplanationResult]] = [(study, results, replace(answer, tables=of_all))]

@@ -358,7 +358,9 @@ class Study:
                 added.write_nothing_added(study.one, found, study.folder, self.quick)
             return None
         self.listener.begins(loaded, "extend")
-        begin_at = {n: v for n, v in named.fit.values.items() if n in named.fit.fit_problem.space.free_names}
+        fitted = {*loaded.search_space.free_names, *(name for e in named.effects for name in e.names)}
+        fitted &= set(named.fit.fit_problem.space.free_names)
+        begin_at = {name: value for name, value in named.fit.values.items() if name in fitted}
         written = extension.extend_among(loaded, named.names, self.folder.path, begin_at)
         self.listener.extended(written)
         extended = replace(self, path=written.file, read=None)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from calib.missing.evidence import ln_evidence
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.score import NOISE_LEVEL, Scores, _reached, correlation, family_p, noise_limit, scores
 from calib.problem import Rows
@@ -83,6 +84,33 @@ def test_a_fully_absorbed_effect_has_no_score(toy):
     assert family_p(alone, toy, seed=1) == 1.0
     none = scores(toy.calibrated(), (), {})
     assert none.owners == () and family_p(none, toy, seed=1) == 1.0
+
+
+def test_a_tight_prior_counts_like_a_covariance_of_the_data(toy):
+    """Scores and evidence are those of the model without that parameter and with ``I + s^2 c c^T`` for the data."""
+    toy = toy()
+    tight = replace(toy.base["P3"], prior_sd=0.2)
+    others = tuple(p for p in toy.base.parameters if p.name != "P3")
+    toy = replace(toy, base=replace(toy.base, parameters=(*others, tight))).drawn(np.random.default_rng(2), {"E1": 0.5})
+    fit = toy.calibrated()
+    found = scores(fit, toy.effects, {})
+    held = 0.2 * toy.columns["P3"]
+    covariance = np.eye(len(held)) + np.outer(held, held)
+    white = np.linalg.inv(np.linalg.cholesky(covariance))
+    slope = np.column_stack([toy.columns[p.name] * p.prior_width for p in others])
+    basis = np.linalg.qr(np.vstack([white @ slope, np.eye(len(others))]))[0]
+
+    def absorbed(rows):
+        wide = np.concatenate([white @ rows, np.zeros(len(others))])
+        return wide - basis @ (basis.T @ wide)
+
+    left = absorbed(toy.data)
+    for name, z in zip(found.owners, found.z, strict=True):
+        g = absorbed(toy.columns[name])
+        assert z == pytest.approx(g @ left / np.linalg.norm(g), rel=1e-6)
+    information = np.eye(len(others)) + slope.T @ np.linalg.solve(covariance, slope)
+    told = -0.5 * (left @ left + np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(information)[1])
+    assert ln_evidence(fit, ()) == pytest.approx(told, abs=1e-3)
 
 
 def test_a_column_by_difference_is_the_derivative_of_a_linear_effect(toy, make_effect):

@@ -1,0 +1,56 @@
+"""Parameters that are not selected, taken as uncertain by a stated share: the discrepancy of an explained model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from calib.measurement.accuracy import Claim
+from calib.space import Parameter
+from calib.study import Study
+
+REACH = 5.0
+"""Half-width of their limits, in standard deviations."""
+LEAST = 0.1
+"""Part of the nominal value below which they cannot fall: they keep their sign."""
+
+
+def with_uncertain(study: Study) -> Study:
+    """The study with its unselected parameters free about their nominal values; unchanged without ``fixed_sd``.
+
+    Their prior standard deviation is a share of the nominal value. Fitted along and projected out of every score, they
+    count like a covariance ``J S^2 J^T`` added to that of the data, J the derivative of the predictions and S these
+    standard deviations (Kennedy and O'Hagan 2001, to first order).
+    """
+    given = study.settings.explain.fixed_sd
+    if given is None:
+        return study
+    share, space = Claim.of(given).share, study.search_space
+    for p in uncertain(study):
+        sd = share * abs(p.value)
+        reach = min(REACH * sd, (1 - LEAST) * abs(p.value))
+        space = space.replace(
+            p.name, lower=p.value - reach, upper=p.value + reach, prior_sd=sd, distribution="uniform"
+        )  # fmt: skip
+    return replace(study, search_space=space)
+
+
+def uncertain(study: Study) -> tuple[Parameter, ...]:
+    """Unselected parameters to which a share of their value applies: no integers, none of value 0, none held."""
+    held = {*study.search_space.free_names, *study.condition, *study.adopted}
+    return tuple(p for p in study.sensitivity_space.free if p.name not in held and not p.integer and p.value != 0)
+
+
+def uncertain_note(study: Study) -> tuple[str, ...]:
+    """Which parameters are uncertain and by how much, in words; empty without ``fixed_sd``."""
+    given = study.settings.explain.fixed_sd
+    if given is None:
+        return ()
+    names = [p.name for p in uncertain(study)]
+    exact = [
+        p.name
+        for p in study.sensitivity_space.free
+        if p.name not in (*study.search_space.free_names, *study.condition, *study.adopted, *names)
+    ]
+    told = f"uncertain by {given}: {', '.join(names)}" if names else "all selected, so that none is uncertain"
+    rest = f"; exact, as integers or of value 0: {', '.join(exact)}" if exact else ""
+    return (f"Parameters that are not selected are {told}{rest}.",)
