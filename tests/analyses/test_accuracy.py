@@ -124,6 +124,7 @@ def test_compare_calibrate_and_explain_weight_by_the_same_standard_deviation(mas
     assert f"(noise allows {percent(noise)} %)" in reported_noise(results.path)
 
 
+@pytest.mark.slow
 def test_an_assumed_standard_deviation_is_reported_wherever_it_is_used(mast, tmp_path):
     study = Study.load(bare_std(mast.write_study(tmp_path / "mast")))
     assert {(a.item, a.value) for a in assumed_std(study)} == {

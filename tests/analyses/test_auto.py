@@ -68,6 +68,7 @@ def test_a_search_follows_where_every_start_ends_elsewhere(answer):
     assert all("A genetic search followed." in words for words in found.notes[:2])
 
 
+@pytest.mark.slow
 def test_least_squares_after_the_search_are_never_worse_than_the_starts(answer):
     starts = answer("waves = 2.0", 'method = "gauss-newton"\nstarts = 20')
     assert answer("waves = 2.0", folder="auto").best.statistics.criterion <= starts.best.statistics.criterion + 1e-6

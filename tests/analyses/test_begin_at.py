@@ -214,6 +214,7 @@ def wave():
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("discriminated", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_case_leaves_its_own_solution_only_where_the_data_prefer_another(study, tmp_path, discriminated):
     """Both roots of ``y = 1`` fit; the priors favour the positive one, on the side of the nominal value."""

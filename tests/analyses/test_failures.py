@@ -55,6 +55,7 @@ def test_the_commonest_reason_is_reported(sums, tmp_path):
     assert reason.error in answer.why_failed and answer.why_failed in answer.sentences
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["gauss-newton", pytest.param("genetic", marks=pytest.mark.slow)])
 def test_a_basis_that_misses_its_tolerance_is_not_used_and_not_tried_again(tmp_path, monkeypatch, method):
     tried = []

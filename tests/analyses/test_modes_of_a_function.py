@@ -96,6 +96,7 @@ def test_the_explanation_is_that_of_the_matrices_and_evaluates_no_point_twice(ow
     assert {"sensor_misfit", "mesh_points"} <= set(own.tables)
 
 
+@pytest.mark.slow
 def test_no_point_is_solved_twice_and_a_second_run_solves_none(few, tmp_path):
     folder, calls = few
     study = Study.load(folder)

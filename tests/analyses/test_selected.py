@@ -97,6 +97,7 @@ def test_a_calibration_of_one_case_is_stale_with_its_selection(selected, quick):
         assert f"calib calibrate plain --case A1 --method genetic{' --quick' * quick}" in words
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "old", "new"),
     [("measured.csv", "3.5", "3.7"), ("study.toml", "samples = 20", "samples = 30"), ("model.py", 'r": ', 'r": 2 * ')],

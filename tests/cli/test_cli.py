@@ -278,6 +278,7 @@ def test_help_texts_read_well(capsys):
         assert "Usage: calib" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_suspicious_sensor_is_named_before_comparing(here, capsys, monkeypatch):
     load = Study.load
 

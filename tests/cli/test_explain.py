@@ -186,6 +186,7 @@ def test_held_out_data_are_told_and_enter_no_fit(guyed, capsys, edit, explanatio
     assert "B3x" not in set(misfit["mode"]) and "2x" not in set(misfit["sensor"])
 
 
+@pytest.mark.slow
 def test_without_repeats_the_assumed_std_is_told(here, write_study, capsys, explanation):
     folder = write_study(Path("mast"))
     for name, drop in (("modes.csv", "freq_std"), ("shapes.csv", "std")):

@@ -22,6 +22,7 @@ def asked(*arguments):
     return cli.execute(["modes", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_the_tables_are_a_measurement_that_calib_reads(tmp_path, capsys):
     paths = [
         AMBIENT.write_csv(tmp_path / f"record_{seed}.csv", AMBIENT.accelerations(CHAIN, 10_000, seed))

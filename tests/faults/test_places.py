@@ -178,6 +178,7 @@ def fill(disk: Path, leave: int) -> Path:
     return ballast
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kilobytes", [80, *(pytest.param(size, marks=pytest.mark.slow) for size in (0, 400))])
 def test_a_full_disk(mast, small_disk, runner, left, drafts, kilobytes, whole, one_sentence):
     check_full_disk(small_disk, runner, left, drafts, kilobytes, whole[0], False, one_sentence)

@@ -95,6 +95,7 @@ def test_a_fit_finds_the_truth_and_meets_held_out_data(right):
     assert ((errors["rms"] / errors["expected"] - 1).abs() < 4 / np.sqrt(2 * errors["rows"])).all()
 
 
+@pytest.mark.slow
 def test_held_out_data_contradict_a_model_that_lacks_something(lacking):
     errors = by_group(lacking.calibrate(progress=False).errors)
     assert (errors.loc[GROUPS, "p"] < CHANCE).all()
@@ -269,6 +270,7 @@ def test_the_prior_of_a_held_out_channel_widens_what_is_expected_there():
     assert rows["freed"]["rms"] == pytest.approx(rows["blamed"]["rms"]) and rows["freed"]["expected"] > 1.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("synthetic", [True, False])
 def test_the_report_says_whether_the_functions_are_synthetic(unrendered, tmp_path, synthetic):
     fit = problem_of(replace(WORLD.measured(1), synthetic=synthetic)).calibrate(progress=False)

@@ -61,6 +61,7 @@ def weighed(model=None):
 # -- search ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param("four_storey_rig", marks=pytest.mark.slow), "five_mass_chain"])
 def test_a_search_is_that_of_the_study(rig, chain, name, tmp_path):
     study = Study.load(STUDIES / name)

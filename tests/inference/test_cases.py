@@ -25,6 +25,7 @@ def ledger(tmp_path):
         yield opened
 
 
+@pytest.mark.slow
 def test_a_case_finds_the_target(ledger, search):
     seen = []
     longer = replace(search, settings=GeneticSettings(population=20, generations=30))

@@ -30,6 +30,7 @@ def iterated(array, seed, iteration):
     return np.abs(errors[-1]), 1 + max((k + 1 for k, near in enumerate(settled) if not near), default=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [4, pytest.param(20, marks=pytest.mark.slow)])
 def test_noise_of_receptance_and_frequencies(array, seeds):
     """5 % noise of the receptance and 3 % of the frequencies; this geometry, offset and weighting."""

@@ -50,6 +50,7 @@ def test_clean_repeats_are_not_touched(count, is_complex):
             np.testing.assert_array_equal(getattr(robust, name), getattr(plain, name))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [3, pytest.param(5, marks=pytest.mark.slow), 10])
 @pytest.mark.parametrize("bad", [0, 2])
 @pytest.mark.parametrize(("factor", "gain"), [(-1.0, -1.0), (0.0, 0.0), (0.5, 0.5)])
@@ -161,6 +162,7 @@ def test_what_three_repeats_cannot_decide_is_named_and_kept():
     np.testing.assert_array_equal(robust.freq_std, plain.freq_std)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "uneven"),
     [

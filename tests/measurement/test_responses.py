@@ -166,6 +166,7 @@ def test_ten_repeats_and_values_within_their_standard_deviation_are_not_pooled(t
     assert found.targets["b"][1] / found.targets["b"][0] == pytest.approx(found.targets["c"][1] / found.targets["c"][0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("repeats", "count"), [(2, 8), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((5, 20), (10, 40)))]
 )

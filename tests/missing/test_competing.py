@@ -115,6 +115,7 @@ def solved(found, designs, y, measurement, repeats=400):
     return np.array(values), np.array(weights)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measurement", [NEW, *(pytest.param(m, marks=pytest.mark.slow) for m in (TWICE, BENCH))])
 @pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.slow) for s in (2, 3))])
 def test_the_expected_bayes_factor_is_that_of_fits_to_old_and_new_data(measurement, seed):

@@ -30,6 +30,7 @@ def require_close(found, freq, shapes, damping=0.2, agreement=0.99):
     assert np.diag(mac(found.modes.shapes, shapes)).min() > agreement
 
 
+@pytest.mark.slow
 def test_a_long_record_gives_the_eigenvalues_and_eigenvectors():
     found = long_record()
     assert found.of == "records" and found.std_from == "parts" and found.modes.n_repeats == 1
@@ -44,6 +45,7 @@ def test_a_long_record_gives_the_eigenvalues_and_eigenvectors():
     assert not named.duplicated(["mode", "order"]).any()
 
 
+@pytest.mark.slow
 def test_several_records_have_the_standard_deviations_of_their_scatter():
     records = [AMBIENT.record(CHAIN, 15_000, seed) for seed in (11, 12, 13, 14)]
     found = modes_from_records(records)
@@ -59,6 +61,7 @@ def test_the_band_and_a_faster_rate_leave_the_modes_as_they_are():
     assert low.poles["freq"].between(1.0, 12.5).all() and low.curves["freq"].max() <= 12.5
 
 
+@pytest.mark.slow
 def test_a_mode_too_slow_for_the_rate_is_refused_and_a_band_finds_it():
     slow = AMBIENT.chain(4000.0 / 16)  # a quarter of the frequencies: the first lies below a fortieth of the rate
     records = [AMBIENT.record(slow, 40_000, seed) for seed in (1, 2)]
@@ -67,6 +70,7 @@ def test_a_mode_too_slow_for_the_rate_is_refused_and_a_band_finds_it():
     np.testing.assert_allclose(modes_from_records(records, (0.3, 6.0)).modes.natural_freq, FREQ / 4, rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_the_unit_of_one_sensor_scales_its_entry_of_the_shapes_alone():
     records = [AMBIENT.record(CHAIN, 20_000, seed) for seed in (3, 4)]
     one = modes_from_records(records)

@@ -89,6 +89,7 @@ def test_frequencies_show_none_of_the_other_effects(why):
     assert scores[["foundation", "joint_rotation", "leaf_mass", "gravity", "top_mass", "cable"]].max() < 2.5
 
 
+@pytest.mark.slow
 def test_without_that_effect_its_place_is_found_and_nothing_is_named():
     study = calib.Study.load(STUDY, workers=1)
     library = [e for e in four_storey_effects() if e.name != "foundation_damping"]

@@ -54,6 +54,7 @@ def test_at_its_least_magnitude_an_effect_leaves_the_model_as_it_is(coarse, name
     np.testing.assert_allclose(kept[:BELOW], freq(coarse, {}), rtol=NEUTRAL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LIBRARY)
 def test_an_effect_built_into_the_finer_mesh_shifts_frequencies_alike(coarse, fine, name):
     """Shifts of the library on the coarse mesh, and of the real thing on the finer one, within a tenth of a percent."""

@@ -268,6 +268,7 @@ def test_the_users_own_settings_have_no_effect_and_are_kept(folder, saved):
     assert saved["convergence"].axes[0].xaxis.label.get_fontsize() == 9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("figures", [("modes", "convergence"), pytest.param(ALL, marks=pytest.mark.slow)])
 def test_any_name_can_be_drawn_without_a_warning(folder, recwarn, figures):
     names = ["a price of 5 $ and 6 $", "$x^{2$", "bridge \u6865\u6881 $\\alpha$"]
@@ -297,6 +298,7 @@ def test_missing_characters_are_noted_in_the_picture_and_powers_stay_powers(tmp_
     assert any("mathdefault" in t.get_text() and t.get_parse_math() for t in ax.get_yticklabels())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "figures", [("mac_before", "model", "modes", "convergence"), pytest.param(ALL, marks=pytest.mark.slow)]
 )

@@ -30,6 +30,7 @@ def test_a_frame_that_was_stiffened_between_the_tests_is_told(frame, tmp_path):
     assert said.startswith("Between the tests k differs: in loaded by about")
 
 
+@pytest.mark.slow
 def test_nothing_differs_between_tests_of_the_same_frame(frame, tmp_path):
     table, (said,) = explained(frame, tmp_path / "results")
     assert {"k", "contact_3"} == set(table["parameter"]) and table["z"].abs().max() < 4

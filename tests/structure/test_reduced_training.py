@@ -28,6 +28,7 @@ def trained(ladder):
     return model, train_basis(model, model.space, 4, seed=1, freq_max=np.inf)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("grounded", "damped"),
     [

@@ -249,6 +249,7 @@ def test_soft_track_is_a_softer_contact(alone, rigid_car):
     assert abs(lost - expected).max() <= 1e-9 * abs(expected).max()
 
 
+@pytest.mark.slow
 def test_soft_bushes_are_softer_rods_of_the_front_bogie(alone, rigid_car):
     lost = alone.change("rod_bushes", {"rod_bushes": 40.0})[0]
     softer = {"K_rod_upper": 6.5, "K_rod_lower": 25.0}
