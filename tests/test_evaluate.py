@@ -266,6 +266,7 @@ def test_workers_that_cannot_start(source):
         evaluator.evaluate(points(1))
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGKILL])
 def test_nothing_stays_behind_when_the_parent_is_stopped(source, tmp_path, sign):
     log, script = tmp_path / "built", tmp_path / "run.py"

@@ -144,6 +144,7 @@ def test_what_cannot_be_looked_into_and_what_holds_itself():
     assert digest_of({1, 2}) != digest_of({1, 3}) and digest_of((1, 2)) != digest_of([1, 2])
 
 
+@pytest.mark.slow
 def test_what_an_object_has_kept_of_its_answers_is_no_part_of_what_it_is():
     rig = bogie_on_rig(0.3)
     told = digest_of(rig)
@@ -191,6 +192,7 @@ def told(capsys, *arguments):
     return capsys.readouterr().err
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("verb", [["sensitivity"], ["sensitivity", "--method", "morris"], ["calibrate"]])
 def test_a_model_that_reads_what_nobody_declared_is_told(powers, capsys, monkeypatch, tmp_path, verb):
     monkeypatch.setenv("CALIB_TEST_DECK", str(tmp_path / "hidden.inp"))

@@ -62,6 +62,7 @@ def test_starts_that_agree_need_no_search(answer):
     assert [words.split(" starts")[0] for words in found.notes] == ["A: 5 of 5", "B: 5 of 5"]
 
 
+@pytest.mark.slow
 def test_a_search_follows_where_every_start_ends_elsewhere(answer):
     found = answer("waves = 2.0")
     assert all(case.search is not None for case in found.cases)

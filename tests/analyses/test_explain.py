@@ -116,6 +116,7 @@ def test_indistinguishable_effects_are_named_with_a_measurement_that_discriminat
     assert math.isfinite(table.loc["lamp", "held_out_gain"])
 
 
+@pytest.mark.slow
 def test_settings_of_the_study_reach_the_decision(mast, edited, tmp_path, monkeypatch):
     seen = []
     inner = asked.engine.explain

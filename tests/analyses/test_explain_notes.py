@@ -20,6 +20,7 @@ def test_a_standard_deviation_that_the_file_states_is_noted(bare):
     assert bare[2].notes == ("There are no repeats: the standard deviation is the one the file states.",)
 
 
+@pytest.mark.slow
 def test_a_standard_deviation_that_is_assumed_is_noted(mast, tmp_path):
     folder = mast.write_study(tmp_path / "mast")
     for name, drop in (("modes.csv", "freq_std"), ("shapes.csv", "std")):
@@ -29,6 +30,7 @@ def test_a_standard_deviation_that_is_assumed_is_noted(mast, tmp_path):
     assert assumed_words(study) in note
 
 
+@pytest.mark.slow
 def test_repeats_need_no_note(mast, edited, tmp_path):
     folder = edited(mast.write_study(tmp_path / "mast"), 'std_of = "mean"', 'std_of = "mean"\nrepeats = 5')
     assert explain(Study.load(folder), Results.at(tmp_path / "results", "mast")).notes == ()

@@ -86,6 +86,7 @@ def test_errors_are_given_by_group_before_and_after(guyed, bare):
     assert set(bare[2].errors["stage"]) == {"before"}
 
 
+@pytest.mark.slow
 def test_held_out_responses_of_a_function_enter_no_fit_and_verify_it(chain_folder, tmp_path):
     file = chain_folder / "study.toml"
     held = '[held_out]\nresponses = ["freq_2", "damping_2", "shape_1_3", "shape_2_4"]\n\n[calibration]'

@@ -111,6 +111,7 @@ def adapter_on(study, results, vectors, monkeypatch):
     return adapter_of(study, results, lambda *a: None, local)
 
 
+@pytest.mark.slow
 def test_held_out_data_and_the_error_of_the_basis_are_at_full_order(study, results, monkeypatch):
     adapter = adapter_on(study, results, 2, monkeypatch)
     measuring = adapter._measuring(())

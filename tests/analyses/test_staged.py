@@ -138,6 +138,7 @@ def test_existing_results_are_reused_silently(found, capsys):
     assert Path("results/one/summary.json").stat().st_mtime_ns == made
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     ("file", "old", "new"),
     [

@@ -69,6 +69,7 @@ def plain(text):
     return re.sub(r"\x1b\[[0-9;]*m", "", text)
 
 
+@pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("verb", ["compare", "sensitivity", "calibrate", "explain"])
 def test_an_answer_in_four_lines_comes_first_and_is_that_of_the_record(guyed, capsys, verb):
     more = [] if verb in ("compare", "explain") else ["--workers", "1"]

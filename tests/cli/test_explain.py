@@ -197,6 +197,7 @@ def test_without_repeats_the_assumed_std_is_told(here, write_study, capsys, expl
     assert assumed in " ".join(capsys.readouterr().out.split()) and assumed in explanation()["sentence"]
 
 
+@pytest.mark.slow
 def test_frequencies_alone_can_be_explained(here, write_study, capsys, edit, explanation):
     folder = write_study(Path("mast"), {"guy": 9000.0})
     edit(folder, 'shapes = ["shapes.csv"]\n', "")

@@ -121,6 +121,7 @@ def test_each_nuisance_makes_another_problem(chain):
     assert len({FRFResidual(FRFProblem(chain, data, some)).fingerprint for some in each}) == len(each)
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     ("nuisance", "wrong", "expected"),
     [

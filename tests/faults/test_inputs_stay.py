@@ -196,6 +196,7 @@ def test_a_study_moved_together_with_its_results(sums):
     assert cli.execute(["compare", "moved/plain", "--results", "moved/results"]) == 0
 
 
+@pytest.mark.slow
 def test_results_of_earlier_versions_stay_as_they_are(sums, capsys):
     assert cli.execute(["calibrate", "plain"]) == 0
     Path("results/plain", LOG).unlink()

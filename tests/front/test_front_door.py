@@ -51,6 +51,7 @@ def explained(chain, library):
 # -- the same as a study -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_modes_are_compared_and_fitted_as_in_the_study(rig, tmp_path):
     study = calib.Study.load(STUDIES / "four_storey_rig").loaded
     own = comparison_at(study, study.model.space.values)

@@ -36,6 +36,7 @@ def chain():
     return [calib.Problem(five_mass_chain(), test).keep(free).explain(library) for test in tests]
 
 
+@pytest.mark.slow
 def test_a_test_split_in_two_gives_the_same_result(chain):
     whole, cut = chain
     assert whole.verdict == cut.verdict == "effect"

@@ -28,6 +28,7 @@ def array():
     return CASES.Array()
 
 
+@pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("alpha", [CASES.SYMMETRIC, CASES.ASYMMETRIC], ids=["symmetric", "asymmetric"])
 @pytest.mark.parametrize("offset", [1e-3, 0.02, 0.1])
 def test_with_all_degrees_of_freedom_one_step_is_exact(array, alpha, offset):
@@ -51,6 +52,7 @@ def test_linked_elements_change_together(array):
     assert found.values["yoke"] == found.changes[-1][1]
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("alpha", [CASES.SYMMETRIC, CASES.ASYMMETRIC], ids=["symmetric", "asymmetric"])
 @pytest.mark.parametrize("weighting", ["block", "white"])
 def test_without_noise_every_iteration_tends_to_the_truth(array, alpha, weighting):

@@ -57,6 +57,7 @@ def test_white_weights_give_equal_noise_to_the_equations_of_all_lines(array):
     assert spread["white"] < 2 and spread["block"] > 5 and spread["none"] > 100
 
 
+@pytest.mark.slow
 def test_noise_shrinks_the_changes_unless_the_weights_are_white(array):
     """The receptance stands on both sides; block weights let its noise attenuate the changes."""
     true = array.freq(CASES.SYMMETRIC, 6)

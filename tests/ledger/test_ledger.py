@@ -50,6 +50,7 @@ class Counting:
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 
 
+@pytest.mark.slow
 @given(st.dictionaries(st.text(), numbers), st.dictionaries(st.text(), numbers | st.just(math.nan)))
 def test_what_is_written_reads_back_exactly(values, responses):
     with Ledger.open(Path(":memory:")) as ledger:

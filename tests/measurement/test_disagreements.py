@@ -39,6 +39,7 @@ def pooled(found):
     return np.sqrt(np.nanmean(found.shape_std**2))
 
 
+@pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("is_complex", [True, False])
 @pytest.mark.parametrize("count", [3, 5, 10])
 def test_clean_repeats_are_not_touched(count, is_complex):
@@ -118,6 +119,7 @@ def value_places(table, robust=True):
     return {one.index[::2]: one.left_out for one in found}
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(("count", "times", "least"), [(5, 25, 0.95), (5, 10, 0.2), (3, 100, 0.95), (10, 10, 0.9)])
 def test_a_far_frequency_is_left_out(count, times, least):
     """Five modes: an outlier changes the standard deviation of its own mode, but not those of the others."""

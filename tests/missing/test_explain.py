@@ -143,6 +143,7 @@ def test_a_local_perturbation_locates_what_the_library_lacks(toy):
         assert f.chosen_adequacy.p_family < 0.01
 
 
+@pytest.mark.slow
 def test_goodness_of_fit_sees_what_no_score_does(toy):
     """A change orthogonal to all signatures, spread over one shape."""
     toy = toy(effects=3, perturbations=3, sensors=20)

@@ -51,6 +51,7 @@ def test_two_effects_on_all_modes_do_not_count_as_an_understated_standard_deviat
     assert [values["E0"], values["E1"]] == pytest.approx([3.0, 2.5], abs=0.5)
 
 
+@pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("seed", [0, 2, 3])
 @pytest.mark.parametrize(
     ("truth", "verdict", "credible"), [({}, "noise_underestimated", ()), ({"E2": 3.0}, "effect", ("E2",))]

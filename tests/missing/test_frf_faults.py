@@ -69,6 +69,7 @@ def test_an_error_that_is_fitted_is_no_fault():
     assert len(names) == 10 and not names & {"gain_1x", "delay_force_1x"}
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     ("channel", "factor", "name", "value", "words"),
     [

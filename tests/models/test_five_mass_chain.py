@@ -250,6 +250,7 @@ def test_the_tutorials_structural_effect_runs_in_a_study_and_prints_what_it_says
     assert capsys.readouterr().out == blocks("text")[1]
 
 
+@pytest.mark.slow
 def test_the_tutorials_structural_effect_is_neutral_at_0_and_has_the_derivative_of_differences(sling):
     base = bogie_on_rig()
     model = extend(base, [sling])

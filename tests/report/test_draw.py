@@ -92,6 +92,7 @@ def all_words(figure):
     return [t.get_text() for t in figure.texts]
 
 
+@pytest.mark.slow
 def test_every_figure_of_a_synthetic_measurement_is_labelled(folder, saved):
     Figures(folder, "Bogie", True).save()
     assert list(saved) == ALL
@@ -135,6 +136,7 @@ def test_figures_show_the_tables(folder, saved, before, convergence):
     assert any("GB2" in t.get_text() for t in saved["parameters"].axes[0].get_legend().get_texts())
 
 
+@pytest.mark.mostly_slow(1)
 def test_missing_tables_have_no_figures(folder, saved):
     for name in ("comparison_after", "mac_before", "deflection_after", "sensitivity", "parameters"):
         (folder / f"{name}.csv").unlink()

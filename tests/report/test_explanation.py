@@ -262,6 +262,7 @@ def test_headings_state_that_local_perturbations_are_no_causes_and_what_is_synth
     assert "Bogie: scores of local perturbations: places to inspect, not causes" in heading
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(("stage", "later"), [("explained", "after"), ("attempt", "attempt")])
 def test_an_attempt_is_never_drawn_as_the_missing_effect(folder, saved, stage, later):
     with (folder / "misfit_kinds.csv").open("a") as file:
@@ -290,6 +291,7 @@ def test_an_empty_cell_written_as_nan_is_empty(folder, saved, effects):
     assert not [text for ax in saved["ranked_effects"].axes for text in words(ax) if "implausible" in text]
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     ("gone", "figures"),
     [

@@ -12,6 +12,7 @@ def panel(width, draw):
         return figure
 
 
+@pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize(("width", "legible"), [(WIDTH, True), (COLUMN, False)])
 @pytest.mark.parametrize(
     "draw",

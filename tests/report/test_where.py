@@ -172,6 +172,7 @@ def test_all_texts_lie_inside_the_picture_and_do_not_overlap(table, structure, r
         assert not any(box.overlaps(other) for other in boxes[:k])
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("kinds", [["stiffness"], ["stiffness", "mass"], []])
 def test_there_is_a_panel_per_kind(perturbations, structure, kinds):
     figure = perturbation_map_figure(perturbations[perturbations["kind"].isin(kinds)], structure)

@@ -319,6 +319,7 @@ def test_deflation_finds_every_missed_eigenvector(seed, left_out):
     np.testing.assert_allclose(found @ (found.T @ turn[:, lost]), turn[:, lost], atol=1e-7)
 
 
+@pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("damped", [True, False])
 @pytest.mark.parametrize("lost", [0, 3, 6])
 def test_a_mode_that_the_iteration_misses_is_detected(monkeypatch, damped, lost):

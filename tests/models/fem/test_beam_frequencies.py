@@ -75,6 +75,7 @@ def test_slender_beams_converge_with_order_four(exact, line, natural_freq, start
     assert rate(errors[1:, 1], ELEMENTS[1:]) == pytest.approx(4.0, abs=0.4)
 
 
+@pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("plane", ["y", "z"])
 @pytest.mark.parametrize(("start", "end", "rigid"), ENDS)
 def test_stout_beams_converge_with_order_two(exact, section, line, natural_freq, plane, start, end, rigid):
@@ -204,6 +205,7 @@ def test_halves_of_a_symmetric_beam_mirror_each_other(line, natural_freq):
     np.testing.assert_allclose(natural_freq(line(6, 2.0, end=FIXED), 8), left, rtol=1e-8)
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("motions", [(5,), (4,), (4, 5)])
 def test_hinged_end_is_a_pinned_end(exact, section, natural_freq, motions):
     # A clamped node whose beam is hinged there is the same as a pinned node; the hinge condenses mass statically.

@@ -67,6 +67,7 @@ def test_names_are_unique_and_not_those_of_parameters():
         assert e.title and e.lacks.endswith(".") and e.look_for.endswith(".") and e.magnitude.description
 
 
+@pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_magnitude_zero_leaves_the_base_model(library, name):
     model, n = library.alone(name), base().n_dof
@@ -134,6 +135,7 @@ def test_an_effect_is_the_same_on_the_fine_and_the_fitted_mesh(effect_checks, na
 # -- signatures --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_parameters_of_the_base_model_cannot_do_what_an_effect_does(library, effect_checks, name):
     for vector in library.signatures(name):

@@ -23,6 +23,7 @@ def pressed(ground):
     return load_curve(ground, DEFLECTION).complete().last
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(("pressure", "force"), [(1e5, 806), (2e5, 1303), (3e5, 1763)])
 def test_forces_at_three_pressures(pressure, force):
     """Regression against an independent prototype; a wall without memory of its stress would carry 350 N at all."""

@@ -21,6 +21,7 @@ def found(request):
     return values, tire_on_ground(**GIVEN).function(values)
 
 
+@pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize(
     "name",
     [

@@ -69,6 +69,7 @@ def test_the_largest_pressure_is_a_response_with_a_tread_only():
     assert "peak_10" not in one(BASE) and "peak_10" in one(BASE | {"tread_compliance": 1.0})
 
 
+@pytest.mark.mostly_slow(3)
 @pytest.mark.parametrize(
     ("effect", "response", "sign"),
     [

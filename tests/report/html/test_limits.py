@@ -81,6 +81,7 @@ def test_the_levels_are_those_of_the_analyses():
     assert (RULES.credible, RULES.confounded) == (LEAST_BAYES_FACTOR, COLLINEAR)
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("pulled", [(), (0,), (0, 2)])
 def test_pulled_parameters_are_named_with_their_model(folder, blocks, pulled):
     table = pd.read_csv(folder / "pulls.csv")

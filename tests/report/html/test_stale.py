@@ -129,6 +129,7 @@ def test_a_new_comparison_never_stands_under_an_old_calibration(sums):
     assert "stale" not in {s.name for s in sections(results(stale()))}
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("run_before", [True, False])
 def test_tables_of_an_interrupted_analysis_are_not_shown(sums, monkeypatch, run_before):

@@ -186,6 +186,7 @@ def test_one_matrix_of_the_sensitivity_is_open_and_the_others_tell_where_they_di
         assert inside.index(f'<figure id="{name}"') < inside.index("</details>")
 
 
+@pytest.mark.slow
 def test_a_mode_of_an_added_effect_is_told_in_the_section_of_that_model(folder):
     def told():
         return [

@@ -35,6 +35,7 @@ def test_the_verdict_and_what_is_synthetic_come_before_any_section(everything, t
     assert "Synthetic measurement" in top
 
 
+@pytest.mark.slow
 def test_a_measured_structure_is_not_called_synthetic(everything, reader, unpainted):
     assert "ynthetic" not in reader(page(StudyResults(everything, TITLE, False))).text
 
