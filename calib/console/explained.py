@@ -12,11 +12,12 @@ from calib.analyses.extend import Extension
 from calib.analyses.versions import Versions
 from calib.console.calibrated import ERRORS, errors_row, suspects
 from calib.console.compared import held_out
-from calib.console.told import Entry, Rows, Warned, Words
+from calib.console.told import Entry, Rows, Warned, When, Words
 from calib.joint import TEST
 from calib.missing.by_test import BY_TEST
 from calib.missing.local import unit_words
 from calib.missing.recommendation import rounded
+from calib.missing.steps_table import STEPS, STEPS_ERRORS
 from calib.results import Results
 from calib.study_file import StudyFile
 from calib.terminal import count, number
@@ -40,6 +41,7 @@ def entries(study: StudyFile, result: ExplanationResult, followed: bool = False)
         Rows.of(title, named, brief, left=("remark",), when="brief", most=EFFECTS),
         Rows.of(title, heads, rows, left=("remark",), when="verbose"),
         *_errors(result, followed and to_add(found) is not None),
+        *_steps(result),
         *_by_test(result),
         *([] if to_add(found) else suspects(result.tables["suspects_explained"])),
         *map(Warned, result.notes),
@@ -96,6 +98,31 @@ def _errors(result: ExplanationResult, followed: bool) -> list[Rows]:
     return [
         *([] if followed else [Rows.of(title, heads, short, when="brief")]),
         Rows.of(title, ("data", "stage", *ERRORS), rows, ("stage",), when="verbose"),
+    ]
+
+
+def _steps(result: ExplanationResult) -> list[Rows]:
+    """Errors of the models in turn, where effects were taken in one after the other."""
+    if STEPS not in result.tables:
+        return []
+    table = result.tables[STEPS_ERRORS]
+    groups = [group for group in WORDS if (table["group"] == group).any()]
+    rms = table.pivot(index="step", columns="group", values="rms")
+    rows = [
+        (
+            str(r["step"]),
+            str(r["effects"]),
+            number(r["ln_bayes"], 1),
+            *(number(rms.loc[r["step"], g], 2) for g in groups),
+        )
+        for r in result.tables[STEPS].to_dict("records")
+    ]
+    title = "Effects taken in one after the other; rms errors in standard deviations:"
+    heads = ("step", "effects", "ln Bayes", *(WORDS[group] for group in groups))
+    return [
+        Rows.of(
+            title, heads, rows, left=("effects",), when="always" if result.explanation.names_something else "verbose"
+        )
     ]
 
 

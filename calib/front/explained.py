@@ -11,6 +11,7 @@ from typing import Generic, TypeAlias
 import pandas as pd
 
 from calib.analyses.adapter import Adapter
+from calib.analyses.added import to_add
 from calib.analyses.explain import answered, decided, require_usable
 from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
 from calib.analyses.function_hypotheses import function_hypotheses
@@ -32,7 +33,6 @@ from calib.front.test import Model, ResponseTest, Test, under
 from calib.function import FunctionModel
 from calib.given import integer, objects
 from calib.loading import require_distinct
-from calib.missing.explanation import NAMED
 from calib.progress import in_python
 from calib.settings import ExplainSettings, ReductionSettings
 from calib.structure.basis import Basis
@@ -75,8 +75,9 @@ class Explained(Shown, Generic[P]):
 
     @property
     def _named(self) -> Library:
-        credible = self.explanation.explanation.credible if self.verdict in NAMED else ()
-        return {model: tuple(e for e in own if e.name in credible) for model, own in self.effects.items()}
+        added = to_add(self.explanation.explanation)
+        names = () if added is None else added.names
+        return {model: tuple(e for e in own if e.name in names) for model, own in self.effects.items()}
 
     @property
     def lines(self) -> Mapping[str, str]:

@@ -34,11 +34,11 @@ def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Prog
     perturbations, or the goodness of fit, could be chance. The most promising effects are fitted. When most modes call
     for a larger standard deviation, it counts as understated and the decision is repeated with the larger one.
 
-    One effect, or two, are accepted when the evidence outweighs the length of the library, no parameter takes an
-    implausible value, no local perturbation fits better, no measurement fault and no single wrong datum explains the
-    data about as well, and no systematic misfit is left. A measurement fault that explains the data better than every
-    effect is named instead. Without a library of effects, the result says whether anything
-    is missing and which local perturbation fits best.
+    One effect, or up to four (`Stepwise`), are accepted when the evidence outweighs the length of the library, no
+    parameter takes an implausible value, no local perturbation fits better, no measurement fault and no single wrong
+    datum explains the data about as well, and no systematic misfit is left. A measurement fault that explains the data
+    better than every effect is named instead. Without a library of effects, the result says whether anything is missing
+    and which local perturbation fits best.
 
     Raises
     ------

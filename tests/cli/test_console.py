@@ -14,6 +14,7 @@ from rich.console import Console
 from calib import cli, terminal
 from calib.analyses import explain as explaining
 from calib.analyses.sensitivity import Screening
+from calib.console.explained import _steps
 from calib.console.printing import printing
 from calib.results import Results
 
@@ -149,3 +150,20 @@ def test_colons_make_no_pictures(capsys):
     terminal.complain("study:m:")
     out, err = capsys.readouterr()
     assert out == "sensors 1:x:2 and [b]\n" and err == "calib: study:m:\n"
+
+
+# -- several effects ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_every_step_of_a_search_for_several_effects_is_a_row(named):
+    steps = pd.DataFrame({"step": [0, 1, 2], "effects": ["none", "a", "a + b"], "ln_bayes": [0.0, 12.25, 30.0]})
+    wide = pd.DataFrame({"step": [0, 1, 2], "fit": [1.5, 1.2, 1.0], "left_out": [2.0, 1.4, 1.1]})
+    errors = wide.melt("step", var_name="group", value_name="rms")
+    tables = {"steps": steps, "steps_errors": errors}
+    result = SimpleNamespace(tables=tables, explanation=SimpleNamespace(names_something=named))
+    (rows,) = _steps(result)
+    assert rows.when == ("always" if named else "verbose") and rows.heads[-2:] == ("used data", "data left out in turn")
+    assert rows.rows[0] == ("0", "none", "0.0", "1.50", "2.00")
+    assert rows.rows[1:] == (("1", "a", "12.2", "1.20", "1.40"), ("2", "a + b", "30.0", "1.00", "1.10"))
+    assert _steps(SimpleNamespace(tables={}, explanation=None)) == []
