@@ -12,7 +12,7 @@ from calib.analyses.extend import Extension
 from calib.analyses.versions import Versions
 from calib.console.calibrated import ERRORS, errors_row, suspects
 from calib.console.compared import held_out
-from calib.console.told import Entry, Rows, Warned, When, Words
+from calib.console.told import Entry, Rows, Warned, Words
 from calib.joint import TEST
 from calib.missing.by_test import BY_TEST
 from calib.missing.local import unit_words
