@@ -214,13 +214,13 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     last = "explained" if found.names_something else "attempt"
     stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
     stages |= {"explained": found.blamed[0]} if found.blamed else {}
-    units = {e.name: e.magnitude.unit for e in adapter.hypotheses.faults}
+    known = {e.name: e for e in adapter.hypotheses.faults}
     labels = adapter.labels()
     tables = {
         **({BY_TEST: reduction_table(found, labels[TEST].tolist())} if TEST in labels else {}),
         **({} if differing is None else {BETWEEN: differing.table}),
         **stepped,
-        "faults": faults_table(found, adapter.places(), units),
+        "faults": faults_table(found, adapter.places(), known),
         "perturbations": _perturbations(adapter, found),
         "confounding": confounding_table(found),
         "pulls": pull_table(found),

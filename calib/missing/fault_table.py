@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
+from calib.candidate import Candidate
 from calib.missing.explanation import Explanation
 from calib.missing.local import fault_words, local_perturbation
 from calib.missing.rules import RULES
@@ -22,7 +23,7 @@ FAULT_COLUMNS = (
 def faults_table(
     found: Explanation,
     places: Mapping[str, tuple[str, tuple[float, float, float], str]],
-    units: Mapping[str, str],
+    candidates: Mapping[str, Candidate],
 ) -> pd.DataFrame:
     """One row per fault of the measurement, largest score first; `docs/tables.toml` lists the columns.
 
@@ -31,8 +32,8 @@ def faults_table(
     found : Explanation
     places : mapping from str to (kind, (x, y, z), sensor)
         Of every fault, by name; m.
-    units : mapping from str to str
-        Of their magnitudes.
+    candidates : mapping from str to Candidate
+        The faults themselves, for units and limits.
     """
     scores = found.base_adequacy.faults
     if scores is None:
@@ -41,11 +42,12 @@ def faults_table(
     rows: list[dict[str, object]] = []
     for k, name in enumerate(scores.owners):
         kind, (x, y, z), sensor = places[name]
-        size = float(scores.size[k])
+        size, p = float(scores.size[k]), candidates[name].magnitude
+        stepped = float(scores.z[k]) / size if size > 0 else math.nan
         row: dict[str, object] = {
-            "fault": name, "kind": kind, "sensor": sensor, "x": x, "y": y, "z": z, "unit": units[name],
+            "fault": name, "kind": kind, "sensor": sensor, "x": x, "y": y, "z": z, "unit": p.unit,
             "score": scores.z[k] if scores.signed[k] else max(scores.z[k], 0.0), "unabsorbed": scores.unabsorbed[k],
-            "magnitude": scores.z[k] / size if size > 0 else math.nan, "low": math.nan, "high": math.nan,
+            "magnitude": stepped if p.lower <= stepped <= p.upper else math.nan, "low": math.nan, "high": math.nan,
             "magnitude_min": RULES.detectable / size if size > 0 else math.inf,
             "ln_bayes": math.nan, "fitted": name in fits, "blamed": name in blamed, "told": "",
         }  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from calib.report.html.page import Section, Table, Words
 from calib.report.html.study_results import StudyResults
-from calib.report.numbers import fixed, flag, significant, yes
+from calib.report.numbers import fixed, flag, with_unit, yes
 
 _SHOWN = 12
 """Faults in the table."""
@@ -39,7 +39,7 @@ def section(results: StudyResults) -> Section | None:
             str(r["fault"]),
             fixed(r["score"], 1, sign=True),
             fixed(r["unabsorbed"], 2),
-            f"{significant(r['magnitude'], 3)} {str(r['unit']).replace('-', '')}".strip(),
+            with_unit(r["magnitude"], str(r["unit"])),
             fixed(r["ln_bayes"], 1),
             yes(r["blamed"]),
             str(r["told"]),
