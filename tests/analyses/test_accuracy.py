@@ -162,6 +162,7 @@ def test_the_measured_table_has_the_standard_deviations_that_fits_weight_by(mast
     assert table.loc[whole.names[-1], "freq_std_used"] > 2 * std_for(used).freq[-1] * whole.natural_freq[-1]
 
 
+@pytest.mark.slow
 def test_an_explanation_reports_the_accuracy_at_which_its_verdict_changes(guyed, bare):
     _, results, answer, _ = guyed
     table = pd.read_csv(results.path / "accuracy.csv")

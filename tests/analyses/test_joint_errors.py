@@ -15,6 +15,8 @@ from calib.missing.hypotheses import Altered
 from calib.missing.linearised_fit import fitted
 from calib.settings import ExplainSettings
 
+pytestmark = pytest.mark.slow
+
 STD, N = 0.02, 12
 NAMES = [f"r_{k}" for k in range(N)]
 TRUTH = {"a": 0.4, "b": -0.3, "c": 0.2, "lack": 0.5}

@@ -28,6 +28,7 @@ def asked(mast, edited, tmp_path):
     return ask
 
 
+@pytest.mark.slow
 def test_a_parameter_that_is_held_at_a_wrong_value_is_taken_for_a_missing_effect(asked):
     assert asked(None)[1].verdict != "nothing_detectable"
 
@@ -43,6 +44,7 @@ def test_nothing_seems_missing_where_that_parameter_is_uncertain_by_as_much(aske
     assert json.loads((results.path / "explanation.json").read_text())["notes"][-1] == answer.notes[-1]
 
 
+@pytest.mark.slow
 def test_an_effect_is_still_named_beside_an_uncertain_parameter(asked):
     _, answer, _ = asked("15 %", {"guy": 12000.0})
     assert answer.verdict == "effect" and answer.explanation.credible == ("guy",)
@@ -50,6 +52,7 @@ def test_an_effect_is_still_named_beside_an_uncertain_parameter(asked):
     assert low < 12000.0 < high
 
 
+@pytest.mark.slow
 def test_a_parameter_off_by_many_standard_deviations_is_told(asked):
     """A share of 2 % where the mass is 15 % off."""
     _, answer, results = asked("2 %")

@@ -31,6 +31,7 @@ def spoilt(mast, tmp_path_factory):
     return study, results, explain(study, results)
 
 
+@pytest.mark.slow
 def test_a_wrong_frequency_is_indistinguishable_from_the_effect_that_explains_it(spoilt):
     *_, answer = spoilt
     found = answer.explanation

@@ -62,6 +62,7 @@ def test_explain_draws_a_figure_beside_every_table(explained):
         assert f"{name}.png" in out
 
 
+@pytest.mark.slow
 def test_report_draws_the_explanation_from_tables_alone(explained, here, drawn, unrendered, monkeypatch, files):
     shutil.copytree(explained[0], here, dirs_exist_ok=True)
     drawings = (".png", ".html", ".sha256")

@@ -36,6 +36,7 @@ def test_parameters_are_drawn_between_their_limits(fit):
     assert {round((fit.values[q.name] - q.lower) / (q.upper - q.lower), 9) for q in p} <= drawn
 
 
+@pytest.mark.slow
 def test_the_report_holds_every_value(fit, tmp_path):
     (page,) = fit.report(tmp_path / "report.html")
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]

@@ -15,6 +15,8 @@ from calib.structure.attach import outer_term
 from calib.structure.extend import Addition
 from models.five_mass_chain import five_mass_chain
 
+pytestmark = pytest.mark.slow
+
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
 STOREYS, MASS, STIFF, GROUND, LOAD = 6, 2000.0, 4e6, 4e5, 1500.0
 

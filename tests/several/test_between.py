@@ -21,6 +21,7 @@ def frame(tmp_path, monkeypatch, undrawn):
     return write_study(tmp_path / "frame")
 
 
+@pytest.mark.slow
 def test_a_frame_that_was_stiffened_between_the_tests_is_told(frame, tmp_path):
     write_test(frame, "loaded", 1500.0, 2, factor=1.12)
     table, (said,) = explained(frame, tmp_path / "results")

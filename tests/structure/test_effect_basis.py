@@ -16,6 +16,8 @@ from calib.structure.perturbations import perturbations
 from calib.structure.reduced import ReducedModel, reference_matrix
 from calib.structure.training import train_basis
 
+pytestmark = pytest.mark.slow
+
 N, COUNT = 120, 6
 POINT = {"k_upper": 61.0, "k_lower": 17.0, "k_rung": 1.1, "c_end": 44.0, "mass": 0.8, "place": 4.0}
 
