@@ -96,11 +96,21 @@ def effects_table(
         first = row if e is group.effect else first
         rows.append(row)
         shares.append(1 / len(group.names))
-    chances = model_probabilities(np.array([row["ln_bayes"] for row in rows], dtype=float), np.array(shares))[1]
-    for row, chance in zip(rows, chances, strict=True):
+    for row, chance in zip(rows, _chances(rows, shares, found.chosen), strict=True):
         row["model_probability"] = chance
     table = pd.DataFrame([*rows, *map(_untested, untested)], columns=list(EFFECT_COLUMNS))
     return table.sort_values(["refitted", "ln_bayes"], ascending=False, kind="stable", ignore_index=True)
+
+
+def _chances(rows: Sequence[Mapping[str, object]], shares: Sequence[float], chosen: CandidateFit | None) -> list[float]:
+    """Probability of the model with each effect; of effects that are chosen together, of the model with all of them."""
+    together = chosen.names if chosen is not None and len(chosen.names) > 1 else ()
+    names = [str(row["name"]) for row in rows]
+    counted = [k for k, name in enumerate(names) if name not in together[1:]]
+    ln_bayes = np.array([rows[k]["ln_bayes"] for k in counted], dtype=float)
+    chances = model_probabilities(ln_bayes, np.array([shares[k] for k in counted]))[1]
+    known = dict(zip((names[k] for k in counted), chances.tolist(), strict=True))
+    return [known[together[0] if name in together else name] for name in names]
 
 
 def _stands_for(group: Group, fitted: Mapping[str, CandidateFit]) -> list[str]:

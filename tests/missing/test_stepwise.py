@@ -12,6 +12,7 @@ from calib.missing.refits import DEFAULT, Refits
 from calib.missing.rules import RULES
 from calib.missing.steps_table import WHY, step_fits, steps_sentence, steps_tables
 from calib.missing.stepwise import Stepwise, further_price
+from calib.missing.tables import effects_table
 from calib.stage import unheard
 
 pytestmark = pytest.mark.usefixtures("fewer_draws")
@@ -166,6 +167,14 @@ def test_the_tables_tell_every_step_and_every_rejection(toy):
     assert steps["p_family"].iloc[0] < found.alpha < steps["p_family"].iloc[-1]
     assert tables["steps_errors"]["effects"].tolist() == steps["effects"].tolist()
     assert len(rejected) == len(found.steps.trials) > 0 and set(rejected["why"]) <= set(WHY.values())
+
+
+def test_effects_that_are_named_together_have_the_probability_of_their_model(toy):
+    found = explain(drawn(toy, THREE, 1))
+    table = effects_table(found, {}, {}).set_index("name")
+    assert table.loc[list(THREE), "model_probability"].to_numpy() == pytest.approx(1.0, abs=1e-3)
+    assert table.loc[list(THREE), "ln_bayes"].to_numpy() == pytest.approx(found.ln_bayes(found.chosen))
+    assert (table.drop(list(THREE))["model_probability"] < 1e-3).all()
 
 
 def test_one_effect_has_no_steps(toy):
