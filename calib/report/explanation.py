@@ -41,6 +41,7 @@ _NOTE = (
     "z: score of the effect; noise alone exceeds ±2 in 5 % of cases; negative: the data ask for a negative magnitude.\n"
     "Right: an effect in the shaded range would be visible only beyond its plausible magnitude; arrow: at none."
 )
+_TOGETHER = "Effects named together have the evidence and the probability of the model with all of them."
 _LOOKS: dict[str, dict[str, Any]] = {
     "credible set": {"facecolor": ORANGE},
     "refitted": {"facecolor": BLUE},
@@ -195,8 +196,15 @@ def ranked_effects_figure(table: pd.DataFrame) -> Figure:
     right.tick_params(labelleft=False)
     over.set_axis_off()
     over.legend(handles=handles, loc="upper left", borderaxespad=0.0, ncols=2)
-    figure.supxlabel(_NOTE, x=0.02, ha="left", fontsize=8, color=GREY, linespacing=1.4)
+    note = f"{_NOTE}\n{_TOGETHER}" if _named_together(table) else _NOTE
+    figure.supxlabel(note, x=0.02, ha="left", fontsize=8, color=GREY, linespacing=1.4)
     return figure
+
+
+def _named_together(table: pd.DataFrame) -> bool:
+    """Whether credible effects are several of one model, which have one evidence."""
+    own = table.loc[table["credible"].map(flag).astype(bool), "ln_bayes"]
+    return len(own) > 1 and bool(np.ptp(own.to_numpy(dtype=float)) == 0.0)
 
 
 def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd.DataFrame | None = None) -> Axes:

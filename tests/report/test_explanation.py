@@ -332,3 +332,11 @@ def test_a_damaged_table_is_named(folder, name, old, new, column):
         Figures(folder, "Bogie", False).save()
     assert column in str(problem.value)
     assert not list(folder.glob("*.png"))
+
+
+def test_effects_named_together_are_told_to_share_their_evidence(effects):
+    together = effects.assign(credible=effects["name"].isin(["seats", "arb"]))
+    together.loc[together["credible"], "ln_bayes"] = 30.0
+    apart = together.assign(ln_bayes=together["ln_bayes"] + np.arange(len(together)))
+    words = [ranked_effects_figure(table).get_supxlabel() for table in (together, apart)]
+    assert ["together" in text for text in words] == [True, False]
