@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 from calib.effect import Effect
 from calib.errors import InputError
@@ -14,6 +14,7 @@ from calib.own_code import defined_at
 from calib.space import ParameterSpace
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import Assumption
+from calib.structure.scaled_part import ScaledPart, scaled_parts
 
 
 @dataclass(frozen=True)
@@ -28,12 +29,15 @@ class FunctionModel:
         Takes ``{parameter: value}``, every value in its parameter's unit, and returns ``{response: value}``. It may
         also return derivatives, see `slope_entry`.
     assumptions : tuple of Assumption
+    parts : tuple of ScaledPart
+        Parts that the function scales where it is asked to; an explanation asks whether one of them is wrong.
     """
 
     name: str
     space: ParameterSpace
     function: Callable[[Mapping[str, float]], Mapping[str, float]]
     assumptions: tuple[Assumption, ...] = ()
+    parts: tuple[ScaledPart, ...] = ()
 
     def __post_init__(self) -> None:
         objects([self.space], ParameterSpace, f"model {self.name}, space")
@@ -42,6 +46,7 @@ class FunctionModel:
                 f"its function is {self.function!r:.40}", place=f"model {self.name}",
                 remedy="give a function of named values",
             )  # fmt: skip
+        object.__setattr__(self, "parts", scaled_parts(self.parts, f"model {self.name}, parts"))
 
     @property
     def fingerprint(self) -> str:
@@ -71,6 +76,15 @@ def response_of(entry: str) -> str:
 def responses_of(result: Mapping[str, float]) -> dict[str, float]:
     """The result of a function without the derivatives."""
     return {name: value for name, value in result.items() if response_of(name) == str(name)}
+
+
+@runtime_checkable
+class Asked(Protocol):
+    """A function that returns only part of the derivatives it knows, and the others where it is asked for them."""
+
+    def derivatives(self, values: Mapping[str, float], names: Sequence[str]) -> Mapping[str, float]:
+        """Further derivatives by named parameters, see `slope_entry`; as many as it knows."""
+        ...
 
 
 DERIVES = "derives"

@@ -50,6 +50,6 @@ def function_hypotheses(
         perturbations = modal_function_perturbations(model, whole, test, names)
     else:
         measured = {name: value for name, (value, _) in pair.problem.targets.items()}
-        perturbations = response_perturbations(whole, measured, test, names)
+        perturbations = response_perturbations(whole, measured, test, names, model.parts)
     variants = FunctionVariants(cached, effects, tuple(a.effect for a in perturbations))
     return ModelHypotheses(pair.with_model(cached), variants, space), perturbations

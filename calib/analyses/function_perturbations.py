@@ -1,4 +1,4 @@
-"""Unnamed local perturbations of a function: of its inputs, of parts of its results, of their measurement."""
+"""Unnamed local perturbations of a function: of its parts, its inputs, its results and their measurement."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.modal_result import modes_of
 from calib.structure.mode_tracking import successors
 from calib.structure.modes import Modes
-from calib.structure.perturbations import LESS, MORE, RELATIVE, Perturbation
+from calib.structure.perturbations import LESS, MORE, RELATIVE, Perturbation, scaling
+from calib.structure.scaled_part import ScaledPart
 
 FAULT = 0.1
 """Plausible measurement error of a part of the results: of its scale, or of its offset over its mean size."""
@@ -42,13 +43,17 @@ def blocks_of(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 def response_perturbations(
-    space: ParameterSpace, measured: Mapping[str, float], test: str = "", held: Collection[str] = ()
+    space: ParameterSpace,
+    measured: Mapping[str, float],
+    test: str = "",
+    held: Collection[str] = (),
+    scaled: Sequence[ScaledPart] = (),
 ) -> tuple[Perturbation, ...]:
     """Local perturbations of a function of scalar responses, without integer parameters.
 
-    A change of every held parameter; a change of every fitted parameter in one block of responses, where that differs
-    from a measurement error; and for every block an offset and a scale error (only an offset where all its values are
-    equal).
+    A change of every part; of every held parameter; of every fitted parameter in one block of responses, where that
+    differs from a measurement error; and for every block an offset and a scale error (only an offset where all its
+    values are equal).
 
     Parameters
     ----------
@@ -60,12 +65,14 @@ def response_perturbations(
         Name of the test, where there are several; appended to perturbations of this test only.
     held : collection of str
         Parameters held in this test only.
+    scaled : sequence of ScaledPart
+        Parts that the function scales.
     """
     blocks = blocks_of(list(measured))
     parts: dict[str, Mix] = {}
     if len(blocks) < len(measured):
         parts = {block: _chosen(own) for block, own in blocks.items()}
-    found = [*_changed(space, _responses, parts, _of(test), held)]
+    found = [*_rescaled(scaled), *_changed(space, _responses, parts, _of(test), held)]
     for block, own in blocks.items():
         size = float(np.mean([abs(measured[name]) for name in own])) or 1.0
         found.append(_misread(f"offset of {block}{_of(test)}", block, _responses, _offset(own, size), f"{size:.3g}"))
@@ -82,8 +89,8 @@ def modal_function_perturbations(
 ) -> tuple[Perturbation, ...]:
     """Local perturbations of a function of modes, without integer parameters.
 
-    A change of every held parameter; a change of every fitted parameter in frequencies, damping ratios or shapes only;
-    and as measurement errors the scale of all frequencies and of all damping ratios.
+    A change of every part; of every held parameter; of every fitted parameter in frequencies, damping ratios or shapes
+    only; and as measurement errors the scale of all frequencies and of all damping ratios.
 
     Parameters
     ----------
@@ -95,7 +102,7 @@ def modal_function_perturbations(
     scales: dict[str, Alter] = {"frequency": _higher, "damping": _more_damped}
     if not model.damped:
         del parts["damping"], scales["damping"]
-    found = [*_changed(space, _modes, parts, _of(test), held)]
+    found = [*_rescaled(model.parts), *_changed(space, _modes, parts, _of(test), held)]
     found += [
         _misread(f"scale of {kind}{_of(test)}", kind, _modes, scale, lower=-0.5) for kind, scale in scales.items()
     ]
@@ -104,6 +111,15 @@ def modal_function_perturbations(
 
 def _of(test: str) -> str:
     return f" in test {test}" if test else ""
+
+
+def _rescaled(parts: Sequence[ScaledPart]) -> list[Perturbation]:
+    """Every part scaled by the function itself: of the model, and so the same in all tests."""
+    return [Perturbation(scaling(part, _by_itself), part.kind, _NOWHERE) for part in parts]
+
+
+def _by_itself(model: Model) -> None:
+    """Nothing to build."""
 
 
 # -- inputs ------------------------------------------------------------------------------------------------------------
@@ -139,7 +155,7 @@ def _change(p: Parameter, name: str, read: Read, mix: Mix | None = None) -> Pert
             rest = {n: v for n, v in values.items() if n != name}
             by, unit = values[name], span or rest[p.name]
             moved = rest | {p.name: rest[p.name] + by * unit}
-            if mix is None or by == 0:
+            if mix is None:
                 return _chained(model.function(moved), p.name, name, 1.0 if span else 1.0 + by, unit)
             other = _chained(read(model, moved), p.name, name, 1.0 if span else 1.0 + by, unit)
             return mix(read(model, rest), other)

@@ -11,7 +11,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from calib.effect import Effect
 from calib.errors import InputError
-from calib.function import FunctionModel, extend_function
+from calib.function import DERIVES, FunctionModel, extend_function, responses_of, slope_entry
 from calib.space import ParameterSpace
 from calib.structure.modal_function import ModalFunctionModel
 
@@ -116,6 +116,17 @@ class FunctionVariants(Generic[F]):
             self._built[key] = kept(extend_function(self._base, [self._by_name[name] for name in key]))
         return self._built[key]
 
+    @cached_property
+    def read(self) -> frozenset[str]:
+        """Effects and local perturbations whose parameters the base function reads itself."""
+        return frozenset(name for name, effect in self._by_name.items() if effect.build(self._base) is None)
+
+    @cached_property
+    def deriving(self) -> frozenset[str]:
+        """Those that build a function with derivatives of its own."""
+        built = {name: effect.build(self._base) for name, effect in self._by_name.items()}
+        return frozenset(name for name, function in built.items() if getattr(function, DERIVES, False))
+
     @property
     def names(self) -> tuple[str, ...]:
         """All effects and local perturbations."""
@@ -156,5 +167,25 @@ class _Chosen:
         return function
 
     def __call__(self, values: Mapping[str, float]) -> Any:
-        model = self._model(values)
-        return model.function({name: float(values[name]) for name in model.space.names})
+        return _called(self._model(values), values)
+
+    def derivatives(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
+        """Derivatives that the base function can tell by magnitudes of 0; see `calib.function.Asked`.
+
+        What the function reads itself is told by one call. What is built upon it is told by one each, for which the
+        base function is not called again.
+        """
+        present = [name for name in self.variants.names if values.get(name, 0.0) != 0]
+        absent = [name for name in names if name in self.variants.names and name not in present]
+        read = [name for name in absent if name in self.variants.read]
+        groups = ([read] if read else []) + [[name] for name in absent if name in self.variants.deriving]
+        out: dict[str, float] = {}
+        for group in groups:
+            result = _called(self.variants.built([*present, *group]), values)
+            entries = [slope_entry(response, name) for response in responses_of(result) for name in group]
+            out |= {entry: result[entry] for entry in entries if entry in result}
+        return out
+
+
+def _called(model: Any, values: Mapping[str, float]) -> Any:
+    return model.function({name: float(values[name]) for name in model.space.names})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from calib.differences import STEP, central_jacobian
 from calib.errors import EvaluationError, InputError
 from calib.fault import Fault
 from calib.fingerprint import digest_of
-from calib.function import FunctionModel, slope_entry
+from calib.function import Asked, FunctionModel, responses_of, slope_entry
 from calib.outcome import answered
 from calib.space import ParameterSpace
 
@@ -151,6 +152,10 @@ class ResponseResidual:
         """
         space, here = self.problem.space, at(values)
         entries = {name: [slope_entry(response, name) for response in self.problem.targets] for name in names}
+        function: Any = self.problem.function
+        if isinstance(function, Asked) and len(responses_of(here)) < len(here):
+            unknown = [name for name, own in entries.items() if any(entry not in here for entry in own)]
+            here = {**here, **function.derivatives(values, unknown)}
         known = {
             name: -np.array([here[entry] for entry in own]) / self.std
             for name, own in entries.items()

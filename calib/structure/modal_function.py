@@ -25,6 +25,7 @@ from calib.structure.mode_tracking import followed_derivatives
 from calib.structure.model import Assumption
 from calib.structure.modes import Modes
 from calib.structure.places import ModelPlace
+from calib.structure.scaled_part import ScaledPart, scaled_parts
 
 REMEMBERED = 1000
 """Points whose modes are cached."""
@@ -64,7 +65,7 @@ class ModalFunctionModel:
     """Anything that maps named parameters to modes at sensors: a script, an external solver, a closed form.
 
     It is compared, paired, calibrated and explained like a model of matrices. It lacks what needs matrices: strain
-    energies (modes are paired by MAC and frequency), a reduced basis, unnamed local perturbations of parts. Derivatives
+    energies (modes are paired by MAC and frequency) and a reduced basis. Derivatives
     are central differences that track each mode by its MAC, with two function calls for each parameter; see
     `calib.structure.mode_tracking.followed_derivatives`.
 
@@ -87,6 +88,8 @@ class ModalFunctionModel:
     step : float
         Half step of a difference, over the range between the limits; raise it for a solver with numerical noise.
     assumptions : tuple of Assumption
+    parts : tuple of ScaledPart
+        Parts that the function scales where it is asked to; an explanation asks whether one of them is wrong.
     identity : str
         Identifies the function where its code and the objects it holds are not enough.
     memory : Memory
@@ -122,6 +125,7 @@ class ModalFunctionModel:
     damped: bool = False
     step: float = STEP
     assumptions: tuple[Assumption, ...] = ()
+    parts: tuple[ScaledPart, ...] = ()
     identity: str = ""
     memory: Memory = field(default_factory=Memory, repr=False, compare=False)
 
@@ -133,6 +137,7 @@ class ModalFunctionModel:
                 f"its function is {self.function!r:.40}", place=place, remedy="give a function of named values"
             )
         object.__setattr__(self, "sensors", _sensors(self.sensors, f"{place}, sensors"))
+        object.__setattr__(self, "parts", scaled_parts(self.parts, f"{place}, parts"))
         object.__setattr__(self, "n_modes", integer(self.n_modes, 1, f"{place}, n_modes"))
         if not (isinstance(self.step, int | float) and 0 < self.step <= 0.1):
             raise InputError(f"its step is {self.step!r:.40}", place=place, remedy="give a part of the range, to 0.1")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,6 +17,7 @@ from calib.structure.attach import outer_term
 from calib.structure.extend import Addition
 from calib.structure.inertia import symmetric_factor
 from calib.structure.model import Part, StructuralModel
+from calib.structure.scaled_part import ScaledPart
 
 RELATIVE = 0.3
 """Plausible relative change of a part."""
@@ -88,7 +90,8 @@ def perturbations(
 
 
 def _scaled(part: Part, suffix: str) -> Perturbation:
-    name = f"{part.kind} of {part.name}{suffix}"
+    changed = ScaledPart(f"{part.name}{suffix}", part.kind)
+    name = changed.parameter
     coefficient = replace(part.coefficient, powers=(*part.coefficient.powers, (name, 1.0)))
 
     def build(model: StructuralModel) -> Addition:
@@ -97,9 +100,18 @@ def _scaled(part: Part, suffix: str) -> Perturbation:
             return Addition(stiffness=term)
         return Addition(damping=term) if part.kind == "damping" else Addition(mass=term)
 
-    magnitude = Parameter(name, 0.0, LEAST[part.kind], MORE, "-", prior_sd=RELATIVE)
-    effect = replace(_effect(name, magnitude, build, "scales it by one more than this"), part=name)
-    return Perturbation(effect, part.kind, part.place)
+    return Perturbation(scaling(changed, build), part.kind, part.place)
+
+
+def relative_change(part: ScaledPart) -> Parameter:
+    """Relative change of a part, with its limits and a large but plausible size."""
+    return Parameter(part.parameter, 0.0, LEAST[part.kind], MORE, "-", prior_sd=RELATIVE)
+
+
+def scaling(part: ScaledPart, build: Callable[[Any], Any]) -> Effect:
+    """The effect that scales a part of a model by one plus its magnitude."""
+    effect = _effect(part.parameter, relative_change(part), build, "scales it by one more than this")
+    return replace(effect, part=part.parameter)
 
 
 def _at_sensor(sensor: Sensor, row: np.ndarray, kind: str, size: float, suffix: str) -> Perturbation:
@@ -115,7 +127,7 @@ def _at_sensor(sensor: Sensor, row: np.ndarray, kind: str, size: float, suffix: 
     return Perturbation(_effect(name, magnitude, build, f"{words} of this size"), kind, sensor.point, sensor.name)
 
 
-def _effect(name: str, magnitude: Parameter, build: Callable[[StructuralModel], Addition], lacks: str) -> Effect:
+def _effect(name: str, magnitude: Parameter, build: Callable[[Any], Any], lacks: str) -> Effect:
     return Effect(name, name, lacks, "what differs there from the drawings", magnitude, build)
 
 

@@ -22,7 +22,7 @@ REFUSED_STRAIN = 0.3
 """Of a theory of small strains: their squares, which it leaves out, are then 15 % of them."""
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=40)
 def _laid_out(grid: Grid) -> tuple[Cells, EnclosedVolume]:
     """What depends on the grid alone: cells of unit stiffness, and the enclosed volume."""
     rows = strain_rows(grid)
@@ -108,7 +108,7 @@ class Wall:
         return node_motion(self.grid)[2]
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=40)
 def node_motion(grid: Grid) -> tuple[sparse.csr_array, sparse.csr_array, sparse.csr_array]:
     """Radial, axial and hoop displacement of the nodes, see `Wall.height`."""
     u, v, w = grid.take

@@ -14,6 +14,7 @@ from calib.structure.modal_function import ModalFunctionModel
 from models.tire.harmonics import HoopModes, hoop_modes, rings
 from models.tire.inflated import Inflated, inflate
 from models.tire.model import KPA, assumptions, parameters, tire_of
+from models.tire.parts import PARTS
 
 STATIONS = 12
 """Places around the hoop, the first at the exciter, below the axle."""
@@ -74,7 +75,7 @@ def tire_modes(
     return ModalFunctionModel(
         "inflated tire", ParameterSpace(parameters()), function, [f"{s.node}{s.direction}" for s in LAYOUT], n_modes,
         damped=False,
-        assumptions=assumptions(n_meridian, 12 * max(orders)),
+        assumptions=assumptions(n_meridian, 12 * max(orders)), parts=PARTS,
     )  # fmt: skip
 
 

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
 
 from calib.errors import InputError
+from calib.structure.scaled_part import ScaledPart
 from models.tire.contact import Ground
 from models.tire.grid import Grid
 from models.tire.inflated import Inflated, Wall, inflate
 from models.tire.laminate import Ply, abd, pantograph
 from models.tire.micromechanics import RULES, CordRubber, Orthotropic, isotropic
+from models.tire.parts import MASS_OF_ZONE, N_PLIES, STIFFNESS_OF_PLY, STIFFNESS_OF_ZONE, zone
 from models.tire.profile import Profile, netting_profile
 
 RUBBER_DENSITY = 1150.0
 """Of cords and rubber alike, kg/m3 (assumed): 4.8 mm weigh 5.52 kg/m2."""
 TREAD_WIDTH = 0.35
 """Share of the meridian that belt and tread cover (assumed)."""
-BEAD = 0.08
-"""Share of the meridian beside a bead that counts as bead."""
-
 
 _POSITIVE = "above 0", lambda value: value > 0.0
 _NOT_NEGATIVE = "0 and above", lambda value: value >= 0.0
@@ -88,6 +87,8 @@ class Tire:
         Share of the plies' coupling between stretching and bending that the carcass lacks.
     dead_pressure : float
         Share of the pressure that keeps direction and size as the wall turns and stretches.
+    changes : mapping from str to float
+        Relative change of stiffness or mass of `models.tire.parts.PARTS`, by parameter.
 
     Raises
     ------
@@ -116,6 +117,7 @@ class Tire:
     crown_mass: float = 0.0
     uncoupled: float = 0.0
     dead_pressure: float = 0.0
+    changes: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.n_plies >= 2 or self.n_plies % 2:
@@ -154,20 +156,26 @@ class Tire:
         covered = self._covered(s)
         bare = ~covered & (self.thin_sidewall != 0.0)
         out[bare] = out[bare] * (1 - self.thin_sidewall)
-        beside = np.minimum(s, self.profile.length - s) < BEAD * self.profile.length
+        zones = zone(s, self.profile.length, self.tread_width)
+        beside = zones == 0
         out[np.ix_(beside, range(3, 6), range(3, 6))] *= 1 - self.soft_bead
         extra = self._cover()
         if extra and covered.any():
             # The reference stays the carcass' middle: what lies outside it brings coupling of its own.
             out = out + np.where(covered[:, None, None], self._outside(extra), 0.0)
-        return out
+        return out * self._scale(STIFFNESS_OF_ZONE)[zones][:, None, None]
 
     def areal_density(self, s: np.ndarray) -> np.ndarray:
         """Mass over area at arc lengths s (n,), m: (n,) in kg/m2."""
         carcass = self.density * self.n_plies * self.ply_thickness
         cover = self.density * sum(ply.thickness for ply in self._cover()) + self.crown_mass
-        covered = self._covered(s)
-        return np.where(covered, carcass + cover, carcass * (1 - self.thin_sidewall))
+        zones = zone(s, self.profile.length, self.tread_width)
+        plain = np.where(self._covered(s), carcass + cover, carcass * (1 - self.thin_sidewall))
+        return plain * self._scale(MASS_OF_ZONE)[zones]
+
+    def _scale(self, parts: Sequence[ScaledPart]) -> np.ndarray:
+        """Factor of each part, (n_parts,)."""
+        return np.array([1 + self.changes.get(part.parameter, 0.0) for part in parts])
 
     def wall(self, n_meridian: int, n_hoop: int, grading: float = 0.8) -> Wall:
         """Wall on a grid of so many cells along meridian and hoop."""
@@ -186,8 +194,12 @@ class Tire:
     def _carcass(self, s: np.ndarray) -> Sequence[Ply]:
         angle = pantograph(self.crown_angle, self.crown_radius, np.minimum(self.profile.r(s), self.crown_radius))
         one, other = np.array(self.plies.ply(self.rule)), np.array(self.plies.ply("halpin_tsai"))
-        elastic = Orthotropic(*one ** (1 - self.halpin_tsai) * other**self.halpin_tsai)
-        return [Ply(self.ply_thickness, angle if k % 2 == 0 else -angle, elastic) for k in range(self.n_plies)]
+        e1, e2, g12, nu12 = one ** (1 - self.halpin_tsai) * other**self.halpin_tsai
+        scale = np.append(self._scale(STIFFNESS_OF_PLY), np.ones(max(self.n_plies - N_PLIES, 0)))
+        return [
+            Ply(self.ply_thickness, angle if k % 2 == 0 else -angle, Orthotropic(f * e1, f * e2, f * g12, nu12))
+            for k, f in enumerate(scale[: self.n_plies])
+        ]
 
     def _cover(self) -> list[Ply]:
         out = []
@@ -210,7 +222,7 @@ class Tire:
         return np.abs(np.asarray(s) / self.profile.length - 0.5) <= self.tread_width / 2
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=40)
 def _grid(profile: Profile, n_meridian: int, n_hoop: int, grading: float) -> Grid:
     """The same grid for all tires of a shape: its operators are made once."""
     return Grid(profile, n_meridian, n_hoop, grading)

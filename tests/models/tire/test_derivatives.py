@@ -3,11 +3,16 @@
 import pytest
 
 from calib.function import slope_entry
+from calib.structure.perturbations import relative_change
 from models.tire.effects import tire_effects
 from models.tire.model import parameters, tire_on_ground
+from models.tire.parts import PARTS
 
 GIVEN = {"n_meridian": 15, "n_hoop": 12, "deflections": (6.0, 12.0), "loads": (700.0,), "orders": (0, 2)}
 ALL = {p.name: p for p in (*parameters(), *(q for e in tire_effects() for q in e.parameters))}
+ALL |= {part.parameter: relative_change(part) for part in PARTS}
+UNUSED = dict.fromkeys([*(e.name for e in tire_effects()), *(part.parameter for part in PARTS)], 0.0)
+"""Magnitudes by which derivatives are wanted."""
 EXTENDED = {"belt": 0.4, "belt_angle": 20.0, "tread_compliance": 1.0, "soft_bead": 0.3, "thin_sidewall": 0.1}
 
 
@@ -17,17 +22,18 @@ def at(values):
 
 @pytest.fixture(scope="module", params=[{}, EXTENDED], ids=["base", "extended"])
 def found(request):
-    values = at(request.param)
+    values = at(UNUSED | request.param)
     return values, tire_on_ground(**GIVEN).function(values)
 
 
-@pytest.mark.mostly_slow(2)
+@pytest.mark.mostly_slow(3)
 @pytest.mark.parametrize(
     "name",
     [
         *("pressure", "crown_angle", "E_cord", "t_ply", "density", "cord_fraction"),
         *("belt", "tread_layer", "tread_compliance", "soft_bead", "thin_sidewall", "halpin_tsai", "crown_mass"),
         *("uncoupled", "dead_pressure"),
+        *(part.parameter for part in PARTS),
     ],
 )
 def test_derivatives_are_those_of_solved_points(found, name):
@@ -35,8 +41,8 @@ def test_derivatives_are_those_of_solved_points(found, name):
     values, out = found
     p, middle = ALL[name], values.get(name, 0.0)
     h = 2e-5 * (p.upper - p.lower)
-    points = [middle - h, middle + h] if middle else [0.0, h, 2 * h]
-    weights = [-0.5, 0.5] if middle else [-1.5, 2.0, -0.5]
+    points = [middle - h, middle + h] if p.lower < middle else [middle, middle + h, middle + 2 * h]
+    weights = [-0.5, 0.5] if p.lower < middle else [-1.5, 2.0, -0.5]
     solve = tire_on_ground(**GIVEN, derivatives=False).function
     solved = [solve(values | {name: x}) for x in points]
     names = [key for key in out if slope_entry(key, name) in out]
@@ -56,8 +62,12 @@ def test_derivatives_are_those_of_solved_points(found, name):
         assert out[slope_entry(key, name)] == pytest.approx(difference, abs=1e-3 * scale), key
 
 
-def test_derivatives_exist_for_effects_in_use_and_for_the_magnitudes_of_others(found):
+def test_derivatives_exist_for_what_is_among_the_values(found):
     values, out = found
-    assert (slope_entry("load_12", "belt_angle") in out) == ("belt" in values)
-    assert all(slope_entry("load_12", e.name) in out for e in tire_effects())
+    assert (slope_entry("load_12", "belt_angle") in out) == ("belt_angle" in values)
+    assert all(slope_entry("load_12", name) in out for name in UNUSED)
     assert slope_entry("load_12", "crown_radius") not in out
+    few = tire_on_ground(**GIVEN).function(at({"belt": 0.0}))
+    assert {name for name in ALL if slope_entry("load_12", name) in few} == {
+        *("pressure", "crown_angle", "E_cord", "E_rubber", "t_ply", "cord_fraction", "density", "belt")
+    }
