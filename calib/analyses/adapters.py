@@ -58,6 +58,7 @@ def adapter_of(
             study.unseen,
             basis,
             worthwhile(study),
+            study.finer_model,
         )
     if isinstance(problem.model, ModalFunctionModel):  # which may be behind a ledger
         modal_pair = ModalResidual(problem, faults=faults_of(study))

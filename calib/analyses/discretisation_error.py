@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
-from calib.analyses.hypotheses import ModelHypotheses
+from calib.analyses.hypotheses import ModelHypotheses, VariantPair
 from calib.analyses.imagined_measurement import imagined_measurement
+from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.residual import ModalResidual
 from calib.errors import EvaluationError, InputError
 from calib.mac import mac
+from calib.measurement.accuracy import NOTHING
 from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.missing.score import scores
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
+
+P = TypeVar("P", bound=VariantPair)
 
 _LEAST_MAC = 0.5
 """MAC below which a mode of the finer model is not the measured one."""
@@ -101,11 +106,35 @@ def discretisation_error_of(
     imagined = replace(problem, measured=twin, mode_clusters=clusters, override={}, reference=fit.values)
     # The standard deviations of the twin contain the floors already.
     floors = replace(hypotheses.pair.floors, freq=0.0, damping=0.0, shape=0.0)
+    return _scored(ModalResidual(imagined, floors), hypotheses, fit)
+
+
+def frf_discretisation_error(
+    hypotheses: ModelHypotheses[FRFResidual], fit: LinearisedFit, finer: StructuralModel
+) -> DiscretisationError:
+    """Fit the base model to the noise-free FRFs of a finer mesh, and score all effects and local perturbations.
+
+    Parameters and errors are those of `discretisation_error`.
+    """
+    problem = hypotheses.pair.problem
+    measured = problem.measured
+    try:
+        functions = replace(problem, model=finer).functions(fit.values)
+    except (KeyError, EvaluationError, InputError) as fault:
+        raise InputError(f"the finer model has no such FRFs ({fault})", place="finer_options") from None
+    values = np.where(np.isfinite(measured.values), functions, np.nan)
+    # Its standard deviation contains the claimed accuracy already.
+    twin = replace(measured, values=values, std=hypotheses.pair.entry_std, accuracy=NOTHING)
+    return _scored(replace(hypotheses.pair, problem=replace(problem, measured=twin)), hypotheses, fit)
+
+
+def _scored(pair: P, hypotheses: ModelHypotheses[P], fit: LinearisedFit) -> DiscretisationError:
+    """Scores of all candidates of the hypotheses on a noise-free twin."""
     # Priors are centred on the twin's values: otherwise they would pull the fit away, which looks like a mesh error.
     space = hypotheses.space
     for p in space.free:
         space = space.replace(p.name, value=fit.values[p.name])
-    against_twin = ModelHypotheses(ModalResidual(imagined, floors), hypotheses.variants, space)
+    against_twin = ModelHypotheses(pair, hypotheses.variants, space)
     base = fitted(against_twin.fit_problem(()), (), fit.values)
     rows: list[tuple[str, str, float]] = []
     local = [one for one in against_twin.perturbations if not one.of_measurement]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
 
+from calib.analyses.discretisation_error import DiscretisationError, frf_discretisation_error
 from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.frf_design import frf_design
 from calib.analyses.hypotheses import ModelHypotheses
@@ -28,6 +29,10 @@ from calib.structure.basis import Basis
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
 from calib.structure.variants import Variants
+
+
+def _no_finer() -> None:
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +89,16 @@ class ScalarAdapter(GroupAdapter):
 
 @dataclass(frozen=True, eq=False)
 class FRFAdapter(GroupAdapter):
-    """Measured FRFs against a model with matrices."""
+    """Measured FRFs against a model with matrices.
+
+    Attributes
+    ----------
+    finer : callable
+        Returns the model on a finer mesh, None without one.
+    """
 
     hypotheses: ModelHypotheses[FRFResidual]
+    finer: Callable[[], StructuralModel | None] = field(default=_no_finer, kw_only=True)
 
     @staticmethod
     def of(
@@ -98,16 +110,18 @@ class FRFAdapter(GroupAdapter):
         held_out: Unseen,
         basis: Basis | None = None,
         reduced: bool = False,
+        finer: Callable[[], StructuralModel | None] = _no_finer,
     ) -> FRFAdapter:
         """The adapter of a model at full order; ``space`` holds the parameters of its fits.
 
         Fits use the ``basis``, which serves the effects too; held-out FRFs are predicted at full order. ``reduced`` as
-        in `OneTest`.
+        in `OneTest`, ``finer`` as in the class.
         """
         model = pair.problem.model
         assert isinstance(model, StructuralModel)
         variants = Variants(model, effects, tuple(perturbation.effect for perturbation in local), basis)
-        return FRFAdapter(ModelHypotheses(pair, variants, space), local, facts, held_out, reduced=reduced)
+        hypotheses = ModelHypotheses(pair, variants, space)
+        return FRFAdapter(hypotheses, local, facts, held_out, reduced=reduced, finer=finer)
 
     def _measuring(self, names: tuple[str, ...]) -> Pair:
         return super()._measuring(names) if self.hypotheses.variants.basis is None else self.at_full_order(names)
@@ -121,6 +135,11 @@ class FRFAdapter(GroupAdapter):
             self.hypotheses, found.believed, *doubted, found.noise_scale, held_out, self.facts.samples,
             self.facts.seed, progress,
         )  # fmt: skip
+
+    def discretisation_error(self, found: Explanation) -> DiscretisationError | None:
+        """Scores that a finer mesh alone would give; None without one."""
+        finer = self.finer()
+        return None if finer is None else frf_discretisation_error(self.hypotheses, found.base.fit, finer)
 
     def labels(self) -> pd.DataFrame:
         """Labels of the rows of data; ``mode`` is the line, such as ``12.5 Hz``, and ``part`` is ``re`` or ``im``."""

@@ -306,6 +306,11 @@ class FRFResidual:
         """Standard deviation of every row, (n_rows,), in the unit of the quantity."""
         return self._stacked(self._std * (1 + 1j))
 
+    @property
+    def entry_std(self) -> np.ndarray:
+        """Standard deviation of every entry, (n_freq, n_responses, n_references), in the unit of the quantity."""
+        return self._std
+
     def compared(self, values: Mapping[str, float]) -> FRFComparison:
         """Measured and model FRFs at named values; EvaluationError where the model has none."""
         return FRFComparison(self.problem.measured, self.solve(values), self._std)

@@ -12,14 +12,20 @@ from calib.analyses.discretisation_error import (
     DiscretisationError,
     discretisation_error,
     discretisation_error_of,
+    frf_discretisation_error,
 )
+from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.library import modal_hypotheses
+from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.residual import ModalResidual
 from calib.errors import InputError
+from calib.measurement.frf import MeasuredFRFs
 from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.results import Results
 from calib.space import ParameterSpace
 from calib.structure.affine import AffineMatrix
+from calib.structure.perturbations import perturbations
+from calib.structure.variants import Variants
 from calib.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,6 +44,52 @@ def heavier(model, factor):
     """The model with more mass everywhere."""
     terms = tuple(replace(t, matrix=factor * t.matrix) for t in model.mass.terms)
     return replace(model, mass=AffineMatrix(model.n_dof, terms, model.mass.selected))
+
+
+@pytest.fixture(scope="module")
+def settled_frfs(mast):
+    """FRFs of the mast's own mesh: the fit is at the nominal values, whatever the mesh of the twin."""
+    model, freq = mast.mast(), np.linspace(2.0, 60.0, 30)
+    responses, known = mast.sensors(), np.full((30, 12, 1), 1.0 + 0j)
+    measured = MeasuredFRFs(
+        freq, responses, responses[-2:-1], "receptance", known, np.full(known.shape, np.nan), synthetic=True
+    )
+    own = FRFProblem(model, measured).functions(model.space.values)
+    measured = replace(measured, values=own, std=0.01 * np.abs(own))
+    priors = {"E": 6.0, "m_top": 8.0, "K_base": 0.4}
+    space = model.space
+    for name, sd in priors.items():
+        space = space.replace(name, prior_sd=sd)
+    local = perturbations(model, responses, model.space.values, 2.0)
+    pair = FRFResidual(FRFProblem(model, measured))
+    variants = Variants(model, mast.library(), tuple(p.effect for p in local), None)
+    hypotheses = ModelHypotheses(pair, variants, space)
+    fit_problem = hypotheses.fit_problem(())
+    return hypotheses, fitted(fit_problem, (), fit_problem.space.values)
+
+
+def test_frfs_of_the_same_mesh_have_no_discretisation_error(settled_frfs):
+    hypotheses, fit = settled_frfs
+    found = frf_discretisation_error(hypotheses, fit, hypotheses.variants.model)
+    assert found.largest < 1e-6 and found.misfit < 1e-12
+    assert set(found.table["candidate"]) == {
+        *(e.name for e in hypotheses.effects),
+        *(a.name for a in hypotheses.perturbations),
+    }
+
+
+def test_frfs_see_the_mesh_the_more_the_coarser_it_is(settled_frfs, mast):
+    hypotheses, fit = settled_frfs
+    sizes = [frf_discretisation_error(hypotheses, fit, mast.mast(h)).largest for h in (0.1, 1.0, 2.0)]
+    assert sizes[2] > 3 * sizes[1] > 3 * sizes[0] > 0
+
+
+def test_frfs_of_a_finer_model_without_a_parameter_are_refused(settled_frfs, mast):
+    hypotheses, fit = settled_frfs
+    model = mast.mast()
+    bare = replace(model, space=ParameterSpace(model.space.parameters[1:]))
+    with pytest.raises(InputError, match="finer_options"):
+        frf_discretisation_error(hypotheses, fit, bare)
 
 
 # -- small -------------------------------------------------------------------------------------------------------------
