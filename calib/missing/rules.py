@@ -24,6 +24,8 @@ class Rules:
         Expected score from which an effect is found with about 90 % power at a family-wise level of 1 %.
     draws : int
         Samples behind family-wise p-values; one over it is the smallest p-value.
+    unseen : float
+        Change of the data by a plausible magnitude, in standard deviations, below which a candidate changes nothing.
     absorbed : float
         A signature of which less than this part is left unabsorbed counts as fully absorbed.
     alike_std : float
@@ -92,6 +94,7 @@ class Rules:
     least_responses: int = 4
     detectable: float = 4.0
     draws: int = 8000
+    unseen: float = 1e-4
     absorbed: float = 1e-6
     alike_std: float = 0.01
     followed: float = 0.02

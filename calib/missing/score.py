@@ -113,7 +113,7 @@ def scores(
     plain = [e for e in candidates if not e.grid]
     owners = [e.name for e in plain]
     points: list[Mapping[str, float]] = [{} for _ in plain]
-    columns = [-fit.fit_problem.jacobian(fit.values, owners)] if plain else []
+    columns = [_seen(-fit.fit_problem.jacobian(fit.values, owners), plain)] if plain else []
     onset = [0.0] * len(plain)
     for effect in candidates:
         for point in (*effect.grid, *([further[effect.name]] if effect.name in further else [])):
@@ -128,6 +128,12 @@ def scores(
     raw = np.hstack(columns) if columns else np.zeros((len(fit.residual), 0))
     two_sided = {e.name: e.signed for e in candidates}
     return scored(fit, owners, points, raw, [two_sided[name] for name in owners], onset)
+
+
+def _seen(changes: np.ndarray, candidates: Sequence[Candidate]) -> np.ndarray:
+    """Changes of the data (n_rows, m), 0 for a candidate that changes nothing: rounding errors are no signature."""
+    size = np.linalg.norm(changes, axis=0) * [e.plausible for e in candidates]
+    return np.where(size > RULES.unseen, changes, 0.0)
 
 
 def scored(

@@ -86,6 +86,18 @@ def test_a_fully_absorbed_effect_has_no_score(toy):
     assert none.owners == () and family_p(none, toy, seed=1) == 1.0
 
 
+def test_rounding_errors_are_no_signature(toy):
+    """Such as a sensor's rotation towards an axis along which nothing moves."""
+    toy = toy(effects=3)
+    least = 1e-4 / (toy.effects[0].plausible * np.linalg.norm(toy.columns["E0"]))
+    columns = {**toy.columns, "E0": 0.9 * least * toy.columns["E0"]}
+    toy = replace(toy, columns=columns).drawn(np.random.default_rng(5))
+    found = scores(toy.calibrated(), toy.effects, {})
+    assert found.size[0] == found.z[0] == 0 and (found.size[1:] > 0).all()
+    larger = replace(toy, columns={**columns, "E0": columns["E0"] / 0.81})
+    assert scores(larger.calibrated(), larger.effects, {}).size[0] > 0
+
+
 def test_a_tight_prior_counts_like_a_covariance_of_the_data(toy):
     """Scores and evidence are those of the model without that parameter and with ``I + s^2 c c^T`` for the data."""
     toy = toy()
