@@ -18,7 +18,7 @@ from matplotlib.collections import Collection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from calib.report.svg_paths import PNG, shorter, smaller
+from calib.report.svg_paths import PNG, boxed, shorter, smaller
 
 _HOVER = "hover:"
 """Scheme of the addresses that carry words: Matplotlib writes an artist's address into the SVG and nothing else."""
@@ -28,10 +28,14 @@ _FONT = re.compile(r"(font(?:-family)?:[^;]*?)'DejaVu Sans'[^;]*")
 _SVG, _XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 _GROUP, _TITLE, _DEFS = (f"{{{_SVG}}}{name}" for name in ("g", "title", "defs"))
 _LINK = f"{{{_XLINK}}}href"
+_EVENTS = "pointer-events"
+"""Attribute that the parts of a group inherit."""
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _COMMAND = re.compile(r"\s*([A-Za-z])\s*")
 """Command of a path, with the room around it."""
 _FINEST = re.compile(r"(\d+\.\d{2})\d+")
+_ZEROS = re.compile(r"(?:(\.\d)0|\.00)(?!\d)")
+"""Zeros at the end of two decimals."""
 _SPACES = re.compile(" {2,}")
 _NO_TURN = re.compile(r"\s*rotate\(-?0( [^)]*)?\)")
 
@@ -142,28 +146,34 @@ def _say_words(root: ElementTree.Element) -> None:
             title = ElementTree.Element(_TITLE)
             title.text = unquote(words.removeprefix(_HOVER))
             element.insert(0, title)
-            element.set("pointer-events", "all")  # an area without paint has words too
+            element.set(_EVENTS, "all")  # an area without paint has words too
+    for parent in root.iter():
+        same = list(parent)
+        if len(same) > 1 and all(child.attrib.get(_EVENTS) for child in same):
+            parent.set(_EVENTS, "all")
+            for child in same:
+                del child.attrib[_EVENTS]
 
 
 def _own_names(root: ElementTree.Element, name: str) -> None:
-    """Keep only identifiers that something refers to, each beginning with the name of the figure."""
+    """Keep only identifiers that something refers to, numbered behind the name of the figure."""
     wanted = {v[1:] for e in root.iter() if (v := e.attrib.get(_LINK, "")).startswith("#")}
     wanted |= {found for e in root.iter() for value in e.attrib.values() for found in _REFERENCE.findall(value)}
+    kept = [own for element in root.iter() if (own := element.attrib.get("id")) in wanted]
+    new = {own: f"{name}-{number}" for number, own in enumerate(kept, 1)}
     for element in root.iter():
-        own = element.attrib.get("id")
-        if own in wanted:
-            element.set("id", f"{name}-{own}")
-        elif own is not None:
-            del element.attrib["id"]
+        own = element.attrib.pop("id", None)
+        if own in new:
+            element.set("id", new[own])
         for key, value in element.attrib.items():
             if key == _LINK and value.startswith("#"):
-                element.set(key, f"#{name}-{value[1:]}")
+                element.set(key, f"#{new[value[1:]]}")
             elif "url(#" in value:
-                element.set(key, _REFERENCE.sub(rf"url(#{name}-\1)", value))
+                element.set(key, _REFERENCE.sub(lambda found: f"url(#{new[found[1]]})", value))
 
 
 def _shorten(attributes: dict[str, str]) -> None:
-    """Remove digits finer than a hundredth, turns by no angle, the font of the whole figure, and breaks of lines."""
+    """Remove digits finer than a hundredth and zeros, turns by no angle, the font of the whole figure, and breaks."""
     if "d" in attributes:
         attributes["d"] = shorter(attributes["d"], attributes.get("style", ""))
     for key, value in [*attributes.items()]:
@@ -175,7 +185,7 @@ def _shorten(attributes: dict[str, str]) -> None:
         elif key == "transform":
             value = _NO_TURN.sub("", value)
         elif key == "d":
-            value = _COMMAND.sub(r"\1", value).strip()
+            value = _ZEROS.sub(r"\1", boxed(_COMMAND.sub(r"\1", value).strip()))
         elif key == _LINK:
             value = "".join(value.split())
             value = smaller(value) if value.startswith(PNG) else value
@@ -210,8 +220,9 @@ def _share_styles(parent: ElementTree.Element) -> None:
 
 
 def _opened(element: ElementTree.Element) -> list[ElementTree.Element]:
-    """The members of a group without attributes, or the element."""
-    return list(element) if element.tag == _GROUP and not element.attrib else [element]
+    """The members of a group without attributes and words, or the element."""
+    plain = element.tag == _GROUP and not element.attrib and element.find(_TITLE) is None
+    return list(element) if plain else [element]
 
 
 def _inherited(element: ElementTree.Element) -> str:

@@ -16,6 +16,10 @@ _NUMBER = re.compile(r"-?\d+\.?\d*(?:[eE]-?\d+)?")
 _CIRCLE = re.compile(r"M[^A-Z]*(?:C[^A-Z]*){8}z\s*", re.IGNORECASE)
 """Eight cubic curves, of which Matplotlib makes a circle."""
 _SEGMENTS = re.compile(r"M[^A-Za-z]*(?:L[^A-Za-z]*)+")
+_X, _Y = r"-?[\d.]+", r" -?[\d.]+"
+_FLAT_BOX = re.compile(rf"M({_X})({_Y})L({_X})\2L\3({_Y})L\1\4(?:L\1\2)?z")
+_HIGH_BOX = re.compile(rf"M({_X})({_Y})L\1({_Y})L({_X})\3L\4\2(?:L\1\2)?z")
+"""Closed boxes along the axes, whose first side is level or upright."""
 _STRAIGHT = 0.005
 """Distance in points from a straight line below which a vertex on it is not seen: half of the last digit written."""
 _COLOURS = 256
@@ -41,6 +45,12 @@ def shorter(path: str, style: str) -> str:
         same = list(run)
         out += _joined([_points(part) for part in same]) if lines else same
     return "".join(out) or path
+
+
+def boxed(path: str) -> str:
+    """Return the data of a path with boxes along the axes told by their sides."""
+    path = _FLAT_BOX.sub(lambda m: f"M{m[1]}{m[2]}H{m[3]}V{m[4].strip()}H{m[1]}z", path)
+    return _HIGH_BOX.sub(lambda m: f"M{m[1]}{m[2]}V{m[3].strip()}H{m[4]}V{m[2].strip()}z", path)
 
 
 def _points(part: str) -> NDArray[np.float64]:

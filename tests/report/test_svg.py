@@ -84,7 +84,21 @@ def test_everything_has_the_style_that_matplotlib_gives_it(figure):
     assert formulas and all(tags == {f"{SVG}tspan"} for tags in formulas)
     assert any("opacity" in style for _, style in wanted)
     assert len(list(written.iter(f"{SVG}g"))) < len(list(given.iter(f"{SVG}g"))) / 2
-    assert all(group.attrib for group in written.iter(f"{SVG}g"))
+    assert all(group.attrib or group.find(f"{SVG}title") is not None for group in written.iter(f"{SVG}g"))
+
+
+def test_parts_without_paint_have_their_words_too(figure):
+    """The property is inherited, so that a group of such parts has it once; every part keeps its own words."""
+    (ax,) = figure.axes
+    ax.set(xlim=(-1, 2), ylim=(-1, 2))
+    hover_cells(ax, [["a", "b"], ["c", "d"]])
+    root = ElementTree.fromstring(svg_text(figure, "one"))
+    above = {child: parent for parent in root.iter() for child in parent}
+    parts = [above[title] for title in root.iter(f"{SVG}title") if title.text in ("a", "b", "c", "d")]
+    assert [part[0].text for part in parts] == ["a", "b", "c", "d"] and len(set(map(id, parts))) == 4
+    assert all(len(part.findall(f"{SVG}title")) == 1 and part.find(f"{SVG}path") is not None for part in parts)
+    assert len({id(above[part]) for part in parts}) == 1 and above[parts[0]].get("pointer-events") == "all"
+    assert all("pointer-events" not in part.attrib for part in parts)
 
 
 def test_identifiers_of_two_figures_in_a_page_never_clash(figure):

@@ -12,7 +12,7 @@ from PIL import Image
 
 from calib.report.style import new_figure, style
 from calib.report.svg import svg_text
-from calib.report.svg_paths import PNG, shorter, smaller
+from calib.report.svg_paths import PNG, boxed, shorter, smaller
 
 LINES = "fill: none; stroke: #000000"
 
@@ -72,6 +72,20 @@ def test_a_curve_keeps_its_course():
     assert 20 < len(left) < 1000
     middle = (left[1:] + left[:-1]) / 2
     assert np.abs(np.hypot(*(middle - 100).T) - 60).max() < 0.02  # a chord is farthest from its arc in the middle
+
+
+@pytest.mark.parametrize(
+    ("path", "told"),
+    [
+        ("M1.50 2.00L4.00 2.00L4.00 -3.25L1.50 -3.25L1.50 2.00z", "M1.50 2.00H4.00V-3.25H1.50z"),
+        ("M-1 2L-1 7L5 7L5 2z", "M-1 2V7H5V2z"),
+        ("M0 0L1 0L1 1L0 2L0 0z", "M0 0L1 0L1 1L0 2L0 0z"),
+        ("M0 0L1 0L1 1L0 1", "M0 0L1 0L1 1L0 1"),
+        ("M0 0L2 0L2 1L0 1zM5 5L6 5L6 6L5 6L5 5z", "M0 0H2V1H0zM5 5H6V6H5z"),
+    ],
+)
+def test_boxes_are_told_by_their_sides(path, told):
+    assert boxed(path) == told
 
 
 @pytest.mark.parametrize("look", ["fill: #ff0000", "fill: none; stroke-dasharray: 3,2"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from importlib import resources
 from itertools import count
@@ -126,9 +127,14 @@ _PLAIN = " ,;:.+-_/()[]{}*=!?@$|^~"
 """Characters that an address in an attribute may hold as they are."""
 
 
+_LONG = re.compile(r"(?<=[,\n])-?\d*\.\d{5,}(?:e[+-]?\d+)?(?=[,\r\n])")
+"""A field with a number of many digits."""
+
+
 def _address(path: Path) -> str:
-    """A file as an address that holds all of it."""
-    return f"data:text/csv;charset=utf-8,{quote(path.read_bytes(), safe=_PLAIN)}"
+    """A table as an address that holds all of it, its numbers with six significant digits."""
+    text = _LONG.sub(lambda found: f"{float(found[0]):.6g}", path.read_text(encoding="utf-8"))
+    return f"data:text/csv;charset=utf-8,{quote(text, safe=_PLAIN)}"
 
 
 def _file(name: str) -> str:
