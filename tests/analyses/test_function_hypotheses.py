@@ -114,6 +114,7 @@ def test_the_verdict_is_that_of_exact_evidence(hidden):
         assert ours == pytest.approx(exact, abs=0.05 if candidate_fit is found.singles[0] else 0.5)
 
 
+@pytest.mark.slow
 def test_nothing_is_named_where_nothing_is_missing():
     verdicts = [explain(Linear(seed).hypotheses()).verdict for seed in range(100, 120)]
     assert verdicts == ["nothing_detectable"] * 20

@@ -108,7 +108,7 @@ def test_the_basis_of_a_search_is_reused_and_left_unchanged(study, results, smal
 
 @pytest.mark.parametrize(
     "change",
-    ["limits", "model", *(pytest.param(name, marks=pytest.mark.slow) for name in ("modes", "tolerance", "effects"))],
+    ["limits", *(pytest.param(name, marks=pytest.mark.slow) for name in ("model", "modes", "tolerance", "effects"))],
 )
 def test_changed_requirements_need_another_basis(study, results, small_pays, change):
     modal_hypotheses(study, results)

@@ -201,6 +201,7 @@ def test_a_point_that_ends_the_process_is_a_failed_row(own, tmp_path):
     assert bad.status == "failed" and bad.error == WORKER_DIED
 
 
+@pytest.mark.slow
 def test_a_function_that_fails_at_the_nominal_values_is_reported_without_a_traceback(own, tmp_path):
     folder, _ = own
     edit(folder / "model.py", "return cantilever.bends(v)", "return {'natural_freq': [2.0, 1.0]}")

@@ -205,6 +205,7 @@ def test_rounded_values_are_no_outliers():
     assert combine_repeats(given).disagreements == ()
 
 
+@pytest.mark.slow
 def test_the_rate_of_false_alarms():
     """Groups of equal standard deviation, or different by a factor e: at most a few of a hundred tables of any size."""
     rng = np.random.default_rng(0)
@@ -218,7 +219,7 @@ def test_the_rate_of_false_alarms():
 
 @pytest.mark.parametrize(
     ("count", "most"),
-    [(3, 1), pytest.param(4, 1, marks=pytest.mark.slow), (5, 2), pytest.param(10, 2, marks=pytest.mark.slow)],
+    [(3, 1), *(pytest.param(n, m, marks=pytest.mark.slow) for n, m in ((4, 1), (5, 2), (10, 2)))],
 )
 def test_groups_by_themselves_are_called_outlying_at_the_level(count, most):
     """Two groups give no prior: one step is an exact test but for Bonferroni, several at most double the level."""

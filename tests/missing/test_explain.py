@@ -111,6 +111,7 @@ def test_collinear_effects_are_one_group(toy):
     assert len(apart.groups) == 5 and set(apart.credible) == {"E2", "E4"} and apart.verdict == "indistinguishable"
 
 
+@pytest.mark.slow
 def test_weak_collinear_effects_are_both_reported(toy):
     toy = toy(effects=4).correlated("E3", "E1", 0.9)
     found = toy.explained({"E1": 0.9}, 10)
@@ -167,6 +168,7 @@ def test_an_effect_outside_the_library_is_rarely_misnamed(toy):
     assert verdicts["none_explains"] + verdicts["misfit_unlocated"] >= 6 and verdicts["none_explains"] >= 4
 
 
+@pytest.mark.slow
 def test_an_incomplete_explanation_is_partial(toy):
     """An effect and a change orthogonal to the library that a local perturbation sees only together with others."""
     toy = toy(effects=3, perturbations=6)
@@ -241,6 +243,7 @@ def test_a_magnitude_beyond_the_plausible_one_is_no_misfit(toy):
     assert Counter(f.verdict for f in large)["effect"] >= 3 and all(f.chosen.names == ("E2",) for f in large)
 
 
+@pytest.mark.slow
 def test_a_local_perturbation_collinear_with_the_effect_does_not_compete(toy):
     toy = toy().correlated("A5", "E2", 0.99)
     found = toy.explained({"E2": 1.2}, 10)
@@ -263,6 +266,7 @@ def test_of_two_equal_explanations_the_plausible_one_leads(toy):
     assert passed_over >= 2
 
 
+@pytest.mark.slow
 def test_one_of_two_equally_good_pairs_is_not_named(toy):
     """Beside the first effect two others explain the rest about as well: neither is named."""
     toy = toy(effects=4).correlated("E3", "E1", 0.95)

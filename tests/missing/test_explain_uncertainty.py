@@ -116,6 +116,7 @@ def test_a_strong_effect_does_not_count_as_an_understated_standard_deviation(toy
         assert f.noise_scale == 1.0 and f.credible == ("E2",)
 
 
+@pytest.mark.slow
 def test_a_standard_deviation_from_few_repeats_raises_no_false_alarms(toy):
     toy = replace(toy(perturbations=4, modes=0, sensors=40), std_dof={"response": 4.0})
     rng = np.random.default_rng(3)

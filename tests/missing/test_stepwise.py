@@ -32,6 +32,7 @@ def errors_of(found):
 # -- several effects ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("truth", [THREE, {**THREE, "E3": 1.6}])
 def test_three_and_four_effects_are_named_and_no_other(toy, truth):
     for seed in range(2):
@@ -47,6 +48,7 @@ def test_three_and_four_effects_are_named_and_no_other(toy, truth):
         assert found.steps.last.candidate_fit is found.chosen and found.measured_scale < RULES.guard
 
 
+@pytest.mark.slow
 def test_of_three_effects_one_that_no_library_has_leaves_the_others_unnamed(toy):
     named = 0
     for seed in range(5):
@@ -133,6 +135,7 @@ def test_no_more_than_four_effects_are_taken_in(toy):
 # -- what may be named -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_place_that_explains_as_well_as_one_of_the_effects_keeps_them_unnamed(toy):
     """The third cause is a local perturbation that an effect of the library resembles."""
     doubtful = 0

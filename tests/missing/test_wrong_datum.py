@@ -72,6 +72,7 @@ def test_an_effect_on_one_datum_is_indistinguishable_from_a_wrong_datum(toy):
     assert sum(f.verdict == "indistinguishable" and f.credible == ("E2",) for f in found) >= 8
 
 
+@pytest.mark.slow
 def test_an_effect_on_other_data_too_stays_named(toy):
     """The datum alone then explains nothing, or much less than the effect."""
     found = beside(toy(), 0.5).explained({"E2": 1.5}, 10)

@@ -201,6 +201,7 @@ def test_collinear_pairs_are_outlined(correlations):
     assert not draw_confounding(correlations.replace(0.95, 0.85)).patches
 
 
+@pytest.mark.slow
 def test_one_effect_or_none(correlations, effects):
     ranked_effects_figure(effects.iloc[:1]).savefig(os.devnull, format="png")
     ranked_effects_figure(effects.iloc[:0]).savefig(os.devnull, format="png")

@@ -69,6 +69,7 @@ def test_every_section_depends_on_its_own_tables_alone(folder):
     assert shown == [n for n in WHOLE if n not in ("pulled", "effects", "next", "candidate_fits")]
 
 
+@pytest.mark.slow
 def test_a_study_without_a_library_is_not_advised_to_explain(folder):
     (folder / "explanation.json").unlink()
     record = json.loads((folder / "record.json").read_text())
@@ -112,6 +113,7 @@ def test_versions_seeds_and_times_of_every_analysis_are_shown(everything, read):
     assert any("A1 1" in r[3] for r in rows)
 
 
+@pytest.mark.slow
 def test_adopted_values_are_shown(folder):
     record = json.loads((folder / "record.json").read_text())
     (folder / "record.json").write_text(json.dumps({**record, "adopted": {"E": 205.25}, "adopted_from": "../older"}))
@@ -131,6 +133,7 @@ def test_until_something_is_added_the_errors_are_those_of_the_explanation(folder
     np.testing.assert_allclose([reader.number(r[3]) for r in rows], errors["rms"], atol=0.00501)
 
 
+@pytest.mark.slow
 def test_the_reason_for_adding_no_effect_is_shown(folder, reader, unpainted):
     for file in folder.glob("added*"):
         file.unlink()
