@@ -8,7 +8,8 @@
 ``results/rates_bogie/runs.jsonl``; started again it goes on where it stopped. Seeds belong to the runs, whatever the
 number of workers. Lines made with other code are kept and not counted (``report --code all`` counts them). Effects that
 leave no trace are run like all others: nobody knows beforehand. Each solar array (``--of panel``) is one run, explained
-in four ways; its report is one table for each, and writes one file for each: ``docs/rates_panel_modes.csv`` and so on.
+in four ways, and each bogie of ``--of bogie_frf`` one in two; their report is one table for each way, and writes one
+file for each: ``docs/rates_panel_modes.csv`` and so on.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from rates_panel import WAYS, PanelWorld, by_way
+from rates_bogie_frf import BogieWorld
+from rates_panel import PanelWorld
 from rates_scenarios import Scenario, rounds
 from rates_subject import ROOT, SUBJECTS, Subject
 from rates_table import report
@@ -82,19 +84,26 @@ def main() -> None:
 
 def world_of(subject: Subject, folder: Path, code: str) -> AnyWorld:
     """The bench of a subject."""
-    return PanelWorld(subject, folder, code) if subject.by_way else World(subject, folder, code)
+    kinds: dict[str, type[World] | type[PanelWorld]] = {"panel": PanelWorld, "bogie_frf": BogieWorld}
+    return kinds.get(subject.name, World)(subject, folder, code)
 
 
 def report_of(subject: Subject, found: list[dict[str, Any]], code: str | None, counts: Path | None, made: str) -> None:
     """The report of a subject, or one for each way with a file of its own."""
-    if not subject.by_way:
+    if not subject.ways:
         report(found, code, counts, made)
         return
-    apart = [by_way(row) for row in found]
-    for way in WAYS:
+    apart = [by_way(row, subject.ways) for row in found]
+    for way in subject.ways:
         print(f"\n== {way} ==")
         file = counts and counts.with_name(f"{counts.stem}_{way}{counts.suffix}")
         report([row[way] for row in apart], code, file, made)
+
+
+def by_way(row: dict[str, Any], ways: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    """The rows of one structure, as those of other subjects are; a run that broke is one of every way."""
+    own = {k: v for k, v in row.items() if k not in ("ways", "seconds")}
+    return {way: own | row["ways"][way] if "ways" in row else dict(row) for way in ways}
 
 
 def lines(file: Path) -> Iterator[dict[str, Any]]:

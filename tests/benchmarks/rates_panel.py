@@ -1,7 +1,8 @@
 """Blind solar arrays, each explained four ways: from its modes, and from its FRFs with and without errors of the test.
 
-Every array is measured as in ``studies/hidden_panel``, whose generator builds the hidden effect into the finer mesh.
-Questions are asked at full order, as the studies ask them.
+The ways are modes; FRFs; FRFs with errors of channels and masses of accelerometers that the fit frees; and that it
+ignores. Every array is measured as in ``studies/hidden_panel``, whose generator builds the hidden effect into the finer
+mesh. Questions are asked at full order, as the studies ask them.
 """
 
 from __future__ import annotations
@@ -38,8 +39,6 @@ from calib.structure.perturbations import perturbations
 from calib.structure.variants import Variants
 from calib.study import Study, with_nuisances
 
-WAYS = ("modes", "frfs", "freed", "ignored")
-"""Modes; FRFs; FRFs with errors of channels and masses of accelerometers that the fit frees; and that it ignores."""
 ERRORS = {"gain": 0.01, "phase": 0.5, "accelerometer": 0.005}
 """Standard deviations of the channels' gains (relative) and phases (degrees); kg at every sensor."""
 FREED = {"gain": 1.0, "phase": 0.5, "accelerometer": 0.005}
@@ -149,7 +148,7 @@ class PanelWorld:
         started = time.perf_counter()
         array = self.array(scenario, number)
         tests = self.tests(array)
-        ways = {way: self._told(way, tests[way], scenario, array) for way in WAYS}
+        ways = {way: self._told(way, tests[way], scenario, array) for way in self.subject.ways}
         values = {name: round(value, 6) for name, value in array.values.items()}
         return {
             "code": self.code, "scenario": scenario.name, "number": number, "group": scenario.group,
@@ -241,9 +240,3 @@ class PanelWorld:
         model = extend(base, [effect])
         more = true.with_model(model, model.n_dof - base.n_dof)
         return float(self.maker.change_seen(true, more, self._space(true), array.values))
-
-
-def by_way(row: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """The rows of one array, as those of other subjects are; a run that broke is one of every way."""
-    own = {k: v for k, v in row.items() if k not in ("ways", "seconds")}
-    return {way: own | row["ways"][way] if "ways" in row else dict(row) for way in WAYS}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,8 +29,8 @@ class Subject:
         Whether effects of the library are built into the twin's mesh, instead of added as the library's terms.
     reduced_twin : bool
         Whether the finer mesh is solved on a reduced basis of its own, for which full order would take too long.
-    by_way : bool
-        Whether each structure is measured and explained in several ways, see `rates_panel`.
+    ways : tuple of str
+        Names of the ways in which each structure is measured and explained, where there are several.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Subject:
     triples: tuple[tuple[str, str, str], ...] = ()
     really_built: bool = False
     reduced_twin: bool = False
-    by_way: bool = False
+    ways: tuple[str, ...] = ()
 
     @property
     def maker(self) -> Path:
@@ -91,7 +91,15 @@ PANEL = Subject(
         "studies/hidden_panel_frf/study.toml", "studies/frf_twin.py", "calib/analyses/frf_start.py",
         "tests/benchmarks/rates_panel.py",
     ),
-    ("heavy_left", "broken_bar", "corner_mass"), (), by_way=True,
+    ("heavy_left", "broken_bar", "corner_mass"), (), ways=("modes", "frfs", "freed", "ignored"),
 )  # fmt: skip
 
-SUBJECTS = {s.name: s for s in (BOGIE, VEHICLE, PANEL)}
+BOGIE_FRF = replace(
+    BOGIE, name="bogie_frf", pairs=(), triples=(), ways=("modes", "frfs"),
+    sources=(
+        *BOGIE.sources, "studies/hidden_bogie_frf/make_twin.py", "studies/hidden_bogie_frf/study.toml",
+        "studies/frf_twin.py", "calib/analyses/frf_start.py", "tests/benchmarks/rates_bogie_frf.py",
+    ),
+)  # fmt: skip
+
+SUBJECTS = {s.name: s for s in (BOGIE, BOGIE_FRF, VEHICLE, PANEL)}
