@@ -321,7 +321,7 @@ def _errors(errors: pd.DataFrame) -> list[str]:
             worse.append(label)
     if not phrases:
         return []
-    out = ["Error in standard deviations: " + ", ".join(phrases) + "."]
+    out = ["Error in standard deviations, of the fits behind this answer: " + ", ".join(phrases) + "."]
     if worse:
         out.append(f"It fits better but predicts no better: {', '.join(worse)} got worse.")
     return out

@@ -55,7 +55,7 @@ def with_words(found: Explanation, them: str = "it") -> str:
         return (
             f"{words}, which is poor: the standard deviation may be larger than stated, or something more is missing."
         )
-    return f"{words}."
+    return f"{words} ({found.alpha:g} or less would be poor)."
 
 
 def row_of(effects: pd.DataFrame, name: str) -> pd.Series:

@@ -227,7 +227,8 @@ def test_one_effect_is_named_with_magnitude_interval_and_where_to_look(cases):
     assert "The model assumes: No E2." in text and "Look for: Look at E2." in text
     assert text.count("a lack of") == 1
     after = found.chosen_adequacy
-    assert f"(p = {after.p_family:.2g})" in text and f"p = {after.p_fit:.2g}." in text and "poor" not in text
+    assert f"(p = {after.p_family:.2g})" in text and "which is poor" not in text
+    assert f"p = {after.p_fit:.2g} ({found.alpha:g} or less would be poor)." in text
 
 
 def test_a_poor_fit_of_a_named_effect_is_stated(cases):
@@ -418,7 +419,8 @@ def test_invisible_effects_are_stated_with_their_smallest_visible_magnitude(case
 def test_errors_are_those_of_the_table_with_the_noise_floor(cases):
     text = text_of(cases["effect"])
     assert (
-        "Error in standard deviations: data left out in turn 3.28 -> 1.16 (noise floor 1.19), "
+        "Error in standard deviations, of the fits behind this answer: "
+        "data left out in turn 3.28 -> 1.16 (noise floor 1.19), "
         "held-out sensors 1.93 -> 0.89 (noise floor 1.04), held-out modes 0.97 -> 0.94 (noise floor 1.00)." in text
     )
     assert "got worse" not in text
