@@ -45,6 +45,7 @@ from calib.structure.basis import Basis
 from calib.structure.extend import extend
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
+from calib.structure.perturbations import scaling_by_function
 from calib.study_file import Measured, StudyFile
 
 _NONE: Mapping[str, float] = MappingProxyType({})
@@ -331,7 +332,7 @@ class EvaluationSource:
 
 @dataclass(frozen=True, eq=False)
 class _Extendable:
-    """The function of a study, extended by those effects of its library whose parameters are among the values.
+    """The function of a study, extended by those of its library's effects and its parts that are among the values.
 
     A function of modes returns them as numbers, see `calib.structure.modal_result.numbers_of`.
     """
@@ -343,7 +344,9 @@ class _Extendable:
 
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
         """As `FunctionProblem.evaluate`; effects are added in the order of the values."""
-        owner = {name: effect for effect in self.study.candidates for name in effect.names}
+        parts = () if isinstance(self.study.model, StructuralModel) else self.study.model.parts
+        known = (*self.study.candidates, *(scaling_by_function(part) for part in parts))
+        owner = {name: effect for effect in known for name in effect.names}
         effects = {owner[name].name: owner[name] for name in values if name in owner}
         key = tuple(effects)
         if key not in self._made:

@@ -17,7 +17,7 @@ from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.modal_result import modes_of
 from calib.structure.mode_tracking import successors
 from calib.structure.modes import Modes
-from calib.structure.perturbations import LESS, MORE, RELATIVE, Perturbation, scaling
+from calib.structure.perturbations import LESS, MORE, RELATIVE, Perturbation, scaling_by_function
 from calib.structure.scaled_part import ScaledPart
 
 FAULT = 0.1
@@ -115,11 +115,7 @@ def _of(test: str) -> str:
 
 def _rescaled(parts: Sequence[ScaledPart]) -> list[Perturbation]:
     """Every part scaled by the function itself: of the model, and so the same in all tests."""
-    return [Perturbation(scaling(part, _by_itself), part.kind, _NOWHERE) for part in parts]
-
-
-def _by_itself(model: Model) -> None:
-    """Nothing to build."""
+    return [Perturbation(scaling_by_function(part), part.kind, _NOWHERE) for part in parts]
 
 
 # -- inputs ------------------------------------------------------------------------------------------------------------

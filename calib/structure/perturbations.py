@@ -114,6 +114,15 @@ def scaling(part: ScaledPart, build: Callable[[Any], Any]) -> Effect:
     return replace(effect, part=part.parameter)
 
 
+def scaling_by_function(part: ScaledPart) -> Effect:
+    """The same for a part that the model's function scales itself."""
+    return scaling(part, _by_itself)
+
+
+def _by_itself(model: Any) -> None:
+    """Nothing to build."""
+
+
 def _at_sensor(sensor: Sensor, row: np.ndarray, kind: str, size: float, suffix: str) -> Perturbation:
     words = "grounded spring" if kind == "stiffness" else "added mass"
     name, unit = f"{words} at sensor {sensor.name}{suffix}", "N/m" if kind == "stiffness" else "kg"

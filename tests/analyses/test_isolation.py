@@ -12,6 +12,7 @@ from calib.errors import EvaluationError, InputError
 from calib.function import extend_function
 from calib.loading import with_effects
 from calib.outcome import WORKER_DIED
+from calib.structure.perturbations import scaling_by_function
 from calib.study import Study
 
 
@@ -25,6 +26,25 @@ def test_effects_act_in_the_child_as_in_this_process(sums):
     extended, expected = extend_function(there.model, [effect]), extend_function(here.model, [own])
     assert extended.function is there.problem.function and extended.space == expected.space
     assert extended.function(point | more) == expected.function(point | more)
+
+
+def test_a_part_that_the_function_scales_acts_in_the_child_too(sums):
+    file = sums / "model.py"
+    text = file.read_text().replace(
+        'lambda v: {"s": v["a"] + v["b"]})',
+        'lambda v: {"s": (1 + v.get("mass of a", 0.0)) * v["a"] + v["b"]}, parts=[ScaledPart("a", "mass")])',
+    )
+    assert "parts" in text
+    file.write_text("from calib.structure.scaled_part import ScaledPart\n" + text)
+    study = isolated(Study.load(sums))
+    extended = extend_function(study.model, [scaling_by_function(part) for part in study.model.parts])
+    point = {"a": 2.0, "b": 0.5}
+    assert extended.function(point | {"mass of a": 0.25}) == {"s": 3.0}
+    assert study.problem.evaluate(point) == {"s": 2.5}
+    (effect,) = study.candidates
+    both = extend_function(extended, [effect])
+    more = {"mass of a": 0.25, "bend": 0.4, "bend_at": 1.5, "bend_scale": 2.0}
+    assert both.function(point | more)["s"] == pytest.approx(4.2)
 
 
 @pytest.mark.slow
