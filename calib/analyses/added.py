@@ -23,6 +23,7 @@ from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import NAMED, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import WIDE
+from calib.missing.nearly import is_nearly
 from calib.missing.verdict import GROUPS
 from calib.results import Results
 from calib.study import Study
@@ -91,6 +92,11 @@ def nothing_added(found: Explanation) -> str:
         pairs = "; and between ".join(f"{name} and {other}" for name, other in found.steps.rivals)
         untold = f"These data cannot discriminate between {pairs}, so nothing is added: inspect the structure."
     named = " and ".join(() if found.chosen is None else found.chosen.names)
+    if is_nearly(found):
+        return (
+            f"Something like {named} is missing, but not exactly that, so nothing is added. 'calib extend' adds it "
+            "anyway."
+        )
     reasons = {
         "nothing_detectable": "These data show no missing effect, so nothing is added.",
         "noise_underestimated": "Correct the standard deviation of the measurement first: nothing is added.",

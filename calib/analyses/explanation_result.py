@@ -14,6 +14,7 @@ from calib.answer import Answer
 from calib.missing.candidate_fit import CandidateFit, WrongDatum
 from calib.missing.explanation import Explanation
 from calib.missing.local import local_perturbation
+from calib.missing.nearly import is_nearly
 from calib.missing.verdict import GROUPS as UNSEEN_GROUPS
 from calib.several import AnyStudy
 from calib.study import Study
@@ -148,6 +149,7 @@ def summary(study: AnyStudy, answer: ExplanationResult) -> dict[str, object]:
         "local_perturbations": len(set(check.perturbations.owners)),
         "local_perturbation": None if found.perturbation is None else _local_perturbation(found.perturbation),
         "refused": found.refused or None,
+        "nearly": is_nearly(found),
         "measurement_fault": None if found.fault is None else _local_perturbation(found.fault),
         "faults": 0 if check.faults is None else len(set(check.faults.owners)),
         "blamed": [_local_perturbation(t) for t in found.blamed],

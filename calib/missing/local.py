@@ -30,6 +30,14 @@ def interval_words(value: float, low: float, high: float, unit: str) -> str:
     return f"about {number}{unit_words(unit)} (95 %: {first} to {last})"
 
 
+def range_words(low: float, high: float, unit: str) -> str:
+    """A range of a magnitude, such as ``54 to 74 kg``, rounded as `interval_words` does."""
+    width = high - low
+    places = 1 - math.floor(math.log10(width)) if math.isfinite(width) and width > 0 else 3
+    first, last = (f"{round(x, places):.{max(places, 0)}f}" for x in (low, high))
+    return f"{first} to {last}{unit_words(unit)}"
+
+
 @dataclass(frozen=True)
 class LocalPerturbation:
     """A local perturbation with its linearised 95 % interval, truncated at the limits; in the unit of its magnitude.

@@ -72,6 +72,14 @@ class Rules:
         Least part of the budget for pairs of effects, whatever single effects have spent.
     decades : tuple of float
         Powers of ten times the plausible magnitude at which an effect is tried for pairing further modes.
+    by_far : float
+        Part of the log evidence that the best effect of a partial explanation gains, below which anything else is far
+        behind: the verdict is then that something like it is missing.
+    leaves : float
+        The same by what is left: so many times the sum of squares that the best effect leaves.
+    little : float
+        Decrease of the sum of squares by anything further, over that by this effect, below which it explains nearly
+        all.
     most_effects : int
         Effects that a stepwise search may take in.
     further : int
@@ -118,6 +126,9 @@ class Rules:
     starts_anew: int = 2
     paired: float = 0.5
     decades: tuple[float, ...] = (-2, -1, 0, 1, 2)
+    by_far: float = 0.5
+    leaves: float = 5.0
+    little: float = 0.02
     most_effects: int = 4
     further: int = 3
     stepped: float = 1.0

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import pandas as pd
 
 from calib.answer import Answer
+from calib.candidate import Candidate
 from calib.missing.explanation import Explanation
 from calib.missing.held_out import UNSEEN, contradicting
-from calib.missing.local import WIDE, fault_words, interval_words, local_perturbation, unit_words
+from calib.missing.local import WIDE, fault_words, interval_words, local_perturbation, range_words, unit_words
 from calib.missing.measurement_verdict import on_measurement
+from calib.missing.nearly import is_nearly, spread_of
 from calib.missing.recommendation import Recommendation, as_ratio, rounded
 from calib.missing.rules import RULES
 from calib.missing.steps_table import rivals_sentence, steps_sentence
@@ -246,6 +248,8 @@ def _partial(found: Explanation, effects: pd.DataFrame) -> Words:
     assert found.chosen is not None and found.chosen_adequacy is not None
     (e,) = found.chosen.effects
     before, after = found.base.fit.misfit, found.chosen.fit.misfit
+    if is_nearly(found):
+        return _nearly(found, e)
     return Words(
         f"The model lacks something that no listed effect explains fully: {sized(effects, e)}, is a part of it or "
         "stands in for something else.",
@@ -253,6 +257,21 @@ def _partial(found: Explanation, effects: pd.DataFrame) -> Words:
         f"{p_words(found.chosen_adequacy.p_family)}. {without(found)}",
         _rest(found),
         (steps_sentence(found),),
+    )
+
+
+def _nearly(found: Explanation, e: Candidate) -> Words:
+    assert found.chosen is not None and found.chosen_adequacy is not None
+    before, after = found.base.fit.misfit, found.chosen.fit.misfit
+    low, high = spread_of(found)
+    left = where(found.chosen_adequacy)
+    return Words(
+        f"The model lacks something like {e.in_words}, but not exactly that; in the form that the library lists it "
+        f"would be {range_words(low, high, e.magnitude.unit)}.",
+        f"It lowers the sum of squares from {before:.0f} to {after:.0f}, far more than anything else does, but leaves "
+        f"{p_words(found.chosen_adequacy.p_family)}. {without(found)} A further, much smaller effect is possible too.",
+        look_for((e,)),
+        (f"What is left is largest {left}." if left else "", steps_sentence(found)),
     )
 
 

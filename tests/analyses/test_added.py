@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calib.analyses import added
 from calib.analyses.added import _held_out_modes, by_group, conclusion, to_add, write_nothing_added
 from calib.analyses.record import analyses_of, write_record
 from calib.analyses.stale import stale_answers
@@ -82,7 +83,9 @@ def study(mast, tmp_path_factory):
 
 def found(verdict, *names, untold=()):
     chosen = SimpleNamespace(names=names) if names else None
-    return SimpleNamespace(verdict=verdict, chosen=chosen, untold=untold or names, steps=None, uncontested=False)
+    return SimpleNamespace(
+        verdict=verdict, chosen=chosen, chosen_adequacy=None, untold=untold or names, steps=None, uncontested=False
+    )
 
 
 def test_only_effects_without_a_competing_model_are_added():
@@ -115,6 +118,12 @@ def test_why_nothing_is_added_is_reported_and_written(study, verdict, words, tmp
     assert words in answer.sentence and answer.effects == () and answer.errors.empty
     written = json.loads((tmp_path / "added.json").read_text())
     assert written["sentence"] == answer.sentence and written["effects"] == [] and written["conclusion"] == ""
+
+
+def test_something_like_an_effect_is_added_on_request_only(monkeypatch):
+    monkeypatch.setattr(added, "is_nearly", lambda found: True)
+    words = added.nothing_added(found("partial", "guy"))
+    assert "like guy is missing" in words and "'calib extend' adds it anyway" in words
 
 
 def test_the_result_that_nothing_is_added_belongs_to_one_state_of_the_study(study, mast, edited, tmp_path):

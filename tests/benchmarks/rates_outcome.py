@@ -12,6 +12,7 @@ from calib.effect import Effect
 from calib.measurement.modal import MeasuredModes
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import SEVERAL, Explanation
+from calib.missing.nearly import is_nearly, spread_of
 from calib.missing.profile import profile_interval
 
 
@@ -85,6 +86,7 @@ def outcome(found: Explanation, measured: Truth) -> dict[str, Any]:
         "steps": [] if found.steps is None else [list(step.candidate_fit.names) for step in found.steps.steps],
         "stopped": "" if found.steps is None else found.steps.stopped,
         "base_misfit": round(found.base.fit.misfit, 1),
+        "nearly": _nearly(found, measured, true),
         "candidate_fits": [_row(t, found) for t in (*found.singles[:4], *pairs[:3])],
         "perturbation": None if found.perturbation is None else _row(found.perturbation, found),
     }  # fmt: skip
@@ -100,6 +102,17 @@ def outcome(found: Explanation, measured: Truth) -> dict[str, Any]:
     if found.chosen is not None:
         row["places_right_after"] = all(measured.values[n] == found.chosen.fit.values[n] for n in moved)
     return row
+
+
+def _nearly(found: Explanation, measured: Truth, true: set[str]) -> dict[str, Any] | None:
+    """Whether something like an effect is told, whether that effect is hidden, and whether its range holds the truth."""
+    if not is_nearly(found):
+        return None
+    assert found.chosen is not None
+    (name,) = found.chosen.names
+    low, high = spread_of(found)
+    own = measured.values.get(name)
+    return {"right": name in true, "range": [low, high], "holds": own is not None and low <= own <= high}
 
 
 def magnitude(found: Explanation, measured: Truth) -> dict[str, Any]:

@@ -49,9 +49,21 @@ def report(rows: Sequence[Row], code: str | None, counts: Path | None = None, ma
     failed = [row for row in rows if row["outcome"] == "failed"]
     rows = [row for row in rows if row["outcome"] != "failed"]
     _rates(rows)
+    _nearly(rows)
     _numbers(rows)
     _by_effect(rows)
     _exceptions(rows, failed)
+
+
+def _nearly(rows: Sequence[Row]) -> None:
+    """How often something like an effect is told, which names no cause, and how often that effect is there."""
+    told = [row["nearly"] for row in rows if row.get("nearly")]
+    right = [one for one in told if one["right"]]
+    if told:
+        held = sum(one["holds"] for one in right)
+        print(
+            f"something like an effect: {len(told)} runs, that effect is hidden in {len(right)}, range holds {held}\n"
+        )
 
 
 def write(rows: Sequence[Row], file: Path, code: str, made: str) -> None:

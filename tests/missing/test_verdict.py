@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 
 from calib.missing.explain import explain
-from calib.missing.local import interval_words, local_perturbation
+from calib.missing.local import interval_words, local_perturbation, range_words
+from calib.missing.nearly import is_nearly, spread_of
 from calib.missing.recommendation import Recommendation
 from calib.missing.tables import effects_table
 from calib.missing.verdict import MOST
@@ -314,6 +315,43 @@ def test_a_partial_explanation_is_stated_as_such(cases):
     assert f"lowers the sum of squares from {before:.0f} to {after:.0f}" in text and after < before
     assert f"leaves {with_p(found.chosen_adequacy.p_family)}" in text and found.chosen_adequacy.p_family <= 0.01
     assert "Look for" not in text
+
+
+@pytest.fixture(scope="module")
+def nearly(toy):
+    """An effect whose real form differs a little from the listed one, where no other effect or perturbation acts."""
+    listed = toy(effects=3, perturbations=6)
+    rng = np.random.default_rng(3)
+    other = rng.standard_normal(len(listed.columns["E1"]))
+    column = listed.columns["E1"]
+    form = column + 0.12 * np.linalg.norm(column) / np.linalg.norm(other) * other
+    other_place = {"A2": other / np.linalg.norm(other) * np.linalg.norm(listed.columns["A2"])}
+    real = dressed(replace(listed, columns={**listed.columns, **other_place, "hidden": form}))
+    return first(real, {"hidden": 12.0}, "partial")
+
+
+def test_something_like_an_effect_is_told_with_a_range(nearly):
+    assert nearly.chosen.names == ("E1",) and is_nearly(nearly)
+    text = text_of(nearly)
+    assert text.startswith("The model lacks something like a lack of E1, but not exactly that; ")
+    low, high = spread_of(nearly)
+    value, std = nearly.chosen.magnitude("E1")
+    assert low <= value - 1.9 * std and high >= value + 1.9 * std
+    assert range_words(low, high, nearly.chosen.effects[0].magnitude.unit) in text and "Look for: Look at E1." in text
+    assert not nearly.names_something and not nearly.credible
+
+
+def test_an_effect_is_not_nearly_the_cause_where_much_is_left_or_something_else_is_close(cases, nearly):
+    assert not is_nearly(cases["partial"]) and not is_nearly(cases["effect"]) and not is_nearly(cases["none_explains"])
+    base, best = nearly.base, nearly.chosen
+    close = base.ln_evidence + 0.6 * (best.ln_evidence - base.ln_evidence)
+    rival = replace(nearly.perturbation, ln_evidence=close)
+    assert is_nearly(replace(nearly, perturbation=rival))  # which leaves far more
+    rival = replace(rival, fit=replace(rival.fit, residual=2 * best.fit.residual))
+    assert best.fit.misfit < rival.fit.misfit < 5 * best.fit.misfit
+    assert not is_nearly(replace(nearly, perturbation=rival))
+    left = replace(nearly.chosen_adequacy.perturbations, z=nearly.chosen_adequacy.perturbations.z * 100)
+    assert not is_nearly(replace(nearly, chosen_adequacy=replace(nearly.chosen_adequacy, perturbations=left)))
 
 
 def test_an_unexplained_misfit_is_stated_with_the_place_to_look_at(cases):
