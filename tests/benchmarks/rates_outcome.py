@@ -105,7 +105,7 @@ def outcome(found: Explanation, measured: Truth) -> dict[str, Any]:
 
 
 def _nearly(found: Explanation, measured: Truth, true: set[str]) -> dict[str, Any] | None:
-    """Whether something like an effect is told, whether that effect is hidden, and whether its range holds the truth."""
+    """Where something like an effect is told: whether that effect is hidden, and whether its range holds the truth."""
     if not is_nearly(found):
         return None
     assert found.chosen is not None
