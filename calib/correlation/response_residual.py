@@ -155,7 +155,7 @@ class ResponseResidual:
         function: Any = self.problem.function
         if isinstance(function, Asked) and len(responses_of(here)) < len(here):
             unknown = [name for name, own in entries.items() if any(entry not in here for entry in own)]
-            here = {**here, **function.derivatives(values, unknown)}
+            here = {**here, **_told(function, values, unknown)}
         known = {
             name: -np.array([here[entry] for entry in own]) / self.std
             for name, own in entries.items()
@@ -174,3 +174,12 @@ class ResponseResidual:
     ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
         """Empty: a function has no modes; see `ModalResidual.frequencies`."""
         return (), np.zeros(0), np.zeros((0, len(names)))
+
+
+def _told(function: Asked, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
+    """Derivatives that a function tells where it is asked; none where it fails, as two evaluations differ as well."""
+    try:
+        told = answered(lambda point: function.derivatives(point, names), values)
+    except EvaluationError:
+        return {}
+    return {entry: slope for entry, slope in told.items() if np.isfinite(slope)}

@@ -97,6 +97,20 @@ def test_asking_for_derivatives_costs_one_call_of_the_function():
     assert [set(call) - set(SPACE.names) for call in TOLD] == [set(), {"slack", *(p.parameter for p in SPRINGS)}]
 
 
+@pytest.mark.parametrize("wrong", [lambda out: out | {"d(sag_first)/d(slack)": float("nan")}, lambda out: 1 / 0])
+def test_a_function_that_fails_to_derive_is_differenced(wrong):
+    def failing(v):
+        out = sag(v)
+        return wrong(out) if "slack" in v and v["slack"] == 0 else out
+
+    problem = calib.Problem(FunctionModel("arms", SPACE, failing, parts=SPRINGS), measurement())
+    found = problem.calibrate(progress=False).explain([slack()], progress=False)
+    as_usual = calib.Problem(model(), measurement()).calibrate(progress=False).explain([slack()], progress=False)
+    assert found.verdict == as_usual.verdict
+    z, usual = (one.explanation.explanation.base_adequacy.named.z for one in (found, as_usual))
+    assert z == pytest.approx(usual, rel=1e-4)
+
+
 def test_a_part_is_the_same_in_all_tests_and_bounded_by_its_kind():
     parts = (*SPRINGS, ScaledPart("the damper", "damping"))
     found = {p.effect.name: p for p in response_perturbations(SPACE, {"x": 1.0}, "soft", ["load"], parts)}
