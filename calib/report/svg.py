@@ -34,7 +34,7 @@ _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _COMMAND = re.compile(r"\s*([A-Za-z])\s*")
 """Command of a path, with the room around it."""
 _FINEST = re.compile(r"(\d+\.\d{2})\d+")
-_ZEROS = re.compile(r"(?:(\.\d)0|\.00)(?!\d)")
+_ZEROS = re.compile(r"(?:\.00|(\.\d)0)(?!\d)")
 """Zeros at the end of two decimals."""
 _SPACES = re.compile(" {2,}")
 _NO_TURN = re.compile(r"\s*rotate\(-?0( [^)]*)?\)")
@@ -167,9 +167,9 @@ def _own_names(root: ElementTree.Element, name: str) -> None:
             element.set("id", new[own])
         for key, value in element.attrib.items():
             if key == _LINK and value.startswith("#"):
-                element.set(key, f"#{new[value[1:]]}")
+                element.set(key, f"#{new.get(value[1:], value[1:])}")
             elif "url(#" in value:
-                element.set(key, _REFERENCE.sub(lambda found: f"url(#{new[found[1]]})", value))
+                element.set(key, _REFERENCE.sub(lambda found: f"url(#{new.get(found[1], found[1])})", value))
 
 
 def _shorten(attributes: dict[str, str]) -> None:
