@@ -82,7 +82,7 @@ def responses_of(result: Mapping[str, float]) -> dict[str, float]:
 class Asked(Protocol):
     """A function that returns only part of the derivatives it knows, and the others where it is asked for them."""
 
-    def derivatives(self, values: Mapping[str, float], names: Sequence[str]) -> Mapping[str, float]:
+    def derivatives_by(self, values: Mapping[str, float], names: Sequence[str]) -> Mapping[str, float]:
         """Further derivatives by named parameters, see `slope_entry`; as many as it knows."""
         ...
 

@@ -169,7 +169,7 @@ class _Chosen:
     def __call__(self, values: Mapping[str, float]) -> Any:
         return _called(self._model(values), values)
 
-    def derivatives(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
+    def derivatives_by(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
         """Derivatives that the base function can tell by magnitudes of 0; see `calib.function.Asked`.
 
         What the function reads itself is told by one call. What is built upon it is told by one each, for which the

@@ -179,7 +179,7 @@ class ResponseResidual:
 def _told(function: Asked, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
     """Derivatives that a function tells where it is asked; none where it fails, as two evaluations differ as well."""
     try:
-        told = answered(lambda point: function.derivatives(point, names), values)
+        told = answered(lambda point: function.derivatives_by(point, names), values)
     except EvaluationError:
         return {}
     return {entry: slope for entry, slope in told.items() if np.isfinite(slope)}

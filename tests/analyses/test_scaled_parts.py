@@ -78,7 +78,7 @@ def test_derivatives_by_what_is_absent_are_those_of_the_built_function(held):
     everything = variants.with_effects(())
     values = everything.space.values | held
     absent = [name for name in variants.names if name not in held]
-    out = everything.function.derivatives(values, absent)
+    out = everything.function.derivatives_by(values, absent)
     errors = {e.name for e in perturbations if e.of_measurement}
     h = 1e-6
     for name in set(absent) - errors:
@@ -93,7 +93,7 @@ def test_asking_for_derivatives_costs_one_call_of_the_function():
     function, values = variants.with_effects(()).function, variants.with_effects(()).space.values
     TOLD.clear()
     function(values)
-    function.derivatives(values, variants.names)
+    function.derivatives_by(values, variants.names)
     assert [set(call) - set(SPACE.names) for call in TOLD] == [set(), {"slack", *(p.parameter for p in SPRINGS)}]
 
 
