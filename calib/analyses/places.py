@@ -175,7 +175,7 @@ def _answering(problem: ForwardProblem, evaluator: Evaluator | ExecutorEvaluator
     return evaluator
 
 
-_WORTHWHILE = 20.0
+_WORTHWHILE = 10.0
 """Expected seconds of work above which a process pool is started."""
 
 
