@@ -60,6 +60,7 @@ def test_structural_damping_is_that_of_the_sum_over_modes(rig, quantity):
     np.testing.assert_allclose(found[:, :, 0], expected, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_dashpots_are_the_structures_own():
     panel = solar_panel(damping_ratio=0.02)
     sensors = tuple(Sensor(n, "z", tuple(panel.mesh.points[n - 1])) for n in (1, 30))

@@ -83,6 +83,7 @@ def test_nothing_but_an_interrupt_ends_a_leaving_that_takes_long():
     assert child(0.1, "time.sleep(0.2)", "say('left in order')") == (0, "leaving\nleft in order\n", "")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="the system has no timer that interrupts")
 def test_an_interrupt_that_is_swallowed_is_raised_again():
     work = (

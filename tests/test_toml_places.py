@@ -117,7 +117,7 @@ def written(value):
     return repr(value)
 
 
-@settings(max_examples=150, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=40, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.dictionaries(st.text("ab.' é", max_size=3), values, max_size=3), st.lists(values, max_size=3))
 def test_any_value_is_found(top, rows):
     text = "".join(f"{written(k)} = {written(v)}\n" for k, v in top.items())

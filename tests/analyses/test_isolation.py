@@ -28,6 +28,7 @@ def test_effects_act_in_the_child_as_in_this_process(sums):
     assert extended.function(point | more) == expected.function(point | more)
 
 
+@pytest.mark.slow
 def test_a_part_that_the_function_scales_acts_in_the_child_too(sums):
     file = sums / "model.py"
     text = file.read_text().replace(

@@ -115,6 +115,7 @@ def test_a_whole_run_of_a_function_has_the_tables_of_the_own_pool(run, make, tmp
     assert found.workers is None  # goes on with its own: those of the executor are shut down
 
 
+@pytest.mark.slow
 def test_a_time_limit_that_the_executor_does_not_keep_is_refused(undrawn, tmp_path):
     study = calib.Study.load(oscillator(tmp_path / "oscillator", ", time_limit = 60.0"), tmp_path / "results")
     with Threads(1) as threads:

@@ -30,6 +30,7 @@ def library(effect_checks, rigid_car, modes, vehicle_sensors):
     return effect_checks.Library(rigid_car, EFFECTS, measured, SOLVED, SELECTED)
 
 
+@pytest.mark.slow
 def test_names_are_unique_and_not_those_of_parameters(rigid_car):
     every = [name for e in vehicle_effects() for name in e.names]
     assert len(set(every)) == len(every) and not set(every) & set(rigid_car.space.names)
