@@ -129,7 +129,7 @@ class _Worker:
 def start(source: Source, board: Board) -> None:
     """Initialize a worker process; a model that cannot be built is reported by every task."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    leave_with_parent()
     try:
         _Worker.function = built(source)
     except (InputError, RuntimeError) as fault:
@@ -138,8 +138,12 @@ def start(source: Source, board: Board) -> None:
     _Worker.board, _Worker.place = board, board.take_place()
 
 
+def leave_with_parent() -> None:
+    """From now on, end this process when its parent is gone; otherwise it would wait for tasks for ever."""
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+
+
 def _leave_with_parent() -> None:
-    """End this process when its parent is gone; otherwise it would wait for tasks for ever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

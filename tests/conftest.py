@@ -24,6 +24,7 @@ import opensees_code
 import pytest
 from hypothesis import settings
 
+from calib.front import second_process
 from calib.report.html.summary import summary
 from calib.report.html.write import Page
 from calib.written import replacing
@@ -32,6 +33,8 @@ from calib.written import replacing
 settings.register_profile("calib", deadline=None, max_examples=20, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("calib")
 
+# Tests run in as many processes as there are cores, and what one replaces is not replaced in another process.
+second_process.ENOUGH = 10**6
 
 _NUMBERS = itertools.count()
 

@@ -12,9 +12,11 @@ from calib.analyses.versions import write_versions
 from calib.errors import InputError
 from calib.front.first_test import in_order
 from calib.front.listener import Listener
+from calib.front.second_process import in_two_processes
+from calib.report.figures import Asked
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import NAME as REPORT
-from calib.report.html.write import write_report
+from calib.report.html.write import pictures, write_report
 from calib.report.shown import Shown
 from calib.report.style import FORMATS, Format, Width
 from calib.results import RESULTS, Results
@@ -30,6 +32,7 @@ def draw(
     report: bool = False,
     formats: Sequence[Format] = ("png",),
     width: Width = "page",
+    cores: int | None = None,
 ) -> None:
     """Draw the figures of all tables in a folder; the report is written on request, and where an older one exists.
 
@@ -45,6 +48,8 @@ def draw(
         Formats of the figures beside the report.
     width : {"page", "column"}
         Of these figures; see `calib.report.style.save`.
+    cores : int, optional
+        Processor cores that may be used; all available ones without.
 
     Raises
     ------
@@ -55,8 +60,13 @@ def draw(
     stale = stale_answers(study, folder, None if root == RESULTS else root)
     try:
         shown = StudyResults(Shown(folder.path, stale.files), title, synthetic, stale.sentences)
-        with listener.progress() as step:
-            written = write_report(shown, step) if report or folder.has(REPORT) else None
+        report = report or folder.has(REPORT)
+
+        def asked() -> Asked:
+            return Asked(pictures(shown) if report else (), formats, width)
+
+        with listener.progress() as step, in_two_processes(shown.figures, asked, cores or places.available_cores()):
+            written = write_report(shown, step) if report else None
             figures = shown.figures.save(formats, step, width)
     except OSError as fault:
         raise InputError(

@@ -379,7 +379,8 @@ class Study:
 
     def draw(self, folder: Results | None = None, report: bool = False) -> None:
         """Draw the figures of all tables; the report is written on request, and where an older one exists."""
-        draw(self.loaded, self.folder if folder is None else folder, self.results, self.listener, report)
+        cores = self.workers if isinstance(self.workers, int) else None
+        draw(self.loaded, self.folder if folder is None else folder, self.results, self.listener, report, cores=cores)
 
     def _draw_tests(
         self, case: str | None = None, method: calibration.Method | None = None, report: bool = False

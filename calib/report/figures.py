@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -16,6 +18,33 @@ from calib.report.shown import Shown
 from calib.report.style import COLUMN, Format, Width, add_heading, save, style, take_dollars_literally
 from calib.report.svg import svg_text
 from calib.stage import Progress, unheard
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is made of every figure of a folder.
+
+    Attributes
+    ----------
+    page : collection of str
+        Those that a page shows.
+    formats : sequence of {"png", "svg", "pdf"}
+        Of the files beside the tables.
+    width : {"page", "column"}
+        Of the files.
+    """
+
+    page: Collection[str]
+    formats: Sequence[Format]
+    width: Width
+
+
+@dataclass(frozen=True)
+class Made:
+    """One figure: its ``svg`` element, empty unless a page shows it, and its files."""
+
+    svg: str
+    files: Sequence[Path]
 
 
 class Figures:
@@ -36,6 +65,8 @@ class Figures:
         self.title = title
         self.synthetic = synthetic
         self._drawn: dict[str, Figure] = {}
+        self._made: dict[str, Made] = {}
+        self._help: tuple[Callable[[str], Made | None], Asked] | None = None
 
     @cached_property
     def plan(self) -> dict[str, Drawing]:
@@ -60,10 +91,45 @@ class Figures:
         identifier : str
             Beginning of the identifiers in the element; the name if it is empty.
         """
+        if self._help is not None and not identifier:
+            return self._shared(name).svg
         with style():
             self._drawn[name] = figure = self.plan[name].draw()
             take_dollars_literally(figure)
             return svg_text(figure, identifier or name)
+
+    def made(self, name: str, asked: Asked) -> Made:
+        """Draw one figure for page and files; see `save` for what is raised."""
+        svg = self.svg(name) if name in asked.page else ""
+        return Made(svg, self._written(self.plan[name], asked.formats, asked.width))
+
+    @contextmanager
+    def helped(self, take: Callable[[str], Made | None], asked: Asked) -> Iterator[None]:
+        """While this lasts, figures that somebody else has made or is making are taken from there.
+
+        Parameters
+        ----------
+        take : callable
+            Gives a figure of that name; None where it is to be drawn here.
+        asked : Asked
+            What is made of each figure.
+        """
+        self._help = take, asked
+        try:
+            yield
+        finally:
+            self._help = None
+
+    def _shared(self, name: str) -> Made:
+        """A figure made elsewhere or here, once for page and files: then nobody waits for the files at the end."""
+        assert self._help is not None
+        if name not in self._made:
+            (take, asked), self._help = self._help, None
+            try:
+                self._made[name] = take(name) or self.made(name, asked)
+            finally:
+                self._help = take, asked
+        return self._made[name]
 
     def save(
         self, formats: Sequence[Format] = ("png",), progress: Progress = unheard, width: Width = "page"
@@ -89,14 +155,20 @@ class Figures:
         InputError
             The folder is missing, or a table is damaged; nothing is written then.
         """
-        written = []
+        written: list[Path] = []
         for number, (name, drawing) in enumerate(self.plan.items()):
             progress("drawing figures", number, len(self.plan))
-            narrow = self._narrow(drawing) if width == "column" else None
-            with style():
-                figure = narrow or self._headed(self._page_wide(drawing), drawing.caption)
-                written += save(figure, self.folder.folder / name, formats)
+            if self._help is not None:
+                written += self._shared(name).files
+            else:
+                written += self._written(drawing, formats, width)
         return written
+
+    def _written(self, drawing: Drawing, formats: Sequence[Format], width: Width) -> list[Path]:
+        narrow = self._narrow(drawing) if width == "column" else None
+        with style():
+            figure = narrow or self._headed(self._page_wide(drawing), drawing.caption)
+            return save(figure, self.folder.folder / drawing.name, formats)
 
     def _page_wide(self, drawing: Drawing) -> Figure:
         """The figure of the page where it is drawn already."""

@@ -36,6 +36,12 @@ than six digits."""
 _SINGULAR = 1e-12
 """Smallest pivot over the largest, of the matrix scaled to a unit diagonal of K, below which a line is a resonance."""
 
+_NEAR_DIAGONAL = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.01, "options": {"SymmetricMode": True}}
+_LARGEST = {"permc_spec": "COLAMD"}
+"""Options of a sparse factor: pivots near the diagonal, or the largest of each column."""
+_BACKWARD = 1e-12
+"""Largest backward error, entry by entry, of a solution whose pivots were taken near the diagonal."""
+
 
 def motion_factor(quantity: Quantity, freq: np.ndarray) -> np.ndarray:
     """``(i omega)^n`` that turns a receptance into another quantity, (n_freq,), complex; frequencies in Hz."""
@@ -187,17 +193,38 @@ def _solution(dynamic: Matrix, scale: np.ndarray, loads: np.ndarray, freq: float
     if not np.all(np.isfinite(scaled.data if _is_sparse(scaled) else scaled)):
         raise EvaluationError(f"the dynamic stiffness at {freq:.6g} Hz holds entries that are not finite")
     if _is_sparse(scaled):
+        return _sparse_solution(sp.csc_matrix(scaled), loads, freq)
+    lu, order, _ = lapack.zgetrf(scaled)
+    _check_pivots(np.abs(lu.diagonal()), freq)
+    return np.asarray(lapack.zgetrs(lu, order, loads)[0])
+
+
+def _sparse_solution(scaled: sp.csc_matrix, loads: np.ndarray, freq: float) -> np.ndarray:
+    """Pivots stay near the diagonal, which keeps the factor sparse; where that is too inaccurate, the largest ones.
+
+    The order of elimination is chosen for a symmetric pattern: with the largest pivots of each column the factor of a
+    vehicle of 9,700 degrees of freedom takes 70 times longer.
+    """
+    size = abs(scaled)
+    for options in _NEAR_DIAGONAL, _LARGEST:
         try:
-            factor = spla.splu(sp.csc_matrix(scaled), permc_spec="MMD_AT_PLUS_A")
-        except RuntimeError:
-            raise _resonance(freq) from None
-        pivots, found = np.abs(factor.U.diagonal()), factor.solve(loads)
-    else:
-        lu, order, _ = lapack.zgetrf(scaled)
-        pivots, found = np.abs(lu.diagonal()), lapack.zgetrs(lu, order, loads)[0]
+            factor = spla.splu(scaled, **options)
+            _check_pivots(np.abs(factor.U.diagonal()), freq)
+        except (RuntimeError, EvaluationError):
+            if options is _LARGEST:
+                raise _resonance(freq) from None
+            continue
+        found = factor.solve(loads)
+        found = found + factor.solve(loads - scaled @ found)
+        left = np.abs(loads - scaled @ found)
+        if np.all(left <= _BACKWARD * (size @ np.abs(found) + np.abs(loads))):
+            break
+    return np.asarray(found)
+
+
+def _check_pivots(pivots: np.ndarray, freq: float) -> None:
     if not pivots.min() > _SINGULAR * pivots.max():
         raise _resonance(freq)
-    return np.asarray(found)
 
 
 def _is_sparse(matrix: Matrix) -> bool:

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.linalg as la
+import scipy.sparse as sp
 
 from calib.errors import EvaluationError
 from calib.space import Parameter
@@ -122,6 +123,19 @@ def test_sparse_and_dense_matrices_agree_on_the_array():
 
 
 @pytest.mark.slow
+def test_pivots_are_chosen_anew_where_those_near_the_diagonal_are_too_small(monkeypatch):
+    """A factor that never leaves the diagonal loses all digits where it nearly vanishes."""
+    n = 300
+    stiffness = sp.csc_array(sp.diags_array([np.full(n - 1, 0.5), np.ones(n), np.full(n - 1, 0.5)], offsets=[-1, 0, 1]))
+    off, mass = sp.csc_array((n, n)), sp.eye_array(n, format="csc")
+    freq = (1 + 1e-11) / (2 * np.pi)  # nearly no diagonal is left
+    rows = np.eye(n)[:3]
+    monkeypatch.setitem(frf_module._NEAR_DIAGONAL, "diag_pivot_thresh", 0.0)
+    ((found,),) = frf_module.frf_solutions((stiffness, off, mass), [freq], rows)
+    dynamic = (stiffness - (2 * np.pi * freq) ** 2 * mass).toarray()
+    np.testing.assert_allclose(found, np.linalg.solve(dynamic, rows.T), rtol=0, atol=1e-9)
+
+
 def test_on_a_reduced_basis_the_bogie_has_nearly_the_same_functions():
     model = bogie_on_rig()
     space = model.space.keep(["K_primary", "m_crossbar"])

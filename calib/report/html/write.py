@@ -63,6 +63,11 @@ def sections(results: StudyResults) -> tuple[Section, ...]:
     return tuple(found for section in SECTIONS if (found := section(results)) is not None)
 
 
+def pictures(results: StudyResults) -> list[str]:
+    """Return the names of the figures in these sections, in their order."""
+    return [block.name for section in sections(results) for block in section.blocks if isinstance(block, Picture)]
+
+
 @dataclass(frozen=True)
 class Page:
     """A report that was written.
