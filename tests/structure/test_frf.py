@@ -122,7 +122,6 @@ def test_sparse_and_dense_matrices_agree_on_the_array():
     np.testing.assert_allclose(frf(model, {}, freq, rows, rows), dense, rtol=1e-6)
 
 
-@pytest.mark.slow
 def test_pivots_are_chosen_anew_where_those_near_the_diagonal_are_too_small(monkeypatch):
     """A factor that never leaves the diagonal loses all digits where it nearly vanishes."""
     n = 300
@@ -136,6 +135,7 @@ def test_pivots_are_chosen_anew_where_those_near_the_diagonal_are_too_small(monk
     np.testing.assert_allclose(found, np.linalg.solve(dynamic, rows.T), rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_on_a_reduced_basis_the_bogie_has_nearly_the_same_functions():
     model = bogie_on_rig()
     space = model.space.keep(["K_primary", "m_crossbar"])
