@@ -34,6 +34,7 @@ def drawn(figures, shown):
     return elements, {file.name: file.read_bytes() for file in files}
 
 
+@pytest.mark.slow  # a process of its own imports Matplotlib
 def test_the_figures_are_those_of_one_process(folder, monkeypatch):
     shown = list(Figures(folder, "Mast", True).plan)[:2]
     expected = drawn(Figures(folder, "Mast", True), shown)
@@ -52,6 +53,7 @@ def test_the_figures_are_those_of_one_process(folder, monkeypatch):
     assert 0 < len(own) < len(figures.plan)
 
 
+@pytest.mark.slow  # a process of its own imports Matplotlib
 def test_when_the_second_process_dies_the_first_draws_all(folder, monkeypatch):
     class Dying(ProcessPoolExecutor):
         def submit(self, *given):
