@@ -14,7 +14,7 @@ from calib.report.figures import Asked, Figures, Made
 from calib.report.shown import Shown
 
 ENOUGH = 12
-"""Figures above which a second process, which takes two seconds to start, is worth its while."""
+"""Figures from which on a second process, which takes two seconds to start, is worth its while."""
 
 
 @contextmanager
