@@ -14,6 +14,7 @@ import scipy.sparse.linalg as spla
 
 from calib.errors import EvaluationError, InputError
 from calib.space import ParameterSpace
+from calib.structure.inertia import symmetric_factor
 from calib.structure.modes import Modes
 from calib.structure.solve import DENSE_LIMIT
 
@@ -363,8 +364,7 @@ def _bordered(matrix: Matrix, border: np.ndarray, top: np.ndarray, bottom: np.nd
         blocks: list[list[Any]] = [[matrix, sp.csc_array(edge)], [sp.csc_array(edge.T), None]]
         bordered = sp.csc_matrix(sp.block_array(blocks, format="csc"))
         try:
-            options = {"SymmetricMode": True}
-            lu = spla.splu(bordered, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options=options)
+            lu = symmetric_factor(bordered, 0.01)
         except RuntimeError as fault:
             raise EvaluationError(f"the derivative of a mode shape could not be solved ({fault})") from fault
         solve = partial(_sparse_solve, lu, bordered.dtype)

@@ -21,6 +21,7 @@ from scipy.linalg import lapack
 from calib.errors import EvaluationError
 from calib.measurement.frf import Quantity
 from calib.structure.derivatives import DifferentiableModel, Matrix
+from calib.structure.inertia import symmetric_factor
 
 _ORDER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
@@ -36,9 +37,8 @@ than six digits."""
 _SINGULAR = 1e-12
 """Smallest pivot over the largest, of the matrix scaled to a unit diagonal of K, below which a line is a resonance."""
 
-_NEAR_DIAGONAL = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.01, "options": {"SymmetricMode": True}}
-_LARGEST = {"permc_spec": "COLAMD"}
-"""Options of a sparse factor: pivots near the diagonal, or the largest of each column."""
+_THRESHOLD = 0.01
+"""Pivot on the diagonal over the largest of its column below which another one is taken."""
 _BACKWARD = 1e-12
 """Largest backward error, entry by entry, of a solution whose pivots were taken near the diagonal."""
 
@@ -206,12 +206,12 @@ def _sparse_solution(scaled: sp.csc_matrix, loads: np.ndarray, freq: float) -> n
     vehicle of 9,700 degrees of freedom takes 70 times longer.
     """
     size = abs(scaled)
-    for options in _NEAR_DIAGONAL, _LARGEST:
+    for near_diagonal in True, False:
         try:
-            factor = spla.splu(scaled, **options)
+            factor = symmetric_factor(scaled, _THRESHOLD) if near_diagonal else spla.splu(scaled)
             _check_pivots(np.abs(factor.U.diagonal()), freq)
         except (RuntimeError, EvaluationError):
-            if options is _LARGEST:
+            if not near_diagonal:
                 raise _resonance(freq) from None
             continue
         found = factor.solve(loads)

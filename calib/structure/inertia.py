@@ -12,12 +12,15 @@ _BACKWARD = 1e-10
 """Largest backward error of a factor whose inertia is accepted: without pivoting its elements may grow."""
 
 
-def symmetric_factor(matrix: sp.csc_array) -> spla.SuperLU:
-    """LU of a symmetric matrix with pivots on the diagonal; the ordering is 5-7 times faster here than the default."""
+def symmetric_factor(matrix: sp.csc_array | sp.csc_matrix, threshold: float = 0.0) -> spla.SuperLU:
+    """LU of a symmetric matrix, real or complex; the ordering is 5-7 times faster here than the default.
+
+    Pivots are on the diagonal, except where they are smaller than the largest of their column times the threshold.
+    """
     return spla.splu(
         sp.csc_matrix(matrix),
         permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
+        diag_pivot_thresh=threshold,
         options={"SymmetricMode": True},
     )
 

@@ -129,7 +129,7 @@ def test_pivots_are_chosen_anew_where_those_near_the_diagonal_are_too_small(monk
     off, mass = sp.csc_array((n, n)), sp.eye_array(n, format="csc")
     freq = (1 + 1e-11) / (2 * np.pi)  # nearly no diagonal is left
     rows = np.eye(n)[:3]
-    monkeypatch.setitem(frf_module._NEAR_DIAGONAL, "diag_pivot_thresh", 0.0)
+    monkeypatch.setattr(frf_module, "_THRESHOLD", 0.0)
     ((found,),) = frf_module.frf_solutions((stiffness, off, mass), [freq], rows)
     dynamic = (stiffness - (2 * np.pi * freq) ** 2 * mass).toarray()
     np.testing.assert_allclose(found, np.linalg.solve(dynamic, rows.T), rtol=0, atol=1e-9)
