@@ -229,11 +229,14 @@ def _noise(
 
 
 def _root(rows: np.ndarray) -> np.ndarray:
-    """A matrix R with ``R R^T = U^T U`` of rows U (n, m): (m, n), or (m, m) where that is smaller."""
+    """A matrix R with ``R R^T = U^T U`` of rows U (n, m): (m, n), or (m, m) where that is smaller.
+
+    The smaller one is the symmetric root: signs of eigenvectors, which differ between machines, would change the samples.
+    """
     if len(rows) <= rows.shape[1]:
         return rows.T
     eigenvalues, vectors = la.eigh(rows.T @ rows)
-    return np.asarray(vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))
+    return np.asarray((vectors * np.sqrt(np.maximum(eigenvalues, 0.0))) @ vectors.T)
 
 
 def correlation(found: Scores, columns: Sequence[int]) -> np.ndarray:

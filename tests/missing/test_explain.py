@@ -71,7 +71,7 @@ def test_an_impossible_negative_magnitude_is_not_named(toy):
 def test_the_nuisance_parameter_of_an_effect_is_found(toy):
     toy = toy(bump=True)
     for place in (1.3, 5.6):
-        found = toy.explained({"hung": 1.5, "at": place}, 4)
+        found = toy.explained({"hung": 1.5, "at": place}, 4, seed=int(place))
         assert [f.credible for f in found] == [("hung",)] * 4
         assert all(f.chosen.fit.values["at"] == pytest.approx(place, abs=0.3) for f in found)
 
