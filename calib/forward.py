@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from calib.correlation.frf_nuisance import Nuisance, belonging_to, concerned, of_every_channel
+from calib.correlation.frf_nuisance import Nuisance, belonging_to, concerned, of_every_channel, of_every_place
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.problem import ModalProblem, usual_mode_count
@@ -178,9 +178,13 @@ def used_frfs(study: StudyFile, whole: MeasuredFRFs) -> MeasuredFRFs:
     return held.split(whole)[0]
 
 
-def nuisances_of(study: StudyFile, whole: MeasuredFRFs) -> tuple[Nuisance, ...]:
+def nuisances_of(study: StudyFile, model: StructuralModel, whole: MeasuredFRFs) -> tuple[Nuisance, ...]:
     """The nuisances that a study names, of all channels and transducers of the test, held-out ones included."""
-    return belonging_to(study.test, of_every_channel(whole, **study.settings.measurement.nuisances.model_dump()))
+    given = study.settings.measurement.nuisances
+    found: tuple[Nuisance, ...] = of_every_channel(whole, **given.model_dump(exclude={"place"}))
+    if given.place is not None:
+        found += of_every_place(whole, given.place, model)
+    return belonging_to(study.test, found)
 
 
 def used_modes(study: StudyFile, whole: MeasuredModes) -> MeasuredModes:
@@ -210,7 +214,7 @@ def frf_problem(study: StudyFile, model: StructuralModel, whole: MeasuredFRFs) -
     """The problem over the FRFs in use; transducers load the structure at held-out sensors too."""
     used = used_frfs(study, whole)
     try:
-        return FRFProblem(model, used, concerned(nuisances_of(study, whole), used))
+        return FRFProblem(model, used, concerned(nuisances_of(study, model, whole), used))
     except InputError as fault:
         raise misfit(study, model, fault) from None
 

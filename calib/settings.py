@@ -64,6 +64,8 @@ class NuisanceSettings(_Section):
     """Standard deviation of the phase of every channel, degrees."""
     delay: float | None = Field(default=None, gt=0, le=1)
     """Standard deviation of the delay of every channel, s."""
+    place: float | None = Field(default=None, gt=0, le=1e3)
+    """Standard deviation of each coordinate of every transducer, mm; 0.45 of the radius within which they are right."""
     accelerometer: float | None = Field(default=None, gt=0, le=1e3)
     """Mass of the accelerometer at every node with a response, kg; its standard deviation is a tenth of it."""
     stinger: float | None = Field(default=None, gt=0, le=1e12)

@@ -138,7 +138,10 @@ class Study(StudyFile):
     @cached_property
     def nuisances(self) -> tuple[Nuisance, ...]:
         """Errors of the test of FRFs that a fit may find, those of held-out channels included."""
-        return () if self.frfs is None else nuisances_of(self, self.frfs)
+        if self.frfs is None:
+            return ()
+        assert isinstance(self.model, StructuralModel)
+        return nuisances_of(self, self.model, self.frfs)
 
     @cached_property
     def unseen(self) -> Unseen:

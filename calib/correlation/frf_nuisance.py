@@ -1,7 +1,8 @@
-"""What a test of FRFs may get wrong, as parameters with priors: channels, accelerometers' masses, stingers.
+"""What a test of FRFs may get wrong, as parameters with priors: channels, places, accelerometers' masses, stingers.
 
 A measured function is modelled as ``H c_response / c_reference`` with the factor ``c = (1 + gain) exp(i phase - i omega
-delay)`` of each channel. Masses and stingers change the model. At zero nothing changes.
+delay)`` of each channel. Masses and stingers change the model; places change where it is asked (see
+`calib.correlation.frf_places`). At zero nothing changes.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.space import Parameter
 from calib.structure.loaded import Load
 from calib.structure.model import StructuralModel
+from calib.structure.reduced import ReducedModel
 
 CHANNEL_SD: Mapping[str, float] = {"gain": 1.0, "phase": 0.5}
 """Default prior standard deviations, in % and degrees: assumed, the order of a comparison calibration in mid band. A
@@ -65,7 +67,7 @@ class ChannelError:
     test: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
-        place = f"error of channel {self.sensor}"
+        place = self.place
         if self.kind not in _UNITS or self.side not in ("response", "reference"):
             raise InputError(
                 f"it is a {self.kind!r} of a {self.side!r}", place=place,
@@ -74,6 +76,20 @@ class ChannelError:
         if self.prior_sd is None and self.kind not in CHANNEL_SD:
             raise InputError(f"its {self.kind} has no standard deviation", place=place, remedy="give prior_sd in s")
         require_positive(self.prior_sd, place)
+
+    @property
+    def name(self) -> str:
+        """Of its transducer."""
+        return self.sensor
+
+    @property
+    def place(self) -> str:
+        """As messages name it."""
+        return f"error of channel {self.sensor}"
+
+    def among(self, measured: MeasuredFRFs) -> tuple[str, ...]:
+        """Names of all channels of its side."""
+        return channel_names(measured, self.side)
 
     @property
     def parameter(self) -> Parameter:
@@ -204,7 +220,83 @@ class Stinger:
         return Load(self.parameter, "stiffness", rows)
 
 
-Nuisance = ChannelError | AddedMass | Stinger
+@dataclass(frozen=True)
+class PlaceError:
+    """Distance of a transducer from its stated place along one axis; the direction in which it acts is right.
+
+    An accelerometer and a force of the same name sit at the same place.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        With its place, as a table of sensors states it.
+    along : {"x", "y", "z"}
+    prior_sd : float
+        mm. Places that are right within a radius r have one of 0.45 r for each axis (uniform in a ball).
+    test : str
+        As of `ChannelError`.
+
+    Raises
+    ------
+    InputError
+        For another axis, a sensor without a place, or a standard deviation that is not positive.
+    """
+
+    sensor: Sensor
+    along: str
+    prior_sd: float
+    test: str = field(default="", kw_only=True)
+
+    def __post_init__(self) -> None:
+        place = self.place
+        if self.along not in DIRECTIONS[:3]:
+            raise InputError(f"it is wrong along {self.along!r}", place=place, remedy="give x, y or z")
+        if self.sensor.point is None:
+            raise InputError("it is not stated", place=place, remedy="give its coordinates in the table of sensors")
+        require_positive(self.prior_sd, place)
+
+    @property
+    def name(self) -> str:
+        """Of its transducer."""
+        return self.sensor.name
+
+    @property
+    def place(self) -> str:
+        """As messages name it."""
+        return f"place of {self.name}"
+
+    def among(self, measured: MeasuredFRFs) -> tuple[str, ...]:
+        """Names of all transducers."""
+        return tuple(sensor.name for sensor in measured.sensors)
+
+    @property
+    def parameter(self) -> Parameter:
+        """Such as ``place_x_12z``."""
+        reach = _LIMIT * self.prior_sd
+        return Parameter(
+            f"place_{self.along}_{self.sensor.name}{_in(self.test)}", 0.0, -reach, reach, "mm", prior_sd=self.prior_sd,
+            description=f"distance of {self.sensor.name} from its place along {self.along}{_in(self.test)}",
+        )  # fmt: skip
+
+    def slope(self, model: StructuralModel | ReducedModel) -> np.ndarray:
+        """Change of the motion at the sensor over its distance, (n_dof,), in 1/m; zero where its place has no effect.
+
+        A secant from one standard deviation on one side to one on the other, since motions are interpolated in pieces.
+        """
+        reach = self.parameter.si_factor * self.prior_sd
+        ends = []
+        for sign in (1, -1):
+            point = np.array(self.sensor.point, dtype=float)
+            point[DIRECTIONS.index(self.along)] += sign * reach
+            x, y, z = point.tolist()
+            ends.append(replace(self.sensor, point=(x, y, z)))
+        up, down = model.sensor_rows(ends)
+        return np.asarray((up - down) / (2 * reach))
+
+
+Nuisance = ChannelError | PlaceError | AddedMass | Stinger
+LOADING = (AddedMass, Stinger)
+"""Those that change the matrices."""
 
 
 def of_every_channel(
@@ -241,6 +333,34 @@ def of_every_channel(
     return tuple(out)
 
 
+def of_every_place(
+    measured: MeasuredFRFs, prior_sd: float, model: StructuralModel | ReducedModel
+) -> tuple[PlaceError, ...]:
+    """Errors of the places of all transducers, along each axis that changes what they measure on a model.
+
+    Parameters
+    ----------
+    measured : MeasuredFRFs
+    prior_sd : float
+        mm.
+    model : StructuralModel or ReducedModel
+
+    Raises
+    ------
+    InputError
+        When a transducer has no place, or no place has an effect.
+    """
+    each = {sensor.name: sensor for sensor in measured.sensors}
+    every = [PlaceError(sensor, along, prior_sd) for sensor in each.values() for along in DIRECTIONS[:3]]
+    found = tuple(error for error in every if np.any(error.slope(model)))
+    if not found:
+        raise InputError(
+            f"the model {model.name} has the same motion about each place", place="places of FRFs",
+            remedy="leave the places out of the nuisances, or give the model elements",
+        )  # fmt: skip
+    return found
+
+
 def belonging_to(test: str, nuisances: Sequence[Nuisance]) -> tuple[Nuisance, ...]:
     """The same nuisances as those of one of several tests, whose name their parameters bear.
 
@@ -256,58 +376,25 @@ def require_positive(prior_sd: float | None, place: str) -> None:
 
 
 def concerned(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> tuple[Nuisance, ...]:
-    """Those that concern some of the data: channels with a function among them, and all that load the structure."""
-    return tuple(n for n in nuisances if not isinstance(n, ChannelError) or n.sensor in _names(measured, n.side))
+    """Those that concern some of the data: channels and places of its functions, and all that load a model."""
+    return tuple(n for n in nuisances if isinstance(n, LOADING) or n.name in n.among(measured))
 
 
 def require_channels(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> None:
-    """InputError for the error of a channel that was not measured."""
+    """InputError for the error of a channel, or of a place, that was not measured."""
     for error in nuisances:
-        if isinstance(error, ChannelError) and error.sensor not in (names := _names(measured, error.side)):
+        if not isinstance(error, LOADING) and error.name not in (names := error.among(measured)):
+            what = f"{error.side} " if isinstance(error, ChannelError) else ""
             raise InputError(
-                f"{error.side} {error.sensor!r} was not measured", place=f"error of channel {error.sensor}",
-                remedy=f"the {error.side}s are {', '.join(names)}",
+                f"{what}{error.name!r} was not measured", place=error.place,
+                remedy=f"there {'are' if len(names) > 1 else 'is'} {', '.join(names)}",
             )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Channels:
-    """Channel errors of measured FRFs.
-
-    Attributes
-    ----------
-    errors : tuple of ChannelError
-        Of sensors that were measured; see `require_channels`.
-    measured : MeasuredFRFs
-    """
-
-    errors: tuple[ChannelError, ...]
-    measured: MeasuredFRFs
-
-    def factors(self, si: Mapping[str, float]) -> np.ndarray:
-        """Factors of all functions at values in SI, (n_freq, n_responses, n_references), complex."""
-        out = np.ones(self.measured.values.shape, dtype=complex)
-        for error in self.errors:
-            out[self._at(error)] *= error.factor(si[error.parameter.name], self.measured.freq)[:, None]
-        return out
-
-    def slope(self, name: str, si: Mapping[str, float], functions: np.ndarray) -> np.ndarray:
-        """Derivatives of the functions with factors, per unit of one parameter, in their shape."""
-        error = next(e for e in self.errors if e.parameter.name == name)
-        out, here = np.zeros_like(functions), self._at(error)
-        slope = error.log_slope(si[name], self.measured.freq) * error.parameter.si_factor
-        out[here] = functions[here] * slope[:, None]
-        return out
-
-    def _at(self, error: ChannelError) -> tuple[slice | int, ...]:
-        """Functions of a channel, as an index that leaves (n_freq, n_others)."""
-        index = _names(self.measured, error.side).index(error.sensor)
-        return (slice(None), index) if error.side == "response" else (slice(None), slice(None), index)
 
 
 def _in(test: str) -> str:
     return f" in test {test}" if test else ""
 
 
-def _names(measured: MeasuredFRFs, side: str) -> tuple[str, ...]:
+def channel_names(measured: MeasuredFRFs, side: str) -> tuple[str, ...]:
+    """Names of all channels of responses or of references."""
     return tuple(s.name for s in (measured.responses if side == "response" else measured.references))

@@ -9,9 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.correlation.frf_channels import Channels
 from calib.correlation.frf_comparison import FRFComparison, frac_and_amplitude
 from calib.correlation.frf_faults import FRFFault, frf_faults
-from calib.correlation.frf_nuisance import ChannelError, Channels, Nuisance, require_channels
+from calib.correlation.frf_nuisance import LOADING, ChannelError, Nuisance, PlaceError, require_channels
+from calib.correlation.frf_places import Places
 from calib.degrees_of_freedom import KNOWN, beside_known
 from calib.errors import InputError
 from calib.fingerprint import digest_of
@@ -76,7 +78,7 @@ class FRFProblem:
         Of the structure alone.
     measured : MeasuredFRFs
     nuisances : tuple of Nuisance
-        Errors of channels, masses of accelerometers and stingers; their parameters follow the model's.
+        Errors of channels and places, masses of accelerometers and stingers; their parameters follow the model's.
 
     Raises
     ------
@@ -90,8 +92,7 @@ class FRFProblem:
     space: ParameterSpace = field(init=False, repr=False)
     loaded_model: StructuralModel | ReducedModel = field(init=False, repr=False)
     _channels: Channels = field(init=False, repr=False)
-    _responses: np.ndarray = field(init=False, repr=False)
-    _references: np.ndarray = field(init=False, repr=False)
+    _places: Places = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         names = [nuisance.parameter.name for nuisance in self.nuisances]
@@ -100,15 +101,15 @@ class FRFProblem:
                 raise InputError(f"{name!r} is a parameter twice", place="nuisances of FRFs", remedy="keep one")
         require_channels(self.nuisances, self.measured)
         whole = self.model.model if isinstance(self.model, ReducedModel) else self.model
-        loads = [n.load(whole) for n in self.nuisances if not isinstance(n, ChannelError)]
+        loads = [n.load(whole) for n in self.nuisances if isinstance(n, LOADING)]
         errors = tuple(n for n in self.nuisances if isinstance(n, ChannelError))
+        places = Places.of([n for n in self.nuisances if isinstance(n, PlaceError)], self.measured, self.model)
         model, own = loaded(self.model, loads), self.model.space
-        parameters = (*model.space.parameters, *(error.parameter for error in errors))
+        parameters = (*model.space.parameters, *(e.parameter for e in errors), *(e.parameter for e in places.errors))
         object.__setattr__(self, "space", ParameterSpace(parameters, own.constraints))
         object.__setattr__(self, "loaded_model", model)
         object.__setattr__(self, "_channels", Channels(errors, self.measured))
-        object.__setattr__(self, "_responses", model.sensor_rows(self.measured.responses))
-        object.__setattr__(self, "_references", model.sensor_rows(self.measured.references))
+        object.__setattr__(self, "_places", places)
 
     @property
     def function(self) -> None:
@@ -166,9 +167,9 @@ class FRFProblem:
         ``std`` is the standard deviation of every entry, (n_freq, n_responses, n_references).
         """
         assert isinstance(self.model, StructuralModel)
-        loads = tuple(n.load(self.model) for n in self.nuisances if not isinstance(n, ChannelError))
+        loads = tuple(n.load(self.model) for n in self.nuisances if isinstance(n, LOADING))
         unit = np.where(np.isfinite(self.measured.values), std, np.inf)
-        rows = self._responses, self._references
+        rows = self._places.responses, self._places.references
         return FRFTarget(self.measured.freq, *rows, unit, self.measured.quantity, loads)
 
     @property
@@ -180,21 +181,18 @@ class FRFProblem:
     def fingerprint(self) -> str:
         """Hash that changes whenever the responses at the same values could, which measured values enter."""
         channels = sorted((e.kind, e.sensor, e.side) for e in self._channels.errors)
-        rows = (self._responses.tobytes(), self._references.tobytes())
+        places = self._places
+        rows = tuple(array.tobytes() for array in (places.responses, places.references, places.slopes) if array.size)
         return digest_of(_DEFINITION, self.loaded_model.fingerprint, self.measured.fingerprint, channels, *rows)[:16]
 
     def functions(self, values: Mapping[str, float]) -> np.ndarray:
         """FRFs at named values, (n_freq, n_responses, n_references), complex; EvaluationError where it has none."""
-        measured = self.measured
-        own = frf(
-            self.loaded_model,
-            self._of_model(values),
-            measured.freq,
-            self._responses,
-            self._references,
-            measured.quantity,
-        )
-        return own * self._channels.factors(self._si(values))
+        si = self._si(values)
+        return self._frf(values, *self._places.rows(si)) * self._channels.factors(si)
+
+    def _frf(self, values: Mapping[str, float], responses: np.ndarray, references: np.ndarray) -> np.ndarray:
+        own = self._of_model(values)
+        return frf(self.loaded_model, own, self.measured.freq, responses, references, self.measured.quantity)
 
     @cached_property
     def response_names(self) -> tuple[str, ...]:
@@ -217,16 +215,19 @@ class FRFProblem:
         """Their derivatives, (n_params, n_freq, n_responses, n_references), complex, per unit of each parameter."""
         measured, own = self.measured, [name for name in names if name in self.loaded_model.space]
         values = beside_roots(self.space, self.loaded_model.roots, values, names)
-        functions, found = frf_derivatives(
-            self.loaded_model, self._of_model(values), measured.freq, self._responses, self._references, own,
-            measured.quantity,
-        )  # fmt: skip
         si = self._si(values)
-        factors = self._channels.factors(si)
-        of_model = dict(zip(own, found * factors, strict=True))
+        rows, factors = self._places.rows(si), self._channels.factors(si)
+        functions, slopes = frf_derivatives(
+            self.loaded_model, self._of_model(values), measured.freq, *rows, own, measured.quantity
+        )
+        found = dict(zip(own, slopes, strict=True))
+        if moved := self._places.asked(names):
+            wider = [np.vstack(pair) for pair in zip(rows, self._places.beside(moved), strict=True)]
+            found |= self._places.derivatives(moved, self._frf(values, *wider))
+        found = {name: slope * factors for name, slope in found.items()}
         functions = functions * factors
         return np.array(
-            [of_model[n] if n in of_model else self._channels.slope(n, si, functions) for n in names]
+            [found[n] if n in found else self._channels.slope(n, si, functions) for n in names]
         ).reshape(len(names), *functions.shape)  # fmt: skip
 
     def _si(self, values: Mapping[str, float]) -> dict[str, float]:

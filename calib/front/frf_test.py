@@ -15,6 +15,7 @@ from calib.correlation.frf_nuisance import (
     AddedMass,
     ChannelError,
     Nuisance,
+    PlaceError,
     Stinger,
     belonging_to,
     concerned,
@@ -69,7 +70,7 @@ class FRFTest:
     def __post_init__(self) -> None:
         place = named(self)
         (frfs,) = objects([self.frfs], MeasuredFRFs, f"{place}, frfs")
-        kinds = (ChannelError, AddedMass, Stinger)
+        kinds = (ChannelError, PlaceError, AddedMass, Stinger)
         object.__setattr__(self, "nuisances", objects(self.nuisances, kinds, f"{place}, nuisances"))
         require_channels(self.nuisances, frfs)
         try:

@@ -106,8 +106,13 @@ class _Decision:
         fits, hypotheses, alpha = self.fits, self.fits.hypotheses, self.fits.settings.alpha
         base = self.calibrated(starts.get(()))
         able, named = self.candidates(base)
-        groups = grouped([e for e in hypotheses.effects if e in able], named, fits.settings.merge)
         adequacy = adequacy_of(fits, base, named)
+        better = base if starts or adequacy.passes(alpha) else fits.beside_whole(base)
+        if better is not base:
+            base = better
+            able, named = self.candidates(base)
+            adequacy = adequacy_of(fits, base, named)
+        groups = grouped([e for e in hypotheses.effects if e in able], named, fits.settings.merge)
         found = Explanation(
             verdict="nothing_detectable", base=base, base_adequacy=adequacy, groups=groups, candidate_fits=(),
             perturbation=None, chosen=None, chosen_adequacy=None, credible=(), noise_scale=fits.scale,

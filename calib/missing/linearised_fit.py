@@ -303,7 +303,7 @@ def nearest_whole(fit_problem: FitProblem, start: Mapping[str, float]) -> dict[s
     if not whole:
         return complete
     here = tuple(round(complete[p.name]) for p in whole)
-    moves = list(itertools.product((-1, 0, 1), repeat=len(whole))) if len(whole) <= _ALL_AT_ONCE else _axes(len(whole))
+    moves = _moves(len(whole))
     while True:
         near = [tuple(n + d for n, d in zip(here, move, strict=True)) for move in moves]
         inside = [n for n in near if all(p.lower <= k <= p.upper for k, p in zip(n, whole, strict=True))]
@@ -311,11 +311,6 @@ def nearest_whole(fit_problem: FitProblem, start: Mapping[str, float]) -> dict[s
         if best == here:
             return {**complete, **{p.name: float(n) for p, n in zip(whole, here, strict=True)}}
         here = best
-
-
-def _axes(count: int) -> list[tuple[int, ...]]:
-    """Moves of one integer at a time."""
-    return [tuple(d if j == k else 0 for j in range(count)) for k in range(count) for d in (-1, 1)]
 
 
 def _fitted(
@@ -345,15 +340,26 @@ def _fitted(
 
 def neighbours(fit: LinearisedFit) -> list[LinearisedFit]:
     """First-order fits with other integers, each at most one off; see `LinearisedFit.relinearised`."""
-    whole = [p for p in fit.fit_problem.space.free if p.integer]
-    moves = itertools.product((-1, 0, 1), repeat=len(whole)) if len(whole) <= _ALL_AT_ONCE else _axes(len(whole))
+    found = (_relinearised(fit, change) for change in other_whole(fit.fit_problem, fit.values))
+    return [there for there in found if there is not None]
+
+
+def other_whole(fit_problem: FitProblem, values: Mapping[str, float]) -> list[dict[str, float]]:
+    """Other integers within their limits, each at most one off those of some values."""
+    whole = [p for p in fit_problem.space.free if p.integer]
     out = []
-    for move in moves:
-        change = {p.name: round(fit.values[p.name]) + d for p, d in zip(whole, move, strict=True)}
+    for move in _moves(len(whole)):
+        change = {p.name: float(round(values[p.name]) + d) for p, d in zip(whole, move, strict=True)}
         if any(move) and all(p.lower <= change[p.name] <= p.upper for p in whole):
-            there = _relinearised(fit, change)
-            out += [] if there is None else [there]
+            out.append(change)
     return out
+
+
+def _moves(count: int) -> list[tuple[int, ...]]:
+    """Steps of so many integers, all at once where they are few."""
+    if count <= _ALL_AT_ONCE:
+        return list(itertools.product((-1, 0, 1), repeat=count))
+    return [tuple(d if j == k else 0 for j in range(count)) for k in range(count) for d in (-1, 1)]
 
 
 def _better_whole(fit: LinearisedFit, reach: int) -> dict[str, float] | None:

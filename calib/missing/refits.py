@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -17,7 +18,7 @@ from calib.missing.candidate_fit import CandidateFit
 from calib.missing.collinear import Group
 from calib.missing.evidence import ln_bayes_linear, ln_evidence
 from calib.missing.hypotheses import Altered, FitProblem, Hypotheses
-from calib.missing.linearised_fit import FINE, ROUGH, LinearisedFit, fitted, grown, nearest_whole
+from calib.missing.linearised_fit import FINE, ROUGH, LinearisedFit, fitted, grown, nearest_whole, other_whole
 from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
 from calib.missing.rules import RULES
@@ -334,10 +335,37 @@ class Refits:
         start = nearest_whole(
             fit_problem, {n: candidate_fit.fit.values[n] if n in own else v for n, v in nominal.items()}
         )
-        if all(start[p.name] == candidate_fit.fit.values[p.name] for p in fit_problem.space.free if p.integer):
-            return None
-        found = self.candidate_fit(candidate_fit.names, start, settings=ROUGH)
-        if found.fit.misfit > RULES.hopeless * candidate_fit.fit.misfit:
-            return None
-        found = self.candidate_fit(candidate_fit.names, found.fit.values)
-        return found if found.fit.misfit < candidate_fit.fit.misfit else None
+        best = candidate_fit
+        if any(start[p.name] != candidate_fit.fit.values[p.name] for p in fit_problem.space.free if p.integer):
+            best = self._better(best, [start])
+        best = self.beside_whole(best)
+        return None if best is candidate_fit else best
+
+    def beside_whole(self, candidate_fit: CandidateFit) -> CandidateFit:
+        """The best of the fits with integers nearby, each at most one off, until none is better.
+
+        They are fitted: where residuals turn sharply, such as near resonances, one step predicts the integers badly.
+        As the answer depends on them, the budget is not charged.
+        """
+        best = candidate_fit
+        with self.allowance.uncharged():
+            while self.settings.budget > 0:
+                values = best.fit.values
+                others = other_whole(self.fit_problem(best.names), values)
+                better = self._better(best, [{**values, **other} for other in others])
+                if better is best:
+                    break
+                best = better
+        return best
+
+    def _better(self, best: CandidateFit, starts: Sequence[dict[str, float]]) -> CandidateFit:
+        """The fit of the same effects from the most promising start, or the best one where it is not beaten."""
+        rough = []
+        for start in starts:
+            with suppress(EvaluationError):
+                rough.append(self.candidate_fit(best.names, start, settings=ROUGH))
+        found = min(rough, key=lambda one: one.fit.misfit, default=best)
+        if found is best or found.fit.misfit > RULES.hopeless * best.fit.misfit:
+            return best
+        found = self.candidate_fit(best.names, found.fit.values)
+        return found if found.fit.misfit < best.fit.misfit else best

@@ -231,7 +231,7 @@ def _noise(
 def _root(rows: np.ndarray) -> np.ndarray:
     """A matrix R with ``R R^T = U^T U`` of rows U (n, m): (m, n), or (m, m) where that is smaller.
 
-    The smaller one is the symmetric root: signs of eigenvectors, which differ between machines, would change the samples.
+    The smaller one is the symmetric root: signs of eigenvectors, which machines choose differently, change no sample.
     """
     if len(rows) <= rows.shape[1]:
         return rows.T

@@ -34,11 +34,11 @@ KINDS = {
 }
 
 
-def specimen(really_built: bool = False) -> blind.Specimen:
-    """The bogie on its rig; its effects are the library's terms, or really built into the mesh."""
+def specimen(really_built: bool = False, element_size: float = 0.025) -> blind.Specimen:
+    """The bogie on its rig; its effects are the library's terms, or really built into the twin's mesh of that size, m."""
     base, layout = bogie_on_rig(), blind.twin.sensors()
     modes = tuple(f"{k}BT" for k in range(1, 10))
-    fine = {"element_size": 0.025, "distributed": True}
+    fine = {"element_size": element_size, "distributed": True}
     nominal = base.sensor_rows(layout) @ base.modes(base.space.values, len(modes)).shapes
     return blind.Specimen(
         file=HERE / "study.toml", base=base, fine=bogie_on_rig(**fine), library=bogie_effects(),

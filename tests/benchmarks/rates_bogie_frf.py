@@ -25,6 +25,7 @@ from calib import read_frfs
 from calib.analyses.adapters import perturbations_of
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.library import basis_of
+from calib.correlation.frf_nuisance import concerned
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
@@ -89,6 +90,11 @@ class BogieWorld(World):
         return module_of(STUDY / "make_twin.py")
 
     @cached_property
+    def finer(self) -> Any:
+        """The same structures on the mesh of that generator: functions of light modes need a finer one."""
+        return self.maker.specimen(self.subject.really_built, self.maker_of_frfs.ELEMENT_SIZE)
+
+    @cached_property
     def variants(self) -> Variants:
         """Its model with the library and the local perturbations, on a reduced basis."""
         study = self.by_frfs
@@ -125,7 +131,8 @@ class BogieWorld(World):
         places = self.maker.blind.twin.moved(self.specimen.layout, copy.deepcopy(rng))
         own = tuple(e.name for e in hidden)
         listed = set(own) <= {e.name for e in self.library}
-        model = self.specimen.built(own, values) if own and listed else self.twin.built(own)
+        finer = self.finer
+        model = finer.built(own, values) if own and listed else finer.structure(hidden)
         return Structure(model, {name: values[name] for name in model.space.names if name in values}, places)
 
     def frfs(self, scenario: Scenario, number: int) -> tuple[MeasuredFRFs, MeasuredFRFs]:
@@ -152,7 +159,10 @@ class BogieWorld(World):
         """What the FRFs tell; a failure is a row as well."""
         started, row = time.perf_counter(), dict[str, Any]()
         try:
-            seen, true = (FRFResidual(FRFProblem(self.variants.model, one)) for one in self.frfs(scenario, number))
+            freed = concerned(self.by_frfs.nuisances, self.by_frfs.problem.measured)
+            seen, true = (
+                FRFResidual(FRFProblem(self.variants.model, one, freed)) for one in self.frfs(scenario, number)
+            )
             effects = [self.effects[name] for name in measured.hidden]
             row["visible"] = [round(self._visible(true, e, measured), 2) for e in effects]
             without = measured.hidden if scenario.removed else ()
