@@ -170,7 +170,8 @@ class FRFProblem:
         loads = tuple(n.load(self.model) for n in self.nuisances if isinstance(n, LOADING))
         unit = np.where(np.isfinite(self.measured.values), std, np.inf)
         rows = self._places.responses, self._places.references
-        return FRFTarget(self.measured.freq, *rows, unit, self.measured.quantity, loads)
+        moved = self._places.beside(range(len(self._places.errors)))[1]
+        return FRFTarget(self.measured.freq, *rows, unit, self.measured.quantity, loads, moved=moved)
 
     @property
     def n_measured(self) -> int:

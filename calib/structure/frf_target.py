@@ -54,6 +54,8 @@ class FRFTarget:
         With which the model is extended.
     tolerance : float
         Largest error in standard deviations.
+    moved : ndarray (n_moved, n_dof)
+        Changes of the references over errors of their places, 1/m: a displaced force is a force and moments.
     """
 
     freq: np.ndarray
@@ -64,6 +66,7 @@ class FRFTarget:
     loads: tuple[Load, ...] = ()
     effects: tuple[Effect, ...] = ()
     tolerance: float = TOLERANCE
+    moved: np.ndarray | None = None
 
     @property
     def count(self) -> int:
@@ -83,7 +86,14 @@ class FRFTarget:
     @property
     def request(self) -> str:
         """Hash of lines, places, standard deviations and loads."""
-        arrays = (self.freq, self.responses, self.references, self.std, *(load.rows for load in self.loads))
+        arrays = (
+            self.freq,
+            self.responses,
+            self.references,
+            self.std,
+            *(load.rows for load in self.loads),
+            *self._moved,
+        )
         bare = [(load.parameter, load.kind) for load in self.loads]
         return digest_of(self.quantity, repr(bare), *(np.ascontiguousarray(a).tobytes() for a in arrays))[:16]
 
@@ -94,8 +104,12 @@ class FRFTarget:
     # -- what the basis is grown from ----------------------------------------------------------------------------------
 
     def forces(self, model: StructuralModel) -> np.ndarray:
-        """Unit forces at references and responses, (n_dof, n_references + n_responses)."""
-        return np.vstack([self.references, self.responses]).T
+        """Unit forces at references and responses, and changes of the former, (n_dof, n_forces)."""
+        return np.vstack([self.references, self.responses, *self._moved]).T
+
+    @property
+    def _moved(self) -> tuple[np.ndarray, ...]:
+        return () if self.moved is None or not len(self.moved) else (self.moved,)
 
     def snapshots(
         self,
