@@ -9,6 +9,8 @@ from calib.errors import EvaluationError
 from calib.missing.explain import Settings, explain
 from calib.missing.linearised_fit import fitted
 from calib.missing.pairs import fit_pairs
+from calib.missing.refits import Refits
+from calib.stage import unheard
 
 pytestmark = pytest.mark.usefixtures("fewer_draws")
 
@@ -137,3 +139,19 @@ def test_the_base_fit_starts_at_the_best_neighbouring_integers(toy):
     for place in (1, 5, 6):
         for f in toy.explained({"place": place}, 3):
             assert f.base.fit.values["place"] == place and f.verdict == "nothing_detectable"
+
+
+def test_integers_are_followed_by_fits_whatever_the_budget(toy):
+    """Two places off, the fit walks there; the nearer a place, the more similar its signature. No budget, no walk."""
+    near = np.exp(-0.5 * (np.subtract.outer(np.arange(7), np.arange(7)) / 3.0) ** 2)
+    toy = toy(places=7, effects=2, curvature=0.05)
+    toy = replace(toy, columns={**toy.columns, "place": 4 * toy.columns["place"] @ near})
+    made = toy.drawn(np.random.default_rng(2), {"place": 5})
+    fits = Refits(made, Settings(budget=1), 1.0, unheard)
+    wrong = fits.candidate_fit((), {**made.base.values, "place": 3})
+    before = fits.allowance.used
+    found = fits.beside_whole(wrong)
+    assert found.fit.values["place"] == 5 and found.fit.misfit < wrong.fit.misfit
+    assert fits.allowance.used == before and made.evaluations > before + 10
+    assert fits.beside_whole(found) is found
+    assert Refits(made, Settings(budget=0), 1.0, unheard).beside_whole(wrong) is wrong

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from calib.missing import score
 from calib.missing.evidence import ln_evidence
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.score import NOISE_LEVEL, Scores, _reached, correlation, family_p, noise_limit, scores
@@ -270,6 +271,16 @@ def test_the_same_seed_gives_the_same_p_value(toy):
     first = family_p(found, Rows(toy.rows, {}, {"shape": 9.0}), seed=1)
     assert first == family_p(found, Rows(toy.rows, {}, {"shape": 9.0}), seed=1)
     assert first != family_p(found, Rows(toy.rows, {}, {"shape": 9.0}), seed=2)
+
+
+def test_the_p_value_is_that_of_any_machine(toy, monkeypatch):
+    """Machines choose the signs of eigenvectors differently; samples must not follow them."""
+    toy = toy().drawn(np.random.default_rng(14))
+    found, few = scores(toy.calibrated(), toy.effects, {}), Rows(toy.rows, {}, {"shape": 9.0})
+    asked, eigh = family_p(found, few, seed=1), score.la.eigh
+    assert 0.01 < asked < 0.99
+    monkeypatch.setattr(score.la, "eigh", lambda matrix: (eigh(matrix)[0], eigh(matrix)[1] * [1, -1, 1, -1, -1]))
+    assert family_p(found, few, seed=1) == asked
 
 
 def test_noise_alone_exceeds_the_limit_as_often_as_stated():
