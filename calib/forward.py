@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from calib.correlation.frf_nuisance import Nuisance, belonging_to, concerned, of_every_channel, of_every_place
+from calib.correlation.frf_nuisance import Nuisance, belonging_to, concerned, of_every_channel
+from calib.correlation.frf_places import of_every_place
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.problem import ModalProblem, usual_mode_count

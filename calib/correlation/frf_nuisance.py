@@ -13,13 +13,14 @@ from typing import Literal
 
 import numpy as np
 
+from calib.correlation.frf_places import PlaceError
+from calib.correlation.frf_prior import LIMIT, in_test, require_positive
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.space import Parameter
 from calib.structure.loaded import Load
 from calib.structure.model import StructuralModel
-from calib.structure.reduced import ReducedModel
 
 CHANNEL_SD: Mapping[str, float] = {"gain": 1.0, "phase": 0.5}
 """Default prior standard deviations, in % and degrees: assumed, the order of a comparison calibration in mid band. A
@@ -28,8 +29,6 @@ calibration sheet states more; its expanded uncertainty is two standard deviatio
 MASS_SD = 0.1
 """Default prior standard deviation of an added mass, over that of the data sheet: assumed, cable and stud included."""
 
-_LIMIT = 10.0
-"""Distance of limits in prior standard deviations: they exclude nothing that the prior allows."""
 _WEAKEST = -90.0
 """Lower limit of a gain, %: at -100 the channel is dead."""
 _UNITS = {"gain": "%", "phase": "deg", "delay": "s"}
@@ -95,11 +94,11 @@ class ChannelError:
     def parameter(self) -> Parameter:
         """Such as ``gain_12z``, ``gain_force_3z`` of a reference, or of one of several tests ``gain_12z in test A``."""
         sd = CHANNEL_SD[self.kind] if self.prior_sd is None else self.prior_sd
-        force, lower = "force_" if self.side == "reference" else "", -_LIMIT * sd
+        force, lower = "force_" if self.side == "reference" else "", -LIMIT * sd
         return Parameter(
-            f"{self.kind}_{force}{self.sensor}{_in(self.test)}", 0.0,
-            max(lower, _WEAKEST) if self.kind == "gain" else lower, _LIMIT * sd, _UNITS[self.kind], prior_sd=sd,
-            description=f"{self.kind} of the channel of {self.side} {self.sensor}{_in(self.test)}",
+            f"{self.kind}_{force}{self.sensor}{in_test(self.test)}", 0.0,
+            max(lower, _WEAKEST) if self.kind == "gain" else lower, LIMIT * sd, _UNITS[self.kind], prior_sd=sd,
+            description=f"{self.kind} of the channel of {self.side} {self.sensor}{in_test(self.test)}",
         )  # fmt: skip
 
     def factor(self, value: float, freq: np.ndarray) -> np.ndarray:
@@ -156,9 +155,9 @@ class AddedMass:
         """Such as ``mass_12``."""
         sd = MASS_SD * self.mass if self.prior_sd is None else self.prior_sd
         return Parameter(
-            f"mass_{self.sensor.node}{_in(self.test)}", self.mass,
-            max(0.0, self.mass - _LIMIT * sd), self.mass + _LIMIT * sd, "kg", prior_sd=sd,
-            description=f"mass of the accelerometer at node {self.sensor.node}{_in(self.test)}",
+            f"mass_{self.sensor.node}{in_test(self.test)}", self.mass,
+            max(0.0, self.mass - LIMIT * sd), self.mass + LIMIT * sd, "kg", prior_sd=sd,
+            description=f"mass of the accelerometer at node {self.sensor.node}{in_test(self.test)}",
         )  # fmt: skip
 
     def load(self, model: StructuralModel) -> Load:
@@ -203,9 +202,9 @@ class Stinger:
     def parameter(self) -> Parameter:
         """Such as ``stinger_3z``."""
         return Parameter(
-            f"stinger_{self.sensor.name}{_in(self.test)}", 0.0, 0.0, _LIMIT * self.prior_sd, "N/m",
+            f"stinger_{self.sensor.name}{in_test(self.test)}", 0.0, 0.0, LIMIT * self.prior_sd, "N/m",
             prior_sd=self.prior_sd,
-            description=f"stiffness of the stinger at {self.sensor.name}{_in(self.test)}",
+            description=f"stiffness of the stinger at {self.sensor.name}{in_test(self.test)}",
         )  # fmt: skip
 
     def load(self, model: StructuralModel) -> Load:
@@ -218,80 +217,6 @@ class Stinger:
                 place=f"stinger at {self.sensor.name}", remedy="leave it out, or give the directions in which it acts",
             )  # fmt: skip
         return Load(self.parameter, "stiffness", rows)
-
-
-@dataclass(frozen=True)
-class PlaceError:
-    """Distance of a transducer from its stated place along one axis; the direction in which it acts is right.
-
-    An accelerometer and a force of the same name sit at the same place.
-
-    Attributes
-    ----------
-    sensor : Sensor
-        With its place, as a table of sensors states it.
-    along : {"x", "y", "z"}
-    prior_sd : float
-        mm. Places that are right within a radius r have one of 0.45 r for each axis (uniform in a ball).
-    test : str
-        As of `ChannelError`.
-
-    Raises
-    ------
-    InputError
-        For another axis, a sensor without a place, or a standard deviation that is not positive.
-    """
-
-    sensor: Sensor
-    along: str
-    prior_sd: float
-    test: str = field(default="", kw_only=True)
-
-    def __post_init__(self) -> None:
-        place = self.place
-        if self.along not in DIRECTIONS[:3]:
-            raise InputError(f"it is wrong along {self.along!r}", place=place, remedy="give x, y or z")
-        if self.sensor.point is None:
-            raise InputError("it is not stated", place=place, remedy="give its coordinates in the table of sensors")
-        require_positive(self.prior_sd, place)
-
-    @property
-    def name(self) -> str:
-        """Of its transducer."""
-        return self.sensor.name
-
-    @property
-    def place(self) -> str:
-        """As messages name it."""
-        return f"place of {self.name}"
-
-    def among(self, measured: MeasuredFRFs) -> tuple[str, ...]:
-        """Names of all transducers."""
-        return tuple(sensor.name for sensor in measured.sensors)
-
-    @property
-    def parameter(self) -> Parameter:
-        """Such as ``place_x_12z``."""
-        reach = _LIMIT * self.prior_sd
-        return Parameter(
-            f"place_{self.along}_{self.sensor.name}{_in(self.test)}", 0.0, -reach, reach, "mm", prior_sd=self.prior_sd,
-            description=f"distance of {self.sensor.name} from its place along {self.along}{_in(self.test)}",
-        )  # fmt: skip
-
-    def slope(self, model: StructuralModel | ReducedModel) -> np.ndarray:
-        """Change of the motion at the sensor over its distance, (n_dof,), in 1/m; zero where its place has no effect.
-
-        A secant from one standard deviation on one side to one on the other, since motions are interpolated in pieces.
-        """
-        reach = self.parameter.si_factor * self.prior_sd
-        ends = []
-        for sign in (1, -1):
-            point = np.array(self.sensor.point, dtype=float)
-            point[DIRECTIONS.index(self.along)] += sign * reach
-            x, y, z = point.tolist()
-            ends.append(replace(self.sensor, point=(x, y, z)))
-        up, down = model.sensor_rows(ends)
-        return np.asarray((up - down) / (2 * reach))
 
 
 Nuisance = ChannelError | PlaceError | AddedMass | Stinger
@@ -333,46 +258,12 @@ def of_every_channel(
     return tuple(out)
 
 
-def of_every_place(
-    measured: MeasuredFRFs, prior_sd: float, model: StructuralModel | ReducedModel
-) -> tuple[PlaceError, ...]:
-    """Errors of the places of all transducers, along each axis that changes what they measure on a model.
-
-    Parameters
-    ----------
-    measured : MeasuredFRFs
-    prior_sd : float
-        mm.
-    model : StructuralModel or ReducedModel
-
-    Raises
-    ------
-    InputError
-        When a transducer has no place, or no place has an effect.
-    """
-    each = {sensor.name: sensor for sensor in measured.sensors}
-    every = [PlaceError(sensor, along, prior_sd) for sensor in each.values() for along in DIRECTIONS[:3]]
-    found = tuple(error for error in every if np.any(error.slope(model)))
-    if not found:
-        raise InputError(
-            f"the model {model.name} has the same motion about each place", place="places of FRFs",
-            remedy="leave the places out of the nuisances, or give the model elements",
-        )  # fmt: skip
-    return found
-
-
 def belonging_to(test: str, nuisances: Sequence[Nuisance]) -> tuple[Nuisance, ...]:
     """The same nuisances as those of one of several tests, whose name their parameters bear.
 
     Another test has its own cables, amplifiers and mountings: even a channel of the same name is another one there.
     """
     return tuple(replace(nuisance, test=test) for nuisance in nuisances)
-
-
-def require_positive(prior_sd: float | None, place: str) -> None:
-    """InputError for a standard deviation that is given and not positive."""
-    if prior_sd is not None and not 0 < prior_sd < np.inf:
-        raise InputError(f"its standard deviation is {prior_sd:g}", place=place, remedy="give a positive number")
 
 
 def concerned(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> tuple[Nuisance, ...]:
@@ -389,10 +280,6 @@ def require_channels(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> N
                 f"{what}{error.name!r} was not measured", place=error.place,
                 remedy=f"there {'are' if len(names) > 1 else 'is'} {', '.join(names)}",
             )  # fmt: skip
-
-
-def _in(test: str) -> str:
-    return f" in test {test}" if test else ""
 
 
 def channel_names(measured: MeasuredFRFs, side: str) -> tuple[str, ...]:

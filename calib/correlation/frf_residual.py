@@ -12,8 +12,8 @@ import numpy as np
 from calib.correlation.frf_channels import Channels
 from calib.correlation.frf_comparison import FRFComparison, frac_and_amplitude
 from calib.correlation.frf_faults import FRFFault, frf_faults
-from calib.correlation.frf_nuisance import LOADING, ChannelError, Nuisance, PlaceError, require_channels
-from calib.correlation.frf_places import Places
+from calib.correlation.frf_nuisance import LOADING, ChannelError, Nuisance, require_channels
+from calib.correlation.frf_places import PlaceError, Places
 from calib.degrees_of_freedom import KNOWN, beside_known
 from calib.errors import InputError
 from calib.fingerprint import digest_of

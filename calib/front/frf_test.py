@@ -15,12 +15,12 @@ from calib.correlation.frf_nuisance import (
     AddedMass,
     ChannelError,
     Nuisance,
-    PlaceError,
     Stinger,
     belonging_to,
     concerned,
     require_channels,
 )
+from calib.correlation.frf_places import PlaceError
 from calib.correlation.frf_residual import FRFProblem, FRFResidual, assumed_frfs
 from calib.errors import InputError
 from calib.forward import Unseen, unseen_frfs

@@ -152,6 +152,10 @@ def _unlikely_bar(image: ScalarMappable, panels: list[Axes]) -> None:
     bar.set_ticks([0, 4, 8, 12, 16], labels=["0", "4", "8", "12", "≥ 16"])
 
 
+_MOST_PULLS = 24
+"""Parameters in one figure of pulls."""
+
+
 def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = False) -> Axes:
     """Draw the pull of each parameter: its standardised shift from the nominal value.
 
@@ -169,9 +173,10 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
     -------
     Axes
         One dot per parameter and model, dashed lines at the limits, and a ring round the dot of a pulled parameter. At
-        the right stand the nominal value and that of each model in turn.
+        the right stand the nominal value and that of each model in turn. Of many parameters those that are pulled most.
     """
-    models, names = list(dict.fromkeys(table["model"])), list(dict.fromkeys(table["parameter"]))
+    models, every = list(dict.fromkeys(table["model"])), list(dict.fromkeys(table["parameter"]))
+    names = _most_pulled(table, every)
     ax = own_axes(ax, 1.2 + 0.38 * max(1, len(names)))
     if not names:
         return blank(ax, "no parameter was calibrated")
@@ -214,7 +219,10 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
     reach = 1.12 * float(size[np.isfinite(size)].max())
     ax.set(ylim=(len(names) - 0.4, -0.6), xlim=(-reach, reach))
     ax.grid(axis="x")
-    ax.set_xlabel("pull: shift from the nominal value over its standard deviation\nin a correctly specified model (–)")
+    left = f"; {len(every) - len(names)} parameters with smaller pulls are left out" if len(names) < len(every) else ""
+    ax.set_xlabel(
+        f"pull: shift from the nominal value over its standard deviation\nin a correctly specified model (–){left}"
+    )
     words = " → ".join(["nominal", *("base" if model == "base" else f"with {model}" for model in models)])
     words = textwrap.fill(words, 40, break_long_words=False)
     ax.text(1.02, -0.02, words, transform=ax.transAxes, va="top", fontsize=8, color=GREY)
@@ -225,6 +233,15 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
         handles.append(Line2D([], [], label="pulled", **ring))
     legend_above(ax, handles)
     return ax
+
+
+def _most_pulled(table: pd.DataFrame, names: list[str]) -> list[str]:
+    """Of many parameters those with the largest pulls, in the order of the table."""
+    if len(names) <= _MOST_PULLS:
+        return names
+    size = table["standardised"].astype(float).abs().groupby(table["parameter"]).max().fillna(0.0)
+    most = set(size.reindex(names).sort_values(ascending=False, kind="stable").index[:_MOST_PULLS])
+    return [name for name in names if name in most]
 
 
 def _values(rows: pd.DataFrame, models: list[str]) -> str:

@@ -35,7 +35,7 @@ KINDS = {
 
 
 def specimen(really_built: bool = False, element_size: float = 0.025) -> blind.Specimen:
-    """The bogie on its rig; its effects are the library's terms, or really built into the twin's mesh of that size, m."""
+    """The bogie on its rig; its effects are the library's terms, or really built into the twin's mesh (size in m)."""
     base, layout = bogie_on_rig(), blind.twin.sensors()
     modes = tuple(f"{k}BT" for k in range(1, 10))
     fine = {"element_size": element_size, "distributed": True}

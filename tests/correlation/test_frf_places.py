@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.correlation.frf_nuisance import ChannelError, PlaceError, concerned, of_every_place
+from calib.correlation.frf_nuisance import ChannelError, concerned
+from calib.correlation.frf_places import PlaceError, of_every_place
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
 from calib.errors import InputError
 from calib.inference.gauss_newton import fit

@@ -128,6 +128,16 @@ def test_dots_are_the_standardised_shifts_and_pulled_ones_have_a_ring(pulls):
     assert low == -high and 3.5 < high < 5.0
 
 
+def test_of_many_parameters_those_pulled_most_are_drawn(pulls):
+    shifts = np.linspace(-3.0, 2.0, 40)
+    many = pd.concat([pulls.iloc[:1].assign(parameter=f"p{k}", standardised=z) for k, z in enumerate(shifts)])
+    ax = draw_pulls(many)
+    names = [t.get_text() for t in ax.get_yticklabels()]
+    kept = sorted(range(40), key=lambda k: -abs(shifts[k]))[: len(names)]
+    assert len(names) == 24 and names == [f"p{k}" for k in sorted(kept)]
+    assert f"{40 - 24} parameters" in ax.get_xlabel() and "left out" not in draw_pulls(pulls).get_xlabel()
+
+
 def test_values_stand_beside_the_dots_with_their_unit(pulls):
     words = [t.get_text() for t in draw_pulls(pulls).texts]
     assert words == ["1.5 → 1.2 → 1.49 MN/m", "1 → 1.05 → –", "nominal → base → with arb + seats"]

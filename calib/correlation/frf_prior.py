@@ -1,0 +1,21 @@
+"""What parameters of a test of FRFs have in common: their limits, their names, and their standard deviations."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.errors import InputError
+
+LIMIT = 10.0
+"""Distance of limits in prior standard deviations: they exclude nothing that the prior allows."""
+
+
+def in_test(test: str) -> str:
+    """End of the name of a parameter that belongs to one of several tests."""
+    return f" in test {test}" if test else ""
+
+
+def require_positive(prior_sd: float | None, place: str) -> None:
+    """InputError for a standard deviation that is given and not positive."""
+    if prior_sd is not None and not 0 < prior_sd < np.inf:
+        raise InputError(f"its standard deviation is {prior_sd:g}", place=place, remedy="give a positive number")
