@@ -48,7 +48,7 @@ class JointStudy(StudyFile):
                         remedy="correct its name",
                     )
         for keys, name in file.settings.mentioned:
-            if not any(name in study.model.space for study in studies):
+            if not any(name in study.search_space for study in studies):  # a test's own parameters, too
                 mark: Mark = "value" if isinstance(keys[-1], int) else "key"
                 place = file.place(*keys, mark=mark)
                 raise InputError(f"no model has a parameter {name!r}", place=place, remedy="correct its name")

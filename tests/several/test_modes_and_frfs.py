@@ -8,6 +8,7 @@ import pytest
 
 import calib
 from calib import cli
+from calib.errors import InputError
 from calib.loading import module_of
 from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
@@ -100,6 +101,21 @@ def test_a_study_with_tests_of_its_own_takes_no_held_out_data_of_its_base(tmp_pa
     study = load(above)
     assert [one.test for one in study.studies] == ["one", "two"]
     assert all(set(one.problem.targets) == {"y", "z"} and not one.unseen for one in study.studies)
+
+
+def test_a_study_may_name_parameters_of_a_test_itself(tmp_path):
+    """As an extended study does, which begins where the explanation ended."""
+    study = write_study(tmp_path / "chain")
+    text = (study / "study.toml").read_text()
+    text = text.replace("held_out = { sensors", "nuisances = { gain = 1.0 }\nheld_out = { sensors")
+    for name, known in (("gain_1x in test shaker", True), ("gain_1x in test tapped", False)):
+        begin = f'starts = 1\nbegin_at = {{ "{name}" = 1.5 }}'
+        (study / "study.toml").write_text(text.replace("starts = 1", begin))
+        if known:
+            assert load(study).search_space[name].prior_sd == 1.0
+        else:
+            with pytest.raises(InputError, match=name):
+                load(study)
 
 
 @pytest.fixture(scope="module")
