@@ -17,6 +17,7 @@ from calib.missing.nearly import is_nearly, spread_of
 from calib.missing.recommendation import Recommendation, as_ratio, rounded
 from calib.missing.rules import RULES
 from calib.missing.steps_table import rivals_sentence, steps_sentence
+from calib.missing.suspect import deciding
 from calib.missing.tables import UNTESTED
 from calib.missing.verdict_words import (
     Words,
@@ -24,6 +25,7 @@ from calib.missing.verdict_words import (
     collinear,
     ended,
     family,
+    further,
     look_for,
     row_of,
     sized,
@@ -118,6 +120,8 @@ def verdict(
         )
     if found.names_something or found.verdict in ("partial", "unconfirmed"):
         sure.append(_OUTSIDE)
+    if found.verdict == "effect" and (datum := deciding(found.suspects)):
+        sure.append(f"Without {datum} the base model would fit too: check that measurement.")
     if assumed:
         sure.append(f"These results rest on an assumed standard deviation: {assumed}.")
     answer = Answer(words.found, " ".join(sure), f"{words.then} {short}".strip())
@@ -164,7 +168,7 @@ def _effect(found: Explanation, effects: pd.DataFrame) -> Words:
         f"The model lacks {sized(effects, e)}.",
         f"{e.name} is {probable}{among}. {without(found)} {with_words(found)}",
         look_for((e,)),
-        (collinear(found, effects, found.chosen), as_it_is((e,))),
+        (further(found.chosen), collinear(found, effects, found.chosen), as_it_is((e,))),
     )
 
 

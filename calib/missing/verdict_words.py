@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ import pandas as pd
 from calib.candidate import Candidate
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
-from calib.missing.local import interval_words
+from calib.missing.local import WIDE, interval_words
 from calib.missing.worst_misfit import p_words
 
 WORST = "the worst kind of data or mode shape"
@@ -74,6 +75,17 @@ def magnitude(effects: pd.DataFrame, name: str) -> str:
 def sized(effects: pd.DataFrame, e: Candidate) -> str:
     """An effect with its magnitude, such as ``a guy rope along x, about 12 kN/m (95 %: 10 to 14)``."""
     return f"{e.in_words}, {magnitude(effects, e.name)}"
+
+
+def further(chosen: CandidateFit) -> str:
+    """What the chosen effects have beside their magnitudes, as fitted, with 95 % intervals; empty for nothing."""
+    out = []
+    for q in (q for e in chosen.effects for q in e.parameters if q.name != e.name and q.name in chosen.fit.names):
+        value, k = chosen.fit.values[q.name], chosen.fit.names.index(q.name)
+        reach = WIDE * math.sqrt(float(chosen.fit.covariance[k, k]))
+        low, high = max(value - reach, q.lower), min(value + reach, q.upper)
+        out.append(f"{q.name}: {interval_words(value, low, high, q.unit)}.")
+    return " ".join(out)
 
 
 def collinear(found: Explanation, effects: pd.DataFrame, chosen: CandidateFit) -> str:

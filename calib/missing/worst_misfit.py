@@ -9,8 +9,8 @@ import pandas as pd
 from calib.missing.candidate_fit import AdequacyTests
 from calib.missing.rules import RULES
 
-_LEAST = 2 / RULES.draws
-"""Smallest p-value that is stated: that of the samples, for the smaller of two tests (`AdequacyTests.p_family`)."""
+_LEAST = 3 / RULES.draws
+"""Smallest p-value that is stated: that of the samples, for the smallest of three tests (`AdequacyTests.p_family`)."""
 
 
 def chance(p: float) -> str:
@@ -19,7 +19,7 @@ def chance(p: float) -> str:
 
 
 def p_words(p: float) -> str:
-    """A p-value, such as ``p = 0.03`` or ``p < 0.0003``."""
+    """A p-value, such as ``p = 0.03`` or ``p < 0.0004``."""
     return f"p {chance(p)}" if p < _LEAST else f"p = {chance(p)}"
 
 

@@ -125,7 +125,17 @@ def places_figure(mesh: Mesh, table: pd.DataFrame) -> Figure:
         )  # fmt: skip
     handles = [Line2D([], [], linestyle="none", label=_WORDS[form], **MARKS[form]) for form in forms]
     if (fixed & (table["form"] != "support")).any():
-        handles.append(Line2D([], [], linestyle="none", marker="s", markersize=5.5, color=GREY, label="fixed (grey)"))
+        handles.append(
+            Line2D(
+                [],
+                [],
+                linestyle="none",
+                marker="s",
+                markersize=5.5,
+                color=GREY,
+                label="of a value that is not fitted (grey)",
+            )
+        )
     figure.legend(
         handles=handles, loc="lower right", bbox_to_anchor=(0.99, 0.06 / height), ncols=3, borderaxespad=0.0
     )  # fmt: skip

@@ -334,7 +334,9 @@ def _heading(
     told = [words, *further_parameters(parameters, name)]
     told.append(f"{explained_words(own, by_test)}.")
     if len(stars):
-        told.append(f"In the library it acts at (m, marked by a star): {listed(stars.tolist(), _NAMED)}.")
+        told.append(
+            f"By the library, not by the data, it acts at (m, marked by a star): {listed(stars.tolist(), _NAMED)}."
+        )
     if places is not None and (where := place_words(places, name)):
         told.append(
             f"Most alike among the local perturbations, marked 1: {where}"

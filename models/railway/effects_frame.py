@@ -84,7 +84,7 @@ def frame_effects() -> tuple[Effect, ...]:
             nuisance=(
                 Parameter(
                     "brake_unit_freq", 18.0, 8.0, 40.0, "Hz", prior_sd=7.0,
-                    description="natural frequency of the unit on its bushes, which sag by 4 mm at 8 Hz",
+                    description="natural frequency of the unit on its bushes; 8 Hz for bushes that sag by 4 mm",
                 ),
             ),
             grid=tuple({"brake_unit": 80.0, "brake_unit_freq": f} for f in (9.0, 12.0, 15.0, 19.0, 24.0, 32.0)),

@@ -185,7 +185,7 @@ def test_another_mode_gains_as_predicted(world):
     modes, index = model_modes(hypotheses, fit), hypotheses.fit_problem(()).at(fit.values).pairing.model_index
     free = [j for j in range(modes.n_modes) if j not in index and modes.natural_freq[j] < 100.0]
     for j, measurement in zip(free, measurements, strict=False):
-        assert measurement.name == f"the mode computed at {modes.natural_freq[j]:.3g} Hz"
+        assert measurement.name == f"a further mode, computed at {modes.natural_freq[j]:.3g} Hz"
         real = measured_again(hypotheses, fit, more_modes=[j])
         np.testing.assert_allclose(sizes(design, measurement), real, rtol=EXACT)
 
@@ -273,7 +273,7 @@ def test_a_held_out_mode_is_named_as_such(world):
     freq = study.measured.natural_freq[study.measured.names.index("B3x")]
     names = [o.name for o in candidates_of(design_of(hypotheses, fit, {"B3x": freq}), "mode")]
     assert names.count("mode B3x, held out so far") == 1
-    assert all(n.startswith("the mode computed at ") for n in names if "B3x" not in n)
+    assert all(n.startswith("a further mode, computed at ") for n in names if "B3x" not in n)
 
 
 @pytest.mark.parametrize("held_out", [{"B3x": 1.0}, {"B3x": 40.5, "B3y": 40.0}])
@@ -282,7 +282,7 @@ def test_a_mode_far_from_a_held_out_one_or_near_two_is_labelled_by_its_frequency
     freq = study.measured.natural_freq[study.measured.names.index("B3x")]
     held_out = {name: f * freq / 40.0 for name, f in held_out.items()}
     names = [o.name for o in candidates_of(design_of(hypotheses, fit, held_out), "mode")]
-    assert all(n.startswith("the mode computed at ") for n in names)
+    assert all(n.startswith("a further mode, computed at ") for n in names)
 
 
 def test_two_modes_near_a_held_out_one_are_two_candidates(world, monkeypatch):

@@ -394,7 +394,7 @@ def test_held_out_modes_are_recognised_by_their_suffix():
 
 
 def test_mode_names_are_unique():
-    computed = "the mode computed at"
+    computed = "a further mode, computed at"
     assert _modes_in_words([9.8, 10.1], {"4BT": 10.0}) == [f"{computed} 9.8 Hz", f"mode 4BT{HELD_OUT}"]
     same = [f"{computed} 22 Hz (1 of 2)", f"{computed} 22 Hz (2 of 2)"]
     assert _modes_in_words([22.01, 22.02, 30.0], {}) == [*same, f"{computed} 30 Hz"]

@@ -126,7 +126,7 @@ def with_p(p):
 
 
 def chance(p):
-    return "< 0.0003" if p < 1 / 4000 else f"{p:.2g}"
+    return "< 0.0004" if p < 3 / 8000 else f"{p:.2g}"
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
@@ -164,7 +164,7 @@ def test_p_values_are_stated_down_to_the_resolution_of_the_samples(cases):
             replace(found, base_adequacy=replace(found.base_adequacy, p_named=1.0, p_perturbations=1.0, p_fit=p))
         )
 
-    assert f"p = 0.23 for {WORST}." in with_p(0.2345) and f"p < 0.0003 for {WORST}." in with_p(1e-30)
+    assert f"p = 0.23 for {WORST}." in with_p(0.2345) and f"p < 0.0004 for {WORST}." in with_p(1e-30)
     assert f"p = 0.001 for {WORST}." in with_p(0.001)
 
 
@@ -182,6 +182,23 @@ def test_the_warning_about_the_library_follows_a_named_effect(cases, verdict):
     assert warned == (verdict in ("effect", "indistinguishable", "two_effects", "several_effects", "partial"))
 
 
+def test_a_datum_on_which_all_rests_is_stated_with_how_sure(cases):
+    found = cases["effect"]
+    table = pd.DataFrame({"what": ["frequency of M2", "mode M2"], "explains": [True, True]})
+    asked = replace(found, suspects=table.assign(p=1e-9, p_fit_without=0.1))
+    warned = "Without frequency of M2 the base model would fit too"
+    assert warned in text_of(asked) and warned not in text_of(found)
+    assert warned not in text_of(replace(asked, suspects=asked.suspects.assign(explains=False)))
+
+
+def test_what_an_effect_has_beside_its_magnitude_is_told_with_its_interval(toy):
+    found = toy(bump=True).explained({"hung": 1.5, "at": 5.6}, 1, seed=3)[0]
+    assert found.verdict == "effect" and found.chosen.names == ("hung",)
+    std = math.sqrt(found.chosen.fit.covariance[-1, -1])
+    value = found.chosen.fit.values["at"]
+    assert f"at: {interval_words(value, value - 1.96 * std, value + 1.96 * std, 'Hz')}." in text_of(found)
+
+
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_errors_are_stated_where_an_effect_is_named(cases, verdict):
     text = text_of(cases[verdict])
@@ -197,7 +214,7 @@ def test_a_contradiction_by_held_out_data_is_stated_with_their_error(cases):
     table.loc[after & (table["group"] == "held_out_modes"), ["rms", "p"]] = (4.567, 1e-5)
     table.loc[after, "stage"] = "attempt"
     text = text_of(found, some_errors=table)
-    assert "a lack of E2" in text and "0.97 -> 4.57 (noise floor 1.00, p < 0.0003)" in text
+    assert "a lack of E2" in text and "0.97 -> 4.57 (noise floor 1.00, p < 0.0004)" in text
     assert "model_probability" not in text and "held-out sensors" not in text and "nan" not in text
 
 
@@ -475,7 +492,7 @@ def test_empty_sentences_leave_no_gap(cases):
 
 def test_a_small_p_value_is_written_without_an_equals_sign(cases):
     found = replace(cases["partial"], chosen_adequacy=replace(cases["partial"].chosen_adequacy, p_named=1e-9))
-    assert "p = <" not in text_of(found) and "p < 0.0003" in text_of(found)
+    assert "p = <" not in text_of(found) and "p < 0.0004" in text_of(found)
 
 
 def test_a_dimensionless_magnitude_on_its_limit_has_no_unit(toy):

@@ -116,7 +116,7 @@ def not_run(results: StudyResults) -> Section | None:
     if not results.has("selection") and "sensitivity" not in results.stale:
         lines.append(f"Which parameters matter: calib sensitivity {name}")
     if not results.has("parameters") and "calibrate" not in results.stale:
-        lines.append(f"Which parameter values fit: calib calibrate {name}")
+        lines.append(f"Identified parameters and errors after a calibration: calib calibrate {name}")
     if not results.explanation and results.record.get("effects_known") and "explain" not in results.stale:
         lines.append(f"Which effects the model lacks: calib explain {name}")
     if not results.added and results.explanation.get("verdict") in ("effect", "two_effects", "several_effects"):

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from calib.report.html.page import Section, Table, Words
 from calib.report.html.study_results import StudyResults
-from calib.report.numbers import fixed, significant
+from calib.report.numbers import fixed, with_unit
 from calib.report.verification import best_candidates
 
 _OF_NAMED = 5
@@ -20,9 +19,8 @@ _OF_NAMED = 5
 def section(results: StudyResults) -> Section | None:
     """Candidate measurements by expected gain."""
     gains = [f"{name}{end}" for name in ("gain", "ln_bayes") for end in ("", "_low", "_high")]
-    numbers = [*gains, "magnitude_min"]
     table = results.table(
-        "next_measurement", ["measurement", "kind"], [*numbers, "chance"], unbounded=numbers, blank=["effect"]
+        "next_measurement", ["measurement", "kind"], [*gains, "chance"], unbounded=gains, blank=["effect"]
     )
     if table is None:
         return None
@@ -33,7 +31,6 @@ def section(results: StudyResults) -> Section | None:
         "kind",
         "for the effect",
         "score",
-        "smallest visible then",
         *(["expected ln Bayes factor of the true effect", "probability of more than 20:1"] if competing else []),
     )
     first = best.to_dict("records")[0]
@@ -50,19 +47,28 @@ def section(results: StudyResults) -> Section | None:
         (
             Words(f"{intro} {largest}"),
             *results.picture("next_measurement", caption, f"Bars. {largest}"),
-            *_of_named(table, results.explanation.get("chosen", []), heads, bool(competing)),
+            *([] if competing else _of_named(table, results, heads)),
             Table("Candidate measurements, best first", heads, _rows(best, bool(competing)), (1, 2)),
         ),
     )
 
 
-def _of_named(table: pd.DataFrame, named: Sequence[str], heads: tuple[str, ...], competing: bool) -> list[Table]:
+def _of_named(table: pd.DataFrame, results: StudyResults, heads: tuple[str, ...]) -> list[Table]:
     """What narrows the magnitude of the named effects most; with competing models the other table tells it."""
-    own = table[table["effect"].isin(list(named))].sort_values("gain", ascending=False, kind="stable").head(_OF_NAMED)
-    if own.empty or competing:
+    named = list(map(str, results.explanation.get("chosen", [])))
+    own = table[table["effect"].isin(named)].sort_values("gain", ascending=False, kind="stable").head(_OF_NAMED)
+    if own.empty:
         return []
-    caption = f"Candidate measurements for {' and '.join(map(str, named))}, best first"
-    return [Table(caption, heads, _rows(own, competing), (1, 2), unfolded=True)]
+    caption = f"Candidate measurements for {' and '.join(named)}, best first"
+    now = results.table("effects", ["name"], ["magnitude_low", "magnitude_high"], blank=["unit"])
+    if now is None:
+        return [Table(caption, heads, _rows(own, False), (1, 2), unfolded=True)]
+    half = {r["name"]: ((r["magnitude_high"] - r["magnitude_low"]) / 2, str(r["unit"])) for r in now.to_dict("records")}
+    told = [
+        (*row, f"from ± {with_unit(size, unit, 2)} to about ± {with_unit(size / gain, unit, 2)}")
+        for row, (size, unit), gain in zip(_rows(own, False), own["effect"].map(half), own["gain"], strict=True)
+    ]
+    return [Table(caption, (*heads, "95 % interval"), tuple(told), (1, 2), unfolded=True)]
 
 
 def _rows(table: pd.DataFrame, competing: bool) -> tuple[tuple[str, ...], ...]:
@@ -72,7 +78,6 @@ def _rows(table: pd.DataFrame, competing: bool) -> tuple[tuple[str, ...], ...]:
             str(r["kind"]),
             str(r["effect"]),
             f"× {fixed(r['gain'], 2)} ({fixed(r['gain_low'], 2)} to {fixed(r['gain_high'], 2)})",
-            "never" if np.isinf(r["magnitude_min"]) else significant(r["magnitude_min"], 2),
             *([_bayes_factor(r), f"{fixed(100 * r['chance'], 0)} %"] if competing else []),
         )
         for r in table.to_dict("records")
