@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -25,6 +26,7 @@ class Allowance:
     def __init__(self, hypotheses: Hypotheses, most: float) -> None:
         self._hypotheses, self._begun = hypotheses, hypotheses.evaluations
         self.most = most
+        self._limited = True
 
     @property
     def used(self) -> int:
@@ -33,8 +35,8 @@ class Allowance:
 
     @property
     def left(self) -> float:
-        """Evaluations left; negative when more than allowed were needed."""
-        return self.most - self.used
+        """Evaluations left; negative when more than allowed were needed; infinite within `unlimited`."""
+        return self.most - self.used if self._limited else math.inf
 
     def spent(self, part: float = 1.0) -> bool:
         """Whether that part of the budget is used up."""
@@ -43,6 +45,16 @@ class Allowance:
     def ensure(self, least: float) -> None:
         """Raise the budget, if need be, so that at least so many evaluations are left."""
         self.most = max(self.most, self.used + least)
+
+    @contextmanager
+    def unlimited(self) -> Iterator[None]:
+        """As `uncharged`; nor do fits within this context end early because the budget is used up."""
+        limited, self._limited = self._limited, False
+        try:
+            with self.uncharged():
+                yield
+        finally:
+            self._limited = limited
 
     @contextmanager
     def uncharged(self) -> Iterator[None]:

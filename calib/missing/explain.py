@@ -18,7 +18,7 @@ from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.linearised_fit import nearest_whole
 from calib.missing.pairs import alone, fit_pairs
-from calib.missing.refits import DEFAULT, EARLY, LATE, Refits, Settings
+from calib.missing.refits import DEFAULT, EARLY, Refits, Settings
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
 from calib.missing.stepwise import Stepwise, further_price
@@ -241,7 +241,7 @@ class _Decision:
 
     def moved(self, lead: _Lead, able: Sequence[Candidate]) -> _Lead:
         """The lead after the integer parameters are chosen again with the best effect in the model."""
-        moved = None if self.fits.spent(LATE) else self.fits.moved(lead.best)
+        moved = self.fits.moved(lead.best)
         if moved is None:
             return lead
         others = [t for t in lead.singles if t is not lead.best]
@@ -375,6 +375,9 @@ class _Decision:
 
     def lead(self, singles: list[CandidateFit], candidates: Sequence[Candidate]) -> _Lead:
         """The effect of the highest evidence, with its tests; a plausible one nearly as good is preferred."""
+        first = self.fits.finished(singles[0])
+        if first is not singles[0]:
+            singles = sorted([first, *singles[1:]], key=lambda t: -t.ln_evidence)
         near = [t for t in singles if t.ln_evidence > singles[0].ln_evidence - RULES.credible and not t.implausible]
         best = near[0] if near else singles[0]
         return _Lead(singles, best, adequacy_of(self.fits, best, beside(self.fits, best, candidates)))

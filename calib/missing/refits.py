@@ -25,6 +25,8 @@ from calib.missing.rules import RULES
 from calib.missing.score import Scores, scores
 from calib.stage import Progress
 
+_CONTINUED = 4
+"""Fits that continue one which has not converged."""
 EARLY, LATE = 0.7, 0.85
 """Parts of the budget: for single effects, and for choosing integer parameters again."""
 
@@ -327,19 +329,32 @@ class Refits:
 
         Without the effects, the base model may have settled on other integers, and its other parameters with them.
         """
-        fit_problem = self.fit_problem(candidate_fit.names)
-        own = {n for e in candidate_fit.effects for n in e.names} | {
-            p.name for p in fit_problem.space.free if p.integer
-        }
-        nominal = fit_problem.space.values
-        start = nearest_whole(
-            fit_problem, {n: candidate_fit.fit.values[n] if n in own else v for n, v in nominal.items()}
-        )
-        best = candidate_fit
-        if any(start[p.name] != candidate_fit.fit.values[p.name] for p in fit_problem.space.free if p.integer):
-            best = self._better(best, [start])
+        fit_problem, best = self.fit_problem(candidate_fit.names), candidate_fit
+        whole = [p.name for p in fit_problem.space.free if p.integer]
+        if not self.spent(LATE):
+            own = {n for e in best.effects for n in e.names} | set(whole)
+            nominal = fit_problem.space.values
+            start = nearest_whole(fit_problem, {n: best.fit.values[n] if n in own else v for n, v in nominal.items()})
+            if any(start[name] != best.fit.values[name] for name in whole):
+                best = self._better(best, [start])
         best = self.beside_whole(best)
         return None if best is candidate_fit else best
+
+    def finished(self, candidate_fit: CandidateFit) -> CandidateFit:
+        """The fit continued until it converges, as one of many parameters may not have within its first iterations.
+
+        As a verdict rests on it, the budget is not charged.
+        """
+        best = candidate_fit
+        with self.allowance.unlimited():
+            for _ in range(_CONTINUED if self.settings.budget > 0 else 0):
+                if best.fit.converged:
+                    break
+                further = self.followed(best)
+                if further is best:
+                    break
+                best = further
+        return best
 
     def beside_whole(self, candidate_fit: CandidateFit) -> CandidateFit:
         """The best of the fits with integers nearby, each at most one off, until none is better.
@@ -348,7 +363,7 @@ class Refits:
         As the answer depends on them, the budget is not charged.
         """
         best = candidate_fit
-        with self.allowance.uncharged():
+        with self.allowance.unlimited():
             while self.settings.budget > 0:
                 values = best.fit.values
                 others = other_whole(self.fit_problem(best.names), values)
