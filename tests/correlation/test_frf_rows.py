@@ -133,7 +133,11 @@ def test_without_errors_nothing_changes(bogie):
 
 
 def test_each_error_makes_another_problem(bogie):
-    other = (CrossTalkError(BOX, REFERENCES[1], 0.05), RotationError(REFERENCES[1], "z", 2.0, "reference"))
+    other = (
+        CrossTalkError(BOX, REFERENCES[1], 0.05),
+        CrossTalkError(GIRDER, REFERENCES[1], 0.05),
+        RotationError(REFERENCES[1], "z", 2.0, "reference"),
+    )
     each = [(), *((n,) for n in (*EVERY, *other)), EVERY]
     assert len({FRFProblem(bogie, empty(), some).fingerprint for some in each}) == len(each)
     assert FRFProblem(bogie, empty(), EVERY).fingerprint == FRFProblem(bogie, empty(), EVERY).fingerprint

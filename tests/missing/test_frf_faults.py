@@ -114,13 +114,14 @@ def test_transducers_have_the_faults_of_a_modal_test(bogie):
     assert found["place_x_1y"].title == "place of sensor 1y along x" and found["place_x_1y"].place == GIRDER.point
 
 
-def test_sensors_without_places_have_no_fault_of_a_place(bogie):
+def test_sensors_without_places_have_no_fault_of_a_place():
     """Here the model has two directions at a node, so that axes can be turned."""
     model = StructuralModel.from_matrices(np.diag([1e4, 2e4]), np.eye(2), np.eye(2), dofs=[(1, "x"), (1, "y")])
-    sensor, ones = Sensor(1, "x"), np.ones((len(FREQ), 1, 1))
-    found = frf_faults(model, MeasuredFRFs(FREQ, (sensor,), (sensor,), "receptance", ones + 0j, ones))
-    assert [f.name for f in found if f.kind == "rotation"] == ["rotation_1x_y", "rotation_force_1x_y"]
-    assert {f.kind for f in found} == {"gain", "phase", "delay", "rotation"}
+    ones = np.ones((len(FREQ), 1, 1))
+    for sensor in (Sensor(1, "x"), Sensor(1, "x", (0.0, 0.0, 0.0))):  # the model has no places either
+        found = frf_faults(model, MeasuredFRFs(FREQ, (sensor,), (sensor,), "receptance", ones + 0j, ones))
+        assert [f.name for f in found if f.kind == "rotation"] == ["rotation_1x_y", "rotation_force_1x_y"]
+        assert {f.kind for f in found} == {"gain", "phase", "delay", "rotation"}
 
 
 @pytest.mark.mostly_slow(1)
