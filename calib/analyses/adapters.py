@@ -50,7 +50,7 @@ def adapter_of(
         assert local is not None
         basis = basis_of(study, home, local, progress)
         return FRFAdapter.of(
-            FRFResidual(problem).suspected(),
+            FRFResidual(problem).suspected(study.test),
             study.candidates,
             local,
             space,

@@ -37,6 +37,21 @@ At = tuple[str, tuple[float, float, float]]
 """Name of a sensor and its place."""
 NEGLIGIBLE = 1e-9
 """Motion of a source, over that of the sensor, below which the model suppresses it."""
+LACKS: Mapping[str, str] = {
+    "gain": "The sensor reads the motion as it is.",
+    "delay": "All channels are sampled at the same time.",
+    "place": "The sensor is where the table says.",
+    "cross-talk": "Every channel reads its own sensor only.",
+}
+"""What is assumed without a fault, by its kind."""
+LOOK_FOR: Mapping[str, str] = {
+    "gain": "Check its calibration, its mounting and its sign.",
+    "delay": "Check its filter and its sampling.",
+    "rotation": "Check how it is mounted.",
+    "place": "Measure where it sits.",
+    "cross-talk": "Check cables and the order of the channels.",
+}
+"""What to check, by the kind of a fault of a sensor."""
 
 
 def modal_faults(
@@ -87,22 +102,47 @@ def _of_sensors(model: ModalModel, measured: MeasuredModes) -> Iterator[ModalFau
         yield _gain(k, sensor, at)
         if complex_shapes:
             yield _delay(k, sensor, float(measured.natural_freq.max()), at)
-        for other in (d for d in DIRECTIONS[:3] if sensor.direction in DIRECTIONS[:3] and d != sensor.direction):
-            source = replace(sensor, direction=other)
-            if _moves(model, source, rows[k]):
-                yield _rotation(k, sensor, source, at)
+        for source in turned(model, sensor, rows[k]):
+            yield _rotation(k, sensor, source, at)
         yield from _shifts(model, k, sensor, at)
-        for neighbour in (k - 1, k + 1):
-            if 0 <= neighbour < len(sensors):
-                yield _cross_talk(k, sensor, sensors[neighbour], at)
+        for source in neighbours(sensors, k):
+            yield _cross_talk(k, sensor, source, at)
+
+
+def turned(model: ModalModel, sensor: Sensor, row: np.ndarray) -> Iterator[Sensor]:
+    """The sensor along each other axis of x, y, z along which the model moves there, and not only as along its own.
+
+    ``row`` is its motion over the degrees of freedom of the model, (n_dof,). A sensor of a rotation has none.
+    """
+    for other in (d for d in DIRECTIONS[:3] if sensor.direction in DIRECTIONS[:3] and d != sensor.direction):
+        source = replace(sensor, direction=other)
+        if _moves(model, source, row):
+            yield source
+
+
+def neighbours(sensors: Sequence[Sensor], k: int) -> tuple[Sensor, ...]:
+    """Sensors of the channels before and after one in the list."""
+    return tuple(sensors[i] for i in (k - 1, k + 1) if 0 <= i < len(sensors))
+
+
+def ways(model: ModalModel, sensor: Sensor) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Where a sensor may sit instead, as of `along_mesh`; empty where sensor or mesh have no coordinates."""
+    mesh = getattr(model, "mesh", None)
+    if sensor.point is None or not isinstance(mesh, Mesh) or not mesh.placed.all():
+        return []
+    return along_mesh(mesh, sensor.point)
+
+
+def shift_size(before: np.ndarray, after: np.ndarray) -> float:
+    """Plausible error of a place between two points, m, in mm."""
+    return min(SHIFT, 1e3 * FAR * float(np.linalg.norm(after - before)))
 
 
 def _gain(k: int, sensor: Sensor, at: At) -> ModalFault:
     name = f"gain of sensor {sensor.name}"
     return ModalFault(
-        _sized(name, GAIN, -3.0, 9.0), name, "The sensor reads the motion as it is.",
-        "Check its calibration, its mounting and its sign.", lambda by: gain_words(f"sensor {sensor.name}", by),
-        "gain", *at, shares=(Share(k, sensor),),
+        _sized(name, GAIN, -3.0, 9.0), name, LACKS["gain"], LOOK_FOR["gain"],
+        lambda by: gain_words(f"sensor {sensor.name}", by), "gain", *at, shares=(Share(k, sensor),),
     )  # fmt: skip
 
 
@@ -120,10 +160,8 @@ def _delay(k: int, sensor: Sensor, highest: float, at: At) -> ModalFault:
     name = f"delay of sensor {sensor.name}"
     size = 1e3 * PHASE / (2 * np.pi * highest)
     return ModalFault(
-        _sized(name, size, -10 * size, 10 * size, "ms"), name, "All channels are sampled at the same time.",
-        "Check its filter and its sampling.",
-        lambda by: f"sensor {sensor.name} is {'late' if by > 0 else 'early'} by {abs(by):.2g} ms",
-        "delay", *at, shares=(Share(k, sensor, "delay"),),
+        _sized(name, size, -10 * size, 10 * size, "ms"), name, LACKS["delay"], LOOK_FOR["delay"],
+        lambda by: delay_words(f"sensor {sensor.name}", by), "delay", *at, shares=(Share(k, sensor, "delay"),),
     )  # fmt: skip
 
 
@@ -132,19 +170,14 @@ def _rotation(k: int, sensor: Sensor, source: Sensor, at: At) -> ModalFault:
     shares = (Share(k, sensor, "cosine"), Share(k, source, "sine"))
     return ModalFault(
         _sized(name, ROTATION, -60.0, 60.0, "deg"), name, f"The sensor's axis is {sensor.direction}.",
-        "Check how it is mounted.",
-        lambda by: f"sensor {sensor.name} is turned by {abs(by):.2g} deg {'towards' if by > 0 else 'away from'} "
-        f"{source.direction}",
+        LOOK_FOR["rotation"], lambda by: rotation_words(f"sensor {sensor.name}", source.direction, by),
         "rotation", *at, shares=shares,
     )  # fmt: skip
 
 
 def _shifts(model: ModalModel, k: int, sensor: Sensor, at: At) -> Iterator[ModalFault]:
     """Shifts of a sensor along the mesh, by the gradient of the shape between the nodes before and after it."""
-    mesh = getattr(model, "mesh", None)
-    if sensor.point is None or not isinstance(mesh, Mesh) or not mesh.placed.all():
-        return
-    for axis, before, after in along_mesh(mesh, sensor.point):
+    for axis, before, after in ways(model, sensor):
         first, last = (replace(sensor, point=(float(p[0]), float(p[1]), float(p[2]))) for p in (before, after))
         length = float(np.linalg.norm(after - before))
         try:
@@ -154,17 +187,31 @@ def _shifts(model: ModalModel, k: int, sensor: Sensor, at: At) -> Iterator[Modal
         if np.array_equal(*rows):  # a function gives no motion between its sensors
             continue
         name = f"place of sensor {sensor.name} along {axis}"
-        size = min(SHIFT, 1e3 * FAR * length)
+        size = shift_size(before, after)
         shares = (Share(k, last, factor=1 / length), Share(k, first, factor=-1 / length))
         yield ModalFault(
-            _sized(name, size, -5 * size, 5 * size, "mm"), name, "The sensor is where the table says.",
-            "Measure where it sits.",
-            partial(_shift_words, sensor.name, axis),
-            "place", *at, shares=shares,
+            _sized(name, size, -5 * size, 5 * size, "mm"), name, LACKS["place"], LOOK_FOR["place"],
+            partial(place_words, sensor.name, axis), "place", *at, shares=shares,
         )  # fmt: skip
 
 
-def _shift_words(name: str, axis: str, by: float) -> str:
+def delay_words(what: str, by: float) -> str:
+    """A delay in ms in words, such as ``sensor 12y is late by 0.5 ms``."""
+    return f"{what} is {'late' if by > 0 else 'early'} by {abs(by):.2g} ms"
+
+
+def rotation_words(what: str, axis: str, by: float) -> str:
+    """A misalignment in deg in words, such as ``sensor 12y is turned by 9 deg towards x``."""
+    return f"{what} is turned by {abs(by):.2g} deg {'towards' if by > 0 else 'away from'} {axis}"
+
+
+def cross_talk_words(name: str, source: str, by: float) -> str:
+    """A share of another channel in words, such as ``sensor 12y reads 9 % of sensor 11y beside its own motion``."""
+    return f"sensor {name} reads {100 * by:.2g} % of sensor {source} beside its own motion"
+
+
+def place_words(name: str, axis: str, by: float) -> str:
+    """An error of a place in mm in words, such as ``sensor 12y sits 2.4 cm off along +x``."""
     return f"sensor {name} sits {abs(by) / 10:.2g} cm off along {'+' if by > 0 else '-'}{axis}"
 
 
@@ -182,10 +229,8 @@ def _moves(model: ModalModel, source: Sensor, own: np.ndarray) -> bool:
 def _cross_talk(k: int, sensor: Sensor, source: Sensor, at: At) -> ModalFault:
     name = f"cross-talk of sensor {source.name} into {sensor.name}"
     return ModalFault(
-        _sized(name, CROSS_TALK, -1.0, 1.0), name, "Every channel reads its own sensor only.",
-        "Check cables and the order of the channels.",
-        lambda by: f"sensor {sensor.name} reads {100 * by:.2g} % of sensor {source.name} beside its own motion",
-        "cross-talk", *at, shares=(Share(k, source),),
+        _sized(name, CROSS_TALK, -1.0, 1.0), name, LACKS["cross-talk"], LOOK_FOR["cross-talk"],
+        lambda by: cross_talk_words(sensor.name, source.name, by), "cross-talk", *at, shares=(Share(k, source),),
     )  # fmt: skip
 
 

@@ -1,80 +1,154 @@
-"""Faults that a test of FRFs may have: gain, phase and delay of every channel."""
+"""Faults that a test of FRFs may have: of its channels, and of places, axes and cables of its transducers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from calib.correlation.fault_library import PHASE, gain_words
+from calib.correlation.fault_library import (
+    CROSS_TALK,
+    LACKS,
+    LOOK_FOR,
+    PHASE,
+    ROTATION,
+    cross_talk_words,
+    delay_words,
+    gain_words,
+    neighbours,
+    place_words,
+    rotation_words,
+    shift_size,
+    turned,
+    ways,
+)
+from calib.correlation.frf_cross_talk import CrossTalkError
 from calib.correlation.frf_nuisance import ChannelError, ChannelKind, Nuisance
+from calib.correlation.frf_places import PlaceError
+from calib.correlation.frf_prior import Side
+from calib.correlation.frf_rotation import RotationError
+from calib.errors import InputError
 from calib.fault import NOWHERE, Fault
 from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.modal import Sensor
+from calib.space import Parameter
+from calib.structure.model import StructuralModel
+from calib.structure.reduced import ReducedModel
 
 GAIN, TURN = 100.0, 60.0
 """Plausible gain (%) and phase (deg) of a fault; a swapped sign is a gain of -200 %."""
 _SWAPPED = -300.0
 """Smallest gain error, %: at -200 the sign is swapped."""
-_LOOK = {
-    "gain": "Check its calibration, its mounting and its sign.",
-    "phase": "Check its filter and its conditioning.",
-    "delay": "Check its filter and its sampling.",
-}
+_FARTHEST = 5.0
+"""Largest error of a place, over the plausible one."""
+_LOOK: Mapping[str, str] = {**LOOK_FOR, "phase": "Check its filter and its conditioning."}
+
+Model = StructuralModel | ReducedModel
+Suspect = ChannelError | PlaceError | RotationError | CrossTalkError
 
 
 @dataclass(frozen=True)
 class FRFFault(Fault):
-    """An error of one channel; its magnitude is the parameter of the error.
+    """An error of one channel or transducer; its magnitude is the parameter of the error.
 
     Attributes
     ----------
-    error : ChannelError
+    error : ChannelError, PlaceError, RotationError or CrossTalkError
     """
 
-    error: ChannelError = field(kw_only=True)
+    error: Suspect = field(kw_only=True)
 
 
-def frf_faults(measured: MeasuredFRFs, nuisances: Sequence[Nuisance] = ()) -> tuple[FRFFault, ...]:
-    """Faults of the channels of a test, without errors that its fits determine anyway.
+def frf_faults(
+    model: Model, measured: MeasuredFRFs, nuisances: Sequence[Nuisance] = (), test: str = ""
+) -> tuple[FRFFault, ...]:
+    """Faults that a test of a model's FRFs may have, without errors that its fits determine anyway.
 
-    An error of the only reference is the same as that of all responses.
+    Of every response and reference gain, phase and delay, and the misalignment towards every other axis along which the
+    model moves there. Of every response the place along each axis in which the mesh runs there, and the share it reads
+    of the channels before and after it. An error of the only reference is the same as that of all responses.
+
+    At a drive point the place is that of both: exciter and accelerometer are mounted at one point, so that the fault
+    moves the force too. Elsewhere it moves the response alone. Their axes are turned each for itself.
 
     Parameters
     ----------
+    model : StructuralModel or ReducedModel
+        Without places of its nodes, or for a sensor without one, there is no fault of a place.
     measured : MeasuredFRFs
+        The fitted data.
     nuisances : sequence of Nuisance
-        Those that are fitted.
+        Those that are fitted; such an error of another prior, or of another name of the test, is the same.
+    test : str
+        Name of the test, where there are several; appended to every name.
+
+    Raises
+    ------
+    InputError
+        For a transducer that the model cannot place.
     """
-    known = {(n.kind, n.sensor, n.side) for n in nuisances if isinstance(n, ChannelError)}
-    return tuple(f for f in _all(measured) if (f.error.kind, f.error.sensor, f.error.side) not in known)
+    known = {_name(nuisance) for nuisance in nuisances}
+    found = (*_of_channels(measured), *_of_transducers(model, measured))
+    return tuple(_named(fault, test) for fault in found if fault.name not in known)
 
 
-def _all(measured: MeasuredFRFs) -> Iterator[FRFFault]:
-    sides = (("response", measured.responses), ("reference", measured.references))
+def _name(error: Nuisance) -> str:
+    """Name of its parameter in a single test, which tells kind, transducer and axis."""
+    return replace(error, test="").parameter.name
+
+
+def _named(fault: FRFFault, test: str) -> FRFFault:
+    """The same as one of a test among several."""
+    if not test:
+        return fault
+    error = replace(fault.error, test=test)
+    magnitude = replace(fault.magnitude, name=error.parameter.name, description=error.parameter.description)
+    return replace(fault, magnitude=magnitude, title=f"{fault.title} in test {test}", error=error)
+
+
+def _what(side: Side, sensor: Sensor) -> str:
+    return f"{'force at' if side == 'reference' else 'sensor'} {sensor.name}"
+
+
+def _fault(
+    error: Suspect,
+    kind: str,
+    of: str,
+    lacks: str,
+    told: Callable[[float], str],
+    sensor: Sensor,
+    magnitude: Parameter | None = None,
+) -> FRFFault:
+    return FRFFault(
+        magnitude or error.parameter, f"{kind} of {of}", lacks, _LOOK[kind], told, kind, sensor.name,
+        sensor.point or NOWHERE, error=error,
+    )  # fmt: skip
+
+
+# -- channels ----------------------------------------------------------------------------------------------------------
+
+
+def _of_channels(measured: MeasuredFRFs) -> Iterator[FRFFault]:
     sizes: dict[ChannelKind, float] = {
         "gain": GAIN, "phase": TURN, "delay": PHASE / (2 * np.pi * float(measured.freq.max()))
     }  # fmt: skip
-    for side, sensors in sides:
-        for sensor in sensors:
-            for kind, size in sizes.items():
-                error = ChannelError(kind, sensor.name, "response" if side == "response" else "reference", size)
-                yield _fault(error, sensor.point or NOWHERE)
+    words = {"gain": _gain, "phase": _phase, "delay": _delay}
+    for side, sensor in _transducers(measured):
+        what = _what(side, sensor)
+        for kind, size in sizes.items():
+            error = ChannelError(kind, sensor.name, side, size)
+            magnitude = replace(error.parameter, lower=_SWAPPED) if kind == "gain" else None
+            lacks = "Every channel reads as it is calibrated."
+            yield _fault(error, kind, what, lacks, partial(words[kind], what), sensor, magnitude)
 
 
-def _fault(error: ChannelError, place: tuple[float, float, float]) -> FRFFault:
-    what = f"{'force at' if error.side == 'reference' else 'sensor'} {error.sensor}"
-    words: dict[str, Callable[[float], str]] = {
-        "gain": partial(_gain, what), "phase": partial(_phase, what), "delay": partial(_delay, what)
-    }  # fmt: skip
-    p = error.parameter
-    if error.kind == "gain":
-        p = replace(p, lower=_SWAPPED)
-    return FRFFault(
-        p, f"{error.kind} of {what}", "Every channel reads as it is calibrated.", _LOOK[error.kind], words[error.kind],
-        error.kind, error.sensor, place, error=error,
-    )  # fmt: skip
+def _transducers(measured: MeasuredFRFs) -> Iterator[tuple[Side, Sensor]]:
+    for sensor in measured.responses:
+        yield "response", sensor
+    for sensor in measured.references:
+        yield "reference", sensor
 
 
 def _gain(what: str, percent: float) -> str:
@@ -86,4 +160,52 @@ def _phase(what: str, angle: float) -> str:
 
 
 def _delay(what: str, seconds: float) -> str:
-    return f"{what} is {'late' if seconds > 0 else 'early'} by {1e3 * abs(seconds):.2g} ms"
+    return delay_words(what, 1e3 * seconds)
+
+
+# -- transducers -------------------------------------------------------------------------------------------------------
+
+
+def _of_transducers(model: Model, measured: MeasuredFRFs) -> Iterator[FRFFault]:
+    for side, sensor in _transducers(measured):
+        yield from _rotations(model, side, sensor)
+    for k, sensor in enumerate(measured.responses):
+        yield from _places(model, sensor)
+        for source in neighbours(measured.responses, k):
+            told = partial(cross_talk_words, sensor.name, source.name)
+            error = CrossTalkError(sensor, source, CROSS_TALK)
+            of = f"sensor {source.name} into {sensor.name}"
+            yield _fault(error, "cross-talk", of, LACKS["cross-talk"], told, sensor)
+
+
+def _rotations(model: Model, side: Side, sensor: Sensor) -> Iterator[FRFFault]:
+    (row,) = model.sensor_rows([sensor])
+    what = _what(side, sensor)
+    for source in turned(model, sensor, row):
+        axis = source.direction
+        error, told = RotationError(sensor, axis, ROTATION, side), partial(rotation_words, what, axis)
+        lacks = f"The {'force' if side == 'reference' else 'sensor'}'s axis is {sensor.direction}."
+        yield _fault(error, "rotation", f"{what} towards {axis}", lacks, told, sensor)
+
+
+def _places(model: Model, sensor: Sensor) -> Iterator[FRFFault]:
+    """Of the axes x, y, z, each once: where two members go along one, the longer way gives the plausible size."""
+    sizes: dict[str, float] = {}
+    for way, before, after in ways(model, sensor):
+        sizes[way[0]] = max(shift_size(before, after), sizes.get(way[0], 0.0))
+    for axis, size in sizes.items():
+        error, told = PlaceError(sensor, axis, size), partial(place_words, sensor.name, axis)
+        if not _matters(error, model):
+            continue
+        reach = _FARTHEST * size
+        magnitude = replace(error.parameter, lower=-reach, upper=reach)
+        of = f"sensor {sensor.name} along {axis}"
+        yield _fault(error, "place", of, LACKS["place"], told, sensor, magnitude)
+
+
+def _matters(error: PlaceError, model: Model) -> bool:
+    """Whether the model moves differently beside the sensor."""
+    try:
+        return error.matters(model)
+    except InputError:
+        return False

@@ -1,20 +1,22 @@
-"""What a test of FRFs may get wrong, as parameters with priors: channels, places, accelerometers' masses, stingers.
+"""What a test of FRFs may get wrong, as parameters with priors: of channels, transducers, added masses, stingers.
 
 A measured function is modelled as ``H c_response / c_reference`` with the factor ``c = (1 + gain) exp(i phase - i omega
-delay)`` of each channel. Masses and stingers change the model; places change where it is asked (see
-`calib.correlation.frf_places`). At zero nothing changes.
+delay)`` of each channel. Masses and stingers change the model; wrong places, turned axes and cross-talk change which
+of its motions is asked for (see `calib.correlation.frf_rows`). At zero nothing changes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
+from calib.correlation.frf_cross_talk import CrossTalkError
 from calib.correlation.frf_places import PlaceError
-from calib.correlation.frf_prior import LIMIT, in_test, require_positive
+from calib.correlation.frf_prior import LIMIT, Side, in_test, require_positive
+from calib.correlation.frf_rotation import RotationError
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, Sensor
@@ -61,7 +63,7 @@ class ChannelError:
 
     kind: ChannelKind
     sensor: str
-    side: Literal["response", "reference"] = "response"
+    side: Side = "response"
     prior_sd: float | None = None
     test: str = field(default="", kw_only=True)
 
@@ -219,9 +221,13 @@ class Stinger:
         return Load(self.parameter, "stiffness", rows)
 
 
-Nuisance = ChannelError | PlaceError | AddedMass | Stinger
+Nuisance = ChannelError | PlaceError | RotationError | CrossTalkError | AddedMass | Stinger
+NUISANCES = get_args(Nuisance)
+"""All kinds."""
 LOADING = (AddedMass, Stinger)
 """Those that change the matrices."""
+OF_ROWS = (PlaceError, RotationError, CrossTalkError)
+"""Those that change the motions of transducers."""
 
 
 def of_every_channel(
@@ -267,15 +273,15 @@ def belonging_to(test: str, nuisances: Sequence[Nuisance]) -> tuple[Nuisance, ..
 
 
 def concerned(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> tuple[Nuisance, ...]:
-    """Those that concern some of the data: channels and places of its functions, and all that load a model."""
+    """Those that concern some of the data: of channels and transducers of its functions, and all that load a model."""
     return tuple(n for n in nuisances if isinstance(n, LOADING) or n.name in n.among(measured))
 
 
 def require_channels(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> None:
-    """InputError for the error of a channel, or of a place, that was not measured."""
+    """InputError for the error of a channel, or of a transducer, that was not measured."""
     for error in nuisances:
         if not isinstance(error, LOADING) and error.name not in (names := error.among(measured)):
-            what = f"{error.side} " if isinstance(error, ChannelError) else ""
+            what = f"{error.side} " if isinstance(error, ChannelError | RotationError) else ""
             raise InputError(
                 f"{what}{error.name!r} was not measured", place=error.place,
                 remedy=f"there {'are' if len(names) > 1 else 'is'} {', '.join(names)}",

@@ -12,8 +12,8 @@ import numpy as np
 from calib.correlation.frf_channels import Channels
 from calib.correlation.frf_comparison import FRFComparison, frac_and_amplitude
 from calib.correlation.frf_faults import FRFFault, frf_faults
-from calib.correlation.frf_nuisance import LOADING, ChannelError, Nuisance, require_channels
-from calib.correlation.frf_places import PlaceError, Places
+from calib.correlation.frf_nuisance import LOADING, OF_ROWS, ChannelError, Nuisance, require_channels
+from calib.correlation.frf_rows import Rows
 from calib.degrees_of_freedom import KNOWN, beside_known
 from calib.errors import InputError
 from calib.fingerprint import digest_of
@@ -78,7 +78,7 @@ class FRFProblem:
         Of the structure alone.
     measured : MeasuredFRFs
     nuisances : tuple of Nuisance
-        Errors of channels and places, masses of accelerometers and stingers; their parameters follow the model's.
+        Errors of channels and transducers, masses of accelerometers, stingers; their parameters follow the model's.
 
     Raises
     ------
@@ -92,7 +92,7 @@ class FRFProblem:
     space: ParameterSpace = field(init=False, repr=False)
     loaded_model: StructuralModel | ReducedModel = field(init=False, repr=False)
     _channels: Channels = field(init=False, repr=False)
-    _places: Places = field(init=False, repr=False)
+    _rows: Rows = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         names = [nuisance.parameter.name for nuisance in self.nuisances]
@@ -103,13 +103,13 @@ class FRFProblem:
         whole = self.model.model if isinstance(self.model, ReducedModel) else self.model
         loads = [n.load(whole) for n in self.nuisances if isinstance(n, LOADING)]
         errors = tuple(n for n in self.nuisances if isinstance(n, ChannelError))
-        places = Places.of([n for n in self.nuisances if isinstance(n, PlaceError)], self.measured, self.model)
+        rows = Rows.of([n for n in self.nuisances if isinstance(n, OF_ROWS)], self.measured, self.model)
         model, own = loaded(self.model, loads), self.model.space
-        parameters = (*model.space.parameters, *(e.parameter for e in errors), *(e.parameter for e in places.errors))
+        parameters = (*model.space.parameters, *(e.parameter for e in errors), *(e.parameter for e in rows.errors))
         object.__setattr__(self, "space", ParameterSpace(parameters, own.constraints))
         object.__setattr__(self, "loaded_model", model)
         object.__setattr__(self, "_channels", Channels(errors, self.measured))
-        object.__setattr__(self, "_places", places)
+        object.__setattr__(self, "_rows", rows)
 
     @property
     def function(self) -> None:
@@ -169,9 +169,8 @@ class FRFProblem:
         assert isinstance(self.model, StructuralModel)
         loads = tuple(n.load(self.model) for n in self.nuisances if isinstance(n, LOADING))
         unit = np.where(np.isfinite(self.measured.values), std, np.inf)
-        rows = self._places.responses, self._places.references
-        moved = self._places.beside(range(len(self._places.errors)))[1]
-        return FRFTarget(self.measured.freq, *rows, unit, self.measured.quantity, loads, moved=moved)
+        rows, quantity = self._rows, self.measured.quantity
+        return FRFTarget(self.measured.freq, rows.responses, rows.references, unit, quantity, loads, moved=rows.moved)
 
     @property
     def n_measured(self) -> int:
@@ -182,14 +181,13 @@ class FRFProblem:
     def fingerprint(self) -> str:
         """Hash that changes whenever the responses at the same values could, which measured values enter."""
         channels = sorted((e.kind, e.sensor, e.side) for e in self._channels.errors)
-        places = self._places
-        rows = tuple(array.tobytes() for array in (places.responses, places.references, places.slopes) if array.size)
-        return digest_of(_DEFINITION, self.loaded_model.fingerprint, self.measured.fingerprint, channels, *rows)[:16]
+        known = self.loaded_model.fingerprint, self.measured.fingerprint
+        return digest_of(_DEFINITION, *known, channels, *self._rows.content)[:16]
 
     def functions(self, values: Mapping[str, float]) -> np.ndarray:
         """FRFs at named values, (n_freq, n_responses, n_references), complex; EvaluationError where it has none."""
         si = self._si(values)
-        return self._frf(values, *self._places.rows(si)) * self._channels.factors(si)
+        return self._frf(values, *self._rows.rows(si)) * self._channels.factors(si)
 
     def _frf(self, values: Mapping[str, float], responses: np.ndarray, references: np.ndarray) -> np.ndarray:
         own = self._of_model(values)
@@ -217,14 +215,14 @@ class FRFProblem:
         measured, own = self.measured, [name for name in names if name in self.loaded_model.space]
         values = beside_roots(self.space, self.loaded_model.roots, values, names)
         si = self._si(values)
-        rows, factors = self._places.rows(si), self._channels.factors(si)
+        rows, factors = self._rows.rows(si), self._channels.factors(si)
         functions, slopes = frf_derivatives(
             self.loaded_model, self._of_model(values), measured.freq, *rows, own, measured.quantity
         )
         found = dict(zip(own, slopes, strict=True))
-        if moved := self._places.asked(names):
-            wider = [np.vstack(pair) for pair in zip(rows, self._places.beside(moved), strict=True)]
-            found |= self._places.derivatives(moved, self._frf(values, *wider))
+        if moved := self._rows.asked(names):
+            wider = [np.vstack(pair) for pair in zip(rows, self._rows.beside(moved, si), strict=True)]
+            found |= self._rows.derivatives(moved, self._frf(values, *wider))
         found = {name: slope * factors for name, slope in found.items()}
         functions = functions * factors
         return np.array(
@@ -319,8 +317,10 @@ class FRFResidual:
 
     @property
     def target(self) -> FRFTarget:
-        """What a reduced basis must represent: these FRFs, in units of their standard deviations."""
-        return self.problem.target(self._std)
+        """What a reduced basis must represent: these FRFs, in units of their standard deviations, without faults."""
+        suspects = {fault.error for fault in self.faults}
+        fitted = tuple(n for n in self.problem.nuisances if n not in suspects)
+        return replace(self.problem, nuisances=fitted).target(self._std)
 
     @property
     def relative_std(self) -> np.ndarray:
@@ -356,9 +356,9 @@ class FRFResidual:
         """The solution cannot be restored from its responses."""
         return False
 
-    def suspected(self) -> FRFResidual:
-        """The same with every fault that its channels may have, as parameters of value 0."""
-        faults = frf_faults(self.problem.measured, self.problem.nuisances)
+    def suspected(self, test: str = "") -> FRFResidual:
+        """The same with every fault that it may have as parameters of value 0, which bear the name of a test."""
+        faults = frf_faults(self.problem.model, self.problem.measured, self.problem.nuisances, test)
         errors = (*self.problem.nuisances, *(fault.error for fault in faults))
         return replace(self, problem=replace(self.problem, nuisances=errors), faults=faults)
 

@@ -172,7 +172,7 @@ def _adapter(
         assert isinstance(held, StructuralModel)
         basis, large = _basis(held, frfs.problem, effects, local, seed)
         space = frfs.space.without(test.condition)
-        return FRFAdapter.of(frfs.suspected(), effects, local, space, facts, test.unseen, basis, large)
+        return FRFAdapter.of(frfs.suspected(name), effects, local, space, facts, test.unseen, basis, large)
     pair, whole = test.pair(held), test.whole_problem(held)
     pair = replace(pair, faults=modal_faults(pair.problem.model, pair.problem.measured, test=name))
     if isinstance(held, ModalFunctionModel):

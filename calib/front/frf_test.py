@@ -11,16 +11,7 @@ import pandas as pd
 
 from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.verify import errors_of
-from calib.correlation.frf_nuisance import (
-    AddedMass,
-    ChannelError,
-    Nuisance,
-    Stinger,
-    belonging_to,
-    concerned,
-    require_channels,
-)
-from calib.correlation.frf_places import PlaceError
+from calib.correlation.frf_nuisance import NUISANCES, Nuisance, belonging_to, concerned, require_channels
 from calib.correlation.frf_residual import FRFProblem, FRFResidual, assumed_frfs
 from calib.errors import InputError
 from calib.forward import Unseen, unseen_frfs
@@ -70,8 +61,7 @@ class FRFTest:
     def __post_init__(self) -> None:
         place = named(self)
         (frfs,) = objects([self.frfs], MeasuredFRFs, f"{place}, frfs")
-        kinds = (ChannelError, PlaceError, AddedMass, Stinger)
-        object.__setattr__(self, "nuisances", objects(self.nuisances, kinds, f"{place}, nuisances"))
+        object.__setattr__(self, "nuisances", objects(self.nuisances, NUISANCES, f"{place}, nuisances"))
         require_channels(self.nuisances, frfs)
         try:
             claimed = frfs.accuracy if self.accuracy is None else frf_claim(self.accuracy)

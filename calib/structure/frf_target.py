@@ -55,7 +55,8 @@ class FRFTarget:
     tolerance : float
         Largest error in standard deviations.
     moved : ndarray (n_moved, n_dof)
-        Changes of the references over errors of their places, 1/m: a displaced force is a force and moments.
+        Changes of the references over fitted errors of their places, 1/m, and axes, 1/rad: a displaced force is a force
+        and moments.
     """
 
     freq: np.ndarray

@@ -1,13 +1,18 @@
-"""Faults of channels of FRFs among the candidates of an explanation."""
+"""Faults of channels and transducers of FRFs among the candidates of an explanation."""
+
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from calib.analyses.hypotheses import ModelHypotheses
+from calib.correlation.frf_cross_talk import CrossTalkError
 from calib.correlation.frf_faults import frf_faults
 from calib.correlation.frf_nuisance import ChannelError
+from calib.correlation.frf_places import PlaceError
 from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_rotation import RotationError
 from calib.effect import Effect
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
@@ -18,6 +23,7 @@ from calib.structure.attach import outer_term
 from calib.structure.extend import Addition
 from calib.structure.model import StructuralModel
 from calib.structure.variants import Variants
+from models.railway import bogie_on_rig
 
 FREQ = np.linspace(2.0, 30.0, 40)
 K = np.array([[3.2e4, -2e4, 0], [-2e4, 4e4, -2e4], [0, -2e4, 2e4]])
@@ -59,14 +65,63 @@ def test_faults_at_zero_change_nothing():
     plain = FRFResidual(FRFProblem(pair.problem.model, pair.problem.measured))
     np.testing.assert_array_equal(asked.fit_problem(()).residual({"k": 1.25e4}), plain.residual({"k": 1.25e4}))
     assert set(asked.fit_problem(()).space.names) == {"k"}
-    assert {f.kind for f in pair.faults} == {"gain", "phase", "delay"} and len(pair.faults) == 3 * 4
+    assert {f.kind for f in pair.faults} == {"gain", "phase", "delay", "cross-talk"}  # no mesh and one direction
+    assert len(pair.faults) == 3 * 4 + 4
 
 
-def test_an_error_that_is_fitted_is_no_fault():
-    data = hypotheses(truth()).pair.problem.measured
-    known = (ChannelError("gain", "1x"), ChannelError("delay", "1x", "reference", 1e-4))
-    names = {f.name for f in frf_faults(data, known)}
-    assert len(names) == 10 and not names & {"gain_1x", "delay_force_1x"}
+def test_an_error_that_is_fitted_is_no_fault(bogie):
+    """Whatever its prior, or the name of its test."""
+    pair = hypotheses(truth()).pair
+    known = (
+        ChannelError("gain", "1x"), ChannelError("delay", "1x", "reference", 1e-4),
+        CrossTalkError(RESPONSES[1], RESPONSES[0], 0.02, test="A"),
+    )  # fmt: skip
+    names = {f.name for f in frf_faults(pair.problem.model, pair.problem.measured, known)}
+    assert len(names) == 13 and not names & {"gain_1x", "delay_force_1x", "cross_talk_1x_2x"}
+    fitted = (
+        PlaceError(GIRDER, "x", 2.0), RotationError(BOX, "x", 1.0), RotationError(BOX_FORCE, "y", 1.0, "reference")
+    )  # fmt: skip
+    every, left = ({f.name for f in frf_faults(bogie, of_bogie(bogie), some)} for some in ((), fitted))
+    assert every - left == {error.parameter.name for error in fitted}
+
+
+def test_faults_of_a_test_among_several_bear_its_name():
+    pair = hypotheses(truth()).pair
+    found = frf_faults(pair.problem.model, pair.problem.measured, test="A")
+    assert all(f.name == f.error.parameter.name and f.name.endswith(" in test A") for f in found)
+    assert "gain of sensor 1x in test A" in [f.title for f in found]
+    plain = FRFResidual(FRFProblem(pair.problem.model, pair.problem.measured))
+    named = plain.suspected("A")
+    assert [f.name for f in named.faults] == [f.name for f in found]
+    assert set(named.space.names) == {"k", *(f.name for f in found)}
+
+
+def test_transducers_have_the_faults_of_a_modal_test(bogie):
+    """A box is rigid and moves along all axes, the crossbar is a beam along z; every response has its neighbours."""
+    found = {f.name: f for f in frf_faults(bogie, of_bogie(bogie))}
+    own = {name for name, f in found.items() if f.kind not in ("gain", "phase", "delay")}
+    assert {n for n in own if n.startswith("cross")} == {
+        "cross_talk_2y_1y", "cross_talk_1y_2y", "cross_talk_3y_2y", "cross_talk_2y_3y"
+    }  # fmt: skip
+    assert {n for n in own if n.startswith("place")} == {"place_x_1y", "place_z_3y"}
+    assert {n for n in own if n.startswith("rotation")} == {
+        "rotation_2y_x", "rotation_2y_z", "rotation_3y_x", "rotation_3y_z", "rotation_force_4x_y", "rotation_force_4x_z"
+    }  # fmt: skip
+    sizes = {n: (found[n].magnitude.prior_sd, found[n].magnitude.lower, found[n].magnitude.upper) for n in own}
+    assert sizes["place_x_1y"] == (100.0, -500.0, 500.0) and sizes["rotation_2y_x"] == (15.0, -60.0, 60.0)
+    assert sizes["cross_talk_2y_1y"] == (0.1, -1.0, 1.0)
+    assert found["rotation_force_4x_y"].told(12.0) == "force at 4x is turned by 12 deg towards y"
+    assert found["place_x_1y"].title == "place of sensor 1y along x" and found["place_x_1y"].place == GIRDER.point
+
+
+def test_sensors_without_places_have_no_fault_of_a_place():
+    """Here the model has two directions at a node, so that axes can be turned."""
+    model = StructuralModel.from_matrices(np.diag([1e4, 2e4]), np.eye(2), np.eye(2), dofs=[(1, "x"), (1, "y")])
+    ones = np.ones((len(FREQ), 1, 1))
+    for sensor in (Sensor(1, "x"), Sensor(1, "x", (0.0, 0.0, 0.0))):  # the model has no places either
+        found = frf_faults(model, MeasuredFRFs(FREQ, (sensor,), (sensor,), "receptance", ones + 0j, ones))
+        assert [f.name for f in found if f.kind == "rotation"] == ["rotation_1x_y", "rotation_force_1x_y"]
+        assert {f.kind for f in found} == {"gain", "phase", "delay", "rotation"}
 
 
 @pytest.mark.mostly_slow(1)
@@ -95,3 +150,75 @@ def test_a_missing_effect_is_named_and_sound_data_are_silent():
     found = explain(hypotheses(truth(ground=3e3)))
     assert found.fault is None or found.verdict != "measurement"
     assert found.verdict in ("effect", "unconfirmed") and found.chosen.names == ("rope",)
+
+
+GIRDER, BOX = Sensor(1, "y", (-1.3, 0.62, 1.05), "frame"), Sensor(2, "y", (1.45, 0.43, 1.05), "box_front_left")
+CROSSBAR, BOX_FORCE = (
+    Sensor(3, "y", (1.115, 0.62, 0.7), "crossbar"),
+    Sensor(4, "x", (1.45, 0.43, -1.05), "box_front_right"),
+)
+LINES = np.linspace(6.0, 33.0, 24)
+
+
+@pytest.fixture(scope="module")
+def bogie():
+    return bogie_on_rig(element_size=0.3)
+
+
+def of_bogie(model, responses=(GIRDER, BOX, CROSSBAR), references=(GIRDER, BOX_FORCE)):
+    """FRFs of a bogie with transducers that are where and as they are said to be."""
+    shape = (len(LINES), len(responses), len(references))
+    given = MeasuredFRFs(LINES, responses, references, "accelerance", np.ones(shape) + 0j, np.ones(shape), 1)
+    return replace(given, values=FRFProblem(model, given).functions({"K_primary": 590.0}))
+
+
+def sits_elsewhere(model):
+    return of_bogie(model, (GIRDER, BOX, replace(CROSSBAR, point=(1.115, 0.62, 0.75)))).values
+
+
+def turned(sound, other, angle):
+    return np.cos(np.radians(angle)) * sound + np.sin(np.radians(angle)) * other
+
+
+def turned_sensor(model):
+    other = of_bogie(model, (GIRDER, replace(BOX, direction="x"), CROSSBAR)).values
+    out = of_bogie(model).values
+    out[:, 1] = turned(out[:, 1], other[:, 1], 12.0)
+    return out
+
+
+def turned_force(model):
+    other = of_bogie(model, references=(GIRDER, replace(BOX_FORCE, direction="y"))).values
+    out = of_bogie(model).values
+    out[:, :, 1] = turned(out[:, :, 1], other[:, :, 1], -12.0)
+    return out
+
+
+def talks_across(model):
+    out = of_bogie(model).values
+    out[:, 1] += 0.15 * out[:, 2]
+    return out
+
+
+@pytest.mark.parametrize(
+    ("plant", "name", "value", "words"),
+    [
+        (sits_elsewhere, "place_z_3y", 50.0, "sensor 3y sits 5 cm off along +z"),
+        (turned_sensor, "rotation_2y_x", 12.0, "sensor 2y is turned by 12 deg towards x"),
+        (turned_force, "rotation_force_4x_y", -12.0, "force at 4x is turned by 12 deg away from y"),
+        (talks_across, "cross_talk_3y_2y", 0.15, "sensor 2y reads 15 % of sensor 3y beside its own motion"),
+    ],
+)
+def test_a_planted_fault_of_a_transducer_is_named(bogie, plant, name, value, words):
+    rng = np.random.default_rng(5)
+    values, sound = plant(bogie), of_bogie(bogie)
+    std = 0.01 * np.abs(values) + 1e-4 * np.abs(values).max()
+    noise = std * (rng.standard_normal(values.shape) + 1j * rng.standard_normal(values.shape))
+    pair = FRFResidual(FRFProblem(bogie, replace(sound, values=values + noise, std=std))).suspected()
+    space = bogie.space.keep(["K_primary"])
+    found = explain(ModelHypotheses(pair, Variants(bogie, (), ()), space))
+    assert found.verdict == "measurement" and [t.names[0] for t in found.blamed] == [name]
+    fitted, spread = found.fault.magnitude(name)
+    assert abs(fitted - value) < 4 * spread
+    (effect,) = found.fault.effects
+    assert effect.told(value) == words

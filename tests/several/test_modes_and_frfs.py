@@ -8,10 +8,13 @@ import pytest
 
 import calib
 from calib import cli
+from calib.analyses.adapters import adapter_of
 from calib.errors import InputError
+from calib.front.explained import _adapters
 from calib.loading import module_of
 from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
+from calib.results import Results
 from calib.several import load
 
 WORLD = module_of(Path(__file__).parents[1] / "template/frf_chain.py")
@@ -116,6 +119,20 @@ def test_a_study_may_name_parameters_of_a_test_itself(tmp_path):
         else:
             with pytest.raises(InputError, match=name):
                 load(study)
+
+
+def test_faults_of_channels_of_the_same_name_belong_to_their_tests(tmp_path):
+    """In Python and as a study: another test has its own cables."""
+    frfs = WORLD.measured(3, share=0.1, floor=0.02)
+    problem = calib.Problem(WORLD.chain(), [calib.FRFTest(frfs, name=name) for name in ("before", "after")])
+    first, second = _adapters(problem, {}, 1).values()
+    names = [{f.name for f in one.hypotheses.faults} for one in (first, second)]
+    assert "gain_1x in test before" in names[0] and "cross_talk_3x_1x in test after" in names[1]
+    assert not names[0] & names[1]
+    shaker = load(write_study(tmp_path / "chain")).studies[0]
+    assert shaker.test == "shaker"
+    adapter = adapter_of(shaker, Results.at(tmp_path / "results", "chain"), lambda *a: None, ())
+    assert "gain_1x in test shaker" in {f.name for f in adapter.hypotheses.faults}
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,89 @@
+"""Measured FRFs of response channels that read a share of another channel.
+
+Such a channel reads ``r + s q``, with r and q the rows of both sensors (see `calib.correlation.frf_rows`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calib.correlation.frf_prior import LIMIT, in_test, index_of, require_positive
+from calib.errors import InputError
+from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.modal import Sensor
+from calib.space import Parameter
+from calib.structure.model import StructuralModel
+from calib.structure.reduced import ReducedModel
+
+
+@dataclass(frozen=True)
+class CrossTalkError:
+    """Share of the motion at another sensor that a response channel reads beside its own.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        Whose channel reads it.
+    source : Sensor
+        Of the other channel, which may be held out.
+    prior_sd : float
+        Of the share; 0.1 is 10 %.
+    test : str
+        As of `ChannelError`.
+
+    Raises
+    ------
+    InputError
+        When both are the same sensor, or for a standard deviation that is not positive.
+    """
+
+    sensor: Sensor
+    source: Sensor
+    prior_sd: float
+    test: str = field(default="", kw_only=True)
+
+    def __post_init__(self) -> None:
+        if self.sensor.name == self.source.name:
+            raise InputError("both are the same sensor", place=self.place, remedy="give another source")
+        require_positive(self.prior_sd, self.place)
+
+    @property
+    def name(self) -> str:
+        """Of the sensor whose channel reads it."""
+        return self.sensor.name
+
+    @property
+    def place(self) -> str:
+        """As messages name it."""
+        return f"cross-talk of {self.source.name} into {self.name}"
+
+    def among(self, measured: MeasuredFRFs) -> tuple[str, ...]:
+        """Names of all responses."""
+        return tuple(sensor.name for sensor in measured.responses)
+
+    @property
+    def parameter(self) -> Parameter:
+        """Such as ``cross_talk_11z_12z``, of 11z into 12z."""
+        reach, end = min(LIMIT * self.prior_sd, 1.0), in_test(self.test)
+        return Parameter(
+            f"cross_talk_{self.source.name}_{self.name}{end}", 0.0, -reach, reach, "-", prior_sd=self.prior_sd,
+            description=f"share of the motion at {self.source.name} that the channel of {self.name} reads{end}",
+        )  # fmt: skip
+
+    def at(self, measured: MeasuredFRFs) -> tuple[int | None, int | None]:
+        """Index of its response, and no reference."""
+        return index_of(measured.responses, self.name), None
+
+    def other(self, model: StructuralModel | ReducedModel) -> np.ndarray:
+        """Motion at the other sensor, (n_dof,); InputError where the model cannot place it."""
+        return np.asarray(model.sensor_rows([self.source])[0])
+
+    def weights(self, value: float) -> tuple[float, float]:
+        """Nothing, and the share; see `calib.correlation.frf_rows`."""
+        return 0.0, value
+
+    def slopes(self, value: float) -> tuple[float, float]:
+        """Their derivatives."""
+        return 0.0, 1.0

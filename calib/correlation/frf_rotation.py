@@ -1,0 +1,111 @@
+"""Measured FRFs of transducers whose axis is not the stated one.
+
+A transducer that is turned by an angle a towards another axis measures, or drives, the motion ``cos a r + sin a q``
+instead of r, with r and q the rows along both axes (see `calib.correlation.frf_rows`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calib.correlation.frf_prior import LIMIT, Side, in_test, index_of, require_positive
+from calib.errors import InputError
+from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.modal import DIRECTIONS, Sensor
+from calib.space import Parameter
+from calib.structure.model import StructuralModel
+from calib.structure.reduced import ReducedModel
+
+LARGEST = 60.0
+"""Largest misalignment, deg: beyond it another axis was taken."""
+
+
+@dataclass(frozen=True)
+class RotationError:
+    """Misalignment of a response sensor, or of a force, towards one other axis.
+
+    An accelerometer and a force of the same name are mounted each for itself, so that they are two errors.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        Along x, y or z.
+    towards : {"x", "y", "z"}
+        Another axis.
+    prior_sd : float
+        deg.
+    side : {"response", "reference"}
+    test : str
+        As of `ChannelError`.
+
+    Raises
+    ------
+    InputError
+        For a sensor of a rotation, its own axis, an unknown side, or a standard deviation that is not positive.
+    """
+
+    sensor: Sensor
+    towards: str
+    prior_sd: float
+    side: Side = "response"
+    test: str = field(default="", kw_only=True)
+
+    def __post_init__(self) -> None:
+        own, axes = self.sensor.direction, DIRECTIONS[:3]
+        if own not in axes or self.towards not in axes or own == self.towards:
+            raise InputError(
+                f"{own!r} is turned towards {self.towards!r}", place=self.place, remedy="give two of x, y and z"
+            )
+        if self.side not in ("response", "reference"):
+            raise InputError(f"it is of a {self.side!r}", place=self.place, remedy="give response or reference")
+        require_positive(self.prior_sd, self.place)
+
+    @property
+    def name(self) -> str:
+        """Of its transducer."""
+        return self.sensor.name
+
+    @property
+    def place(self) -> str:
+        """As messages name it."""
+        return f"rotation of {self.name}"
+
+    def among(self, measured: MeasuredFRFs) -> tuple[str, ...]:
+        """Names of all transducers of its side."""
+        return tuple(s.name for s in (measured.responses if self.side == "response" else measured.references))
+
+    @property
+    def parameter(self) -> Parameter:
+        """Such as ``rotation_12z_x``, or ``rotation_force_3z_x`` of a reference."""
+        force, reach, end = "force_" if self.side == "reference" else "", LIMIT * self.prior_sd, in_test(self.test)
+        return Parameter(
+            f"rotation_{force}{self.name}_{self.towards}{end}", 0.0, -min(reach, LARGEST), min(reach, LARGEST), "deg",
+            prior_sd=self.prior_sd,
+            description=f"rotation of {self.side} {self.name} towards {self.towards}{end}",
+        )  # fmt: skip
+
+    def at(self, measured: MeasuredFRFs) -> tuple[int | None, int | None]:
+        """Index of its response or of its reference."""
+        if self.side == "response":
+            return index_of(measured.responses, self.name), None
+        return None, index_of(measured.references, self.name)
+
+    def other(self, model: StructuralModel | ReducedModel) -> np.ndarray:
+        """Motion along the other axis, (n_dof,); InputError where the model has none."""
+        try:
+            (row,) = model.sensor_rows([replace(self.sensor, direction=self.towards)])
+        except InputError as fault:
+            raise InputError(
+                f"along {self.towards} {fault.problem}", place=self.place, remedy="leave it out of the nuisances"
+            ) from None
+        return np.asarray(row)
+
+    def weights(self, value: float) -> tuple[float, float]:
+        """Of both axes, that of its own beside 1, at an angle in rad; see `calib.correlation.frf_rows`."""
+        return float(np.cos(value)) - 1, float(np.sin(value))
+
+    def slopes(self, value: float) -> tuple[float, float]:
+        """Their derivatives, 1/rad."""
+        return -float(np.sin(value)), float(np.cos(value))
