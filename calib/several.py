@@ -51,7 +51,9 @@ class JointStudy(StudyFile):
             if not any(name in study.search_space for study in studies):  # a test's own parameters, too
                 mark: Mark = "value" if isinstance(keys[-1], int) else "key"
                 place = file.place(*keys, mark=mark)
-                raise InputError(f"no model has a parameter {name!r}", place=place, remedy="correct its name")
+                raise InputError(
+                    f"neither a model nor a test has a parameter {name!r}", place=place, remedy="correct its name"
+                )
             if keys[0] == "selection" and not any(name in study.search_space.free_names for study in studies):
                 raise InputError(
                     f"parameter {name!r} is fixed in every test and cannot be selected", place=file.place(*keys),

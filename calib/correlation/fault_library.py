@@ -191,7 +191,7 @@ def _shifts(model: ModalModel, k: int, sensor: Sensor, at: At) -> Iterator[Modal
         shares = (Share(k, last, factor=1 / length), Share(k, first, factor=-1 / length))
         yield ModalFault(
             _sized(name, size, -5 * size, 5 * size, "mm"), name, LACKS["place"], LOOK_FOR["place"],
-            partial(place_words, sensor.name, axis), "place", *at, shares=shares,
+            partial(place_words, f"sensor {sensor.name}", axis), "place", *at, shares=shares,
         )  # fmt: skip
 
 
@@ -210,9 +210,11 @@ def cross_talk_words(name: str, source: str, by: float) -> str:
     return f"sensor {name} reads {100 * by:.2g} % of sensor {source} beside its own motion"
 
 
-def place_words(name: str, axis: str, by: float) -> str:
+def place_words(what: str, axis: str, by: float) -> str:
     """An error of a place in mm in words, such as ``sensor 12y sits 2.4 cm off along +x``."""
-    return f"sensor {name} sits {abs(by) / 10:.2g} cm off along {'+' if by > 0 else '-'}{axis}"
+    return (
+        f"{what} {'sit' if ' and ' in what else 'sits'} {abs(by) / 10:.2g} cm off along {'+' if by > 0 else '-'}{axis}"
+    )
 
 
 def _moves(model: ModalModel, source: Sensor, own: np.ndarray) -> bool:

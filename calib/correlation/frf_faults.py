@@ -66,12 +66,13 @@ def frf_faults(
 ) -> tuple[FRFFault, ...]:
     """Faults that a test of a model's FRFs may have, without errors that its fits determine anyway.
 
-    Of every response and reference gain, phase and delay, and the misalignment towards every other axis along which the
-    model moves there. Of every response the place along each axis in which the mesh runs there, and the share it reads
-    of the channels before and after it. An error of the only reference is the same as that of all responses.
+    Of every response and reference gain, phase and delay, the misalignment towards every other axis along which the
+    model moves there, and the place along each axis in which the mesh runs there. Of every response also the share it
+    reads of the channels before and after it among those that are fitted. Gain, phase and delay of the only reference
+    are the same as those of all responses.
 
     At a drive point the place is that of both: exciter and accelerometer are mounted at one point, so that the fault
-    moves the force too. Elsewhere it moves the response alone. Their axes are turned each for itself.
+    moves the force too. Their axes are turned each for itself.
 
     Parameters
     ----------
@@ -169,8 +170,11 @@ def _delay(what: str, seconds: float) -> str:
 def _of_transducers(model: Model, measured: MeasuredFRFs) -> Iterator[FRFFault]:
     for side, sensor in _transducers(measured):
         yield from _rotations(model, side, sensor)
+    responses, references = ({s.name for s in some} for some in (measured.responses, measured.references))
+    for sensor in measured.sensors:
+        sides = [word for word, names in (("sensor", responses), ("force", references)) if sensor.name in names]
+        yield from _places(model, sensor, " and ".join(sides))
     for k, sensor in enumerate(measured.responses):
-        yield from _places(model, sensor)
         for source in neighbours(measured.responses, k):
             told = partial(cross_talk_words, sensor.name, source.name)
             error = CrossTalkError(sensor, source, CROSS_TALK)
@@ -188,19 +192,19 @@ def _rotations(model: Model, side: Side, sensor: Sensor) -> Iterator[FRFFault]:
         yield _fault(error, "rotation", f"{what} towards {axis}", lacks, told, sensor)
 
 
-def _places(model: Model, sensor: Sensor) -> Iterator[FRFFault]:
-    """Of the axes x, y, z, each once: where two members go along one, the longer way gives the plausible size."""
+def _places(model: Model, sensor: Sensor, what: str) -> Iterator[FRFFault]:
+    """Along the axes x, y, z, each once: where two members go along one, the longer way gives the plausible size."""
     sizes: dict[str, float] = {}
     for way, before, after in ways(model, sensor):
         sizes[way[0]] = max(shift_size(before, after), sizes.get(way[0], 0.0))
     for axis, size in sizes.items():
-        error, told = PlaceError(sensor, axis, size), partial(place_words, sensor.name, axis)
+        of = f"{what} {sensor.name}" if what == "sensor" else f"{what} at {sensor.name}"
+        error, told = PlaceError(sensor, axis, size), partial(place_words, of, axis)
         if not _matters(error, model):
             continue
         reach = _FARTHEST * size
         magnitude = replace(error.parameter, lower=-reach, upper=reach)
-        of = f"sensor {sensor.name} along {axis}"
-        yield _fault(error, "place", of, LACKS["place"], told, sensor, magnitude)
+        yield _fault(error, "place", f"{of} along {axis}", LACKS["place"], told, sensor, magnitude)
 
 
 def _matters(error: PlaceError, model: Model) -> bool:

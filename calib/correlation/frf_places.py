@@ -16,6 +16,8 @@ from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.space import Parameter
+from calib.structure.along_mesh import along_mesh
+from calib.structure.geometry import Mesh, at_nodes
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
 
@@ -94,8 +96,12 @@ class PlaceError:
         """Change of the motion at the sensor over its distance, (n_dof,), in 1/m; zero where its place has no effect.
 
         A secant from one standard deviation on one side to one on the other, since motions are interpolated in pieces.
-        Where the model ends on one side, it starts at the stated place; InputError where it ends on both.
+        Where the model ends on one side, it starts at the stated place; InputError where it ends on both. Of a model
+        that finds nodes only, the gradient between the nodes before and after it along the mesh.
         """
+        whole = model.model if isinstance(model, ReducedModel) else model
+        if at_nodes(whole.locator):
+            return self._between_nodes(model, whole.mesh)
         reach = self.parameter.si_factor * self.prior_sd
         try:
             up, down = model.sensor_rows([self._moved(reach), self._moved(-reach)])
@@ -114,6 +120,16 @@ class PlaceError:
     def slopes(self, value: float) -> tuple[float, float]:
         """Their derivatives."""
         return 0.0, 1.0
+
+    def _between_nodes(self, model: StructuralModel | ReducedModel, mesh: Mesh) -> np.ndarray:
+        (here,) = model.sensor_rows([self.sensor])
+        assert self.sensor.point is not None
+        found = along_mesh(mesh, self.sensor.point) if mesh.placed.all() else []
+        for _, before, after in (way for way in found if way[0][0] == self.along):
+            ends = [replace(self.sensor, point=(float(p[0]), float(p[1]), float(p[2]))) for p in (before, after)]
+            first, last = model.sensor_rows(ends)
+            return np.asarray((last - first) / (after - before)[DIRECTIONS.index(self.along)])
+        return np.zeros_like(here)
 
     def _moved(self, distance: float) -> Sensor:
         """The sensor at a distance along the axis, m."""

@@ -119,7 +119,7 @@ def cmcf(
         reduced = Reduced.of(model, theta)
         path.append(theta)
         freq.append(reduced.freq(settings.orders))
-        if np.all(np.abs(freq[-1] - freq[-2]) < settings.tolerance * freq[-2]):
+        if np.all(np.abs(freq[-1] - freq[-2]) <= settings.tolerance * freq[-2]):
             converged = True
             break
     return CmcfResult(tuple(c.name for c in model.changes), np.array(path), np.array(freq), converged, builds)

@@ -153,7 +153,7 @@ class MeasuredFRFs:
     @property
     def claimed(self) -> str:
         """The claimed accuracy in words; empty without."""
-        words = "at each line by itself; errors that lines share, such as places and gains, belong into nuisances"
+        words = "at each line by itself; errors that lines share, such as places and gains, belong in nuisances"
         return f"{self.accuracy.words('SI')} of FRFs, {words}" if self.accuracy.given else ""
 
     @property

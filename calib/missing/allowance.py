@@ -48,7 +48,7 @@ class Allowance:
 
     @contextmanager
     def unlimited(self) -> Iterator[None]:
-        """As `uncharged`; nor do fits within this context end early because the budget is used up."""
+        """As `uncharged`; nor do fits within this context end early, though `spent` goes on telling what is used."""
         limited, self._limited = self._limited, False
         try:
             with self.uncharged():

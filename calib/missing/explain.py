@@ -18,7 +18,7 @@ from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.linearised_fit import nearest_whole
 from calib.missing.pairs import alone, fit_pairs
-from calib.missing.refits import DEFAULT, EARLY, Refits, Settings
+from calib.missing.refits import DEFAULT, EARLY, Refits, Settings, near_to
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
 from calib.missing.stepwise import Stepwise, further_price
@@ -104,10 +104,10 @@ class _Decision:
     def explanation(self, starts: dict[tuple[str, ...], dict[str, float]]) -> Explanation:
         """Decide; ``starts`` are the parameter values fitted by an earlier decision, by the names of their effects."""
         fits, hypotheses, alpha = self.fits, self.fits.hypotheses, self.fits.settings.alpha
-        base = self.calibrated(starts.get(()))
+        base = fits.finished(self.calibrated(starts.get(())))
         able, named = self.candidates(base)
         adequacy = adequacy_of(fits, base, named)
-        better = base if starts or adequacy.passes(alpha) else fits.beside_whole(base)
+        better = base if starts or adequacy.passes(alpha) else fits.finished(fits.beside_whole(base))
         if better is not base:
             base = better
             able, named = self.candidates(base)
@@ -123,16 +123,16 @@ class _Decision:
         if not groups:
             return self.unlisted(found)
         singles = fits.singles(base, groups, adequacy.named, starts)
-        found = self.with_competing(found, singles[0])
+        lead = self.lead(singles, able, base)
+        found = self.with_competing(found, lead.singles[0])
         needed = self.needed(found)
-        lead = self.lead(singles, able)
         found = replace(found, measured_scale=measured_scale(fits, base, lead.best, found.perturbation, found.fault))
         settled = self.accepted(lead, needed) and not found.measured_scale > RULES.guard
         blamed = self.blamed(found, lead, needed)
         if not settled and blamed is None and not starts and fits.settings.budget > 0 and led_astray(base, adequacy):
             with fits.allowance.uncharged():  # refits from the nominal values have their own budget
-                singles = anew(fits, base, singles, able)
-            lead = self.lead(singles, able)
+                singles = anew(fits, base, lead.singles, able)
+            lead = self.lead(singles, able, base)
             factor = measured_scale(fits, base, lead.best, found.perturbation, found.fault)
             found = replace(found, begun_anew=True, measured_scale=factor)
             blamed = self.blamed(found, lead, needed)
@@ -146,12 +146,12 @@ class _Decision:
             )
         if self.accepted(lead, needed):
             return self.named(found, lead)
-        lead = self.moved(lead, able)
+        lead = self.moved(lead, able, base)
         if self.accepted(lead, needed):
             return self.named(found, lead)
         pairs = fit_pairs(fits, lead.best, lead.adequacy.named, lead.singles, able)
         again = alone(fits, lead.singles, pairs)
-        lead = lead if again is lead.singles else self.lead(again, able)
+        lead = lead if again is lead.singles else self.lead(again, able, base)
         if self.accepted(lead, needed):
             return self.named(found, lead)
         factor = measured_scale(fits, base, lead.best, found.perturbation, found.fault, *pairs[:1])
@@ -194,8 +194,12 @@ class _Decision:
     def with_competing(self, found: Explanation, best: CandidateFit) -> Explanation:
         """Add the competing explanations: a local perturbation, a measurement fault and a wrong datum."""
         fits, h, base, adequacy = self.fits, self.fits.hypotheses, found.base, found.base_adequacy
+        margin = near_to(best.ln_evidence - base.ln_evidence)
         perturbation = fits.best_perturbation(base, adequacy.perturbations, adequacy.named, best)
+        if perturbation is not None and perturbation.ln_evidence > best.ln_evidence - margin:
+            perturbation = fits.finished(perturbation)
         faults = () if adequacy.faults is None else fits.faults(base, adequacy.faults, best)
+        faults = tuple(fits.settled(faults, RULES.credible)) if faults else ()
         fault = faults[0] if faults else None
         if adequacy.faults is None:
             fault = fits.fault(base, adequacy.perturbations, best)
@@ -239,13 +243,13 @@ class _Decision:
             measured_scale=measured_scale(self.fits, found.base, fault),
         )  # fmt: skip
 
-    def moved(self, lead: _Lead, able: Sequence[Candidate]) -> _Lead:
+    def moved(self, lead: _Lead, able: Sequence[Candidate], base: CandidateFit) -> _Lead:
         """The lead after the integer parameters are chosen again with the best effect in the model."""
         moved = self.fits.moved(lead.best)
         if moved is None:
             return lead
         others = [t for t in lead.singles if t is not lead.best]
-        return self.lead(sorted([moved, *others], key=lambda t: -t.ln_evidence), able)
+        return self.lead([moved, *others], able, base)
 
     def two_effects(
         self, found: Explanation, lead: _Lead, pairs: Sequence[CandidateFit], able: Sequence[Candidate]
@@ -253,6 +257,7 @@ class _Decision:
         """Explanation by two effects, with those collinear with them; None when no pair may be named."""
         second = further_price(len(found.groups) - 1)
         needed = max(lead.singles[0].ln_evidence + second, self.unlike_effects(found))
+        pairs = self.fits.settled(pairs, RULES.credible)
         pair = self.pair(pairs, needed, found.groups)
         if not pair:
             return None
@@ -373,14 +378,16 @@ class _Decision:
         """Whether the leading effect may be named."""
         return lead.best.ln_evidence > needed and not lead.best.implausible and adequate(self.fits, lead.adequacy)
 
-    def lead(self, singles: list[CandidateFit], candidates: Sequence[Candidate]) -> _Lead:
-        """The effect of the highest evidence, with its tests; a plausible one nearly as good is preferred."""
-        first = self.fits.finished(singles[0])
-        if first is not singles[0]:
-            singles = sorted([first, *singles[1:]], key=lambda t: -t.ln_evidence)
-        near = [t for t in singles if t.ln_evidence > singles[0].ln_evidence - RULES.credible and not t.implausible]
-        best = near[0] if near else singles[0]
-        return _Lead(singles, best, adequacy_of(self.fits, best, beside(self.fits, best, candidates)))
+    def lead(self, singles: Sequence[CandidateFit], candidates: Sequence[Candidate], base: CandidateFit) -> _Lead:
+        """The effect of the highest evidence, with its tests; a plausible one nearly as good is preferred.
+
+        It and the effects near to it are fitted until they converge first.
+        """
+        reached = max(t.ln_evidence for t in singles) - base.ln_evidence
+        ranked = self.fits.settled(singles, near_to(reached))
+        near = [t for t in ranked if t.ln_evidence > ranked[0].ln_evidence - RULES.credible and not t.implausible]
+        best = near[0] if near else ranked[0]
+        return _Lead(ranked, best, adequacy_of(self.fits, best, beside(self.fits, best, candidates)))
 
     def pair(self, pairs: Sequence[CandidateFit], needed: float, groups: Sequence[Group]) -> tuple[CandidateFit, ...]:
         """The pair of effects that may be named, with pairs collinear with it; empty when there is none.

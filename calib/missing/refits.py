@@ -27,6 +27,8 @@ from calib.stage import Progress
 
 _CONTINUED = 4
 """Fits that continue one which has not converged."""
+_WALK = 6
+"""Steps from integers to better ones nearby."""
 EARLY, LATE = 0.7, 0.85
 """Parts of the budget: for single effects, and for choosing integer parameters again."""
 
@@ -340,8 +342,20 @@ class Refits:
         best = self.beside_whole(best)
         return None if best is candidate_fit else best
 
+    def settled(self, fits: Sequence[CandidateFit], margin: float) -> list[CandidateFit]:
+        """Fits sorted by evidence, of which those within a margin of the best are `finished`."""
+        out, tried = sorted(fits, key=lambda t: -t.ln_evidence), set[tuple[str, ...]]()
+        while True:
+            near = (t for t in out if t.ln_evidence >= out[0].ln_evidence - margin)
+            first = next((t for t in near if not t.fit.converged and t.names not in tried), None)
+            if first is None:
+                return out
+            tried.add(first.names)
+            finished = self.finished(first)
+            out = sorted((finished if t is first else t for t in out), key=lambda t: -t.ln_evidence)
+
     def finished(self, candidate_fit: CandidateFit) -> CandidateFit:
-        """The fit continued until it converges, as one of many parameters may not have within its first iterations.
+        """The fit continued, a few times, until it converges: many parameters need more than its first iterations.
 
         As a verdict rests on it, the budget is not charged.
         """
@@ -357,14 +371,14 @@ class Refits:
         return best
 
     def beside_whole(self, candidate_fit: CandidateFit) -> CandidateFit:
-        """The best of the fits with integers nearby, each at most one off, until none is better.
+        """The best of the fits with integers nearby, each at most one off, until none is better by `Rules.worth`.
 
         They are fitted: where residuals turn sharply, such as near resonances, one step predicts the integers badly.
         As the answer depends on them, the budget is not charged.
         """
         best = candidate_fit
         with self.allowance.unlimited():
-            while self.settings.budget > 0:
+            for _ in range(_WALK if self.settings.budget > 0 else 0):
                 values = best.fit.values
                 others = other_whole(self.fit_problem(best.names), values)
                 better = self._better(best, [{**values, **other} for other in others])
@@ -383,4 +397,4 @@ class Refits:
         if found is best or found.fit.misfit > RULES.hopeless * best.fit.misfit:
             return best
         found = self.candidate_fit(best.names, found.fit.values)
-        return found if found.fit.misfit < best.fit.misfit else best
+        return found if found.fit.misfit < best.fit.misfit - RULES.worth else best

@@ -120,8 +120,11 @@ def verdict(
         )
     if found.names_something or found.verdict in ("partial", "unconfirmed"):
         sure.append(_OUTSIDE)
-    if found.verdict == "effect" and (datum := deciding(found.suspects)):
-        sure.append(f"Without {datum} the base model would fit too: check that measurement.")
+    if found.verdict == "effect" and found.chosen is not None and (datum := deciding(found.suspects)):
+        sure.append(
+            f"To first order the base model would fit without {datum}, but {found.chosen.names[0]} explains the misfit "
+            f"better, by odds of more than {as_ratio(RULES.credible)}."
+        )
     if assumed:
         sure.append(f"These results rest on an assumed standard deviation: {assumed}.")
     answer = Answer(words.found, " ".join(sure), f"{words.then} {short}".strip())

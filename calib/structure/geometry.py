@@ -109,3 +109,13 @@ class NodeLocator:
         distance = np.linalg.norm(self.points - np.asarray(point, dtype=float), axis=1)
         nearest = int(np.argmin(distance))
         return self.expansion[[6 * nearest + direction]].toarray()[0], float(distance[nearest])
+
+
+def at_nodes(locator: Locator) -> bool:
+    """Whether a locator finds nodes only, so that the motion between them is unknown."""
+    while not isinstance(locator, NodeLocator):
+        inner = getattr(locator, "inner", None)  # that of an extended model
+        if inner is None:
+            return False
+        locator = inner
+    return True

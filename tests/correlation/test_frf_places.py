@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import calib
@@ -167,3 +168,18 @@ def test_places_that_were_not_measured_or_have_no_effect_are_refused(bogie):
     data = MeasuredFRFs(FREQ, (sensor,), (sensor,), "receptance", ones + 0j, ones)
     with pytest.raises(InputError, match="table of sensors"):
         of_every_place(data, 1.0, chain)
+
+
+@pytest.mark.parametrize("spacing", [0.05, 0.19, 0.3])
+def test_of_a_model_that_finds_nodes_only_the_motion_changes_as_between_them(spacing):
+    """A chain along x with a linear motion: whatever its spacing and the prior, the slope is that of the motion."""
+    count = 5
+    nodes = np.arange(1, count + 1)
+    dofs = pd.DataFrame({"node": nodes, "direction": "y", "x": spacing * (nodes - 1), "y": 0.0, "z": 0.0})
+    lines = [(k, k + 1) for k in range(1, count)]
+    model = StructuralModel.from_matrices(1e4 * np.eye(count), np.eye(count), np.eye(count), dofs=dofs, lines=lines)
+    shape = spacing * np.arange(count)
+    for node in (1, 3, 5):
+        error = PlaceError(Sensor(node, "y", (spacing * (node - 1), 0.0, 0.0)), "x", 20.0)
+        assert error.other(model) @ shape == pytest.approx(1.0)
+        assert not replace(error, along="z").other(model).any()

@@ -7,7 +7,7 @@ import pytest
 
 from calib.errors import EvaluationError
 from calib.missing.explain import Settings, explain
-from calib.missing.linearised_fit import fitted
+from calib.missing.linearised_fit import FINE, fitted
 from calib.missing.pairs import fit_pairs
 from calib.missing.refits import Refits
 from calib.stage import unheard
@@ -155,3 +155,33 @@ def test_integers_are_followed_by_fits_whatever_the_budget(toy):
     assert fits.allowance.used == before and made.evaluations > before + 10
     assert fits.beside_whole(found) is found
     assert Refits(made, Settings(budget=0), 1.0, unheard).beside_whole(wrong) is wrong
+
+
+SHORT = replace(FINE, iterations=1)
+"""As many parameters need more iterations than there are."""
+
+
+def test_fits_that_do_not_converge_at_once_are_continued_before_they_are_judged(toy):
+    made = toy(curvature=0.3).correlated("E1", "E0", 0.97).drawn(np.random.default_rng(5), {"E0": 1.5})
+    fits = Refits(made, Settings(budget=1), 1.0, unheard)
+    start = fits.candidate_fit(("E0",), {**made.base.values, "E0": 0.2}, settings=SHORT)
+    assert not start.fit.converged and fits.spent()
+    before = fits.allowance.used
+    finished = fits.finished(start)
+    assert finished.fit.converged and finished.fit.misfit < start.fit.misfit and fits.allowance.used == before
+    assert fits.finished(finished) is finished
+
+
+def test_near_rivals_are_fitted_as_far_as_the_leader(toy):
+    """Whichever is ahead at first, both are judged where they converge."""
+    made = toy(curvature=0.3).correlated("E1", "E0", 0.97).drawn(np.random.default_rng(5), {"E0": 1.5})
+    exact = {t.names: t.ln_evidence for t in explain(made).singles}
+    fits = Refits(made, Settings(), 1.0, unheard)
+    starts = {"E0": 0.1, "E1": 1.5}
+    ends = [fits.candidate_fit((n,), {**made.base.values, n: size}, settings=SHORT) for n, size in starts.items()]
+    assert not any(one.fit.converged for one in ends)
+    ranked = fits.settled(ends, 1e6)
+    assert all(one.fit.converged for one in ranked) and ranked[0].ln_evidence >= ranked[1].ln_evidence
+    for one in ranked:
+        assert one.ln_evidence == pytest.approx(exact[one.names], abs=0.05)
+    assert fits.settled(ends, -1.0)[0] in ends  # nothing is near to the best

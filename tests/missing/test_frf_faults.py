@@ -111,7 +111,20 @@ def test_transducers_have_the_faults_of_a_modal_test(bogie):
     assert sizes["place_x_1y"] == (100.0, -500.0, 500.0) and sizes["rotation_2y_x"] == (15.0, -60.0, 60.0)
     assert sizes["cross_talk_2y_1y"] == (0.1, -1.0, 1.0)
     assert found["rotation_force_4x_y"].told(12.0) == "force at 4x is turned by 12 deg towards y"
-    assert found["place_x_1y"].title == "place of sensor 1y along x" and found["place_x_1y"].place == GIRDER.point
+    assert found["place_x_1y"].title == "place of sensor and force at 1y along x"
+    assert found["place_x_1y"].told(24.0) == "sensor and force at 1y sit 2.4 cm off along +x"
+    assert found["place_x_1y"].place == GIRDER.point and found["place_z_3y"].title == "place of sensor 3y along z"
+
+
+def test_the_place_of_every_force_is_suspected(bogie):
+    """A hammer that roves: one response and a force at two other points."""
+    data = of_bogie(bogie)
+    roving = MeasuredFRFs(
+        data.freq, data.responses[:1], (data.responses[0], data.responses[2]), "accelerance",
+        np.ones((len(data.freq), 1, 2)) + 0j, np.ones((len(data.freq), 1, 2)),
+    )  # fmt: skip
+    found = {f.name: f.title for f in frf_faults(bogie, roving) if f.kind == "place"}
+    assert found["place_z_3y"] == "place of force at 3y along z"
 
 
 def test_sensors_without_places_have_no_fault_of_a_place():

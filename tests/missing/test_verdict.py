@@ -186,7 +186,7 @@ def test_a_datum_on_which_all_rests_is_stated_with_how_sure(cases):
     found = cases["effect"]
     table = pd.DataFrame({"what": ["frequency of M2", "mode M2"], "explains": [True, True]})
     asked = replace(found, suspects=table.assign(p=1e-9, p_fit_without=0.1))
-    warned = "Without frequency of M2 the base model would fit too"
+    warned = "To first order the base model would fit without frequency of M2, but E2 explains the misfit better"
     assert warned in text_of(asked) and warned not in text_of(found)
     assert warned not in text_of(replace(asked, suspects=asked.suspects.assign(explains=False)))
 

@@ -127,7 +127,6 @@ def _effect_rows(table: pd.DataFrame) -> Table:
         plausible = with_unit(r["plausible"], unit, 2)
         remarks = [
             *(["credible"] if flag(r["credible"]) else []),
-            *(["far behind: not refitted"] if flag(r["visible"]) and not flag(r["refitted"]) else []),
             *([] if flag(r["visible"]) else [f"not visible at a plausible magnitude of {plausible}"]),
             *([str(r["implausible"])] if r["implausible"] else []),
             *([f"confounded with {r['confounded_with']}"] if r["confounded_with"] else []),

@@ -63,10 +63,10 @@ def _of_named(table: pd.DataFrame, results: StudyResults, heads: tuple[str, ...]
     now = results.table("effects", ["name"], ["magnitude_low", "magnitude_high"], blank=["unit"])
     if now is None:
         return [Table(caption, heads, _rows(own, False), (1, 2), unfolded=True)]
-    half = {r["name"]: ((r["magnitude_high"] - r["magnitude_low"]) / 2, str(r["unit"])) for r in now.to_dict("records")}
+    widths = {r["name"]: (r["magnitude_high"] - r["magnitude_low"], str(r["unit"])) for r in now.to_dict("records")}
     told = [
-        (*row, f"from ± {with_unit(size, unit, 2)} to about ± {with_unit(size / gain, unit, 2)}")
-        for row, (size, unit), gain in zip(_rows(own, False), own["effect"].map(half), own["gain"], strict=True)
+        (*row, f"{with_unit(width, unit, 2)} wide, then about {with_unit(width / gain, unit, 2)}")
+        for row, (width, unit), gain in zip(_rows(own, False), own["effect"].map(widths), own["gain"], strict=True)
     ]
     return [Table(caption, (*heads, "95 % interval"), tuple(told), (1, 2), unfolded=True)]
 

@@ -221,10 +221,10 @@ def test_what_narrows_the_named_effect_has_a_table_of_its_own(everything, blocks
     assert [row[0] for row in table.rows] == own["measurement"].tolist()[: len(table.rows)] and len(table.rows) == 5
     assert [row[3].split()[1] for row in table.rows] == [fixed(gain, 2) for gain in own["gain"].head(5)]
     guy = pd.read_csv(everything / "effects.csv").set_index("name").loc["guy"]
-    half = (guy["magnitude_high"] - guy["magnitude_low"]) / 2
+    width = guy["magnitude_high"] - guy["magnitude_low"]
     for row, gain in zip(table.rows, own["gain"].head(5), strict=True):
-        now, then = (with_unit(size, guy["unit"], 2) for size in (half, half / gain))
-        assert row[-1] == f"from ± {now} to about ± {then}"
+        now, then = (with_unit(size, guy["unit"], 2) for size in (width, width / gain))
+        assert row[-1] == f"{now} wide, then about {then}"
     assert not table.folded
 
 
