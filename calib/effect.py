@@ -53,6 +53,23 @@ class Effect(WithMagnitude):
     ------
     InputError
         When the attributes are inconsistent.
+
+    Examples
+    --------
+    A spring that hardens; its model has one stiffness only. Deflections are in mm, loads in N:
+
+    >>> import calib
+    >>> space = calib.ParameterSpace((calib.Parameter("k", 10.0, 5.0, 20.0, "kN/m"),))
+    >>> model = calib.FunctionModel("spring", space, lambda v: {f"load_{d}": v["k"] * d for d in (1, 2, 3, 4)})
+    >>> hardening = calib.Effect(
+    ...     "cubic", "hardening", "Its stiffness is constant.", "Coils that touch.",
+    ...     calib.Parameter("cubic", 0.0, -1.0, 1.0, prior_sd=0.2),
+    ...     lambda model: lambda v: {f"load_{d}": v["k"] * d + v["cubic"] * d**3 for d in (1, 2, 3, 4)},
+    ... )
+    >>> test = calib.ResponseTest({"load_1": 10.3, "load_2": 21.2, "load_3": 33.3, "load_4": 47.2})
+    >>> fit = calib.Problem(model, test).with_effects([hardening]).calibrate()
+    >>> round(fit.values["k"], 1), round(fit.values["cubic"], 1)
+    (10.2, 0.1)
     """
 
     name: str

@@ -30,6 +30,14 @@ class InputError(ValueError):
         In words, such as ``study.toml, line 14`` or ``repeat_1.uff, line 12``.
     at : Place or None
         File, line, column and length as data; the line is also shown in a note of the exception.
+
+    Examples
+    --------
+    >>> import calib
+    >>> calib.Parameter("t", 3.0, 5.0, 1.0, "mm")
+    Traceback (most recent call last):
+        ...
+    calib.errors.InputError: parameter t: lower limit 5 is not below upper limit 1 mm; write limits as [lower, upper].
     """
 
     def __init__(
@@ -93,6 +101,22 @@ class EvaluationError(RuntimeError):
     ----------
     at : Place or None
         Line of the user's code that raised it, or that defines the function whose result is wrong.
+
+    Examples
+    --------
+    A model states where it cannot be evaluated; a sample or search records a failed row, and `Problem.compare` raises:
+
+    >>> import calib
+    >>> def frequency(v):
+    ...     if v["load"] >= 10.0:
+    ...         raise calib.EvaluationError(f"the column buckles under {v['load']:g} kN")
+    ...     return {"f": 5.0 * (1 - v["load"] / 10.0) ** 0.5}
+    >>> space = calib.ParameterSpace((calib.Parameter("load", 1.0, 0.0, 20.0, "kN"),))
+    >>> model = calib.FunctionModel("column", space, frequency)
+    >>> calib.Problem(model, calib.ResponseTest({"f": 4.2})).compare({"load": 12.0})
+    Traceback (most recent call last):
+        ...
+    calib.errors.EvaluationError: the column buckles under 12 kN
     """
 
     def __init__(self, *words: object, at: Place | None = None):

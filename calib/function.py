@@ -31,6 +31,15 @@ class FunctionModel:
     assumptions : tuple of Assumption
     parts : tuple of ScaledPart
         Parts that the function scales where it is asked to; an explanation asks whether one of them is wrong.
+
+    Examples
+    --------
+    >>> import calib
+    >>> space = calib.ParameterSpace((calib.Parameter("EI", 200.0, 100.0, 300.0, "Nm2"),))
+    >>> model = calib.FunctionModel("cantilever", space, lambda v: {"deflection": 10.0 * 0.5**3 / (3 * v["EI"])})
+    >>> problem = calib.Problem(model, calib.ResponseTest({"deflection": (1.6e-3, 1e-5)}))
+    >>> round(problem.calibrate().values["EI"])
+    260
     """
 
     name: str

@@ -52,6 +52,15 @@ class Parameter:
         Description, symbol in the literature, and source of the numbers.
     assumed : str
         States what is an engineering assumption, not published data; empty when nothing is.
+
+    Examples
+    --------
+    >>> import calib
+    >>> stiffness = calib.Parameter("k", 30.0, 1.0, 100.0, "kN/m", prior_sd=5.0)
+    >>> stiffness.value * stiffness.si_factor
+    30000.0
+    >>> stiffness.limit_at(99.5)
+    'upper'
     """
 
     name: str
@@ -125,7 +134,20 @@ class Parameter:
 
 @dataclass(frozen=True)
 class LinearConstraint:
-    """``lower <= sum_k coefficients[k] * theta_k <= upper``, with every theta in its own unit."""
+    """``lower <= sum_k coefficients[k] * theta_k <= upper``, with every theta in its own unit.
+
+    Examples
+    --------
+    Two masses, together 10 kg within 1 kg:
+
+    >>> import numpy as np
+    >>> import calib
+    >>> masses = [calib.Parameter(name, 5.0, 1.0, 10.0, "kg") for name in ("m1", "m2")]
+    >>> total = calib.LinearConstraint("total mass", (("m1", 1.0), ("m2", 1.0)), 9.0, 11.0, "kg")
+    >>> space = calib.ParameterSpace(masses, (total,))
+    >>> space.feasible(np.array([[4.0, 6.0], [8.0, 6.0]])).tolist()
+    [True, False]
+    """
 
     name: str
     coefficients: tuple[tuple[str, float], ...]
@@ -158,6 +180,17 @@ class ParameterSpace:
     ----------
     parameters : tuple of Parameter
     constraints : tuple of LinearConstraint
+
+    Examples
+    --------
+    >>> import calib
+    >>> space = calib.ParameterSpace((
+    ...     calib.Parameter("k", 30.0, 1.0, 100.0, "kN/m"), calib.Parameter("m", 7.0, 1.0, 50.0, "kg"),
+    ... ))
+    >>> space.freeze({"m": 8.0}).free_names
+    ('k',)
+    >>> space.si({"k": 40.0})
+    {'k': 40000.0}
     """
 
     parameters: tuple[Parameter, ...]

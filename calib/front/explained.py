@@ -57,6 +57,22 @@ class Explained(Shown, Generic[P]):
         The tested effects, by the name of the model that may lack them.
     explanation : ExplanationResult
         All results, with their tables.
+
+    Examples
+    --------
+    The load of a spring that hardens, measured at four deflections; its model has one stiffness only:
+
+    >>> import calib
+    >>> space = calib.ParameterSpace((calib.Parameter("k", 10.0, 5.0, 20.0, "kN/m"),))
+    >>> model = calib.FunctionModel("spring", space, lambda v: {f"load_{d}": v["k"] * d for d in (1, 2, 3, 4)})
+    >>> hardening = calib.Effect(
+    ...     "cubic", "hardening", "Its stiffness is constant.", "Coils that touch.",
+    ...     calib.Parameter("cubic", 0.0, -1.0, 1.0, prior_sd=0.2),
+    ...     lambda model: lambda v: {f"load_{d}": v["k"] * d + v["cubic"] * d**3 for d in (1, 2, 3, 4)},
+    ... )
+    >>> test = calib.ResponseTest({f"load_{d}": (10.2 * d + 0.1 * d**3, 0.1) for d in (1, 2, 3, 4)})
+    >>> calib.Problem(model, test).explain([hardening])
+    Explained(effect, cubic)
     """
 
     problem: P

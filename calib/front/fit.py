@@ -32,6 +32,21 @@ class Fit(Shown, Generic[P]):
     statistics : FitStatistics
     search : Searched or None
         The genetic searches before least squares; None without.
+
+    Examples
+    --------
+    The natural frequency, here squared, determines the ratio of stiffness to mass, not both:
+
+    >>> import calib
+    >>> space = calib.ParameterSpace((
+    ...     calib.Parameter("k", 3.0, 1.0, 9.0, "kN/m"), calib.Parameter("m", 1.0, 0.1, 5.0, "kg"),
+    ... ))
+    >>> model = calib.FunctionModel("oscillator", space, lambda v: {"w2": 1e3 * v["k"] / v["m"]})
+    >>> problem = calib.Problem(model, calib.ResponseTest({"w2": (4000.0, 40.0)}))
+    >>> problem.calibrate(["k"]).parameters["identified"].to_dict()
+    {'k': True}
+    >>> problem.calibrate().parameters["identified"].to_dict()
+    {'k': False, 'm': False}
     """
 
     problem: P

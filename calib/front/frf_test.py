@@ -47,6 +47,26 @@ class FRFTest:
     accuracy : str, float or mapping, optional
         Claimed accuracy beside the repeatability: a share of the modulus such as ``"2 %"``, a floor in the unit of the
         FRFs, or both, ``{"share": "2 %", "floor": 1e-7}``.
+
+    Examples
+    --------
+    A mass of 10 kg on a spring and a damper; the band above the resonance verifies the fit:
+
+    >>> import numpy as np
+    >>> import calib
+    >>> from calib.measurement.frf import MeasuredFRFs
+    >>> freq, place = np.linspace(1.0, 6.0, 51), (calib.Sensor(1, "x"),)
+    >>> omega = 2 * np.pi * freq
+    >>> values = (1 / (4e3 + 8j * omega - 10.0 * omega**2))[:, None, None]
+    >>> frfs = MeasuredFRFs(freq, place, place, "receptance", values, std=0.01 * abs(values))
+    >>> one = np.eye(1)
+    >>> model = calib.StructuralModel.from_matrices({"k": one}, 10.0 * one, {"c": one}, dofs=[(1, "x")], parameters=[
+    ...     calib.Parameter("k", 3.0, 1.0, 9.0, "kN/m"), calib.Parameter("c", 10.0, 1.0, 90.0, "Ns/m"),
+    ... ])
+    >>> test = calib.FRFTest(frfs, held_out_bands=[(4.0, 5.0)])
+    >>> fit = calib.Problem(model, test).calibrate()
+    >>> round(fit.values["k"], 2), round(fit.values["c"], 2)
+    (4.0, 8.0)
     """
 
     frfs: MeasuredFRFs

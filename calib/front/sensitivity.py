@@ -27,6 +27,19 @@ class Assessed(Shown):
     ----------
     answer : Sensitivity
         All measures with their noise floors and samples.
+
+    Examples
+    --------
+    >>> import calib
+    >>> space = calib.ParameterSpace((
+    ...     calib.Parameter("E", 200.0, 180.0, 220.0, "GPa"), calib.Parameter("nu", 0.3, 0.2, 0.4),
+    ... ))
+    >>> model = calib.FunctionModel("rod", space, lambda v: {"f": 360.0 * v["E"] ** 0.5})
+    >>> found = calib.Problem(model, calib.ResponseTest({"f": 5100.0})).sensitivity(samples=100)
+    >>> found
+    Assessed(2 parameters, 1 selected; 100 samples)
+    >>> float(found.spearman.loc["E", "f"])
+    1.0
     """
 
     answer: Sensitivity

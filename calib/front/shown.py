@@ -57,6 +57,16 @@ class Compared(Shown):
     ----------
     by_test : mapping from str to ComparisonResult
         By name of the test.
+
+    Examples
+    --------
+    >>> import calib
+    >>> space = calib.ParameterSpace((calib.Parameter("k", 10.0, 5.0, 20.0, "kN/m"),))
+    >>> model = calib.FunctionModel("spring", space, lambda v: {"load": 4.0 * v["k"]})
+    >>> found = calib.Problem(model, calib.ResponseTest({"load": (50.0, 2.0)})).compare()
+    >>> print(found.table.to_string(index=False))
+    response  measured  model  error  error_in_std
+        load      50.0   40.0   -0.2          -5.0
     """
 
     by_test: Mapping[str, compare.ComparisonResult]

@@ -61,6 +61,26 @@ class ModalTest:
         Least EMAC of a pair.
     override : mapping from mode to int
         Model modes, from 1, that are paired whatever their EMAC.
+
+    Examples
+    --------
+    Two frequencies of a string under tension; the second one verifies the fit:
+
+    >>> import numpy as np
+    >>> import calib
+    >>> freq, unknown, no_shapes = np.array([50.0, 100.0]), np.full(2, np.nan), np.zeros((0, 2))
+    >>> modes = calib.MeasuredModes(
+    ...     ("1", "2"), freq, freq, 0.002 * freq, unknown, unknown, sensors=(), shapes=no_shapes, shape_std=no_shapes,
+    ... )
+    >>> test = calib.ModalTest(modes, held_out=("2",))
+    >>> test.used.names
+    ('1',)
+    >>> space = calib.ParameterSpace((calib.Parameter("line", 0.02, 0.005, 0.05, "kg/m"),))
+    >>> def string(v):
+    ...     return {"natural_freq": np.array([1, 2]) * np.sqrt(100.0 / v["line"]) / 2, "shapes": np.array([[0.7, 1.0]])}
+    >>> model = calib.ModalFunctionModel("string", space, string, sensors=["1z"], n_modes=2)
+    >>> round(calib.Problem(model, test).calibrate().values["line"], 4)
+    0.01
     """
 
     modes: MeasuredModes
@@ -193,6 +213,16 @@ class ResponseTest:
         As in `ModalTest`.
     accuracy : str or mapping, optional
         Claimed accuracy: a share of every value, or by response or kind.
+
+    Examples
+    --------
+    >>> import calib
+    >>> measured = {"mass": (12.4, 0.1), "f1": 5.03, "f2": 31.5}
+    >>> test = calib.ResponseTest(measured, held_out=["f2"], accuracy={"f1": "1 %"})
+    >>> test.claimed
+    '1 % of f1'
+    >>> round(test.measured.targets["f1"][1], 4)  # its standard deviation
+    0.0503
     """
 
     responses: Mapping[str, float | tuple[float, float | None]] | MeasuredResponses

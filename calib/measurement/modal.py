@@ -33,6 +33,12 @@ class Sensor:
         Nominal place (x, y, z) in metres; None while it is not known.
     on : str or None
         Name of the model's part that carries it; None lets the model take the nearest part.
+
+    Examples
+    --------
+    >>> import calib
+    >>> calib.Sensor(12, "y", point=(0.0, 1.5, 0.3), on="girder").name
+    '12y'
     """
 
     node: int
@@ -89,6 +95,20 @@ class MeasuredModes:
         Nodes whose places in two files contradict each other.
     accuracy : Accuracy
         Claimed accuracy in addition to the repeatability; not in the standard deviations above.
+
+    Examples
+    --------
+    Two modes at two sensors; damping and the standard deviations of the shapes are unknown:
+
+    >>> import numpy as np
+    >>> import calib
+    >>> freq, unknown = np.array([8.32, 27.23]), np.full(2, np.nan)
+    >>> modes = calib.MeasuredModes(
+    ...     ("1", "2"), freq, freq, 0.002 * freq, unknown, unknown, (calib.Sensor(1, "x"), calib.Sensor(2, "x")),
+    ...     shapes=np.array([[0.8, 1.0], [1.0, -0.6]]), shape_std=np.full((2, 2), np.nan),
+    ... )
+    >>> modes.without(modes=["2"]).natural_freq
+    array([8.32])
     """
 
     names: tuple[str, ...]

@@ -65,6 +65,24 @@ def read_modes(
     ------
     InputError
         With the file, and where possible line and column, for files that cannot be read as repeats of the same modes.
+
+    Examples
+    --------
+    Tables of modes, shapes and places of the example study, a mast:
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import calib
+    >>> from calib.example import write_example
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     mast = write_example(Path(folder, "mast"))[0].parent
+    ...     modes = calib.read_modes(
+    ...         mast / "modes.csv", shapes=mast / "shapes.csv", sensors=mast / "sensors.csv", synthetic=True
+    ...     )
+    >>> modes.names
+    ('B1x', 'B1z', 'B2x', 'B2z')
+    >>> modes.shapes.shape
+    (8, 4)
     """
     paths, shape_paths = found_files(files), found_files(shapes)
     sensor_table = None if sensors is None else path_of(sensors, "sensors")

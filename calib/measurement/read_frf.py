@@ -27,7 +27,7 @@ def read_frfs(
     averages: int | None = None,
     synthetic: bool = False,
 ) -> MeasuredFRFs:
-    """Read measured frequency response functions; each file is one repeat.
+    r"""Read measured frequency response functions; each file is one repeat.
 
     Parameters
     ----------
@@ -53,6 +53,21 @@ def read_frfs(
     InputError
         With the file, and where possible line and column, for files that cannot be read as repeats of the same
         functions.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import calib
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     table = Path(folder, "hammer.csv")
+    ...     lines = "freq,response,reference,re,im", "10,12z,3z,0.2,-0.01", "11,12z,3z,0.3,-0.02"
+    ...     _ = table.write_text("\n".join(lines))
+    ...     frfs = calib.read_frfs(table, unit="g/N")
+    >>> frfs.quantity, [one.name for one in frfs.functions]
+    ('accelerance', ['12z/3z'])
+    >>> frfs.values.real.round(2).tolist()  # (m/s2)/N
+    [[[1.96]], [[2.94]]]
     """
     paths = found_files(files)
     table_path = None if sensors is None else path_of(sensors, "sensors")

@@ -130,7 +130,7 @@ def response_kinds(names: Iterable[str]) -> dict[str, str]:
 
 
 def read_responses(path: str | Path, pooling: Pooling = "robust") -> MeasuredResponses:
-    """Read scalar responses from a table, see `calib.measurement.csv_format.read_responses_csv`.
+    r"""Read scalar responses from a table, see `calib.measurement.csv_format.read_responses_csv`.
 
     With a column ``repeat`` each response is the mean over the repeats that hold it, and its standard deviation is that
     of one repeat over the root of their number; a response that is in one repeat only keeps the standard deviation of
@@ -147,6 +147,18 @@ def read_responses(path: str | Path, pooling: Pooling = "robust") -> MeasuredRes
     ------
     InputError
         With file, line and column, for anything that is not such a table.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import calib
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     table = Path(folder, "measured.csv")
+    ...     _ = table.write_text("\n".join(["response,value,std", "stiffness,182,4", "f1,5.03,"]))
+    ...     measured = calib.read_responses(table)
+    >>> measured.targets
+    {'stiffness': (182.0, 4.0), 'f1': (5.03, None)}
     """
     path = path_of(path, "measured responses")
     if pooling not in ("robust", "plain"):

@@ -99,6 +99,21 @@ def modes_from_frfs(frfs: MeasuredFRFs, repeats: Sequence[MeasuredFRFs] = ()) ->
     ------
     InputError
         When sdypy-EMA is not installed, when lines are unfit (see `poles_by_order`), or no mode counts.
+
+    Examples
+    --------
+    A mass of 10 kg on a spring of 4 kN/m and a damper of 8 Ns/m:
+
+    >>> import numpy as np
+    >>> import calib
+    >>> from calib.measurement.frf import MeasuredFRFs
+    >>> freq, place = np.linspace(1.0, 6.0, 51), (calib.Sensor(1, "x"),)
+    >>> omega = 2 * np.pi * freq
+    >>> values = (1 / (4e3 + 8j * omega - 10.0 * omega**2))[:, None, None]
+    >>> frfs = MeasuredFRFs(freq, place, place, "receptance", values, std=0.01 * abs(values))
+    >>> found = calib.modes_from_frfs(frfs)
+    >>> found.modes.natural_freq.round(3), found.modes.damping_ratio.round(4)
+    (array([3.183]), array([0.02]))
     """
     whole = _identified(frfs)
     if not whole.chains:

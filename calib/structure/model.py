@@ -85,6 +85,18 @@ class StructuralModel(Analytic):
     labels : tuple of int
         Node labels that the model shares with the measurement, length n_nodes; empty where sensors are located by their
         coordinates alone.
+
+    Examples
+    --------
+    A mass of 10 kg on a spring; matrices of a finite-element code enter in the same way:
+
+    >>> import numpy as np
+    >>> import calib
+    >>> spring = calib.Parameter("k", 30.0, 10.0, 90.0, "kN/m")
+    >>> one = np.eye(1)
+    >>> model = calib.StructuralModel.from_matrices({"k": one}, 10.0 * one, dofs=[(1, "x")], parameters=[spring])
+    >>> model.modes({"k": 40.0}, 1).natural_freq.round(3)
+    array([10.066])
     """
 
     name: str
