@@ -15,6 +15,7 @@ from calib import cli
 from calib.analyses.compare import comparison_at
 from calib.correlation.expansion import expanded_shapes, orthogonality
 from calib.study import Study
+from calib.study_file import StudyFile
 
 ROOT = Path(__file__).resolve().parent.parent
 TRUTH = json.loads((ROOT / "tests/truth/bogie.json").read_text("utf-8"))
@@ -88,6 +89,17 @@ def test_the_twin_varies_as_stated():
     spread = measured.freq_std / measured.natural_freq
     assert 0.003 < np.sqrt((spread**2).mean()) < 0.007
     assert 0.022 < np.sqrt((measured.shape_std**2).mean()) < 0.028
+
+
+def test_studies_that_differ_by_their_measurement_alone_build_on_one():
+    """No two files are copies, and with a base, too, a study with a measurement of its own reads that one."""
+    files = sorted((ROOT / "studies").glob("*/study.toml"))
+    assert len({file.read_bytes() for file in files}) == len(files) > 20
+    own = [StudyFile.read(file) for file in files if (file.parent / "measured").is_dir()]
+    assert sum(study.settings.base is not None for study in own) >= 7
+    for study in own:
+        given = study.settings.measurement
+        assert {path.parts[0] for path in map(Path, [*given.files, given.sensors or "measured"])} == {"measured"}
 
 
 def test_no_analysing_code_names_the_truth():

@@ -78,7 +78,7 @@ def read_frfs(
     if averages is not None and len(paths) > 1:
         raise InputError(
             f"averages are given beside {len(paths)} repeats", place="measurement",
-            remedy="leave them out: the scatter of the repeats gives the standard deviations",
+            remedy="leave them out: the repeats give the standard deviations",
         )  # fmt: skip
     table = read_sensor_table(table_path) if table_path is not None else {}
     repeats = [read_uff_frfs(p, quantity, unit) if is_uff else read_frfs_csv(p, quantity, unit) for p in paths]

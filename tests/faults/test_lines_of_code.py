@@ -73,7 +73,7 @@ def test_an_option_that_a_model_refuses_is_shown_where_it_is_given(plain, mistak
 
 
 def test_an_option_that_a_shipped_model_refuses(tmp_path, mistakes):
-    shutil.copytree(ROOT / "studies/hidden_none", tmp_path / "car", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "studies/hidden_effect", tmp_path / "car", ignore=shutil.ignore_patterns("__pycache__"))
     expected = mistakes.put(tmp_path / "car/study.toml", ('{ seats = "rigid" }', '⟦{ seats = "soft" }⟧'))
     mistakes.check(mistakes.refused(tmp_path / "car").at, expected)
 
