@@ -174,7 +174,7 @@ def test_an_incomplete_explanation_is_partial(toy):
     toy = toy(effects=3, perturbations=6)
     hidden = 0.25 * sum(toy.columns[f"A{k}"] for k in range(6))
     toy = replace(toy, columns={**toy.columns, "hidden": hidden})
-    found = Counter(f.verdict for f in toy.explained({"E1": 3.0, "hidden": 2.0}, 5))
+    found = Counter(f.verdict for f in toy.explained({"E1": 3.0, "hidden": 3.0}, 5))
     assert found["partial"] >= 4 and not found["effect"]
 
 
