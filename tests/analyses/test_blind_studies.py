@@ -95,7 +95,7 @@ def test_held_out_data_are_predicted_to_the_noise(explained):
 def test_the_cost_the_basis_and_the_mesh_are_within_bounds(explained, name):
     summary, *_ = written(explained(name))
     # Where nothing is named, places of the actuators are tried by fits: eight neighbours for each step, not charged.
-    assert 0 < summary["evaluations"] <= (150 if name != OUTSIDE else 250)
+    assert 0 < summary["evaluations"] <= (150 if name != OUTSIDE else 300)
     assert 0 < summary["basis_error"] <= 0.05
     assert 0 < summary["discretisation"] <= 1.0
     assert any("neither hides nor mimics an effect" in note for note in summary["notes"])
