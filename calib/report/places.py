@@ -133,7 +133,7 @@ def places_figure(mesh: Mesh, table: pd.DataFrame) -> Figure:
                 marker="s",
                 markersize=5.5,
                 color=GREY,
-                label="of a value that is not fitted (grey)",
+                label="no parameter (grey)",
             )
         )
     figure.legend(
