@@ -363,6 +363,9 @@ def execute(arguments: list[str]) -> int:
         terminal.complain_of_input(fault, arguments)
         return 2
     except Exception as fault:  # the last resort: a sentence and the log instead of a bare traceback
+        if interrupt.pressed():
+            terminal.complain(interrupt.WORDS)
+            return interrupt.CODE
         terminal.complain_of_unexpected(fault, arguments)
         return 1
     return 0

@@ -103,6 +103,11 @@ def answered() -> None:
     _press.answer()
 
 
+def pressed() -> bool:
+    """Whether an interrupt was raised: compiled code may turn it into another exception."""
+    return _press.raised_at is not None
+
+
 def _lost() -> bool:
     """Whether no exception being handled at this moment comes from an interrupt."""
     error, seen = sys.exc_info()[1], set()

@@ -1,5 +1,6 @@
 """Effect of Ctrl-C, the first time and again."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -8,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from calib import interrupt
+from calib import cli, interrupt
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -114,6 +115,20 @@ def test_an_interrupt_that_became_another_error_is_on_its_way():
         "    interrupt.answered()",
     )
     assert (code, out, err) == (7, "leaving\nin order\n", "")
+
+
+def test_an_interrupt_that_compiled_code_turned_into_another_error_ends_as_one(handled, monkeypatch, capsys):
+    """A conversion in a library answers an interrupted call with an error of its own."""
+
+    def app(**given):
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        raise ValueError("an invalid matrix")
+
+    monkeypatch.setattr(cli, "app", app)
+    handled(signal.default_int_handler)
+    interrupt.once()
+    assert cli.execute([]) == interrupt.CODE and interrupt.WORDS in capsys.readouterr().err
 
 
 def test_an_interrupt_waits_for_what_must_not_be_left_half_done():
