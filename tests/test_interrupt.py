@@ -126,6 +126,7 @@ def test_an_interrupt_that_compiled_code_turned_into_another_error_ends_as_one(h
         raise ValueError("an invalid matrix")
 
     monkeypatch.setattr(cli, "app", app)
+    monkeypatch.setattr(interrupt, "_press", interrupt._Press())  # no other test sees the interrupt
     handled(signal.default_int_handler)
     interrupt.once()
     assert cli.execute([]) == interrupt.CODE and interrupt.WORDS in capsys.readouterr().err
