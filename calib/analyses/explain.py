@@ -192,11 +192,10 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *more_notes]
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
-    named = " and ".join(found.credible) if found.verdict == "effect" else ""
     differing = _between(adapter, found)
     more = (
         correction_offered(found),
-        "" if found.blamed else suspect_sentence(found.suspects, named),
+        "" if found.blamed or found.verdict == "effect" else suspect_sentence(found.suspects),
         accuracy_sentence(accuracy, found.alpha),
         "" if differing is None else differing.sentence(found.alpha),
     )

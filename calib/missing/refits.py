@@ -25,10 +25,6 @@ from calib.missing.rules import RULES
 from calib.missing.score import Scores, scores
 from calib.stage import Progress
 
-_CONTINUED = 4
-"""Fits that continue one which has not converged."""
-_WALK = 6
-"""Steps from integers to better ones nearby."""
 EARLY, LATE = 0.7, 0.85
 """Parts of the budget: for single effects, and for choosing integer parameters again."""
 
@@ -361,7 +357,7 @@ class Refits:
         """
         best = candidate_fit
         with self.allowance.unlimited():
-            for _ in range(_CONTINUED if self.settings.budget > 0 else 0):
+            for _ in range(RULES.continued if self.settings.budget > 0 else 0):
                 if best.fit.converged:
                     break
                 further = self.followed(best)
@@ -378,7 +374,7 @@ class Refits:
         """
         best = candidate_fit
         with self.allowance.unlimited():
-            for _ in range(_WALK if self.settings.budget > 0 else 0):
+            for _ in range(RULES.walk if self.settings.budget > 0 else 0):
                 values = best.fit.values
                 others = other_whole(self.fit_problem(best.names), values)
                 better = self._better(best, [{**values, **other} for other in others])

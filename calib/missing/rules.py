@@ -58,6 +58,10 @@ class Rules:
         Evaluations granted to a fit that the verdict needs although the budget is used up.
     hopeless : float
         A rough fit with a sum of squares so many times that of another is not refined.
+    continued : int
+        Fits that continue one which has not converged, before it is judged as it is; a bound on their cost.
+    walk : int
+        Steps of integers to better ones nearby: from one end of the bogie's seven places to the other.
     anew : float
         Part of the budget that is added for refits from the nominal values.
     rejected : float
@@ -119,6 +123,8 @@ class Rules:
     smaller_steps: tuple[float, ...] = (0.1, 0.01)
     least_residuals: int = 8
     hopeless: float = 1.05
+    continued: int = 4
+    walk: int = 6
     anew: float = 0.5
     rejected: float = 10.0
     rejected_fit: float = 1e-6

@@ -155,12 +155,6 @@ def suspects(
     return table.iloc[order].reset_index(drop=True)
 
 
-def deciding(table: pd.DataFrame) -> str:
-    """The first datum without which everything fits, such as ``mode 2BT``; empty where none alone explains it."""
-    explaining = table.loc[table["explains"].astype(bool), "what"]
-    return "" if explaining.empty else str(explaining.iloc[0])
-
-
 def sentence(table: pd.DataFrame, named: str = "") -> str:
     """The datum without which everything fits, in words; empty where none alone explains the misfit.
 

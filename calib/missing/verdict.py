@@ -17,7 +17,7 @@ from calib.missing.nearly import is_nearly, spread_of
 from calib.missing.recommendation import Recommendation, as_ratio, rounded
 from calib.missing.rules import RULES
 from calib.missing.steps_table import rivals_sentence, steps_sentence
-from calib.missing.suspect import deciding
+from calib.missing.suspect import sentence as suspect_sentence
 from calib.missing.tables import UNTESTED
 from calib.missing.verdict_words import (
     Words,
@@ -120,14 +120,11 @@ def verdict(
         )
     if found.names_something or found.verdict in ("partial", "unconfirmed"):
         sure.append(_OUTSIDE)
-    if found.verdict == "effect" and found.chosen is not None and (datum := deciding(found.suspects)):
-        sure.append(
-            f"To first order the base model would fit without {datum}, but {found.chosen.names[0]} explains the misfit "
-            f"better, by odds of more than {as_ratio(RULES.credible)}."
-        )
+    if found.verdict == "effect" and found.chosen is not None:
+        sure.append(suspect_sentence(found.suspects, found.chosen.names[0]))
     if assumed:
         sure.append(f"These results rest on an assumed standard deviation: {assumed}.")
-    answer = Answer(words.found, " ".join(sure), f"{words.then} {short}".strip())
+    answer = Answer(words.found, " ".join(filter(None, sure)), f"{words.then} {short}".strip())
     return Verdict(answer, tuple(filter(None, (answer.found, answer.sure, words.then, *support))))
 
 
