@@ -9,7 +9,8 @@ from typing import Any, Protocol
 
 from calib.correlation.frf_nuisance import Nuisance, belonging_to, concerned, of_every_channel
 from calib.correlation.frf_places import of_every_place
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_problem import FRFProblem
+from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.problem import ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual

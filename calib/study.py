@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from calib.correlation.frf_nuisance import Nuisance
-from calib.correlation.frf_residual import FRFProblem
+from calib.correlation.frf_problem import FRFProblem
 from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.problem import ModalProblem
 from calib.effect import Effect

@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 from scipy.optimize import least_squares
 
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_problem import FRFProblem
+from calib.correlation.frf_residual import FRFResidual
 from calib.inference.cmcf import cmcf
 from calib.inference.cmcf_equations import CmcfSettings, MeasuredReceptance
 from calib.loading import module_of

@@ -11,7 +11,8 @@ import scipy.linalg as la
 
 import calib
 from calib import cli
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_problem import FRFProblem
+from calib.correlation.frf_residual import FRFResidual
 from calib.loading import module_of
 from calib.measurement.accuracy import Claim
 from calib.measurement.frf import MeasuredFRFs

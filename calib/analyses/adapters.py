@@ -12,7 +12,8 @@ from calib.analyses.group_adapter import FRFAdapter, ScalarAdapter
 from calib.analyses.library import basis_of, faults_of, local_perturbations, modal_hypotheses
 from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.reduction import worthwhile
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_problem import FRFProblem
+from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual

@@ -18,7 +18,8 @@ from calib.answer import Answer
 from calib.correlation.compare import FAR_ERROR, Comparison
 from calib.correlation.expansion import ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
 from calib.correlation.frf_comparison import FRFComparison
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_problem import FRFProblem
+from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.mesh import geometry_tables
 from calib.correlation.problem import ModalProblem

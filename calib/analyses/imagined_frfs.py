@@ -11,7 +11,8 @@ from scipy.optimize import nnls
 
 from calib.analyses.candidate_places import in_words, spread, where_acting
 from calib.analyses.hypotheses import ModelHypotheses
-from calib.correlation.frf_residual import UNKNOWN_STD, FRFResidual, FRFRow
+from calib.correlation.frf_problem import UNKNOWN_STD
+from calib.correlation.frf_residual import FRFResidual, FRFRow
 from calib.effect import Effect
 from calib.measurement.accuracy import NOTHING
 from calib.measurement.frf import MeasuredFRFs

@@ -12,7 +12,8 @@ import numpy as np
 
 from calib.analyses.basis_cache import kept_basis, key_of
 from calib.analyses.user_function import ledger_keys_of_modes
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_problem import FRFProblem
+from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.problem import ModalProblem
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError, ToleranceError

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.joint_part import JointPart
-from calib.correlation.frf_residual import FRFProblem
+from calib.correlation.frf_problem import FRFProblem
 from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.held_out import group_table, held_out_errors
 from calib.correlation.problem import ModalProblem

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.correlation.frf_prior import LIMIT, in_test, index_of, require_positive
+from calib.correlation.frf_parameter import LIMIT, in_test, require_positive
+from calib.correlation.frf_rows import RowError
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
@@ -19,7 +20,7 @@ from calib.structure.reduced import ReducedModel
 
 
 @dataclass(frozen=True)
-class CrossTalkError:
+class CrossTalkError(RowError):
     """Share of the motion at another sensor that a response channel reads beside its own.
 
     Attributes
@@ -50,18 +51,9 @@ class CrossTalkError:
         require_positive(self.prior_sd, self.place)
 
     @property
-    def name(self) -> str:
-        """Of the sensor whose channel reads it."""
-        return self.sensor.name
-
-    @property
     def place(self) -> str:
         """As messages name it."""
         return f"cross-talk of {self.source.name} into {self.name}"
-
-    def among(self, measured: MeasuredFRFs) -> tuple[str, ...]:
-        """Names of all responses."""
-        return tuple(sensor.name for sensor in measured.responses)
 
     @property
     def parameter(self) -> Parameter:
@@ -72,18 +64,10 @@ class CrossTalkError:
             description=f"share of the motion at {self.source.name} that the channel of {self.name} reads{end}",
         )  # fmt: skip
 
-    def at(self, measured: MeasuredFRFs) -> tuple[int | None, int | None]:
-        """Index of its response, and no reference."""
-        return index_of(measured.responses, self.name), None
+    def changed(self, measured: MeasuredFRFs) -> tuple[tuple[Sensor, ...], tuple[Sensor, ...]]:
+        """All responses."""
+        return measured.responses, ()
 
     def other(self, model: StructuralModel | ReducedModel) -> np.ndarray:
         """Motion at the other sensor, (n_dof,); InputError where the model cannot place it."""
         return np.asarray(model.sensor_rows([self.source])[0])
-
-    def weights(self, value: float) -> tuple[float, float]:
-        """Nothing, and the share; see `calib.correlation.frf_rows`."""
-        return 0.0, value
-
-    def slopes(self, value: float) -> tuple[float, float]:
-        """Their derivatives."""
-        return 0.0, 1.0

@@ -26,8 +26,8 @@ from calib.correlation.fault_library import (
 )
 from calib.correlation.frf_cross_talk import CrossTalkError
 from calib.correlation.frf_nuisance import ChannelError, ChannelKind, Nuisance
+from calib.correlation.frf_parameter import Side
 from calib.correlation.frf_places import PlaceError
-from calib.correlation.frf_prior import Side
 from calib.correlation.frf_rotation import RotationError
 from calib.errors import InputError
 from calib.fault import NOWHERE, Fault

@@ -14,8 +14,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from calib.correlation.frf_cross_talk import CrossTalkError
+from calib.correlation.frf_parameter import LIMIT, Side, in_test, require_positive
 from calib.correlation.frf_places import PlaceError
-from calib.correlation.frf_prior import LIMIT, Side, in_test, require_positive
 from calib.correlation.frf_rotation import RotationError
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs

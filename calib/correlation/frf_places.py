@@ -11,7 +11,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.correlation.frf_prior import LIMIT, in_test, index_of, require_positive
+from calib.correlation.frf_parameter import LIMIT, in_test, require_positive
+from calib.correlation.frf_rows import RowError
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, Sensor
@@ -26,7 +27,7 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class PlaceError:
+class PlaceError(RowError):
     """Distance of a transducer from its stated place along one axis; the direction in which it acts is right.
 
     An accelerometer and a force of the same name sit at the same place.
@@ -61,18 +62,9 @@ class PlaceError:
         require_positive(self.prior_sd, place)
 
     @property
-    def name(self) -> str:
-        """Of its transducer."""
-        return self.sensor.name
-
-    @property
     def place(self) -> str:
         """As messages name it."""
         return f"place of {self.name}"
-
-    def among(self, measured: MeasuredFRFs) -> tuple[str, ...]:
-        """Names of all transducers."""
-        return tuple(sensor.name for sensor in measured.sensors)
 
     @property
     def parameter(self) -> Parameter:
@@ -88,9 +80,9 @@ class PlaceError:
         change = self.parameter.si_factor * self.prior_sd * np.abs(self.other(model)).max()
         return bool(change > _ROUNDING * np.abs(model.sensor_rows([self.sensor])).max())
 
-    def at(self, measured: MeasuredFRFs) -> tuple[int | None, int | None]:
-        """Indices of the response and of the reference of its name."""
-        return index_of(measured.responses, self.name), index_of(measured.references, self.name)
+    def changed(self, measured: MeasuredFRFs) -> tuple[tuple[Sensor, ...], tuple[Sensor, ...]]:
+        """All transducers: a response and a reference of one name sit at one place."""
+        return measured.responses, measured.references
 
     def other(self, model: StructuralModel | ReducedModel) -> np.ndarray:
         """Change of the motion at the sensor over its distance, (n_dof,), in 1/m; zero where its place has no effect.
@@ -112,14 +104,6 @@ class PlaceError:
             return np.asarray((model.sensor_rows([self._moved(reach)])[0] - here) / reach)
         except InputError:
             return np.asarray((here - model.sensor_rows([self._moved(-reach)])[0]) / reach)
-
-    def weights(self, value: float) -> tuple[float, float]:
-        """Nothing, and the distance; see `calib.correlation.frf_rows`."""
-        return 0.0, value
-
-    def slopes(self, value: float) -> tuple[float, float]:
-        """Their derivatives."""
-        return 0.0, 1.0
 
     def _between_nodes(self, model: StructuralModel | ReducedModel, mesh: Mesh) -> np.ndarray:
         (here,) = model.sensor_rows([self.sensor])

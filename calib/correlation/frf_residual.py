@@ -1,4 +1,4 @@
-"""Whitened residual of measured and model FRFs, nuisances of the test included, with analytic derivatives."""
+"""Whitened residual of measured and model FRFs, with analytic derivatives."""
 
 from __future__ import annotations
 
@@ -9,31 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.correlation.frf_channels import Channels
-from calib.correlation.frf_comparison import FRFComparison, frac_and_amplitude
+from calib.correlation.frf_comparison import FRFComparison
 from calib.correlation.frf_faults import FRFFault, frf_faults
-from calib.correlation.frf_nuisance import LOADING, OF_ROWS, ChannelError, Nuisance, require_channels
-from calib.correlation.frf_rows import Rows
+from calib.correlation.frf_problem import DEFINITION, UNKNOWN_STD, FRFProblem
 from calib.degrees_of_freedom import KNOWN, beside_known
 from calib.errors import InputError
 from calib.fingerprint import digest_of
-from calib.measurement.frf import MeasuredFRFs
 from calib.outcome import answered
 from calib.space import ParameterSpace
-from calib.structure.basis import Basis
-from calib.structure.derivatives import beside_roots
-from calib.structure.frf import frf, frf_derivatives
 from calib.structure.frf_target import FRFTarget
-from calib.structure.loaded import loaded
-from calib.structure.model import Assumption, StructuralModel
+from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
-
-UNKNOWN_STD = 0.02
-"""Assumed standard deviation of real and imaginary part each, relative to the modulus, where none is known: that of 12
-averages at a coherence of 0.99 (Bendat and Piersol 2010)."""
-
-_DEFINITION = "FRF residual 2"
-"""Part of the fingerprint; increment it whenever the same FRFs would give another residual or derivative."""
 
 
 class FRFRow(NamedTuple):
@@ -58,183 +44,6 @@ class FRFRow(NamedTuple):
     sensor: str
     part: str
     freq: float
-
-
-def assumed_frfs(frfs: MeasuredFRFs) -> tuple[Assumption, ...]:
-    """Assumed standard deviations of FRFs; empty when all are stated."""
-    if not (np.isfinite(frfs.values) & ~np.isfinite(frfs.total_std)).any():
-        return ()
-    reason = "neither repeats nor coherence are given"
-    return (Assumption("standard deviation of FRFs", f"{100 * UNKNOWN_STD:g}", "% of each modulus", reason),)
-
-
-@dataclass(frozen=True, eq=False)
-class FRFProblem:
-    """A model with matrices and measured FRFs of it.
-
-    Attributes
-    ----------
-    model : StructuralModel or ReducedModel
-        Of the structure alone.
-    measured : MeasuredFRFs
-    nuisances : tuple of Nuisance
-        Errors of channels and transducers, masses of accelerometers, stingers; their parameters follow the model's.
-
-    Raises
-    ------
-    InputError
-        For a sensor or a reference that the model cannot place, or a nuisance that is given twice or fits neither.
-    """
-
-    model: StructuralModel | ReducedModel
-    measured: MeasuredFRFs
-    nuisances: tuple[Nuisance, ...] = ()
-    space: ParameterSpace = field(init=False, repr=False)
-    loaded_model: StructuralModel | ReducedModel = field(init=False, repr=False)
-    _channels: Channels = field(init=False, repr=False)
-    _rows: Rows = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        names = [nuisance.parameter.name for nuisance in self.nuisances]
-        for name in names:
-            if names.count(name) > 1 or name in self.model.space:
-                raise InputError(f"{name!r} is a parameter twice", place="nuisances of FRFs", remedy="keep one")
-        require_channels(self.nuisances, self.measured)
-        whole = self.model.model if isinstance(self.model, ReducedModel) else self.model
-        loads = [n.load(whole) for n in self.nuisances if isinstance(n, LOADING)]
-        errors = tuple(n for n in self.nuisances if isinstance(n, ChannelError))
-        rows = Rows.of([n for n in self.nuisances if isinstance(n, OF_ROWS)], self.measured, self.model)
-        model, own = loaded(self.model, loads), self.model.space
-        parameters = (*model.space.parameters, *(e.parameter for e in errors), *(e.parameter for e in rows.errors))
-        object.__setattr__(self, "space", ParameterSpace(parameters, own.constraints))
-        object.__setattr__(self, "loaded_model", model)
-        object.__setattr__(self, "_channels", Channels(errors, self.measured))
-        object.__setattr__(self, "_rows", rows)
-
-    @property
-    def function(self) -> None:
-        """None: a model of matrices runs no user code."""
-        return
-
-    @property
-    def numbers_function(self) -> None:
-        """None: a model of matrices runs no user code."""
-        return
-
-    def with_function(self, function: object) -> FRFProblem:
-        """The problem itself, which has no function."""
-        return self
-
-    @property
-    def ledger_key(self) -> str:
-        """Fingerprint of the responses in the ledger."""
-        return self.fingerprint
-
-    @property
-    def model_fingerprint(self) -> str:
-        """Hash that changes whenever a result of the model could."""
-        return self.model.fingerprint
-
-    @property
-    def assumed_std(self) -> tuple[Assumption, ...]:
-        """Assumed standard deviations, where none is known."""
-        return assumed_frfs(self.measured)
-
-    @property
-    def relative_std(self) -> np.ndarray:
-        """NaN, (1,): the misfit of a search has no share of known noise."""
-        return np.array([np.nan])
-
-    @property
-    def sensitivity_responses(self) -> list[str]:
-        """FRAC and amplitude of every function."""
-        return list(self.response_names)
-
-    @property
-    def search_targets(self) -> dict[str, float]:
-        """Responses that a search compares, each 1 for a right model."""
-        return dict.fromkeys(self.response_names, 1.0)
-
-    def reduced(self, basis: Basis) -> FRFProblem:
-        """The same problem with a reduced model; InputError when the basis belongs to another model."""
-        if not isinstance(self.model, StructuralModel):
-            raise InputError("the model is reduced already", place=self.model.name)
-        return replace(self, model=ReducedModel(self.model, basis))
-
-    def target(self, std: np.ndarray) -> FRFTarget:
-        """What a basis for these FRFs must represent, of a model at full order.
-
-        ``std`` is the standard deviation of every entry, (n_freq, n_responses, n_references).
-        """
-        assert isinstance(self.model, StructuralModel)
-        loads = tuple(n.load(self.model) for n in self.nuisances if isinstance(n, LOADING))
-        unit = np.where(np.isfinite(self.measured.values), std, np.inf)
-        rows, quantity = self._rows, self.measured.quantity
-        return FRFTarget(self.measured.freq, rows.responses, rows.references, unit, quantity, loads, moved=rows.moved)
-
-    @property
-    def n_measured(self) -> int:
-        """Number of measured frequency lines."""
-        return len(self.measured.freq)
-
-    @cached_property
-    def fingerprint(self) -> str:
-        """Hash that changes whenever the responses at the same values could, which measured values enter."""
-        channels = sorted((e.kind, e.sensor, e.side) for e in self._channels.errors)
-        known = self.loaded_model.fingerprint, self.measured.fingerprint
-        return digest_of(_DEFINITION, *known, channels, *self._rows.content)[:16]
-
-    def functions(self, values: Mapping[str, float]) -> np.ndarray:
-        """FRFs at named values, (n_freq, n_responses, n_references), complex; EvaluationError where it has none."""
-        si = self._si(values)
-        return self._frf(values, *self._rows.rows(si)) * self._channels.factors(si)
-
-    def _frf(self, values: Mapping[str, float], responses: np.ndarray, references: np.ndarray) -> np.ndarray:
-        own = self._of_model(values)
-        return frf(self.loaded_model, own, self.measured.freq, responses, references, self.measured.quantity)
-
-    @cached_property
-    def response_names(self) -> tuple[str, ...]:
-        """Names of the responses: ``frac RESPONSE/REFERENCE`` of every measured function, then ``amplitude ...``."""
-        return tuple(f"{kind} {own.name}" for kind in ("frac", "amplitude") for own in self.measured.functions)
-
-    def responses(self, functions: np.ndarray) -> dict[str, float]:
-        """Responses of FRFs (n_freq, n_responses, n_references), each 1 for a right model.
-
-        See `calib.correlation.frf_comparison.frac_and_amplitude`.
-        """
-        found = frac_and_amplitude(self.measured, functions)
-        return dict(zip(self.response_names, found.ravel().tolist(), strict=True))
-
-    def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
-        """The responses at named values; EvaluationError where the model has no FRFs."""
-        return self.responses(self.functions(self.space.complete(values)))
-
-    def slopes(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Their derivatives, (n_params, n_freq, n_responses, n_references), complex, per unit of each parameter."""
-        measured, own = self.measured, [name for name in names if name in self.loaded_model.space]
-        values = beside_roots(self.space, self.loaded_model.roots, values, names)
-        si = self._si(values)
-        rows, factors = self._rows.rows(si), self._channels.factors(si)
-        functions, slopes = frf_derivatives(
-            self.loaded_model, self._of_model(values), measured.freq, *rows, own, measured.quantity
-        )
-        found = dict(zip(own, slopes, strict=True))
-        if moved := self._rows.asked(names):
-            wider = [np.vstack(pair) for pair in zip(rows, self._rows.beside(moved, si), strict=True)]
-            found |= self._rows.derivatives(moved, self._frf(values, *wider))
-        found = {name: slope * factors for name, slope in found.items()}
-        functions = functions * factors
-        return np.array(
-            [found[n] if n in found else self._channels.slope(n, si, functions) for n in names]
-        ).reshape(len(names), *functions.shape)  # fmt: skip
-
-    def _si(self, values: Mapping[str, float]) -> dict[str, float]:
-        return self.space.si(self.space.complete(values))
-
-    def _of_model(self, values: Mapping[str, float]) -> dict[str, float]:
-        complete = self.space.complete(values)
-        return {name: complete[name] for name in self.loaded_model.space.names}
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,7 +158,7 @@ class FRFResidual:
     @cached_property
     def fingerprint(self) -> str:
         """Hash that changes whenever the residual or its derivatives at the same values could."""
-        return digest_of(_DEFINITION, self.problem.fingerprint, self._std.tobytes())[:16]
+        return digest_of(DEFINITION, self.problem.fingerprint, self._std.tobytes())[:16]
 
     @property
     def told_by_responses(self) -> bool:

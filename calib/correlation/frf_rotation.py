@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.correlation.frf_prior import LIMIT, Side, in_test, index_of, require_positive
+from calib.correlation.frf_parameter import LIMIT, Side, in_test, require_positive
+from calib.correlation.frf_rows import RowError
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, Sensor
@@ -23,7 +24,7 @@ LARGEST = 60.0
 
 
 @dataclass(frozen=True)
-class RotationError:
+class RotationError(RowError):
     """Misalignment of a response sensor, or of a force, towards one other axis.
 
     An accelerometer and a force of the same name are mounted each for itself, so that they are two errors.
@@ -63,18 +64,9 @@ class RotationError:
         require_positive(self.prior_sd, self.place)
 
     @property
-    def name(self) -> str:
-        """Of its transducer."""
-        return self.sensor.name
-
-    @property
     def place(self) -> str:
         """As messages name it."""
         return f"rotation of {self.name}"
-
-    def among(self, measured: MeasuredFRFs) -> tuple[str, ...]:
-        """Names of all transducers of its side."""
-        return tuple(s.name for s in (measured.responses if self.side == "response" else measured.references))
 
     @property
     def parameter(self) -> Parameter:
@@ -86,11 +78,9 @@ class RotationError:
             description=f"rotation of {self.side} {self.name} towards {self.towards}{end}",
         )  # fmt: skip
 
-    def at(self, measured: MeasuredFRFs) -> tuple[int | None, int | None]:
-        """Index of its response or of its reference."""
-        if self.side == "response":
-            return index_of(measured.responses, self.name), None
-        return None, index_of(measured.references, self.name)
+    def changed(self, measured: MeasuredFRFs) -> tuple[tuple[Sensor, ...], tuple[Sensor, ...]]:
+        """All transducers of its side."""
+        return (measured.responses, ()) if self.side == "response" else ((), measured.references)
 
     def other(self, model: StructuralModel | ReducedModel) -> np.ndarray:
         """Motion along the other axis, (n_dof,); InputError where the model has none."""

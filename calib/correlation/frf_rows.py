@@ -12,42 +12,71 @@ Errors of one transducer add up, so that products of two of them are left out.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
 from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.modal import Sensor
 from calib.space import Parameter
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
 
 
-class RowError(Protocol):
-    """An error by which transducers have another row than stated; all are zero at value 0."""
+class RowError(ABC):
+    """An error by which a transducer has another row than stated; 0 without it.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        The transducer.
+    """
+
+    sensor: Sensor
 
     @property
+    def name(self) -> str:
+        """Of its transducer."""
+        return self.sensor.name
+
+    @property
+    @abstractmethod
+    def place(self) -> str:
+        """As messages name it."""
+
+    @property
+    @abstractmethod
     def parameter(self) -> Parameter:
-        """Its value, 0 without the error."""
-        ...
+        """Its value."""
 
-    def at(self, measured: MeasuredFRFs) -> tuple[int | None, int | None]:
-        """Indices of the response and of the reference that it changes."""
-        ...
+    @abstractmethod
+    def changed(self, measured: MeasuredFRFs) -> tuple[tuple[Sensor, ...], tuple[Sensor, ...]]:
+        """Responses and references among which its transducer is sought."""
 
+    @abstractmethod
     def other(self, model: StructuralModel | ReducedModel) -> np.ndarray:
         """The other row, (n_dof,); InputError where the model has none."""
-        ...
 
     def weights(self, value: float) -> tuple[float, float]:
         """Weights of the transducer's own row, beside 1, and of the other one, at a value in SI."""
-        ...
+        return 0.0, value
 
     def slopes(self, value: float) -> tuple[float, float]:
         """Their derivatives at a value in SI."""
-        ...
+        return 0.0, 1.0
+
+    def among(self, measured: MeasuredFRFs) -> tuple[str, ...]:
+        """Names of all transducers that may have it."""
+        responses, references = self.changed(measured)
+        return tuple(dict.fromkeys(sensor.name for sensor in (*responses, *references)))
+
+    def at(self, measured: MeasuredFRFs) -> tuple[int | None, int | None]:
+        """Indices of the response and of the reference that it changes."""
+        response, reference = (_index(sensors, self.name) for sensors in self.changed(measured))
+        return response, reference
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,25 +155,26 @@ class Rows:
         """Derivatives of the rows of references at value 0, (n_moved, n_dof): forces that a basis must know."""
         return self.beside(range(len(self.errors)), dict.fromkeys(self.names, 0.0))[1]
 
-    def derivatives(self, asked: Sequence[int], functions: np.ndarray) -> dict[str, np.ndarray]:
+    def derivatives(self, asked: Sequence[int], felt: np.ndarray, driven: np.ndarray) -> dict[str, np.ndarray]:
         """Derivatives per unit of the parameters, each (n_freq, n_responses, n_references).
 
         Parameters
         ----------
         asked : sequence of int
-        functions : ndarray (n_freq, n_responses + n_asked_responses, n_references + n_asked_references)
-            Of the rows at the values and, after them, those of `beside`.
+        felt : ndarray (n_freq, n_asked_responses, n_references)
+            Functions between the rows of responses that `beside` gives and the references.
+        driven : ndarray (n_freq, n_responses, n_asked_references)
+            Functions between the responses and the rows of references that it gives.
         """
-        n, m = len(self.responses), len(self.references)
-        found, felt, driven = {}, n, m
+        found: dict[str, np.ndarray] = {}
+        shape = len(felt), len(self.responses), len(self.references)
+        at_responses, at_references = iter(range(felt.shape[1])), iter(range(driven.shape[2]))
         for k, (response, reference) in self._changed(asked):
-            slope = np.zeros((len(functions), n, m), dtype=complex)
+            slope = np.zeros(shape, dtype=complex)
             if response is not None:
-                slope[:, response] += functions[:, felt, :m]
-                felt += 1
+                slope[:, response] += felt[:, next(at_responses)]
             if reference is not None:
-                slope[:, :, reference] += functions[:, :n, driven]
-                driven += 1
+                slope[:, :, reference] += driven[:, :, next(at_references)]
             found[self.names[k]] = slope * self.errors[k].parameter.si_factor
         return found
 
@@ -153,3 +183,7 @@ class Rows:
 
     def _sum(self, k: int, weights: tuple[float, float], own: np.ndarray) -> np.ndarray:
         return np.asarray(weights[0] * own + weights[1] * self.others[k])
+
+
+def _index(sensors: Sequence[Sensor], name: str) -> int | None:
+    return next((k for k, sensor in enumerate(sensors) if sensor.name == name), None)

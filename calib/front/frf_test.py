@@ -12,7 +12,8 @@ import pandas as pd
 from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.verify import errors_of
 from calib.correlation.frf_nuisance import NUISANCES, Nuisance, belonging_to, concerned, require_channels
-from calib.correlation.frf_residual import FRFProblem, FRFResidual, assumed_frfs
+from calib.correlation.frf_problem import FRFProblem, assumed_frfs
+from calib.correlation.frf_residual import FRFResidual
 from calib.errors import InputError
 from calib.forward import Unseen, unseen_frfs
 from calib.front.checked import UNNAMED, Claimed, band, named, place_of

@@ -11,6 +11,7 @@ undamped modes then serves all lines (Woodbury's identity).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as la
@@ -84,6 +85,26 @@ def frf(
     return np.array(found).reshape(len(freq), len(responses), len(references)) * _per_line(quantity, freq)
 
 
+class FRFDerivatives(NamedTuple):
+    """What `frf_derivatives` returns, all complex.
+
+    Attributes
+    ----------
+    functions : ndarray (n_freq, n_responses, n_references)
+    derivatives : ndarray (n_params, n_freq, n_responses, n_references)
+        Of an integer parameter zero.
+    felt : ndarray (n_freq, n_felt, n_references)
+        Functions of the further motions under the references.
+    driven : ndarray (n_freq, n_responses, n_driven)
+        Functions of the responses under the further forces.
+    """
+
+    functions: np.ndarray
+    derivatives: np.ndarray
+    felt: np.ndarray
+    driven: np.ndarray
+
+
 def frf_derivatives(
     model: DifferentiableModel,
     values: Mapping[str, float],
@@ -92,14 +113,17 @@ def frf_derivatives(
     references: np.ndarray,
     names: Sequence[str],
     quantity: Quantity = "receptance",
-) -> tuple[np.ndarray, np.ndarray]:
+    beside: tuple[np.ndarray, np.ndarray] | None = None,
+) -> FRFDerivatives:
     """Frequency response functions as in `frf`, and their derivatives per unit of each named parameter.
 
-    Returns
-    -------
-    functions : ndarray (n_freq, n_responses, n_references), complex
-    derivatives : ndarray (n_params, n_freq, n_responses, n_references), complex
-        Of an integer parameter zero.
+    Parameters
+    ----------
+    names : sequence of str
+    beside : (ndarray (n_felt, n_dof), ndarray (n_driven, n_dof)), optional
+        Further motions and forces, whose functions with the references and responses follow from the same solutions.
+
+    Other parameters are those of `frf`.
 
     Raises
     ------
@@ -119,7 +143,13 @@ def frf_derivatives(
         changed = sum(d @ motion.reshape(len(motion), -1) for d, motion in zip(terms, motions, strict=True))
         derivatives[p] = -np.einsum("knr,nkq->krq", felt, np.reshape(changed, motions[0].shape), optimize=True)
     factor = _per_line(quantity, freq)
-    return functions * factor, derivatives * factor
+    further_felt, further_driven = (np.zeros((0, responses.shape[1])),) * 2 if beside is None else beside
+    return FRFDerivatives(
+        functions * factor,
+        derivatives * factor,
+        (further_felt @ forced) * factor,
+        np.swapaxes(further_driven @ felt, 1, 2) * factor,  # Z is symmetric
+    )
 
 
 def _per_line(quantity: Quantity, freq: np.ndarray) -> np.ndarray:

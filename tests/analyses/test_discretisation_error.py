@@ -16,7 +16,8 @@ from calib.analyses.discretisation_error import (
 )
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.library import modal_hypotheses
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_problem import FRFProblem
+from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.residual import ModalResidual
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs

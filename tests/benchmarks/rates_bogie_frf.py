@@ -26,7 +26,8 @@ from calib.analyses.adapters import perturbations_of
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.library import basis_of
 from calib.correlation.frf_nuisance import concerned
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_problem import FRFProblem
+from calib.correlation.frf_residual import FRFResidual
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.loading import module_of

@@ -23,7 +23,8 @@ from rates_subject import ROOT, Subject
 from calib import read_frfs
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.correlation.frf_nuisance import of_every_channel
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_problem import FRFProblem
+from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.residual import ModalResidual
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError

@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 
 from calib.correlation.frf_nuisance import AddedMass, ChannelError, Stinger, concerned
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_problem import FRFProblem
+from calib.correlation.frf_residual import FRFResidual
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.inference.gauss_newton import fit

@@ -9,7 +9,8 @@ import pytest
 import calib
 from calib.correlation.frf_nuisance import ChannelError, concerned
 from calib.correlation.frf_places import PlaceError, of_every_place
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_problem import FRFProblem
+from calib.correlation.frf_residual import FRFResidual
 from calib.errors import InputError
 from calib.inference.gauss_newton import fit
 from calib.measurement.frf import MeasuredFRFs

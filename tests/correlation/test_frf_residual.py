@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.correlation.frf_residual import UNKNOWN_STD, FRFProblem, FRFResidual
+from calib.correlation.frf_problem import UNKNOWN_STD, FRFProblem
+from calib.correlation.frf_residual import FRFResidual
 from calib.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import Prior, fit
 from calib.loading import module_of

@@ -9,7 +9,8 @@ import calib
 from calib.correlation.frf_cross_talk import CrossTalkError
 from calib.correlation.frf_nuisance import ChannelError, belonging_to
 from calib.correlation.frf_places import PlaceError
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_problem import FRFProblem
+from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.frf_rotation import RotationError
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs

@@ -11,7 +11,8 @@ from calib.correlation.frf_cross_talk import CrossTalkError
 from calib.correlation.frf_faults import frf_faults
 from calib.correlation.frf_nuisance import ChannelError
 from calib.correlation.frf_places import PlaceError
-from calib.correlation.frf_residual import FRFProblem, FRFResidual
+from calib.correlation.frf_problem import FRFProblem
+from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.frf_rotation import RotationError
 from calib.effect import Effect
 from calib.measurement.frf import MeasuredFRFs

@@ -1,14 +1,12 @@
-"""What parameters of a test of FRFs have in common: their limits, their names, their standard deviations."""
+"""A parameter of a test of FRFs itself: its limits, its name among several tests, its standard deviation."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
 from calib.errors import InputError
-from calib.measurement.modal import Sensor
 
 Side = Literal["response", "reference"]
 """Channels of a test of FRFs: those of its responses, and those of the forces."""
@@ -26,8 +24,3 @@ def require_positive(prior_sd: float | None, place: str) -> None:
     """InputError for a standard deviation that is given and not positive."""
     if prior_sd is not None and not 0 < prior_sd < np.inf:
         raise InputError(f"its standard deviation is {prior_sd:g}", place=place, remedy="give a positive number")
-
-
-def index_of(sensors: Sequence[Sensor], name: str) -> int | None:
-    """Index of the sensor of a name; None where there is none."""
-    return next((k for k, sensor in enumerate(sensors) if sensor.name == name), None)
