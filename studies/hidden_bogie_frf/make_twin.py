@@ -29,7 +29,7 @@ SHARE = 0.01
 FLOOR = 2e-5
 """m/(N s2), a hundredth of a usual function."""
 ELEMENT_SIZE = 0.0125
-"""m, of the twin: half of that of the modal test's, and less than half of that of the fitted model."""
+"""m, of the twin; half that of the modal test's twin, and less than half that of the fitted model."""
 STREAM = 58
 """Second seed of the noise, beside that of the twin: the modal test of the same twin has its own."""
 
