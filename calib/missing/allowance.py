@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -21,12 +20,15 @@ class Allowance:
         Counts the evaluations.
     most : float
         Evaluations that may be spent.
+    beyond : float
+        Evaluations that may be spent within `continuing` beside them.
     """
 
-    def __init__(self, hypotheses: Hypotheses, most: float) -> None:
+    def __init__(self, hypotheses: Hypotheses, most: float, beyond: float = 0.0) -> None:
         self._hypotheses, self._begun = hypotheses, hypotheses.evaluations
         self.most = most
-        self._limited = True
+        self._beyond = beyond
+        self._entered: int | None = None
 
     @property
     def used(self) -> int:
@@ -35,8 +37,10 @@ class Allowance:
 
     @property
     def left(self) -> float:
-        """Evaluations left; negative when more than allowed were needed; infinite within `unlimited`."""
-        return self.most - self.used if self._limited else math.inf
+        """Evaluations left, within `continuing` of those beyond the budget; negative when more were needed."""
+        if self._entered is None:
+            return self.most - self.used
+        return self._beyond - (self._hypotheses.evaluations - self._entered)
 
     def spent(self, part: float = 1.0) -> bool:
         """Whether that part of the budget is used up."""
@@ -47,14 +51,15 @@ class Allowance:
         self.most = max(self.most, self.used + least)
 
     @contextmanager
-    def unlimited(self) -> Iterator[None]:
-        """As `uncharged`; nor do fits within this context end early, though `spent` goes on telling what is used."""
-        limited, self._limited = self._limited, False
+    def continuing(self) -> Iterator[None]:
+        """Evaluations within this context are charged to those beyond the budget, which alone limit fits within it."""
+        self._entered = self._hypotheses.evaluations
         try:
             with self.uncharged():
                 yield
         finally:
-            self._limited = limited
+            self._beyond -= self._hypotheses.evaluations - self._entered
+            self._entered = None
 
     @contextmanager
     def uncharged(self) -> Iterator[None]:

@@ -85,7 +85,9 @@ class Refits:
     allowance: Allowance = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "allowance", Allowance(self.hypotheses, self.settings.budget))
+        object.__setattr__(
+            self, "allowance", Allowance(self.hypotheses, self.settings.budget, RULES.beyond * self.settings.budget)
+        )
 
     @cached_property
     def by_name(self) -> Mapping[str, Candidate]:
@@ -353,12 +355,12 @@ class Refits:
     def finished(self, candidate_fit: CandidateFit) -> CandidateFit:
         """The fit continued, a few times, until it converges: many parameters need more than its first iterations.
 
-        As a verdict rests on it, the budget is not charged.
+        As a verdict rests on it, it is charged to what may be spent beyond the budget.
         """
         best = candidate_fit
-        with self.allowance.unlimited():
-            for _ in range(RULES.continued if self.settings.budget > 0 else 0):
-                if best.fit.converged:
+        with self.allowance.continuing():
+            for _ in range(RULES.continued):
+                if best.fit.converged or self.allowance.left <= 0:
                     break
                 further = self.followed(best)
                 if further is best:
@@ -370,11 +372,13 @@ class Refits:
         """The best of the fits with integers nearby, each at most one off, until none is better by `Rules.worth`.
 
         They are fitted: where residuals turn sharply, such as near resonances, one step predicts the integers badly.
-        As the answer depends on them, the budget is not charged.
+        As the answer depends on them, they are charged to what may be spent beyond the budget.
         """
         best = candidate_fit
-        with self.allowance.unlimited():
-            for _ in range(RULES.walk if self.settings.budget > 0 else 0):
+        with self.allowance.continuing():
+            for _ in range(RULES.walk):
+                if self.allowance.left <= 0:
+                    break
                 values = best.fit.values
                 others = other_whole(self.fit_problem(best.names), values)
                 better = self._better(best, [{**values, **other} for other in others])

@@ -62,6 +62,8 @@ class Rules:
         Fits that continue one which has not converged, before it is judged as it is; a bound on their cost.
     walk : int
         Steps of integers to better ones nearby: from one end of the bogie's seven places to the other.
+    beyond : float
+        Times the budget that continued fits and steps of integers may spend beyond it.
     anew : float
         Part of the budget that is added for refits from the nominal values.
     rejected : float
@@ -125,6 +127,7 @@ class Rules:
     hopeless: float = 1.05
     continued: int = 4
     walk: int = 6
+    beyond: float = 5.0
     anew: float = 0.5
     rejected: float = 10.0
     rejected_fit: float = 1e-6

@@ -63,7 +63,8 @@ def no_wrong_name(row):
     assert row["outcome"] not in ("wrong", "extra", "mixed"), row
     assert set(row["credible"]) <= set(row["hidden"]) or row["outcome"] in ("right", "second")
     decisions = 1 + (row["noise_scale"] != 1)  # a second decision with a larger standard deviation
-    parts = decisions * (1 + RULES.paired + RULES.stepped) + RULES.anew * row["begun_anew"]
+    parts = decisions * (1 + RULES.paired + RULES.stepped + RULES.beyond)
+    parts += (RULES.anew + RULES.beyond) * row["begun_anew"]
     assert row["evaluations"] <= parts * DEFAULT.budget + BEYOND
 
 

@@ -10,6 +10,7 @@ from calib.missing.explain import Settings, explain
 from calib.missing.linearised_fit import FINE, fitted
 from calib.missing.pairs import fit_pairs
 from calib.missing.refits import Refits
+from calib.missing.rules import RULES
 from calib.stage import unheard
 
 pytestmark = pytest.mark.usefixtures("fewer_draws")
@@ -141,13 +142,13 @@ def test_the_base_fit_starts_at_the_best_neighbouring_integers(toy):
             assert f.base.fit.values["place"] == place and f.verdict == "nothing_detectable"
 
 
-def test_integers_are_followed_by_fits_whatever_the_budget(toy):
+def test_integers_are_followed_by_fits_beyond_the_budget_up_to_a_limit(toy):
     """Two places off, the fit walks there; the nearer a place, the more similar its signature. No budget, no walk."""
     near = np.exp(-0.5 * (np.subtract.outer(np.arange(7), np.arange(7)) / 3.0) ** 2)
     toy = toy(places=7, effects=2, curvature=0.05)
     toy = replace(toy, columns={**toy.columns, "place": 4 * toy.columns["place"] @ near})
     made = toy.drawn(np.random.default_rng(2), {"place": 5})
-    fits = Refits(made, Settings(budget=1), 1.0, unheard)
+    fits = Refits(made, Settings(budget=20), 1.0, unheard)
     wrong = fits.candidate_fit((), {**made.base.values, "place": 3})
     before = fits.allowance.used
     found = fits.beside_whole(wrong)
@@ -155,6 +156,11 @@ def test_integers_are_followed_by_fits_whatever_the_budget(toy):
     assert fits.allowance.used == before and made.evaluations > before + 10
     assert fits.beside_whole(found) is found
     assert Refits(made, Settings(budget=0), 1.0, unheard).beside_whole(wrong) is wrong
+    poor, before = Refits(made, Settings(budget=1), 1.0, unheard), made.evaluations
+    for _ in range(20):
+        poor.beside_whole(wrong)
+    spent = made.evaluations - before
+    assert RULES.beyond < spent < RULES.beyond + 4 * RULES.least_residuals
 
 
 SHORT = replace(FINE, iterations=1)
@@ -165,7 +171,7 @@ def test_fits_that_do_not_converge_at_once_are_continued_before_they_are_judged(
     made = toy(curvature=0.3).correlated("E1", "E0", 0.97).drawn(np.random.default_rng(5), {"E0": 1.5})
     fits = Refits(made, Settings(budget=1), 1.0, unheard)
     start = fits.candidate_fit(("E0",), {**made.base.values, "E0": 0.2}, settings=SHORT)
-    assert not start.fit.converged and fits.spent()
+    assert not start.fit.converged
     before = fits.allowance.used
     finished = fits.finished(start)
     assert finished.fit.converged and finished.fit.misfit < start.fit.misfit and fits.allowance.used == before
