@@ -49,8 +49,7 @@ class Added:
     sentence : str
         How the errors changed, or why no effect was added.
     conclusion : str
-        Whether the model fits and predicts better with them, and which held-out modes it predicts better; empty where
-        the errors are unknown.
+        Whether the model fits and predicts better with them; empty where the errors are unknown.
     errors : DataFrame
         ``added_errors.csv``: ``group, stage, rows, rms, expected, p, unpaired``, stages ``before`` and ``after``.
     parameters : DataFrame
@@ -155,10 +154,10 @@ def write_added(
     errors = _errors(before, after)
     parameters = _parameters(extended, effects, before, after)
     magnitudes = [_magnitude(effect, extended, after) for effect in effects]
-    benefit = "" if errors.empty else f"With {'it' if len(effects) == 1 else 'them'} {conclusion(errors)}."
+    benefit = "" if errors.empty else f"With the effect{'s' * (len(effects) > 1)} {conclusion(errors)}."
     modes = _modes(before, after)
-    benefit = f"{benefit} {_held_out_modes(modes)}".strip()
-    words = [_sentence(magnitudes, errors, benefit), *_unsettled(magnitudes, found)]
+    in_full = f"{benefit} {_held_out_modes(modes)}".strip()
+    words = [_sentence(magnitudes, errors, in_full), *_unsettled(magnitudes, found)]
     words += ["Both are quick runs: confirm them with full ones."] if quick else []
     own = _own_modes(study, effects, extended, after)
     told = own_sentence(own)

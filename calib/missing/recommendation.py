@@ -213,8 +213,12 @@ def recommendation(
     if pair is None and named:
         more = recommendation(table, None, [name for name in unseen if name not in named])
         parts = [_narrowing(table, name) for name in named]
-        in_short = [*_narrowing_in_short(table, named), *([] if more is None else [more.short])]
-        return Recommendation(" ".join([*parts, *([] if more is None else [more.sentence])]), " ".join(in_short))
+        return Recommendation(
+            " ".join([*parts, *([] if more is None else [more.sentence])]),
+            " ".join(
+                _narrowing_in_short(table, named) or ([_no_need(n) for n in named] if more is None else [more.short])
+            ),
+        )
     if pair is not None:
         own = table[table["effect"] == pair[0]]
         best = own.iloc[0]
@@ -256,17 +260,17 @@ def _no_need(name: str) -> str:
 
 
 def _narrowing_in_short(table: pd.DataFrame, named: Sequence[str]) -> list[str]:
-    """The best measurement for the magnitudes of named effects; those that need the same one share a sentence."""
+    """The best measurement for each magnitude that needs one; those that need the same one share a sentence."""
     best: dict[str, list[str]] = {}
     for name in named:
         own = table[(table["effect"] == name) & (table["gain"] >= WORTHWHILE)]
         best.setdefault("" if own.empty else str(own["measurement"].iloc[0]), []).append(name)
-    none = [_no_need(name) for name in best.pop("", [])]
+    best.pop("", None)
     told = [
         (f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0], m) for m, names in best.items()
     ]
     many = {measurement: "s" * (len(names) > 1) for measurement, names in best.items()}
-    return [*(f"To narrow the magnitude{many[m]} of {names}, {_in_short([m])}." for names, m in told), *none]
+    return [f"To narrow the magnitude{many[m]} of {names}, {_in_short([m])}." for names, m in told]
 
 
 def _in_short(names: Sequence[str]) -> str:

@@ -155,6 +155,15 @@ def suspects(
     return table.iloc[order].reset_index(drop=True)
 
 
+def in_short(table: pd.DataFrame) -> str:
+    """The datum that a named effect rests on, for the summary; empty where it rests on more than one."""
+    explaining = table[table["explains"].astype(bool)]
+    if explaining.empty:
+        return ""
+    what = explaining["what"].iloc[0]
+    return f"It rests on {what}, without which the base model would fit too: check that measurement."
+
+
 def sentence(table: pd.DataFrame, named: str = "") -> str:
     """The datum without which everything fits, in words; empty where none alone explains the misfit.
 

@@ -17,6 +17,7 @@ from calib.missing.nearly import is_nearly, spread_of
 from calib.missing.recommendation import Recommendation, as_ratio, rounded
 from calib.missing.rules import RULES
 from calib.missing.steps_table import rivals_sentence, steps_sentence
+from calib.missing.suspect import in_short as suspect_in_short
 from calib.missing.suspect import sentence as suspect_sentence
 from calib.missing.tables import UNTESTED
 from calib.missing.verdict_words import (
@@ -25,12 +26,15 @@ from calib.missing.verdict_words import (
     collinear,
     ended,
     family,
+    family_in_short,
     further,
     look_for,
     row_of,
     sized,
+    with_in_short,
     with_words,
     without,
+    without_in_short,
 )
 from calib.missing.worst_misfit import p_words, where, worst_repeats
 
@@ -121,7 +125,8 @@ def verdict(
     if found.names_something or found.verdict in ("partial", "unconfirmed"):
         sure.append(_OUTSIDE)
     if found.verdict == "effect" and found.chosen is not None:
-        sure.append(suspect_sentence(found.suspects, found.chosen.names[0]))
+        sure.append(suspect_in_short(found.suspects))
+        support.insert(0, suspect_sentence(found.suspects, found.chosen.names[0]))
     if assumed:
         sure.append(f"These results rest on an assumed standard deviation: {assumed}.")
     answer = Answer(words.found, " ".join(filter(None, sure)), f"{words.then} {short}".strip())
@@ -139,21 +144,23 @@ def _nothing(found: Explanation, effects: pd.DataFrame) -> Words:
             "can be tested.",
             "Measure more modes or mode shapes, or hold parameters that are known, and ask again.",
         )
-    sure = f"The data are as expected of a complete model: {family(found)}."
+    sure = f"The data are as expected of a complete model: {family_in_short(found)}."
+    tested = (f"Tested: {family(found)}.",)
     if found.groups and not effects["visible"].astype(bool).any():
         blind = "The base model fits, but these data cannot show any effect of the library at a plausible magnitude."
-        return Words(blind, sure, "Measure more before you conclude that nothing is missing.")
+        return Words(blind, sure, "Measure more before you conclude that nothing is missing.", tested)
     fits = "The model fits: no missing effect is detectable in these data."
-    return Words(fits, sure, "Nothing calls for a change of the model.")
+    return Words(fits, sure, "Nothing calls for a change of the model.", tested)
 
 
 def _noise(found: Explanation, effects: pd.DataFrame) -> Words:
     factor = f"{found.noise_scale:.2g}"
     return Words(
         f"The standard deviation seems understated: the residuals of all modes are {factor} times too large.",
-        f"With {factor} times the standard deviation nothing detectable is missing. {without(found)}",
+        f"With {factor} times the standard deviation nothing detectable is missing. {without_in_short(found)}",
         "Check the standard deviation before anything else: repeats do not show what differs between set-ups, and an "
         "assumed one may be too small.",
+        (without(found),),
     )
 
 
@@ -166,9 +173,15 @@ def _effect(found: Explanation, effects: pd.DataFrame) -> Words:
     among = f" among the {tested} effects of the library" if tested > 1 else " within the library"
     return Words(
         f"The model lacks {sized(effects, e)}.",
-        f"{e.name} is {probable}{among}. {without(found)} {with_words(found)}",
+        f"{e.name} is {probable}{among}. {without_in_short(found)} {with_in_short(found)}",
         look_for((e,)),
-        (further(found.chosen), collinear(found, effects, found.chosen), as_it_is((e,))),
+        (
+            without(found),
+            with_words(found),
+            further(found.chosen),
+            collinear(found, effects, found.chosen),
+            as_it_is((e,)),
+        ),
     )
 
 
@@ -197,9 +210,10 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> Words:
         first = "The model lacks something, and these data cannot tell which"
     return Words(
         f"{first}: {named}.",
-        f"The odds of the first against the second are {as_ratio(ln_bayes)}. {without(found)} {with_words(found)}",
+        f"The odds of the first against the second are {as_ratio(ln_bayes)}. {without_in_short(found)} "
+        f"{with_in_short(found)}",
         f"{look_for(credible, ' Or: ')} {check}".strip(),
-        (as_it_is(credible),),
+        (without(found), with_words(found), as_it_is(credible)),
     )
 
 
@@ -219,9 +233,14 @@ def _several(found: Explanation, effects: pd.DataFrame) -> Words:
     them = "both" if count == 2 else f"all {_NUMBERS[count]}"
     return Words(
         f"{named} {rivals_sentence(found)}".strip(),
-        f"{fewer} the systematic misfit. {without(found)} {with_words(found, them)}",
+        f"{fewer} the systematic misfit. {without_in_short(found)} {with_in_short(found, them)}",
         look_for(found.chosen.effects),
-        (collinear(found, effects, found.chosen), as_it_is(found.chosen.effects)),
+        (
+            without(found),
+            with_words(found, them),
+            collinear(found, effects, found.chosen),
+            as_it_is(found.chosen.effects),
+        ),
     )
 
 
@@ -234,7 +253,9 @@ def _unconfirmed(found: Explanation, effects: pd.DataFrame) -> Words:
     else:
         against = "but data that no fit has seen contradict it"
         then = "Check the held-out data: it stands in for something else, or they are in error."
-    return Words(f"No effect is confirmed: {named}, would fit, {against}.", without(found), then)
+    return Words(
+        f"No effect is confirmed: {named}, would fit, {against}.", without_in_short(found), then, (without(found),)
+    )
 
 
 def _rest(found: Explanation) -> str:
@@ -258,9 +279,9 @@ def _partial(found: Explanation, effects: pd.DataFrame) -> Words:
         f"The model lacks something that no listed effect explains fully: {sized(effects, e)}, is a part of it or "
         "stands in for something else.",
         f"It lowers the sum of squares from {before:.0f} to {after:.0f} but leaves "
-        f"{p_words(found.chosen_adequacy.p_family)}. {without(found)}",
+        f"{p_words(found.chosen_adequacy.p_family)}. {without_in_short(found)}",
         _rest(found),
-        (steps_sentence(found),),
+        (without(found), steps_sentence(found)),
     )
 
 
@@ -273,9 +294,10 @@ def _nearly(found: Explanation, e: Candidate) -> Words:
         f"The model lacks something like {e.in_words}, but not exactly that; in the form that the library lists it "
         f"would be {range_words(low, high, e.magnitude.unit)}.",
         f"It lowers the sum of squares from {before:.0f} to {after:.0f}, far more than anything else does, but leaves "
-        f"{p_words(found.chosen_adequacy.p_family)}. {without(found)} A further, much smaller effect is possible too.",
+        f"{p_words(found.chosen_adequacy.p_family)}. {without_in_short(found)} A further, much smaller effect is "
+        "possible too.",
         look_for((e,)),
-        (f"What is left is largest {left}." if left else "", steps_sentence(found)),
+        (without(found), f"What is left is largest {left}." if left else "", steps_sentence(found)),
     )
 
 
@@ -285,15 +307,16 @@ def _none(found: Explanation, effects: pd.DataFrame) -> Words:
     if found.chosen is not None:
         (e,) = found.chosen.effects
         attempt = f"The best attempt, {sized(effects, e)}, is not believed: {_why_not(found)}."
-    return Words(what, without(found), _rest(found), (attempt, steps_sentence(found)))
+    return Words(what, without_in_short(found), _rest(found), (without(found), attempt, steps_sentence(found)))
 
 
 def _unlocated(found: Explanation, effects: pd.DataFrame) -> Words:
     return Words(
         "The model misses the data by more than their standard deviation, but no effect and no place stands out.",
-        f"{without(found)} The misfit is largest {where(found.base_adequacy)}.",
+        f"{without_in_short(found)} The misfit is largest {where(found.base_adequacy)}.",
         "Look at that measurement first: its channel, its repeats, and whether its standard deviation is larger than "
         "stated.",
+        (without(found),),
     )
 
 

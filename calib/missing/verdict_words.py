@@ -20,7 +20,10 @@ WORST = "the worst kind of data or mode shape"
 
 @dataclass(frozen=True)
 class Words:
-    """What one kind of verdict says; ``then`` is what to do before anything is measured."""
+    """What one kind of verdict says; ``then`` is what to do before anything is measured.
+
+    ``sure`` is told in short, ``support`` in full.
+    """
 
     found: str
     sure: str
@@ -31,6 +34,28 @@ class Words:
 def without(found: Explanation) -> str:
     """How improbable the misfit of the base model would be if nothing were missing."""
     return f"If nothing were missing: {family(found)}."
+
+
+def without_in_short(found: Explanation) -> str:
+    """The same for the summary."""
+    return f"If nothing were missing: {family_in_short(found)}."
+
+
+def family_in_short(found: Explanation) -> str:
+    """The tests of the base model, without what was tested."""
+    adequacy = found.base_adequacy
+    kinds = (adequacy.named, adequacy.perturbations, *([] if adequacy.faults is None else [adequacy.faults]))
+    tested = sum(len(set(scores.owners)) for scores in kinds)
+    return f"{p_words(adequacy.p_family)} for the largest of {tested} scores, {p_words(adequacy.p_fit)} for {WORST}"
+
+
+def with_in_short(found: Explanation, them: str = "it") -> str:
+    """How well the data fit with the chosen effects, for the summary."""
+    adequacy = found.chosen_adequacy
+    assert adequacy is not None
+    if adequacy.p_fit <= found.alpha:
+        return f"With {them} nothing else stands out, but the fit is poor ({p_words(adequacy.p_fit)})."
+    return f"With {them} nothing else stands out ({p_words(min(adequacy.p_family, adequacy.p_fit))})."
 
 
 def family(found: Explanation) -> str:
