@@ -90,7 +90,10 @@ def test_the_output_is_in_order_with_its_numbers(within):
     end = within[within.index("before and after  [synthetic") :]
     added = json.loads((FOLDER / "added.json").read_text())
     assert added["sentence"] in end and "Both are quick runs" in end
-    assert added["conclusion"].startswith("With it the model fits better and predicts ") and added["conclusion"] in end
+    assert (
+        added["conclusion"].startswith("With the effect the model fits better and predicts ")
+        and added["conclusion"] in end
+    )
     errors = pd.read_csv(FOLDER / "added_errors.csv").set_index(["group", "stage"])
     for words, group in {"used data": "fit", "held-out sensors": UNSEEN[0], "held-out modes": UNSEEN[1]}.items():
         before, after = errors.loc[(group, "before")], errors.loc[(group, "after")]
@@ -205,7 +208,7 @@ def test_a_model_without_matrices_is_run_to_the_end_too(here, asked):
     """Nothing is held out there, so leave-one-out data decide."""
     truth = json.loads((ROOT / "tests/truth/five_mass_chain.json").read_text())
     out = asked(here, "run", str(ROOT / "studies/five_mass_chain"), "--quick", "--workers", "1")
-    assert "With it the model fits better and predicts data left out in turn better." in out
+    assert "With the effect the model fits better and predicts data left out in turn better." in out
     (effect,) = json.loads(Path("results/five_mass_chain/quick/added.json").read_text())["effects"]
     magnitude = truth["magnitude"][truth["effect"]]
     assert effect["name"] == truth["effect"] and effect["low"] < magnitude < effect["high"]

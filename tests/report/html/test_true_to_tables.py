@@ -108,7 +108,7 @@ def test_the_added_effect_is_reported_by_parameter_and_by_mode(everything, text,
         np.testing.assert_allclose(cells, 100 * modes[f"error_{stage}"], atol=0.00501)
     top = " ".join(reader(text[: text.index("<section")]).text.split())
     conclusion = json.loads((everything / "added.json").read_text("utf-8"))["conclusion"]
-    assert conclusion.startswith("With it the model fits better and predicts ")
+    assert conclusion.startswith("With the effect the model fits better and predicts ")
     assert conclusion.replace(" -> ", " → ") in top
     assert "0.03 % (noise allows 0.16 %)" in top  # the standard deviation of each frequency is 0.2 %: 0.2 sqrt(2/pi)
     rms = pd.read_csv(everything / "added_errors.csv").set_index(["group", "stage"])["rms"]
