@@ -160,7 +160,7 @@ def test_two_effects_are_added_together(here, write_study, asked, edit):
     assert Study.load(FOLDER / "mast_extended").settings.with_effects == ("platform", "stuck_base")
     added = json.loads((FOLDER / "added.json").read_text())
     assert [e["name"] for e in added["effects"]] == ["platform", "stuck_base"]
-    assert "With them the model fits better" in added["sentence"]
+    assert "With the effects the model fits better" in added["sentence"]
 
 
 @pytest.mark.slow
