@@ -30,7 +30,6 @@ from calib.front.frf_test import FRFTest
 from calib.front.posed import Effects, P, PosedProblem
 from calib.front.shown import Shown
 from calib.front.test import Model, ResponseTest, Test, under
-from calib.function import FunctionModel
 from calib.given import integer, objects
 from calib.loading import require_distinct
 from calib.progress import in_python
@@ -180,7 +179,9 @@ def _adapter(
     held, facts = under(model, test.name, test.condition), _facts(test, seed)
     space, name = held.space.without(test.condition), test.name if several else ""
     if isinstance(test, ResponseTest):
-        assert isinstance(held, FunctionModel)
+        if isinstance(held, StructuralModel):
+            of_matrices = Variants(held, effects, tuple(a.effect for a in local))
+            return ScalarAdapter(ModelHypotheses(test.pair(held), of_matrices, space), local, facts, test.unseen)
         scalar, tested = function_hypotheses(held, test.pair(held), effects, space, name)
         return ScalarAdapter(scalar, tested, facts, test.unseen)
     if isinstance(test, FRFTest):

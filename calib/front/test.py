@@ -12,6 +12,7 @@ import pandas as pd
 from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.verify import errors_of
 from calib.correlation.function_problem import FunctionProblem
+from calib.correlation.modal_responses import ModalResponses
 from calib.correlation.problem import ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
 from calib.correlation.response_residual import ResponseResidual
@@ -201,7 +202,10 @@ class ModalTest:
 
 @dataclass(frozen=True, eq=False)
 class ResponseTest:
-    """Measured scalar responses, compared with those of a `calib.FunctionModel`.
+    """Measured scalar responses, compared with those of a `calib.FunctionModel` or with numbers of modes.
+
+    A model with modes has the responses ``freq_1``, ``freq_2``, ... (natural frequencies in ascending order, Hz) and
+    ``damping_1``, ... (damping ratios): the frequencies of a data sheet, say. With shapes a `ModalTest` pairs better.
 
     Attributes
     ----------
@@ -223,6 +227,17 @@ class ResponseTest:
     '1 % of f1'
     >>> round(test.measured.targets["f1"][1], 4)  # its standard deviation
     0.0503
+
+    A model of matrices fitted to two frequencies; those of the model are sqrt(k/m) times 0.618 and 1.618:
+
+    >>> import numpy as np
+    >>> model = calib.StructuralModel.from_matrices(
+    ...     stiffness={"k": np.array([[2.0, -1.0], [-1.0, 1.0]])}, mass=np.diag([10.0, 10.0]),
+    ...     dofs=[(1, "x"), (2, "x")], parameters=[calib.Parameter("k", 30.0, 10.0, 90.0, "kN/m")],
+    ... )
+    >>> sheet = calib.ResponseTest({"freq_1": (6.22, 0.01), "freq_2": (16.29, 0.02)})
+    >>> round(calib.Problem(model, sheet).calibrate().values["k"], 1)
+    40.0
     """
 
     responses: Mapping[str, float | tuple[float, float | None]] | MeasuredResponses
@@ -262,13 +277,14 @@ class ResponseTest:
 
     def problem(self, model: Model) -> FunctionProblem:
         """The forward problem of a model, without held-out responses."""
-        if not isinstance(model, FunctionModel):
-            raise InputError(f"the model {model.name} returns modes", place=place_of(self), remedy="give a ModalTest")
-        measured = self.measured
+        measured, mark = self.measured, model.fingerprint
+        if isinstance(model, FunctionModel):
+            function = model.function
+        else:
+            function = ModalResponses.of(model, measured.targets, place_of(self))
+            mark = f"{mark} {function.count} modes"
         used = {n: t for n, t in measured.targets.items() if n not in self.held_out}
-        return FunctionProblem(
-            model.space, model.function, used, model.fingerprint, measured.pooled_repeats, measured.shares
-        )
+        return FunctionProblem(model.space, function, used, mark, measured.pooled_repeats, measured.shares)
 
     @property
     def beside(self) -> ResponseTest:
