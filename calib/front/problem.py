@@ -23,17 +23,17 @@ from calib.front.search import refined, searched
 from calib.front.sensitivity import Assessed, assessed
 from calib.front.shown import Compared
 from calib.front.test import TESTS, Model, Test, under
-from calib.function import FunctionModel, extend_function
+from calib.function import FunctionModel
 from calib.given import integer, objects
 from calib.given import names as names_of
 from calib.given import values as values_of
 from calib.inference.genetic import GeneticSettings
 from calib.joint import JointProblem
 from calib.ledger import Ledger
+from calib.loading import extended
 from calib.problem import Problem as Posed
 from calib.sampling import sample
 from calib.space import ParameterSpace
-from calib.structure.extend import extend
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 
@@ -164,9 +164,7 @@ class Problem:
 
     def _with(self, effects: Library) -> Problem:
         own = effects.get(self.model.name, ())
-        model: Model = self.model
-        if own:
-            model = extend(model, own) if isinstance(model, StructuralModel) else extend_function(model, own)
+        model = extended(self.model, own) if own else self.model
         return replace(self, model=model, beside=tuple(p._with(effects) for p in self.beside))
 
     # -- analyses ------------------------------------------------------------------------------------------------------
