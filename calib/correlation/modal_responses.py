@@ -79,8 +79,8 @@ def _number(model: ModalModel, name: str, place: str) -> int:
     match = _NAME.fullmatch(name)
     if match is None:
         raise InputError(
-            f"the model {model.name} has no response {name!r}", place=place,
-            remedy="name those of its modes freq_1, damping_1, freq_2, ..., or give a FunctionModel that returns it",
+            f"the model {model.name} has no response {name!r}, only freq_1, damping_1, freq_2, ... of its modes",
+            place=place, remedy="leave it out, or give a FunctionModel that returns it",
         )  # fmt: skip
     number = int(match[2])
     if number > model.n_modes:
