@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from calib.front.fit import Fit as Fit
     from calib.front.frf_test import FRFTest as FRFTest
     from calib.front.problem import Problem as Problem
+    from calib.front.response_test import ResponseTest as ResponseTest
     from calib.front.sensitivity import Assessed as Assessed
     from calib.front.shown import Compared as Compared
     from calib.front.study import Study as Study
     from calib.front.test import ModalTest as ModalTest
-    from calib.front.test import ResponseTest as ResponseTest
     from calib.function import FunctionModel as FunctionModel
     from calib.measurement.modal import MeasuredModes as MeasuredModes
     from calib.measurement.modal import Sensor as Sensor
@@ -51,7 +51,7 @@ _PLACES = {
     "Parameter": "space",
     "ParameterSpace": "space",
     "Problem": "front.problem",
-    "ResponseTest": "front.test",
+    "ResponseTest": "front.response_test",
     "Sensor": "measurement.modal",
     "StructuralModel": "structure.model",
     "Study": "front.study",

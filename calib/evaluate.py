@@ -13,9 +13,11 @@ from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import Protocol
 
+import pandas as pd
+
 from calib import interrupt, worker
 from calib.errors import InputError
-from calib.outcome import TOOK_TOO_LONG, WORKER_DIED, Function, Outcome, attempt
+from calib.outcome import TOOK_TOO_LONG, WORKER_DIED, Asked, Function, Outcome, attempt
 from calib.threads import one_thread
 from calib.worker import Source
 
@@ -37,6 +39,28 @@ class BatchEvaluator(Protocol):
 
     def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = unheard) -> list[Outcome]:
         """Outcomes in the order of the points; ``arrived`` is called with each as soon as it is available."""
+        ...
+
+
+class Recorder(Protocol):
+    """What keeps evaluated points and the history of searches, such as `calib.ledger.Ledger`; see there."""
+
+    def evaluate(
+        self,
+        fingerprint: str,
+        points: Sequence[Mapping[str, float]],
+        evaluator: BatchEvaluator,
+        told: Callable[[int], None],
+    ) -> list[Outcome]:
+        """Outcomes in the order of the points; those not known are evaluated as one batch and kept."""
+        ...
+
+    def record(self, run: str, fingerprint: str, generation: int, asked: Sequence[Asked]) -> None:
+        """Record one generation of a search."""
+        ...
+
+    def history(self, run: str) -> pd.DataFrame:
+        """Points requested by a run, with ``status``: ``solved``, ``reused``, ``infeasible`` or ``failed``."""
         ...
 
 

@@ -13,7 +13,7 @@ import pandas as pd
 
 from calib.degrees_of_freedom import behind
 from calib.errors import EvaluationError, InputError, again
-from calib.problem import Counts
+from calib.problem import Counts, Label, label_table
 from calib.space import Parameter, ParameterSpace
 
 _Result = TypeVar("_Result")
@@ -28,12 +28,15 @@ class JointRow(NamedTuple):
         Name of its problem.
     mode, kind, sensor : str
         As in that problem; mode and sensor are prefixed with the test's name, since tests may share names.
+    own : Label
+        The label in that problem, with every column that the test brings.
     """
 
     test: str
     mode: str
     kind: str
     sensor: str
+    own: Label
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +55,16 @@ class JointRows:
     def rows(self) -> tuple[JointRow, ...]:
         """Labels of the rows, length n_rows."""
         return tuple(
-            JointRow(test, of_test(test, row.mode), row.kind, of_test(test, row.sensor))
+            JointRow(test, of_test(test, row.mode), row.kind, of_test(test, row.sensor), row)
             for test, problem in self.parts.items()
             for row in problem.rows
         )
+
+    @property
+    def labels(self) -> pd.DataFrame:
+        """Labels of all tests, n_rows, with a column `TEST` and every column that a test brings; see `label_table`."""
+        shared = pd.DataFrame(self.rows)[[TEST, "mode", "kind", "sensor"]]
+        return label_table([row.own for row in self.rows]).assign(**shared)
 
     @property
     def relative_std(self) -> np.ndarray:

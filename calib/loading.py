@@ -255,12 +255,17 @@ def pick(library: Sequence[Effect], name: str, place: Place) -> Effect:
     return known[name]
 
 
+def extended(model: Model, effects: Sequence[Effect]) -> Model:
+    """The model with effects added; InputError when one does not fit the model."""
+    return extend(model, effects) if isinstance(model, StructuralModel) else extend_function(model, effects)
+
+
 def with_effects(base: Model, effects: Sequence[Effect], place: Place | str) -> Model:
     """The model with effects added; InputError when one does not fit the model or fails."""
     if not effects:
         return base
     try:
-        return extend(base, effects) if isinstance(base, StructuralModel) else extend_function(base, effects)
+        return extended(base, effects)
     except InputError as fault:
         where = f"{place}, {fault.place}" if fault.place else place
         at = fault.at or raised_at(fault) or (place if isinstance(place, Place) else None)

@@ -156,3 +156,21 @@ def directory_kept() -> Iterator[None]:
 
 def _one_line(text: str) -> str:
     return " ".join(text.split())[:500]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One individual of a generation of a search.
+
+    Attributes
+    ----------
+    key : str
+        From `key_of`.
+    status : {"ok", "failed", "infeasible"}
+    misfit : float
+        NaN unless ``ok``.
+    """
+
+    key: str
+    status: Literal["ok", "failed", "infeasible"]
+    misfit: float = math.nan

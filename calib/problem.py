@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
+import pandas as pd
 
 from calib.errors import EvaluationError, again
 from calib.outcome import Outcome, failure, key_of
@@ -18,7 +19,7 @@ REMEMBERED = 8
 
 
 class Label(Protocol):
-    """Label of one row of the residual."""
+    """Label of one row of the residual, a named tuple; a test may add columns of its own to these three."""
 
     @property
     def mode(self) -> str:
@@ -33,6 +34,10 @@ class Label(Protocol):
     @property
     def sensor(self) -> str:
         """Sensor of a shape or name of a scalar response, else empty."""
+        ...
+
+    def _asdict(self) -> dict[str, Any]:
+        """All columns of the label by name."""
         ...
 
 
@@ -53,6 +58,12 @@ class Labelled(Protocol):
     def std_dof(self) -> Mapping[str, float]:
         """Degrees of freedom behind the standard deviations of each kind of row; infinite where they are known."""
         ...
+
+
+def label_table(rows: Sequence[Label]) -> pd.DataFrame:
+    """Labels of rows as a table, n_rows, with every column that any of them has; empty where a row has none."""
+    table = pd.DataFrame([row._asdict() for row in rows])
+    return table.astype(object).where(table.notna(), "").infer_objects()
 
 
 @dataclass(frozen=True)
@@ -216,6 +227,11 @@ class Problem(Generic[P]):
     def rows(self) -> Sequence[Label]:
         """Labels of the rows, length n_rows."""
         return self.pair.rows
+
+    @property
+    def labels(self) -> pd.DataFrame:
+        """Labels of the rows as a table, n_rows; see `label_table`."""
+        return label_table(self.rows)
 
     @property
     def relative_std(self) -> np.ndarray:

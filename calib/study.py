@@ -330,7 +330,7 @@ class EvaluationSource:
                 place=self.path,
                 remedy="start the command again, or create such things inside the function",
             )
-        return problem.evaluate if isinstance(study.model, StructuralModel) else _Extendable(study).evaluate
+        return problem.evaluate if problem.function is None else _Extendable(study).evaluate
 
 
 @dataclass(frozen=True, eq=False)

@@ -128,7 +128,7 @@ def functions_in_this_process() -> Iterator[None]:
     of the isolation see with the real thing.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.front.study.isolated", lambda study: study)
+        patch.setattr("calib.front.adopting.isolated", lambda study: study)
         yield
 
 

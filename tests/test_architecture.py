@@ -45,9 +45,9 @@ RANKS = (
 RANK = {name: k for k, names in enumerate(RANKS) for name in names}
 # Apart from ranks: searches know neither finite elements nor files, figures know tables only.
 FORBIDDEN = {
-    "inference": {"structure", "measurement", "correlation", "study", "settings"},
-    "sensitivity": {"structure", "measurement", "correlation", "study", "settings"},
-    "missing": {"structure", "measurement", "correlation", "study", "settings"},
+    "inference": {"structure", "measurement", "correlation", "study", "settings", "ledger"},
+    "sensitivity": {"structure", "measurement", "correlation", "study", "settings", "ledger"},
+    "missing": {"structure", "measurement", "correlation", "study", "settings", "ledger"},
     "report": set(RANK) - {"errors", "table", "named_values", "written", "stage", "report"},
     "structure": {"correlation", "study", "inference", "sensitivity"},
 }

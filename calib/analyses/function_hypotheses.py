@@ -32,7 +32,7 @@ def function_hypotheses(
     ----------
     model : FunctionModel or ModalFunctionModel
     pair : ResponseResidual or ModalResidual
-        The test of that model.
+        The test of that model; of one of modes either.
     effects : tuple of Effect
         Named candidates.
     space : ParameterSpace

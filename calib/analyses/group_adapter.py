@@ -142,9 +142,9 @@ class FRFAdapter(GroupAdapter):
         return None if finer is None else frf_discretisation_error(self.hypotheses, found.base.fit, finer)
 
     def labels(self) -> pd.DataFrame:
-        """Labels of the rows of data; ``mode`` is the line, such as ``12.5 Hz``, and ``part`` is ``re`` or ``im``."""
-        rows = self.hypotheses.pair.rows
-        return super().labels().assign(mode=[f"{row.freq:.10g} Hz" for row in rows], part=[row.part for row in rows])
+        """Labels of the rows of data; ``mode`` is the line, such as ``12.5 Hz``."""
+        table = super().labels()
+        return table.assign(mode=[f"{freq:.10g} Hz" for freq in table["freq"]])
 
     def tables(self, stages: Mapping[str, CandidateFit]) -> dict[str, pd.DataFrame]:
         """``frf_misfit``: whitened residuals of every function and line by stage; where effects act; the mesh."""

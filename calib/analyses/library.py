@@ -45,7 +45,7 @@ def local_perturbations(
     ----------
     model : StructuralModel
     measured : sequence of MeasuredModes or MeasuredFRFs
-        The fitted data of each test.
+        The fitted data of each test with sensors.
     values : mapping
         Reference values, see `calib.structure.perturbations.perturbations`; those of a test's nuisances are ignored.
     of : str
@@ -53,7 +53,7 @@ def local_perturbations(
     """
     placed = {s.name: s for one in measured for s in one.sensors if s.point is not None}
     values = {name: value for name, value in values.items() if name in model.space}
-    sensors, lowest = list(placed.values()), min(one.lowest_freq for one in measured)
+    sensors, lowest = list(placed.values()), min((one.lowest_freq for one in measured), default=0.0)
     return (*perturbations(model, sensors, values, lowest, of), *accelerometers(model, sensors, values, of))
 
 

@@ -98,10 +98,6 @@ class ModalAdapter(OneTest):
         finer = self.finer()
         return None if finer is None else discretisation_error(self.hypotheses, found.base.fit, finer)
 
-    def labels(self) -> pd.DataFrame:
-        """Labels of the rows of data; ``part`` is ``re`` or ``im`` of a shape, else empty."""
-        return super().labels().assign(part=[row.part for row in self.hypotheses.pair.rows])
-
     def tables(self, stages: Mapping[str, CandidateFit]) -> dict[str, pd.DataFrame]:
         """``sensor_misfit``: whitened residuals of shapes by sensor; ``unpaired``: modes without partner; the mesh.
 

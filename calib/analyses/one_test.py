@@ -21,6 +21,7 @@ from calib.missing.recommendation import ExperimentalDesign
 from calib.missing.refits import DEFAULT
 from calib.missing.score import Scores
 from calib.outcome import Outcome
+from calib.problem import label_table
 from calib.stage import Progress, unheard
 from calib.structure.effect_places import effect_places
 from calib.structure.model import StructuralModel
@@ -28,6 +29,8 @@ from calib.structure.perturbations import Perturbation
 
 BASIS_ERROR = 0.05
 """Largest difference of whitened residuals on the reduced basis from full order, in standard deviations."""
+LABELS = ("kind", "mode", "sensor", "part")
+"""Columns of the labels of every kind of test; ``part`` is ``re`` or ``im``, empty where there are no parts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +109,9 @@ class OneTest(ABC):
         """Errors of one fit by group of data, in units of ``scale`` times the standard deviation."""
 
     def labels(self) -> pd.DataFrame:
-        """Labels of the rows of data, without parts."""
-        rows = [(row.kind, row.mode, row.sensor, "") for row in self.hypotheses.rows]
-        return pd.DataFrame(rows, columns=["kind", "mode", "sensor", "part"])
+        """Labels of the rows of data: `LABELS`, then the columns that the test adds to them."""
+        table = label_table(self.hypotheses.rows)
+        return table.reindex(columns=[*dict.fromkeys([*LABELS, *table.columns])], fill_value="")
 
     @abstractmethod
     def tables(self, stages: Mapping[str, CandidateFit]) -> dict[str, pd.DataFrame]:

@@ -8,11 +8,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calib.correlation.modal_responses import as_responses
 from calib.correlation.responses import assumed_responses, response_dof
 from calib.errors import EvaluationError, InputError
 from calib.function import FunctionModel, responses_of
 from calib.own_code import defined_at
 from calib.space import ParameterSpace
+from calib.structure.modal_model import ModalModel
 from calib.structure.model import Assumption
 
 
@@ -56,9 +58,9 @@ class FunctionProblem:
                     remedy="give a positive one or none",
                 )
 
-    def with_model(self, model: FunctionModel) -> FunctionProblem:
-        """The same targets for another function."""
-        return replace(self, space=model.space, function=model.function)
+    def with_model(self, model: FunctionModel | ModalModel) -> FunctionProblem:
+        """The same targets for another model: a function, or one with modes where they are responses of modes."""
+        return replace(self, space=model.space, function=as_responses(self.function, model))
 
     def with_function(self, function: Callable[[Mapping[str, float]], Mapping[str, float]]) -> FunctionProblem:
         """The same targets for another form of the function."""

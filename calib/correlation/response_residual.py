@@ -14,9 +14,10 @@ from calib.differences import STEP, central_jacobian
 from calib.errors import EvaluationError, InputError
 from calib.fault import Fault
 from calib.fingerprint import digest_of
-from calib.function import Asked, FunctionModel, responses_of, slope_entry
+from calib.function import DERIVES, Asked, FunctionModel, responses_of, slope_entry
 from calib.outcome import answered
 from calib.space import ParameterSpace
+from calib.structure.modal_model import ModalModel
 
 _DEFINITION = "response residual 1"
 """Part of the fingerprint; increment it whenever the same responses would give another residual or derivative."""
@@ -98,7 +99,7 @@ class ResponseResidual:
         """None."""
         return ()
 
-    def with_model(self, model: FunctionModel, added: int | None = None) -> ResponseResidual:
+    def with_model(self, model: FunctionModel | ModalModel, added: int | None = None) -> ResponseResidual:
         """The same measured responses with another model; ``added`` concerns modes and is ignored."""
         return replace(self, problem=self.problem.with_model(model))
 
@@ -153,7 +154,7 @@ class ResponseResidual:
         space, here = self.problem.space, at(values)
         entries = {name: [slope_entry(response, name) for response in self.problem.targets] for name in names}
         function: Any = self.problem.function
-        if isinstance(function, Asked) and len(responses_of(here)) < len(here):
+        if isinstance(function, Asked) and (getattr(function, DERIVES, False) or len(responses_of(here)) < len(here)):
             unknown = [name for name, own in entries.items() if any(entry not in here for entry in own)]
             here = {**here, **_told(function, values, unknown)}
         known = {

@@ -8,7 +8,12 @@ from typing import Any
 import numpy as np
 
 from calib.errors import InputError
+from calib.function import FunctionModel
 from calib.given import names, number, values
+from calib.structure.modal_function import ModalFunctionModel
+from calib.structure.model import StructuralModel
+
+Model = StructuralModel | ModalFunctionModel | FunctionModel
 
 UNNAMED = "test"
 """Name of a test that was given none."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Generic, TypeAlias
 
 import pandas as pd
@@ -14,32 +13,21 @@ from calib.analyses.adapter import Adapter
 from calib.analyses.added import to_add
 from calib.analyses.explain import answered, decided, require_usable
 from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
-from calib.analyses.function_hypotheses import function_hypotheses
-from calib.analyses.group_adapter import FRFAdapter, ScalarAdapter
-from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.joint_adapter import together
-from calib.analyses.library import effects_basis, local_perturbations
-from calib.analyses.modal_adapter import ModalAdapter
+from calib.analyses.library import local_perturbations
 from calib.analyses.record import check_repeats, disagreements_table
-from calib.analyses.reduction import WORTHWHILE_DOFS, Reducible, Wanted
 from calib.analyses.uncertainty import in_words, notes_on
-from calib.correlation.fault_library import modal_faults
 from calib.effect import Effect
-from calib.errors import InputError, ToleranceError
-from calib.front.frf_test import FRFTest
+from calib.errors import InputError
 from calib.front.posed import Effects, P, PosedProblem
 from calib.front.shown import Shown
-from calib.front.test import Model, ResponseTest, Test, under
-from calib.function import FunctionModel
+from calib.front.test import Test, under
 from calib.given import integer, objects
 from calib.loading import require_distinct
 from calib.progress import in_python
-from calib.settings import ExplainSettings, ReductionSettings
-from calib.structure.basis import Basis
-from calib.structure.modal_function import ModalFunctionModel
+from calib.settings import ExplainSettings
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
-from calib.structure.variants import Variants
 
 Library: TypeAlias = Mapping[str, tuple[Effect, ...]]
 """Effects by the name of the model that may lack them."""
@@ -167,37 +155,12 @@ def _adapters(problem: PosedProblem, effects: Library, seed: int) -> dict[str, A
         own, several = effects.get(model.name, ()), len(tests) > 1 or len(groups) > 1
         local: tuple[Perturbation, ...] = ()
         if isinstance(model, StructuralModel):
-            measured = [test.used for test in tests if not isinstance(test, ResponseTest)]
+            measured = [data for test in tests for data in test.sensed]
             local = local_perturbations(model, measured, model.space.values, model.name if len(groups) > 1 else "")
-        out |= {test.name: _adapter(model, test, own, local, seed, several) for test in tests}
+        for test in tests:
+            held, facts = under(model, test.name, test.condition), _facts(test, seed)
+            out[test.name] = test.adapter(held, own, local, facts, test.name if several else "")
     return out
-
-
-def _adapter(
-    model: Model, test: Test, effects: tuple[Effect, ...], local: tuple[Perturbation, ...], seed: int, several: bool
-) -> Adapter:
-    """Adapter of one test; perturbations of this test alone bear its name where there are several tests."""
-    held, facts = under(model, test.name, test.condition), _facts(test, seed)
-    space, name = held.space.without(test.condition), test.name if several else ""
-    if isinstance(test, ResponseTest):
-        assert isinstance(held, FunctionModel)
-        scalar, tested = function_hypotheses(held, test.pair(held), effects, space, name)
-        return ScalarAdapter(scalar, tested, facts, test.unseen)
-    if isinstance(test, FRFTest):
-        frfs = test.pair(held)
-        assert isinstance(held, StructuralModel)
-        basis, large = _basis(held, frfs.problem, effects, local, seed)
-        space = frfs.space.without(test.condition)
-        return FRFAdapter.of(frfs.suspected(name), effects, local, space, facts, test.unseen, basis, large)
-    pair, whole = test.pair(held), test.whole_problem(held)
-    pair = replace(pair, faults=modal_faults(pair.problem.model, pair.problem.measured, test=name))
-    if isinstance(held, ModalFunctionModel):
-        modal, tested = function_hypotheses(held, pair, effects, space, name)
-        return ModalAdapter(modal, tested, facts, whole)
-    assert isinstance(held, StructuralModel)
-    basis, large = _basis(held, pair.problem, effects, local, seed)
-    modal = ModelHypotheses(pair, Variants(held, effects, tuple(a.effect for a in local), basis), space)
-    return ModalAdapter(modal, local, facts, whole, reduced=large)
 
 
 def _facts(test: Test, seed: int) -> MeasurementFacts:
@@ -205,18 +168,3 @@ def _facts(test: Test, seed: int) -> MeasurementFacts:
     notes = (*notes_on(claimed, assumed), *check_repeats(test))
     table = disagreements_table(test)
     return MeasurementFacts(assumed, claimed, notes, table, {}, seed, ExplainSettings().samples)
-
-
-def _basis(
-    model: StructuralModel, used: Reducible, effects: tuple[Effect, ...], local: tuple[Perturbation, ...], seed: int
-) -> tuple[Basis | None, bool]:
-    """A reduced basis of a large model with all effects and perturbations, and whether the model is large.
-
-    None where it is not, or the tolerance is not reached.
-    """
-    if model.n_dof < WORTHWHILE_DOFS:
-        return None, False
-    wanted = Wanted.of(used, ReductionSettings().tolerance, seed)
-    with suppress(ToleranceError):
-        return effects_basis(model, used.space, effects, local, wanted), True
-    return None, True

@@ -9,14 +9,18 @@ from typing import Any
 
 import pandas as pd
 
+from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.fit_statistics import FitStatistics
+from calib.analyses.group_adapter import FRFAdapter
 from calib.analyses.verify import errors_of
 from calib.correlation.frf_nuisance import NUISANCES, Nuisance, belonging_to, concerned, require_channels
 from calib.correlation.frf_problem import FRFProblem, assumed_frfs
 from calib.correlation.frf_residual import FRFResidual
+from calib.effect import Effect
 from calib.errors import InputError
 from calib.forward import Unseen, unseen_frfs
 from calib.front.checked import UNNAMED, Claimed, band, named, place_of
+from calib.front.hypotheses import basis_for
 from calib.given import names, objects
 from calib.measurement.accuracy import frf_claim
 from calib.measurement.disagreements import Disagreement
@@ -24,6 +28,7 @@ from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_parts import HeldOutFRFs
 from calib.space import ParameterSpace
 from calib.structure.model import Assumption, StructuralModel
+from calib.structure.perturbations import Perturbation
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +154,37 @@ class FRFTest:
         return errors_of(
             problem, None, self.unseen, problem.space, values, joint=fit.parts.get(self.name), on_limit=fit.on_limit
         )
+
+    @property
+    def sensed(self) -> tuple[MeasuredFRFs]:
+        """The data in use, whose sensors are places of local perturbations."""
+        return (self.used,)
+
+    def adapter(
+        self,
+        model: Any,
+        effects: tuple[Effect, ...],
+        local: tuple[Perturbation, ...],
+        facts: MeasurementFacts,
+        name: str,
+    ) -> FRFAdapter:
+        """The adapter of this test to an explanation.
+
+        Parameters
+        ----------
+        model : StructuralModel
+            Under the condition of the test.
+        effects : tuple of Effect
+        local : tuple of Perturbation
+            Local perturbations that all tests of a model of matrices share.
+        facts : MeasurementFacts
+        name : str
+            Name of the test where there are several; what concerns this one alone bears it.
+        """
+        pair = self.pair(model)
+        basis, large = basis_for(model, pair.problem, effects, local, facts.seed)
+        space = pair.space.without(self.condition)
+        return FRFAdapter.of(pair.suspected(name), effects, local, space, facts, self.unseen, basis, large)
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:

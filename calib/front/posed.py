@@ -44,6 +44,11 @@ class PosedProblem(Protocol):
         ...
 
     @property
+    def ledger(self) -> Any:
+        """The `calib.ledger.Ledger` that keeps its points; None without one."""
+        ...
+
+    @property
     def terms(self) -> Terms:
         """Inputs of the fit statistics besides the rows."""
         ...

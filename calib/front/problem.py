@@ -2,41 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from calib.analyses.compare import comparison_of
 from calib.analyses.fit_statistics import Terms, fitted, statistics_at
 from calib.analyses.frf_start import linear_starts
 from calib.analyses.uncertainty import in_words
-from calib.errors import EvaluationError, InputError
-from calib.excerpt import excerpt
 from calib.executor import Injected
 from calib.front.explained import Explained, Library, explained, library_of
 from calib.front.fit import Fit
+from calib.front.pairs import by_model, opened, posed, require_names, require_within, told
 from calib.front.posed import Effects
 from calib.front.responses import own
 from calib.front.search import refined, searched
 from calib.front.sensitivity import Assessed, assessed
 from calib.front.shown import Compared
 from calib.front.test import TESTS, Model, Test, under
-from calib.function import FunctionModel, extend_function
+from calib.function import FunctionModel
 from calib.given import integer, objects
 from calib.given import names as names_of
 from calib.given import values as values_of
 from calib.inference.genetic import GeneticSettings
 from calib.joint import JointProblem
-from calib.problem import Counts
+from calib.ledger import Ledger
+from calib.loading import extended
 from calib.problem import Problem as Posed
-from calib.progress import in_python
 from calib.sampling import sample
 from calib.space import ParameterSpace
-from calib.stage import Progress
-from calib.structure.extend import extend
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 
@@ -48,7 +45,7 @@ REFITS = 40
 class Problem:
     """Models and their tests over one parameter space.
 
-    Nothing is written to disk; a study in a folder (`calib.Study`) stores its results.
+    Nothing is written to disk unless a ledger is named; a study in a folder (`calib.Study`) stores its results.
 
     Attributes
     ----------
@@ -57,6 +54,11 @@ class Problem:
         Tests of that model, each under its own condition.
     beside : tuple of Problem
         Other models with their tests; parameters of the same name are shared. See `join`.
+    ledger : str or Path, optional
+        File in which solved points of fits, searches and samples are kept and looked up, made where there is none: the
+        same call again solves none of them. `compare` and `explain` keep none. The key of a point holds all
+        parameter values, and matrices or the function's file, its code and the objects it holds; name another file
+        when something else changes that a function reads. Of joined problems that of the first counts.
 
     Raises
     ------
@@ -86,28 +88,16 @@ class Problem:
     model: Model
     tests: Test | Sequence[Test]
     beside: tuple[Problem, ...] = ()
+    ledger: str | Path | Ledger | None = None
 
     def __post_init__(self) -> None:
         objects([self.model], (StructuralModel, ModalFunctionModel, FunctionModel), "problem, model")
         tests = objects(self.tests, TESTS, "problem, tests")
         object.__setattr__(self, "tests", tests[0] if len(tests) == 1 else tests)
         object.__setattr__(self, "beside", objects(self.beside, Problem, "problem, beside"))
-        if not tests:
-            raise InputError(
-                "no test is given", place="problem", remedy="give a ModalTest, an FRFTest or a ResponseTest"
-            )
-        names = [test.name for _, test in self.pairs]
-        for name in names:
-            if names.count(name) > 1:
-                raise InputError(
-                    f"two tests are named {name!r}", place="problem", remedy='give each its own, such as name="loaded"'
-                )
-        for p in self.space.free:  # building the space raises any other inconsistency
-            if not p.lower <= p.value <= p.upper:
-                raise InputError(
-                    f"value {p.value:g} {p.unit} is outside its limits [{p.lower:g}, {p.upper:g}]",
-                    place=f"parameter {p.name}", remedy="move one of them",
-                )  # fmt: skip
+        object.__setattr__(self, "ledger", opened(self.ledger))
+        require_names(self._given)
+        require_within(self.space)  # building the space raises any other inconsistency
 
     @staticmethod
     def join(first: Problem, *others: Problem) -> Problem:
@@ -134,23 +124,22 @@ class Problem:
     @property
     def by_model(self) -> tuple[tuple[Model, tuple[Test, ...]], ...]:
         """Every model, no condition applied, with all of its tests."""
-        out: dict[str, tuple[Model, tuple[Test, ...]]] = {}
-        for model, test in self._given:
-            known, before = out.get(model.fingerprint, (model, ()))
-            out[model.fingerprint] = (known, (*before, test))
-        return tuple(out.values())
+        return by_model(self._given)
 
     @property
     def space(self) -> ParameterSpace:
         """All parameters except those that a test's condition sets; free are those that a fit may move."""
         return self.posed.space
 
+    @property
+    def _store(self) -> Ledger | None:
+        assert self.ledger is None or isinstance(self.ledger, Ledger)  # opened at the start
+        return self.ledger
+
     @cached_property
     def posed(self) -> Posed[Any] | JointProblem:
         """Rows, responses, residual and Jacobian, as fits use them."""
-        counts = Counts()
-        made = {test.name: _posed(test, model, counts) for model, test in self.pairs}
-        return next(iter(made.values())) if len(made) == 1 else JointProblem(made)
+        return posed(self.pairs, self._store)
 
     def __repr__(self) -> str:
         pairs = ", ".join(f"{model.name} against {test.name}" for model, test in self.pairs)
@@ -175,9 +164,7 @@ class Problem:
 
     def _with(self, effects: Library) -> Problem:
         own = effects.get(self.model.name, ())
-        model: Model = self.model
-        if own:
-            model = extend(model, own) if isinstance(model, StructuralModel) else extend_function(model, own)
+        model = extended(self.model, own) if own else self.model
         return replace(self, model=model, beside=tuple(p._with(effects) for p in self.beside))
 
     # -- analyses ------------------------------------------------------------------------------------------------------
@@ -191,7 +178,7 @@ class Problem:
             Where a model cannot be solved.
         """
         complete = self._complete({} if values is None else values)
-        with _told("compare", False):
+        with told("compare", False):
             found = {t.name: comparison_of(t.problem(model), own(model, t, complete)) for model, t in self.pairs}
         return Compared(found)
 
@@ -225,8 +212,8 @@ class Problem:
         sampled = sample(space, starts - 1, seed).points if starts > 1 else ()
         linear = linear_starts(problem.posed, space.values)
         points = [*linear, space.values, *(space.complete(point) for point in sampled)]
-        with _told("calibrate", progress) as told:
-            return Fit(problem, fitted(problem.posed, problem.terms, points, REFITS, told=told))
+        with told("calibrate", progress) as heard:
+            return Fit(problem, fitted(problem.posed, problem.terms, points, REFITS, told=heard))
 
     def search(
         self,
@@ -299,9 +286,9 @@ class Problem:
         cases, seed = integer(cases, 1, "cases"), integer(seed, 0, "seed")
         settings = GeneticSettings(integer(population, 4, "population"), integer(generations, 1, "generations"))
         problem = self._of(parameters)
-        with _told("search", progress) as told:
-            found = searched(problem, range(seed, seed + cases), settings, executor, told)
-            return Fit(problem, refined(problem, found, told), found)
+        with told("search", progress) as heard:
+            found = searched(problem, range(seed, seed + cases), settings, executor, heard)
+            return Fit(problem, refined(problem, found, heard), found)
 
     def sensitivity(
         self,
@@ -351,12 +338,12 @@ class Problem:
         0.9
         """
         samples, seed = integer(samples, 3, "samples"), integer(seed, 0, "seed")
-        with _told("sensitivity", progress) as told:
-            return assessed(self._of(parameters), samples, seed, executor, told)
+        with told("sensitivity", progress) as heard:
+            return assessed(self._of(parameters), samples, seed, executor, heard)
 
     def judge(self, values: Mapping[str, float]) -> Fit[Problem]:
         """Fit statistics at given values, without fitting."""
-        with _told("judge", False):
+        with told("judge", False):
             return Fit(self, statistics_at(self.posed, self.terms, self._complete(values)))
 
     def _of(self, parameters: Sequence[str]) -> Problem:
@@ -393,21 +380,3 @@ class Problem:
     def terms(self) -> Terms:
         """Inputs of the fit statistics besides the rows."""
         return Terms(assumed=in_words(a for _, test in self.pairs for a in test.assumed))
-
-
-def _posed(test: Test, model: Model, counts: Counts) -> Posed[Any]:
-    """One test; its space has the parameters of the model, and those of the test itself."""
-    pair = test.pair(model)
-    return Posed(pair, pair.space.without(dict(test.condition)), counts=counts)
-
-
-@contextmanager
-def _told(verb: str, progress: bool) -> Iterator[Progress]:
-    """How far an analysis is; a failure of the user's code shows its line."""
-    try:
-        with in_python(verb, progress) as told:
-            yield told
-    except EvaluationError as fault:
-        if fault.at is not None:
-            fault.add_note("\n".join(excerpt(fault.at)))
-        raise

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from calib.analyses.case import objective_for
 from calib.evaluate import Evaluator
 from calib.executor import ExecutorEvaluator, Injected
+from calib.fingerprint import digest_of
 from calib.forward import ForwardProblem
 from calib.front.posed import PosedProblem
 from calib.front.test import Model, Test
@@ -59,8 +60,12 @@ class Responses:
 
     @property
     def fingerprint(self) -> str:
-        """Changes whenever the responses at the same values could."""
-        return " ".join(problem.fingerprint for problem in self.problems.values())
+        """Changes whenever the responses at the same values could; those of a `calib.problem.Pair` have other names."""
+        parts = []
+        for test, problem in self.problems.items():
+            held = {name: value for name, value in problem.space.values.items() if name not in self.names[test]}
+            parts.append((test, problem.fingerprint, sorted(held.items())))
+        return digest_of("responses by test", parts)[:16]
 
     @property
     def objective(self) -> Objective:

@@ -13,12 +13,12 @@ from calib.analyses.case_starts import REFINE_REFITS
 from calib.analyses.failures import reasons_sentence, stored_reasons
 from calib.analyses.fit_statistics import FitStatistics, Shared, ended, fitted
 from calib.executor import Injected
+from calib.front.pairs import kept_in
 from calib.front.posed import PosedProblem
 from calib.front.responses import Responses
 from calib.inference.agreement import Agreement, agreement, agreement_sentences
 from calib.inference.cases import Case, CaseResult, convergence_table, parameters_table, run_case
 from calib.inference.genetic import GeneticSettings
-from calib.ledger import Ledger
 from calib.sampling import sample
 from calib.space import ParameterSpace
 from calib.stage import Progress, named
@@ -85,7 +85,7 @@ def searched(
     """One case per seed, each from its own Latin hypercube; see `calib.front.problem.Problem.search`."""
     space, responses = problem.space, Responses.of(problem)
     objective, fingerprint, found = responses.objective, responses.fingerprint, []
-    with Ledger.in_memory() as ledger, responses.evaluator(executor) as evaluator:
+    with kept_in(problem.ledger) as ledger, responses.evaluator(executor) as evaluator:
         for k, seed in enumerate(seeds, start=1):
             initial = sample(space, settings.population, seed).points
             case = Case(f"C{k}", seed)

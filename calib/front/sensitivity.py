@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
@@ -12,6 +11,7 @@ from calib.analyses.failures import reasons, reasons_sentence
 from calib.analyses.sensitivity import Sensitivity, measured
 from calib.errors import EvaluationError
 from calib.executor import Injected
+from calib.front.pairs import kept_in
 from calib.front.posed import PosedProblem
 from calib.front.responses import Responses
 from calib.front.shown import Shown
@@ -98,10 +98,11 @@ def assessed(
     """See `calib.front.problem.Problem.sensitivity`."""
     space, responses = problem.space, Responses.of(problem)
     sampled = sample(space, samples, seed)
-    with responses.evaluator(executor) as evaluator:
-        done = itertools.count(1)
+    with kept_in(problem.ledger) as ledger, responses.evaluator(executor) as evaluator:
         points = [space.complete(point) for point in sampled.points]
-        outcomes = evaluator.evaluate(points, lambda outcome: told("sampling", next(done), len(points)))
+        outcomes = ledger.evaluate(
+            responses.fingerprint, points, evaluator, lambda done: told("sampling", done, len(points))
+        )
     if all(o.status != "ok" for o in outcomes):
         found = reasons(outcomes)
         words = f"the model cannot be evaluated within its limits: {reasons_sentence(space, found, len(outcomes))}"

@@ -16,13 +16,13 @@ from calib.analyses import explain as explanation
 from calib.analyses import extend as extension
 from calib.analyses import sensitivity as sensitivity_analysis
 from calib.analyses.explanation_result import ExplanationResult
-from calib.analyses.isolation import isolated
 from calib.analyses.joint_calibration import Fitted, calibrate_jointly
 from calib.analyses.reduction import fingerprints
 from calib.analyses.stored import modes_kept
 from calib.analyses.versions import write_versions
 from calib.errors import InputError
 from calib.executor import Injected
+from calib.front.adopting import loaded_after
 from calib.front.drawn import draw, draw_anew
 from calib.front.first_test import in_order
 from calib.front.listener import Listener, Showing
@@ -35,7 +35,7 @@ from calib.missing.explanation import Explanation
 from calib.report.html.write import NAME as REPORT
 from calib.report.style import Format, Width
 from calib.results import RESULTS, Results
-from calib.several import AnyStudy, JointStudy, load
+from calib.several import AnyStudy, JointStudy
 from calib.study import Study as Loaded
 from calib.study_file import StudyFile, shell_argument
 
@@ -110,24 +110,18 @@ class Study:
         """Model, measurement and settings; a user's function runs in a child process."""
         if self.read is not None:
             return self.read
-        *earlier, last = staged.in_order(self.path)
-        taken, before = staged.Found({}, {}), None
-        for file in earlier:
-            study = _taking_over(file, taken, before)
-            if isinstance(study, JointStudy):
-                raise InputError(
-                    "values can be adopted from a study with one test only, and this one has several", place=file,
-                    remedy="fit all tests together in one study",
-                )  # fmt: skip
+        return loaded_after(self.path, self._calibrated)
+
+    def _calibrated(self, study: Loaded, file: Path) -> staged.Found | None:
+        """Values that a study whose values another one adopts has found; it is calibrated first where it has none."""
+        found = staged.values_found(study, self.results, self.quick)
+        if found is None:
+            self.listener.first(study, self.path)
+            own = replace(self, path=file, read=study)
+            own._fit()
+            own.draw()
             found = staged.values_found(study, self.results, self.quick)
-            if found is None:
-                self.listener.first(study, self.path)
-                own = replace(self, path=file, read=study)
-                own._fit()
-                own.draw()
-                found = staged.values_found(study, self.results, self.quick)
-            taken, before = found or staged.Found({}, {}), study
-        return _taking_over(last, taken, before)
+        return found
 
     @property
     def tests(self) -> tuple[Study, ...]:
@@ -392,11 +386,3 @@ class Study:
             replace(self, read=part).draw(own, report)
         if isinstance(self.loaded, JointStudy):
             self.draw(folder)
-
-
-def _taking_over(file: Path, taken: staged.Found, before: Loaded | None) -> AnyStudy:
-    study = load(file, *taken)
-    if before is not None:
-        for one in study.studies:
-            staged.require_same_units(one, before)
-    return study.each(isolated)

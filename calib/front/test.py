@@ -1,38 +1,37 @@
-"""Test: the measured modes or responses of a structure under one condition."""
+"""Test: what was measured of a structure under one condition, here its modes."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import pandas as pd
 
+from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.fit_statistics import FitStatistics
+from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.verify import errors_of
-from calib.correlation.function_problem import FunctionProblem
+from calib.correlation.fault_library import modal_faults
 from calib.correlation.problem import ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
-from calib.correlation.response_residual import ResponseResidual
-from calib.correlation.responses import assumed_responses
 from calib.correlation.standard_deviations import assumptions
+from calib.effect import Effect
 from calib.errors import InputError
-from calib.forward import Unseen, unseen_responses
-from calib.front.checked import UNNAMED, Claimed, band, named, place_of
+from calib.front.checked import UNNAMED, Claimed, Model, band, named, place_of
 from calib.front.frf_test import FRFTest
+from calib.front.hypotheses import basis_for, hypotheses
+from calib.front.response_test import ResponseTest
 from calib.function import FunctionModel
 from calib.given import by_name, integer, names, number, objects
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.modal import MeasuredModes
-from calib.measurement.responses import MeasuredResponses, read_responses, response_kinds
+from calib.measurement.responses import read_responses
 from calib.space import ParameterSpace
-from calib.structure.modal_function import ModalFunctionModel
-from calib.structure.model import Assumption, StructuralModel
+from calib.structure.model import Assumption
+from calib.structure.perturbations import Perturbation
 from calib.study import Study
-
-Model = StructuralModel | ModalFunctionModel | FunctionModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,6 +183,38 @@ class ModalTest:
         )
 
     @property
+    def sensed(self) -> tuple[MeasuredModes]:
+        """The data in use, whose sensors are places of local perturbations."""
+        return (self.used,)
+
+    def adapter(
+        self,
+        model: Model,
+        effects: tuple[Effect, ...],
+        local: tuple[Perturbation, ...],
+        facts: MeasurementFacts,
+        name: str,
+    ) -> ModalAdapter:
+        """The adapter of this test to an explanation.
+
+        Parameters
+        ----------
+        model : StructuralModel or ModalFunctionModel
+            Under the condition of the test.
+        effects : tuple of Effect
+        local : tuple of Perturbation
+            Local perturbations that all tests of a model of matrices share.
+        facts : MeasurementFacts
+        name : str
+            Name of the test where there are several; what concerns this one alone bears it.
+        """
+        pair = self.pair(model)
+        pair = replace(pair, faults=modal_faults(pair.problem.model, pair.problem.measured, test=name))
+        basis, large = basis_for(model, pair.problem, effects, local, facts.seed)
+        found, own = hypotheses(model, pair, effects, local, model.space.without(self.condition), name, basis)
+        return ModalAdapter(found, own, facts, self.whole_problem(model), reduced=large)
+
+    @property
     def disagreements(self) -> tuple[Disagreement, ...]:
         """Values in which one repeat disagrees with the others."""
         return self.modes.disagreements
@@ -197,123 +228,6 @@ class ModalTest:
     def assumed(self) -> tuple[Assumption, ...]:
         """Assumed standard deviations, where none is stated."""
         return assumptions(self.used)
-
-
-@dataclass(frozen=True, eq=False)
-class ResponseTest:
-    """Measured scalar responses, compared with those of a `calib.FunctionModel`.
-
-    Attributes
-    ----------
-    responses : mapping from str to float or (float, float or None), or MeasuredResponses
-        Each in its own unit: a value, or a value with the standard deviation of its mean; see `calib.read_responses`.
-    held_out : sequence of str
-        Responses that no fit uses; they verify it.
-    name, condition
-        As in `ModalTest`.
-    accuracy : str or mapping, optional
-        Claimed accuracy: a share of every value, or by response or kind.
-
-    Examples
-    --------
-    >>> import calib
-    >>> measured = {"mass": (12.4, 0.1), "f1": 5.03, "f2": 31.5}
-    >>> test = calib.ResponseTest(measured, held_out=["f2"], accuracy={"f1": "1 %"})
-    >>> test.claimed
-    '1 % of f1'
-    >>> round(test.measured.targets["f1"][1], 4)  # its standard deviation
-    0.0503
-    """
-
-    responses: Mapping[str, float | tuple[float, float | None]] | MeasuredResponses
-    held_out: tuple[str, ...] = ()
-    name: str = UNNAMED
-    condition: Mapping[str, float] = field(default_factory=dict)
-    accuracy: Claimed = None
-
-    def __post_init__(self) -> None:
-        place, known = named(self), self.measured.targets
-        for name in self.held_out:
-            if name not in known:
-                raise InputError(
-                    f"held-out response {name!r} was not measured", place=place,
-                    remedy=f"the measured ones are {', '.join(known)}",
-                )  # fmt: skip
-
-    @property
-    def synthetic(self) -> bool:
-        """False: scalar responses carry no such mark."""
-        return False
-
-    @cached_property
-    def measured(self) -> MeasuredResponses:
-        """All measured responses, with few repeats pooled and the claimed accuracy added."""
-        place, given = place_of(self), self.responses
-        if not isinstance(given, MeasuredResponses):
-            read = by_name(given, f"{place}, responses")
-            given = MeasuredResponses({n: _value(v, f"{place}, response {n}") for n, v in read.items()}, {})
-        kinds = response_kinds(given.targets)
-        try:
-            return given.pooled(kinds).claiming(kinds, self.accuracy)
-        except InputError as fault:
-            raise InputError(fault.problem, place=f"{place}, accuracy", remedy=fault.remedy) from None
-        except (TypeError, ValueError) as fault:
-            raise InputError(str(fault), place=f"{place}, accuracy") from None
-
-    def problem(self, model: Model) -> FunctionProblem:
-        """The forward problem of a model, without held-out responses."""
-        if not isinstance(model, FunctionModel):
-            raise InputError(f"the model {model.name} returns modes", place=place_of(self), remedy="give a ModalTest")
-        measured = self.measured
-        used = {n: t for n, t in measured.targets.items() if n not in self.held_out}
-        return FunctionProblem(
-            model.space, model.function, used, model.fingerprint, measured.pooled_repeats, measured.shares
-        )
-
-    @property
-    def beside(self) -> ResponseTest:
-        """The test as one of several: it has no parameters of its own that would bear its name."""
-        return self
-
-    def space(self, model: Model) -> ParameterSpace:
-        """Parameters of a model; the test has none of its own."""
-        return model.space
-
-    def pair(self, model: Model) -> ResponseResidual:
-        """The whitened residual of a model, without held-out responses."""
-        return ResponseResidual(self.problem(model))
-
-    @property
-    def unseen(self) -> Unseen:
-        """Held-out responses, by their group."""
-        return unseen_responses(self.measured.targets, self.held_out)
-
-    def errors(self, model: Model, values: Mapping[str, float], fit: FitStatistics) -> pd.DataFrame:
-        """Errors on fitted, left-one-out and held-out data; see `calib.analyses.verify.errors_of`."""
-        return errors_of(
-            self.problem(model),
-            None,
-            self.unseen,
-            model.space,
-            values,
-            joint=fit.parts.get(self.name),
-            on_limit=fit.on_limit,
-        )
-
-    @property
-    def disagreements(self) -> tuple[Disagreement, ...]:
-        """Values in which one repeat disagrees with the others."""
-        return self.measured.disagreements
-
-    @property
-    def claimed(self) -> str:
-        """The claimed accuracy, in words; empty without."""
-        return self.measured.claimed
-
-    @property
-    def assumed(self) -> tuple[Assumption, ...]:
-        """Assumed standard deviations, where none is stated."""
-        return assumed_responses({n: t for n, t in self.measured.targets.items() if n not in self.held_out})
 
 
 TESTS = (ModalTest, ResponseTest, FRFTest)
@@ -357,16 +271,3 @@ def under(model: Model, test: str, condition: Mapping[str, float]) -> Model:
         return replace(model, space=model.space.freeze(condition))
     except InputError as fault:
         raise InputError(fault.problem, place=f"condition of test {test}", remedy=fault.remedy) from None
-
-
-def _value(given: object, place: str) -> tuple[float, float | None]:
-    """A measured value and the standard deviation of its mean, None where it is unknown."""
-    pair = tuple(given) if isinstance(given, tuple | list) else (given, None)
-    if len(pair) != 2:
-        raise InputError(f"it has {len(pair)} entries", place=place, remedy="give a value, or (value, std)")
-    value, std = number(pair[0], place), None if pair[1] is None else number(pair[1], f"{place}, std")
-    if not math.isfinite(value):
-        raise InputError(f"it is {value}", place=place, remedy="give a finite number")
-    if std is not None and not 0 < std < math.inf:
-        raise InputError(f"its standard deviation is {std}", place=place, remedy="give a positive one or None")
-    return value, std

@@ -14,12 +14,11 @@ import numpy as np
 import pandas as pd
 
 from calib.errors import EvaluationError, again
-from calib.evaluate import BatchEvaluator
+from calib.evaluate import BatchEvaluator, Recorder
 from calib.inference.genetic import GeneticSearch, GeneticSettings
 from calib.inference.objective import Objective
 from calib.inference.rules import RULES
-from calib.ledger import Asked, Ledger
-from calib.outcome import Outcome, failure, key_of
+from calib.outcome import Asked, Outcome, failure, key_of
 from calib.problem import Counts
 from calib.space import ParameterSpace
 
@@ -101,7 +100,7 @@ def run_case(
     objective: Objective,
     settings: GeneticSettings,
     evaluator: BatchEvaluator,
-    ledger: Ledger,
+    ledger: Recorder,
     fingerprint: str,
     initial: np.ndarray,
     progress: Callable[[float, int, float], None] = lambda generation, generations, best: None,
@@ -120,7 +119,7 @@ def run_case(
     objective : Objective
     settings : GeneticSettings
     evaluator : BatchEvaluator
-    ledger : Ledger
+    ledger : Recorder
     fingerprint : str
         Of model and measurement.
     initial : ndarray (population, n_free)

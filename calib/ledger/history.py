@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import pandas as pd
 
@@ -13,26 +11,9 @@ from calib.ledger.blobs import blob_of_key, key_of_blob
 from calib.ledger.database import Database
 from calib.ledger.rows import Rows
 from calib.ledger.schema import STATE
+from calib.outcome import Asked
 
 _RUN = "(SELECT id FROM run WHERE name = ?)"
-
-
-@dataclass(frozen=True)
-class Asked:
-    """One individual of a generation.
-
-    Attributes
-    ----------
-    key : str
-        From `calib.outcome.key_of`.
-    status : {"ok", "failed", "infeasible"}
-    misfit : float
-        NaN unless ``ok``.
-    """
-
-    key: str
-    status: Literal["ok", "failed", "infeasible"]
-    misfit: float = math.nan
 
 
 class History:

@@ -21,11 +21,11 @@ from calib.evaluate import BatchEvaluator
 from calib.ledger.blobs import array, blob_of_key, key_of_blob, named
 from calib.ledger.conversion import convert
 from calib.ledger.database import Database, connected, marks
-from calib.ledger.history import Asked, History
+from calib.ledger.history import History
 from calib.ledger.identifiers import Identifiers
 from calib.ledger.rows import Rows
 from calib.ledger.schema import STATE, VERSION, create, version_of
-from calib.outcome import Outcome, key_of
+from calib.outcome import Asked, Outcome, key_of
 
 _BUSY_SECONDS = 30.0
 

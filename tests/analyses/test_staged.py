@@ -209,7 +209,7 @@ def test_worker_processes_hold_the_values_too(found, monkeypatch):
     Path("two/study.toml").write_text(text)
     shutil.copytree("results", "again")
     assert cli.execute(["calibrate", "two", "--workers", "1", "--results", "again"]) == 0
-    monkeypatch.setattr("calib.front.study.isolated", isolated)
+    monkeypatch.setattr("calib.front.adopting.isolated", isolated)
     assert cli.execute(["calibrate", "two", "--workers", "2"]) == 0
     first, second = (Path(root, "two/parameters.csv").read_bytes() for root in ("results", "again"))
     assert first == second

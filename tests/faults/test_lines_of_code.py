@@ -24,7 +24,7 @@ RETURN = '    return FunctionModel("plain", SPACE, answer)'
 @pytest.fixture
 def in_this_process(monkeypatch):
     """The study's function is evaluated in this process, not in a child."""
-    monkeypatch.setattr("calib.front.study.isolated", lambda study: study)
+    monkeypatch.setattr("calib.front.adopting.isolated", lambda study: study)
 
 
 def compare(folder):

@@ -9,6 +9,7 @@ import pytest
 import calib
 from calib import cli
 from calib.analyses.adapters import adapter_of
+from calib.analyses.joint_adapter import together
 from calib.errors import InputError
 from calib.front.explained import _adapters
 from calib.loading import module_of
@@ -74,6 +75,30 @@ def test_the_information_of_all_tests_is_the_sum_of_theirs(both):
     np.testing.assert_allclose(told["all tests"], np.sqrt(np.diag(np.linalg.inv(whole))), rtol=1e-6)
     np.testing.assert_allclose(told["all tests"], both.parameters["std"], rtol=1e-12)
     assert (told["all tests"] < 0.98 * told[["shaken", "tapped"]].min(axis=1)).all()
+
+
+def test_labels_of_all_tests_keep_the_columns_that_each_brings(both):
+    joint, parts = both.problem.posed, both.problem.posed.parts
+    labels = joint.labels
+    for test, own in {name: part.labels for name, part in parts.items()}.items():
+        shown = labels[labels["test"] == test].reset_index(drop=True)
+        brought = [name for name in own.columns if name not in ("mode", "sensor")]
+        assert (
+            len(own) == len(parts[test].rows) and shown[brought].to_numpy().tolist() == own[brought].to_numpy().tolist()
+        )
+        assert [row.own for row in joint.rows if row.test == test] == list(parts[test].rows)
+    frfs = labels[labels["test"] == "shaken"]
+    assert set(frfs["part"]) == {"re", "im"} and frfs["freq"].tolist() == [r.freq for r in parts["shaken"].rows]
+    assert set(labels.loc[labels["test"] == "tapped", "freq"]) == {""}
+    assert labels["sensor"].tolist() == [row.sensor for row in joint.rows]
+
+
+def test_lines_of_frfs_reach_the_pattern_of_an_effect_beside_modes(both):
+    adapter = together(_adapters(both.problem, {}, 1))
+    base = adapter.hypotheses.fit_problem(())
+    table = adapter.labels().astype(object).fillna("")
+    assert len(table) == len(base.rows) and table["test"].tolist() == [row.test for row in base.rows]
+    assert table["freq"].tolist() == [getattr(row.own, "freq", "") for row in base.rows]
 
 
 def test_one_test_is_not_compared_with_itself(both):

@@ -78,7 +78,7 @@ def run(no_drawing):
 
     def folder_of_results(folder, *analyses):
         with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()), no_drawing():
-            patch.setattr("calib.front.study.isolated", lambda study: study)
+            patch.setattr("calib.front.adopting.isolated", lambda study: study)
             for analysis, *more in analyses:
                 assert cli.execute([analysis, str(folder), "--results", str(folder.parent / "results"), *more]) == 0
         return folder.parent / "results" / folder.name

@@ -1,0 +1,47 @@
+"""A study that adopts values of earlier ones: these are read, and calibrated where they are not yet, in their order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from calib.analyses import staged
+from calib.analyses.isolation import isolated
+from calib.errors import InputError
+from calib.several import AnyStudy, JointStudy, load
+from calib.study import Study
+
+
+def loaded_after(path: Path, calibrated: Callable[[Study, Path], staged.Found | None]) -> AnyStudy:
+    """A study with the values that it adopts; a user's function runs in a child process.
+
+    Parameters
+    ----------
+    path : Path
+    calibrated : callable
+        Returns what an earlier study has found, given that study and its file.
+
+    Raises
+    ------
+    InputError
+        For anything wrong in one of the studies, and where an earlier one has several tests.
+    """
+    *earlier, last = staged.in_order(path)
+    taken, before = staged.Found({}, {}), None
+    for file in earlier:
+        study = _taking_over(file, taken, before)
+        if isinstance(study, JointStudy):
+            raise InputError(
+                "values can be adopted from a study with one test only, and this one has several", place=file,
+                remedy="fit all tests together in one study",
+            )  # fmt: skip
+        taken, before = calibrated(study, file) or staged.Found({}, {}), study
+    return _taking_over(last, taken, before)
+
+
+def _taking_over(file: Path, taken: staged.Found, before: Study | None) -> AnyStudy:
+    study = load(file, *taken)
+    if before is not None:
+        for one in study.studies:
+            staged.require_same_units(one, before)
+    return study.each(isolated)
