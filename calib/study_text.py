@@ -140,7 +140,7 @@ def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
             if key in _PATHS:
                 out[key] = [lead(v) for v in value] if isinstance(value, list) else lead(value)
             elif key in _FUNCTIONS:
-                out[key] = function(value)
+                out[key] = [function(v) for v in value] if isinstance(value, list) else function(value)
             elif key in _WITH_PATHS and isinstance(value, dict):
                 out[key] = table(value)
             elif key == "tests" and isinstance(value, list):

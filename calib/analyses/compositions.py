@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -42,12 +42,13 @@ class Compositions:
 
     plain: tuple[Composition, ...]
     hung: tuple[HungBy, ...] = ()
-    freqs: Mapping[str, float] = ()  # type: ignore[assignment]
+    freqs: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def effects(self) -> tuple[Effect, ...]:
         """All of them."""
-        return (*(c.effect for c in self.plain), *(one.composed.effect for one in self.hung))  # type: ignore[misc]
+        hung = (one.composed.effect for one in self.hung)
+        return (*(c.effect for c in self.plain), *(effect for effect in hung if isinstance(effect, Effect)))
 
 
 def compositions(
@@ -71,7 +72,7 @@ def compositions(
     """
     names = Names({*taken, *model.space.names})
     if not isinstance(model, StructuralModel):
-        return Compositions(tuple(of_function(model.parts, names)), freqs={})
+        return Compositions(tuple(of_function(model.parts, names)))
     values = {name: value for name, value in values.items() if name in model.space}
     sensors = _sensors(measured)
     freqs = np.concatenate([one.natural_freq if isinstance(one, MeasuredModes) else one.freq for one in measured])
@@ -80,7 +81,7 @@ def compositions(
     plain = (*of_parts(model, names, middle), *of_sensors(model, sensors, values, names, middle))
     modal = [one for one in measured if isinstance(one, MeasuredModes)]
     if len(modal) < len(measured) or len(modal) > 1:
-        return Compositions(plain, freqs={})
+        return Compositions(plain)
     placed = {c.at for c in plain if c.kind == "added mass"}
     hung = tuple(
         HungBy(hung_at(model, sensor, values, names, band), f"added mass at sensor {sensor.name}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -15,7 +15,7 @@ from calib.errors import EvaluationError
 from calib.missing.adequacy import adequacy_of, beside
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.evidence import at_lower, ln_bayes_linear
-from calib.missing.hypotheses import Hypotheses
+from calib.missing.hypotheses import FitProblem, Hypotheses
 from calib.missing.linearised_fit import LinearisedFit, nearest_whole
 from calib.missing.profile import profile_interval
 from calib.missing.refits import Refits
@@ -167,8 +167,6 @@ class Proposals:
 
     def settled(self, count: int) -> Proposals:
         """The first so many, with the profile intervals of their magnitudes."""
-        from dataclasses import replace
-
         ends = [profile_interval(p.candidate_fit.fit, p.composed.effect.name) for p in self.ranked[:count]]
         kept = [replace(p, low=low, high=high) for p, (low, high) in zip(self.ranked[:count], ends, strict=True)]
         return replace(self, ranked=tuple(kept))
@@ -234,7 +232,7 @@ class Search:
     def _none(self, base: CandidateFit, p: float, tested: int) -> Proposals:
         return Proposals(base, (), p, tested, None, None, None, self.fits.scale, self.hypotheses.evaluations)
 
-    def _problem(self, base: CandidateFit, composed: Composed):  # type: ignore[no-untyped-def]
+    def _problem(self, base: CandidateFit, composed: Composed) -> FitProblem:
         return self.fits.fit_problem((*base.names, composed.effect.name))
 
     # -- which are fitted ----------------------------------------------------------------------------------------------
@@ -323,9 +321,7 @@ class Search:
         rho = found.unit.T @ found.unit[:, k]
         near = np.abs(rho) > RULES.same
         possible = found.signed | (np.sign(found.z) > 0)
-        return tuple(
-            c for j, c in enumerate(self.composed) if j != k and near[j] and possible[j] and found.size[j] > 0
-        )
+        return tuple(c for j, c in enumerate(self.composed) if j != k and near[j] and possible[j] and found.size[j] > 0)
 
     # -- the measurement -----------------------------------------------------------------------------------------------
 

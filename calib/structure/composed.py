@@ -38,7 +38,7 @@ class Builder(Protocol):
 
 def _literal(place: Place) -> str:
     part, point = place
-    return f"({part!r}, ({', '.join(repr(float(c)) for c in point)}))"
+    return f"({None if part is None else quoted(part)}, ({', '.join(repr(float(c)) for c in point)}))"
 
 
 _ATTACH, _EXTEND, _AFFINE = "calib.structure.attach", "calib.structure.extend", "calib.structure.affine"
@@ -68,7 +68,8 @@ class ScaledParts:
             terms.setdefault("damping" if self.dissipating else kind, []).append(
                 scaled_part(model, kind, part, self.name)
             )
-        return Addition(**{kind: tuple(own) for kind, own in terms.items()})
+        own = {kind: tuple(terms.get(kind, ())) for kind in ("stiffness", "damping", "mass")}
+        return Addition(own["stiffness"], own["damping"], own["mass"])
 
     @property
     def code(self) -> tuple[str, ...]:
@@ -77,7 +78,7 @@ class ScaledParts:
         for kind in kinds:
             lines.append(f"    {'damping' if self.dissipating else kind}=(")
             lines += [
-                f'        scaled_part(model, "{kind}", {_quoted(part)}, "{self.name}"),'
+                f'        scaled_part(model, "{kind}", {quoted(part)}, "{self.name}"),'
                 for own, part in self.parts
                 if own == kind
             ]
@@ -203,18 +204,20 @@ class Connection:
             row = motion(model, self.place, self.direction)
         else:
             row = between(model, self.place, self.other, self.direction)
-        return Addition(**{self.matrix: (outer_term(self.name, [row], parameter(self.name)),)})
+        term = (outer_term(self.name, [row], parameter(self.name)),)
+        return Addition(stiffness=term) if self.matrix == "stiffness" else Addition(damping=term)
 
     @property
     def code(self) -> tuple[str, ...]:
         """See `Builder`."""
         first = _literal(self.place)
-        row = (f"row = motion(model, {first}, {self.direction})",)
+        row = [f"row = motion(model, {first}, {self.direction})"]
         if self.other is not None:
-            row = (
-                f"one, other = {first}, {_literal(self.other)}",
+            row = [
+                f"one = {first}",
+                f"other = {_literal(self.other)}",
                 f"row = between(model, one, other, {self.direction})",
-            )  # type: ignore[assignment]
+            ]
         return (*row, f'return Addition({self.matrix}=(outer_term("{self.name}", [row], parameter("{self.name}")),))')
 
     @property
@@ -247,7 +250,7 @@ class ScaledByFunction:
     def code(self) -> tuple[str, ...]:
         """See `Builder`."""
         return (
-            f"part = {_quoted(self.part)}",
+            f"part = {quoted(self.part)}",
             f'return lambda values: model.function({{**values, part: values.get(part, 0.0) + values["{self.name}"]}})',
         )
 
@@ -257,7 +260,7 @@ class ScaledByFunction:
         return {}
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
     """A Python string in double quotes where that needs no escapes."""
     return f'"{text}"' if text.isprintable() and not set(text) & set('"\\') else repr(text)
 

@@ -72,19 +72,19 @@ class Composition:
 
 
 _PARTS: Mapping[str, tuple[str, str]] = {
-    "stiffness": ("is as stiff as drawn", "cracks, wrong or worn parts and play"),
-    "damping": ("dissipates as drawn", "leaks, wear, and a part that was exchanged"),
-    "mass": ("weighs as much as drawn", "equipment, filling, or parts that were left out"),
-    "section": ("has the section of the drawing", "wall thickness, corrosion, holes, a profile of another size"),
-    "dissipation": ("is elastic without loss", "rubber, friction in joints, and whatever gets warm"),
+    "stiffness": ("is as stiff as drawn", "Cracks, wrong or worn parts and play"),
+    "damping": ("dissipates as drawn", "Leaks, wear, and a part that was exchanged"),
+    "mass": ("weighs as much as drawn", "Equipment, filling, or parts that were left out"),
+    "section": ("has the section of the drawing", "Corrosion, holes, or a profile of another size"),
+    "dissipation": ("is elastic without loss", "Rubber, friction in joints, and whatever gets warm"),
 }
 _POINTS: Mapping[str, tuple[str, str, str]] = {
-    "added mass": ("A mass", "kg", "equipment, ballast, cables"),
-    "hung mass": ("A mass on a spring", "kg", "a unit on rubber mounts: knock on it and listen"),
-    "spring to ground": ("A spring to the ground", "N/m", "a stop, a hose or a cable that holds it"),
-    "damper to ground": ("A damper to the ground", "Ns/m", "friction against something that stands still"),
-    "spring between": ("A spring", "N/m", "a brace, a link or a joint"),
-    "damper between": ("A damper", "Ns/m", "friction, rubber or a damper"),
+    "added mass": ("A mass", "kg", "Equipment, ballast or cables"),
+    "hung mass": ("A mass on a spring", "kg", "A unit on rubber mounts"),
+    "spring to ground": ("A spring to the ground", "N/m", "A stop, a hose or a cable that holds it"),
+    "damper to ground": ("A damper to the ground", "Ns/m", "Friction against something that stands still"),
+    "spring between": ("A spring", "N/m", "A brace, a link or a joint"),
+    "damper between": ("A damper", "Ns/m", "Friction, rubber or a damper"),
 }
 
 
@@ -126,7 +126,7 @@ def of_parts(model: StructuralModel, names: Names, middle: float) -> Iterator[Co
     """
     by_kind: dict[PartKind, list[Part]] = defaultdict(list)
     for part in parts_of(model):
-        by_kind[part.kind].append(part)  # type: ignore[index]
+        by_kind[part.kind].append(part)
     for kind, parts in by_kind.items():
         for group in (*((part,) for part in parts), *_alike(parts)):
             yield _changed(kind, [(kind, part) for part in group], names, middle)
@@ -176,7 +176,7 @@ def _changed(kind: str, parts: Sequence[tuple[PartKind, Part]], names: Names, mi
 def _part_effect(kind: str, at: str, magnitude: Parameter, build: Builder, lacks: str, look_for: str) -> Effect:
     title = f"{kind.capitalize()} of {at}"
     return Effect(
-        magnitude.name, title, f"It {lacks}: {at}.", f"Look at {at}: {look_for}.", magnitude, build,
+        magnitude.name, title, f"It {lacks}: {at}.", f"{look_for} at {at}.", magnitude, build,
         phrase=f"another {kind} of {at}" if kind != "dissipation" else f"dissipation in {at}",
     )  # fmt: skip
 
@@ -256,9 +256,7 @@ def hung_at(
     model: StructuralModel, sensor: Sensor, values: Mapping[str, float], names: Names, band: tuple[float, float]
 ) -> Composition:
     """A mass on a spring that gives in a sensor's direction; its frequency lies in or near the measured band, Hz."""
-    directions = tuple(
-        k for k, row in enumerate(model.translations(sensor)) if np.abs(row).max(initial=0.0) > 1e-9
-    )
+    directions = tuple(k for k, row in enumerate(model.translations(sensor)) if np.abs(row).max(initial=0.0) > 1e-9)
     size = heavy(model, model.matrices(values)[2])
     return _at_point("hung mass", sensor, _place(sensor), directions, names, size, band)
 
@@ -291,15 +289,13 @@ def _at_point(
         low, high, freq = 0.5 * band[0], 1.5 * band[1], f"{name}_freq"
         words = "natural frequency on a fixed base"
         nuisance = (
-            Parameter(
-                freq, math.sqrt(low * high), low, high, "Hz", prior_sd=(high - low) / 2, description=words
-            ),
+            Parameter(freq, math.sqrt(low * high), low, high, "Hz", prior_sd=(high - low) / 2, description=words),
         )
         grid = tuple({name: size, freq: float(f)} for f in np.geomspace(*band, HUNG_POINTS).round(3))
         direction = DIRECTIONS.index(sensor.direction)
         build = HungMass(name, freq, place, direction, tuple(d for d in directions if d != direction))
     effect = Effect(
-        name, f"{what} at {at}", f"Nothing more is mounted at {at}.", f"Look near {at}: {look_for}.", magnitude, build,
+        name, f"{what} at {at}", f"Nothing more is mounted at {at}.", f"{look_for} near {at}.", magnitude, build,
         nuisance, grid, phrase=f"{what.lower()} at {at}",
     )  # fmt: skip
     assert sensor.point is not None
@@ -316,7 +312,7 @@ def _connection(kind: str, sensor: Sensor, other: Sensor | None, names: Names, s
     direction = DIRECTIONS.index(sensor.direction)
     build = Connection(name, matrix, _place(sensor), None if other is None else _place(other), direction)
     effect = Effect(
-        name, words, f"Nothing acts there: {at}.", f"Look near {at}: {look_for}.", magnitude, build,
+        name, words, f"Nothing acts there: {at}.", f"{look_for} near {at}.", magnitude, build,
         phrase=words[:1].lower() + words[1:],
     )  # fmt: skip
     points = [s.point for s in (sensor, other) if s is not None and s.point is not None]
@@ -343,7 +339,7 @@ def _pairs(sensors: Sequence[Sensor]) -> list[tuple[int, int]]:
         alike = [
             j for j, o in enumerate(sensors) if o.direction == sensor.direction and _place(o) != _place(sensor)
         ]  # fmt: skip
-        far = [float(np.linalg.norm(np.subtract(sensors[j].point, sensor.point))) for j in alike]
+        far = [math.dist(sensors[j].point or _NOWHERE, sensor.point or _NOWHERE) for j in alike]
         for j in (alike[i] for i in np.argsort(far, kind="stable")[:NEIGHBOURS]):
             found[min(k, j), max(k, j)] = None
     return list(found)
