@@ -271,7 +271,7 @@ def _keep(study: AnyStudy, results: Results, found: ProposalResult) -> None:
             "adequacy_p_family": np.nan if p is None or p.left is None else p.left.p_family,
             "adequacy_p_fit": np.nan if p is None or p.left is None else p.left.p_fit,
             "measurement_fault": fault, "wrong_datum": None if p is None or p.datum is None else p.datum.what,
-            "written": None if found.folder is None else str(found.folder), "seconds": found.seconds,
+            "written": "" if found.folder is None else str(found.folder), "seconds": found.seconds,
         },
     )  # fmt: skip
     write_record(study, results, "propose", {"probabilities": study.settings.explain.seed}, answer=found.answer)

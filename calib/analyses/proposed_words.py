@@ -69,6 +69,8 @@ def answer_of(found: Proposals) -> Answer:
         words += f" About as well explained by: {'; '.join(map(sized, others))}."
     if best.alike:
         words += f" Not to be told from it: {'; '.join(f'{c.kind} of {c.at}' for c in best.alike[:3])}."
+    if found.datum is not None:
+        words += f" Or {found.datum.told} explains about as well: check it first."
     beside = f" beside {' and '.join(found.base.names)}" if found.base.names else ""
     assert found.left is not None
     left = min(found.left.p_family, found.left.p_fit)

@@ -14,9 +14,6 @@ from calib.results import RESULTS
 from calib.study_file import StudyFile, shell_argument
 from calib.terminal import count, number
 
-NAMES = 3
-"""Kinds and places that a proposal is not told from, shown in the table."""
-
 
 def entries(result: ProposalResult, root: Path) -> list[Entry]:
     """Proposals and where their code is; ``root`` is the root folder of all results."""
@@ -48,8 +45,8 @@ def _row(r: Mapping[Any, Any]) -> tuple[str, ...]:
     if r["freq"] == r["freq"]:
         size += f" at {r['freq']:.3g} Hz"
     others = r["alike"].split("; ") if r["alike"] else []
-    alike = f"same as {'; '.join(others[:NAMES])}{'; ...' if len(others) > NAMES else ''}" if others else ""
-    told = ["as good" if r["close"] and r["rank"] > 1 else "", r["implausible"], alike]
+    alike = f"{count(len(others), 'other')} alike" if others else ""
+    told = ["as good" if r["close"] and r["rank"] > 1 else "", "implausible" if r["implausible"] else "", alike]
     return (
         str(r["rank"]), r["name"], r["kind"], r["at"], size, number(r["ln_bayes"], 1), str(r["choices"]),
         "; ".join(filter(None, told)),

@@ -139,7 +139,7 @@ class Proposals:
     fault : CandidateFit or None
         The fault of the measurement that explains as well as the first proposal, or better.
     datum : WrongDatum or None
-        The wrong datum that does.
+        The wrong datum that explains about as well, or better.
     scale : float
         Factor on the standard deviation.
     evaluations : int
@@ -162,8 +162,10 @@ class Proposals:
 
     @property
     def measurement(self) -> bool:
-        """Whether the measurement is the suspect instead of the model."""
-        return self.fault is not None or self.datum is not None
+        """Whether the measurement is the suspect instead of the model; a wrong datum must explain better for that."""
+        if self.datum is not None and self.datum.ln_evidence > self.ranked[0].candidate_fit.ln_evidence:
+            return True
+        return self.fault is not None
 
     def settled(self, count: int) -> Proposals:
         """The first so many, with the profile intervals of their magnitudes."""
@@ -335,4 +337,5 @@ class Search:
             own = [t for t in faults if t.ln_evidence - math.log(len(h.faults)) >= limit and not t.implausible]
             fault = next(iter(own), None)
         datum = wrong_datum(fits, base, suspects(base.fit, h, fits.settings.alpha), best.candidate_fit)
-        return fault, datum if datum is not None and datum.ln_evidence >= limit else None
+        near = best.candidate_fit.ln_evidence - RULES.credible
+        return fault, datum if datum is not None and datum.ln_evidence > near else None
