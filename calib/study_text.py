@@ -213,6 +213,9 @@ _PATTERNS: Mapping[str, tuple[str, str]] = {
 def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
     """The first error in one sentence, with its line; unknown keys come first: one may be the missing key misspelt."""
     first = min(fault.errors(), key=lambda error: error["type"] != "extra_forbidden")
+    if first["type"] == "string_type" and isinstance(first.get("input"), list):  # a text or a list of them: in which
+        inner = (e for e in fault.errors() if e["loc"][0] == first["loc"][0] and e is not first)
+        first = next((e for e in inner if not isinstance(e.get("input"), list)), first)
     kind, words = first["type"], first["msg"].removeprefix("Value error, ")
     below = getattr(first.get("ctx", {}).get("error"), "keys", ())
     keys = _written((*first["loc"], *below), _merged(layers), missing=kind == "missing")
