@@ -216,6 +216,23 @@ def explain(
         loaded.explain()
 
 
+@app.command(short_help="Compose effects that nobody listed.")
+def propose(
+    study: StudyPath,
+    rank: Annotated[int, typer.Option("--rank", min=1, max=20, metavar="N", help="Proposals that are written.")] = 5,
+    results: ResultsPath = RESULTS,
+    cache: CachePath = None,
+    verbose: Verbose = False,
+) -> None:
+    """Compose effects that nobody listed, where 'explain' found a misfit that no effect of the library explains.
+
+    Changed parts, masses, hung masses, springs, dampers and joints are composed from the local perturbations, fitted
+    and ranked. The best are written as code, in a study among the results that has them in its library.
+    """
+    with _study("propose", study, results, verbose, cache=cache) as loaded:
+        loaded.propose(rank)
+
+
 @app.command(short_help="Write a new study whose model has more effects.")
 def extend(
     study: StudyPath,

@@ -97,24 +97,28 @@ class Sources:
             When the library cannot be loaded or is not a tuple of effects, or when two of its parameters, or one of
             them and one of the base model, share a name.
         """
-        if self.settings.effects is None:
+        if not self.settings.libraries:
             return ()
         place = self.place("effects")
-        library = self._call("effects", self.settings.effects, {})
+        library = tuple(effect for function in self.settings.libraries for effect in self._library(function, place))
+        require_distinct(library, base, place)
+        return library
+
+    def _library(self, function: str, place: Place) -> tuple[Effect, ...]:
+        library = self._call("effects", function, {})
         if not isinstance(library, tuple) or not all(isinstance(effect, Effect) for effect in library):
             found = type(library).__name__
             if isinstance(library, tuple | list):
                 found += " of " + (", ".join(sorted({type(effect).__name__ for effect in library})) or "nothing")
-            name = self.settings.effects.rpartition(":")[2]
-            at = self._definition("effects", self.settings.effects)
+            name = function.rpartition(":")[2]
+            at = self._definition("effects", function)
             raise InputError(f"{name} returns {found}", place=place, remedy="return a tuple of Effect", at=at)
-        require_distinct(library, base, place)
         return library
 
     def included(self, library: Sequence[Effect]) -> tuple[Effect, ...]:
         """The effects in the study's model, in the order of ``with_effects``."""
         names = self.settings.with_effects
-        if names and self.settings.effects is None:
+        if names and not self.settings.libraries:
             raise InputError(
                 "effects are named, but no library that holds them", place=self.place("with_effects"),
                 remedy="add the key 'effects'",
@@ -160,9 +164,8 @@ class Sources:
         what = "library of effects" if key == "effects" else "model"
         try:
             if not self._entered:
-                named = [
-                    self.folder / key.rpartition(":")[0] for key in (self.settings.model, self.settings.effects or "")
-                ]
+                keys = (self.settings.model, *self.settings.libraries)
+                named = [self.folder / key.rpartition(":")[0] for key in keys]
                 own = [path.parent.resolve() for path in named if path.suffix == ".py"]
                 _NEIGHBOURS.enter(list(dict.fromkeys([self.folder, *own])))
                 self._entered.append(True)

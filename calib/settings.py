@@ -38,6 +38,7 @@ PathText = Annotated[str, AfterValidator(possible_path)]
 Share = Annotated[float, Field(ge=0, le=1)]
 FUNCTION = r"^[^:]+:[A-Za-z_]\w*$"
 """Names a function: ``"file.py:function"`` in the study's folder, or ``"package.module:function"``."""
+FunctionText = Annotated[PathText, Field(pattern=FUNCTION)]
 NAME = r"^[A-Za-z0-9_-]+$"
 """Name of a case or a test, which names files."""
 
@@ -352,8 +353,8 @@ class StudySettings(_Section):
     depends_on: tuple[PathText, ...] = ()
     """Files that the model reads, such as a solver's input, relative to the folder; results become outdated
     when one changes."""
-    effects: PathText | None = Field(default=None, pattern=FUNCTION)
-    """Function that returns the library of effects that the model may lack."""
+    effects: FunctionText | tuple[FunctionText, ...] | None = None
+    """Function that returns the library of effects that the model may lack; or a list of such functions."""
     with_effects: tuple[str, ...] = ()
     """Effects of the library that are in the model."""
     base: PathText | tuple[PathText, ...] | None = None
@@ -410,9 +411,16 @@ class StudySettings(_Section):
         return len(self.tests) > 1
 
     @property
+    def libraries(self) -> tuple[str, ...]:
+        """Functions that return the library of effects."""
+        if self.effects is None:
+            return ()
+        return (self.effects,) if isinstance(self.effects, str) else self.effects
+
+    @property
     def functions(self) -> tuple[str, ...]:
         """Functions that build models and effects, as named in the file."""
-        named = (self.model, self.effects, *(f for test in self.tests for f in (test.model, test.effects)))
+        named = (self.model, *self.libraries, *(f for test in self.tests for f in (test.model, test.effects)))
         return tuple(dict.fromkeys(name for name in named if name))
 
     @property

@@ -140,7 +140,7 @@ def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
             if key in _PATHS:
                 out[key] = [lead(v) for v in value] if isinstance(value, list) else lead(value)
             elif key in _FUNCTIONS:
-                out[key] = function(value)
+                out[key] = [function(v) for v in value] if isinstance(value, list) else function(value)
             elif key in _WITH_PATHS and isinstance(value, dict):
                 out[key] = table(value)
             elif key == "tests" and isinstance(value, list):
@@ -213,6 +213,9 @@ _PATTERNS: Mapping[str, tuple[str, str]] = {
 def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
     """The first error in one sentence, with its line; unknown keys come first: one may be the missing key misspelt."""
     first = min(fault.errors(), key=lambda error: error["type"] != "extra_forbidden")
+    if first["type"] == "string_type" and isinstance(first.get("input"), list):  # a text or a list of them: in which
+        inner = (e for e in fault.errors() if e["loc"][0] == first["loc"][0] and e is not first)
+        first = next((e for e in inner if not isinstance(e.get("input"), list)), first)
     kind, words = first["type"], first["msg"].removeprefix("Value error, ")
     below = getattr(first.get("ctx", {}).get("error"), "keys", ())
     keys = _written((*first["loc"], *below), _merged(layers), missing=kind == "missing")

@@ -399,3 +399,18 @@ def test_an_effect_that_fails_or_does_not_fit_is_told_with_its_name(rig):
     assert "effect top_mass" in said and "(5, 5), not (4, 4)" in said and "line 1" in said
     changed(rig, "at(5, {(3, 3): 1.0}), parameter", "1 / 0, parameter", "effects.py")
     assert "adding 'top_mass' failed with ZeroDivisionError" in complaint(rig)
+
+
+def test_a_library_may_come_from_several_functions(rig):
+    text = (rig / "effects.py").read_text()
+    (rig / "more.py").write_text("from effects import library\n\n\ndef second():\n    return library()[1:]\n")
+    (rig / "effects.py").write_text(text + "\n\nevery = library\n\n\ndef first():\n    return every()[:1]\n")
+    whole = names(Study.load(rig).library)
+    changed(rig, '"effects.py:library"', '["effects.py:first", "more.py:second"]')
+    assert len(whole) > 1 and names(Study.load(rig).library) == whole
+    changed(rig, '"more.py:second"', '"effects.py:library"')
+    with pytest.raises(InputError, match=f"the effects '{whole[0]}' and '{whole[0]}' both have a parameter"):
+        Study.load(rig)
+    changed(rig, '"effects.py:library"', '"effects"')
+    with pytest.raises(InputError, match="names no function"):
+        Study.load(rig)

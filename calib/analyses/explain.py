@@ -19,7 +19,7 @@ from calib.analyses.explanation_result import ExplanationResult, summary
 from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.joint_adapter import JointAdapter, together
 from calib.analyses.record import begin_analysis, write_record
-from calib.analyses.state import ADDED
+from calib.analyses.state import ADDED, PROPOSED
 from calib.analyses.uncertain import uncertain_note, with_uncertain
 from calib.candidate import Candidate
 from calib.effect import Effect
@@ -146,7 +146,7 @@ def decided(adapter: Adapter, given: ExplainSettings, place: str | Path, progres
 def keep(study: AnyStudy, results: Results, answer: ExplanationResult) -> None:
     """Write all tables of an explanation and ``explanation.json``."""
     begin_analysis(results, "explain")
-    results.remove(*ADDED)
+    results.remove(*ADDED, *PROPOSED)
     results.write_table("effects", answer.effects)
     results.write_table("errors", answer.errors)
     for name, table in answer.tables.items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -11,7 +11,8 @@ from calib.analyses.stale import stale_analyses
 from calib.errors import InputError
 from calib.missing.explanation import Explanation
 from calib.results import Results
-from calib.study import Study
+from calib.several import AnyStudy
+from calib.space import ParameterSpace
 from calib.study_file import StudyFile
 from calib.study_text import base_of
 from calib.table import read_rows
@@ -32,7 +33,7 @@ def explained_fits(study: StudyFile, found: Explanation) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
-def explained_fit(study: Study, home: Results) -> Mapping[str, float]:
+def explained_fit(study: AnyStudy, home: Results, beside: Sequence[str] = ()) -> Mapping[str, float]:
     """Values at which an explanation fitted this study's model; empty without one.
 
     They come from the study's own explanation, or from that of the study it was extended from. An explanation of
@@ -43,13 +44,17 @@ def explained_fit(study: Study, home: Results) -> Mapping[str, float]:
     study : Study
     home : Results
         Of full runs of the study; results of the other study are in the folder beside it.
+    beside : sequence of str
+        Effects that its model lacks, but had in the fit; their parameters are among the values.
     """
     sources = [(study.file, home.path)]
     base = study.settings.base
     parent = None if base is None else base_of(study.file, base)
     if parent is not None:
         sources.append((parent, home.path.parent / parent.parent.name))
-    space, effects = study.search_space, _key(*study.settings.with_effects)
+    own = [p for effect in study.library if effect.name in beside for p in effect.parameters]
+    space, effects = study.search_space, _key(*study.settings.with_effects, *beside)
+    space = ParameterSpace((*space.parameters, *own), space.constraints) if own else space
     for file, folder in sources:
         found = {}
         rows = _read(folder / f"{TABLE}.csv", effects)

@@ -85,20 +85,26 @@ def extend_among(
     """
     folder = _place_among(study, results)
     new = folder.parent.resolve() / folder.name
-    with _written(study, _candidates(study, names), folder, new, _anywhere, begin_at) as (draft, extension):
-        if not new.is_dir() or _content(new) != _content(draft):
-            with _draft_of(new, folder) as old:
-                own = is_own_folder(new)
-                aside = old / new.name if own else free_name(new, EARLIER)
-                try:
-                    note_folder(draft, new.name)
-                except OSError as fault:
-                    raise _unwritable(fault, folder) from None
-                if os.path.lexists(new):
-                    _put(new, aside, folder)
-                    extension = extension if own else replace(extension, aside=folder.with_name(aside.name))
-                _put(draft, new, folder)
-    return extension
+    with _written(study, _candidates(study, names), folder, new, anywhere, begin_at) as (draft, extension):
+        aside = put_among(draft, new, folder)
+    return extension if aside is None else replace(extension, aside=aside)
+
+
+def put_among(draft: Path, new: Path, folder: Path) -> Path | None:
+    """Move a draft among results; an identical study stays, and a changed one is kept at the returned place."""
+    if new.is_dir() and _content(new) == _content(draft):
+        return None
+    with draft_of(new, folder) as old:
+        own, there = is_own_folder(new), os.path.lexists(new)
+        aside = old / new.name if own else free_name(new, EARLIER)
+        try:
+            note_folder(draft, new.name)
+        except OSError as fault:
+            raise unwritable(fault, folder) from None
+        if there:
+            _put(new, aside, folder)
+        _put(draft, new, folder)
+    return folder.with_name(aside.name) if there and not own else None
 
 
 def found_among(study: StudyFile, results: Path) -> Path | None:
@@ -139,7 +145,8 @@ def _beside(goal: Path, new: Path) -> str:
     return Path(os.path.relpath(goal, new)).as_posix()
 
 
-def _anywhere(goal: Path, new: Path) -> list[str]:
+def anywhere(goal: Path, new: Path) -> list[str]:
+    """A relative and an absolute path, of which the first that exists holds."""
     return [_beside(goal, new), goal.as_posix()]
 
 
@@ -157,14 +164,14 @@ def _written(
     listed = isinstance(study.settings.selection, tuple)
     selected = () if isinstance(study.settings.selection, str) else free
     text = _text(study, effects, selected if listed else (), new, leading, begin_at if selected else {})
-    with _draft_of(new, folder) as draft:
+    with draft_of(new, folder) as draft:
         target = draft / NAME
         try:
             draft.chmod(0o755)
             target.write_text(text, encoding="utf-8", newline="")
         except OSError as fault:
-            raise _unwritable(fault, folder) from None
-        _check(study, target, folder)
+            raise unwritable(fault, folder) from None
+        require_valid(study, target, folder)
         for cache in draft.rglob("__pycache__"):  # made by the check
             shutil.rmtree(cache, ignore_errors=True)
         yield draft, Extension(folder / target.name, effects, selected)
@@ -174,7 +181,7 @@ def _put(draft: Path, new: Path, folder: Path) -> None:
     try:
         draft.rename(new)
     except OSError as fault:
-        raise _unwritable(fault, folder) from None
+        raise unwritable(fault, folder) from None
 
 
 def _content(folder: Path) -> dict[Path, bytes]:
@@ -207,19 +214,20 @@ def _free_place(old: Path, folder: Path) -> Path:
 
 
 @contextlib.contextmanager
-def _draft_of(new: Path, folder: Path) -> Iterator[Path]:
+def draft_of(new: Path, folder: Path) -> Iterator[Path]:
     """A folder beside the new one, deleted afterwards unless it was renamed."""
     try:
         draft = Path(tempfile.mkdtemp(prefix=".calib-extend-", suffix=DRAFT, dir=new.parent))
     except OSError as fault:
-        raise _unwritable(fault, folder) from None
+        raise unwritable(fault, folder) from None
     try:
         yield draft
     finally:
         shutil.rmtree(draft, ignore_errors=True)
 
 
-def _unwritable(fault: OSError, folder: Path) -> InputError:
+def unwritable(fault: OSError, folder: Path) -> InputError:
+    """The error for a folder that cannot be written."""
     words = fault.strerror
     if isinstance(fault, shutil.Error) and fault.args and fault.args[0]:
         source, _, why = fault.args[0][0]
@@ -227,7 +235,7 @@ def _unwritable(fault: OSError, folder: Path) -> InputError:
     return InputError(f"it cannot be written ({words or fault})", place=folder, remedy="free it or name another place")
 
 
-def _check(study: AnyStudy, target: Path, folder: Path) -> None:
+def require_valid(study: AnyStudy, target: Path, folder: Path) -> None:
     """Load the draft of the new study; InputError when it is invalid."""
     try:
         load(target, study.adopted)

@@ -42,6 +42,8 @@ GEOMETRY = ("mesh_points.csv", "mesh_elements.csv", "model_places.csv")
 ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv", "comparison_added.csv",
          "frf_added.csv", "frf_lines_added.csv", "where_it_fails_added.csv")  # fmt: skip
 """Files of `calib.analyses.added`, removed with the calibration or the explanation that they rest on."""
+PROPOSED = ("proposals.csv", "proposals.json")
+"""Files of `calib.analyses.propose`, removed with the explanation that they rest on."""
 _MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivity_samples", "input_correlation")
 _CALIBRATED = ("parameters", "points", "suspects_calibrated", "verdicts", "posterior_correlation", "confounded",
                "unseen_directions", "predictions", "convergence", "modes", "responses", "data_errors",
@@ -63,6 +65,7 @@ WRITES: Mapping[str, tuple[str, ...]] = {
     "explain": (
         *RECORDED, *GEOMETRY, *(f"{name}.csv" for name in _EXPLAINED), "explanation.json", "added.json",
     ),
+    "propose": (*RECORDED, *PROPOSED),
     "extend": (*RECORDED, *ADDED),
 }  # fmt: skip
 """All tables that an analysis may write; a shared table belongs to the latest analysis."""
@@ -131,9 +134,9 @@ def made_from_on_paper(
     old, said = then.get("files", {}), then.get("stated", {})
     needed = study.settings.depends_on
     code = [n for n in {**old, **files} if (n.endswith(".py") or n in needed) and old.get(n) != files.get(n)]
-    of_effects = (study.settings.effects or "").rpartition(":")[0]
-    uses_effects = analysis in ("explain", "extend")
-    of_model = [name for name in code if name != of_effects or study.settings.with_effects]
+    of_effects = {function.rpartition(":")[0] for function in study.settings.libraries}
+    uses_effects = analysis in ("explain", "propose", "extend")
+    of_model = [name for name in code if name not in of_effects or study.settings.with_effects]
     taken = then.get("taken", {})
     same_values = not found or any(_agree(taken, values) for values in found)
     same_model = not of_model and said.get("model") == stated["model"] and same_values
@@ -220,6 +223,7 @@ _SETTINGS: Mapping[str, Callable[[Study], tuple[Any, ...]]] = {
     "sensitivity": lambda study: (study.sensitivity_space, study.settings.sensitivity.model_dump()),
     "calibrate": _of_calibration,
     "explain": _of_explanation,
+    "propose": _of_explanation,
     "extend": _of_explanation,
 }
 
@@ -231,6 +235,7 @@ _STATED: Mapping[str, tuple[str, ...]] = {
     "sensitivity": ("pairing", "sensitivity"),
     "calibrate": _STATED_OF_CALIBRATION,
     "explain": (*_STATED_OF_CALIBRATION, "explain", "effects"),
+    "propose": (*_STATED_OF_CALIBRATION, "explain", "effects"),
     "extend": (*_STATED_OF_CALIBRATION, "explain", "effects"),
 }
 """Keys of the study's file that replace `_SETTINGS` where no code is run."""

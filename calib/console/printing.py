@@ -14,10 +14,11 @@ from calib.analyses.compare import ComparisonResult
 from calib.analyses.explanation_result import ExplanationResult
 from calib.analyses.extend import Extension
 from calib.analyses.joint_calibration import Fitted
+from calib.analyses.propose import ProposalResult
 from calib.analyses.sensitivity import Screening, Sensitivity
 from calib.analyses.versions import Versions
 from calib.answer import Answer
-from calib.console import calibrated, compared, explained
+from calib.console import calibrated, compared, explained, proposed
 from calib.console.told import Entry, Told, Warned, Words, tell_answer, tell_entries
 from calib.front.listener import Listener
 from calib.missing.explanation import Explanation
@@ -98,6 +99,10 @@ class _Printing(Listener):
             them = "them" if len(named.names) > 1 else "it"
             command = f"calib extend {shell_argument(study.file)} {' '.join(named.names)} --into FOLDER"
             self._add(Words(f"Add {them} with: {command}", when="always"))
+        self._add(*proposed.may_propose(study, found))
+
+    def proposed(self, study: StudyFile, result: ProposalResult, folder: Results, root: Path) -> None:
+        self._answered(result.answer, folder.path / "proposals.csv", proposed.entries(result, root))
 
     def extended(self, written: Extension) -> None:
         self._add(*explained.of_extension(written, self.verb == "run"))

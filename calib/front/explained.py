@@ -15,11 +15,13 @@ from calib.analyses.explain import answered, decided, require_usable
 from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
 from calib.analyses.joint_adapter import together
 from calib.analyses.library import local_perturbations
+from calib.analyses.propose import RANKED
 from calib.analyses.record import check_repeats, disagreements_table
 from calib.analyses.uncertainty import in_words, notes_on
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.front.posed import Effects, P, PosedProblem
+from calib.front.proposed import Proposed, proposed
 from calib.front.shown import Shown
 from calib.front.test import Test, under
 from calib.given import integer, objects
@@ -45,6 +47,8 @@ class Explained(Shown, Generic[P]):
         The tested effects, by the name of the model that may lack them.
     explanation : ExplanationResult
         All results, with their tables.
+    seed : int
+        Of its random numbers.
 
     Examples
     --------
@@ -66,6 +70,7 @@ class Explained(Shown, Generic[P]):
     problem: P
     effects: Library
     explanation: ExplanationResult
+    seed: int = 1
 
     @property
     def verdict(self) -> str:
@@ -116,6 +121,27 @@ class Explained(Shown, Generic[P]):
             )  # fmt: skip
         return self.problem.with_effects(self._named)
 
+    def propose(self, rank: int = RANKED, *, progress: bool = True) -> Proposed:
+        """Compose effects that explain what none of the library does, from local perturbations of the model.
+
+        Where the verdict leaves no misfit open, or no place stands out, there are none, and the result says why.
+
+        Parameters
+        ----------
+        rank : int
+            Proposals that are kept.
+        progress : bool
+            Whether to show progress on a terminal or in a notebook.
+
+        Raises
+        ------
+        InputError
+            For a problem of several models.
+        """
+        adapter = together(_adapters(self.problem, self.effects, self.seed))
+        taken = [name for own in self.effects.values() for effect in own for name in effect.names]
+        return proposed(self.problem, adapter, self.explanation.explanation, taken, rank, progress)
+
     def __repr__(self) -> str:
         return f"Explained({self.verdict}{''.join(f', {e.name}' for e in self.named)})"
 
@@ -131,7 +157,7 @@ def explained(problem: P, effects: Effects, seed: int, progress: bool) -> Explai
     with in_python("explain", progress) as told:
         adapter = together(_adapters(problem, library, seed))
         found = decided(adapter, ExplainSettings().model_copy(update={"seed": seed}), "explain", told)
-        return Explained(problem, library, answered(adapter, found, told, started))
+        return Explained(problem, library, answered(adapter, found, told, started), seed)
 
 
 def library_of(problem: PosedProblem, effects: Effects) -> Library:

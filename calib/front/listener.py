@@ -11,6 +11,7 @@ from calib.analyses.compare import ComparisonResult
 from calib.analyses.explanation_result import ExplanationResult
 from calib.analyses.extend import Extension
 from calib.analyses.joint_calibration import Fitted
+from calib.analyses.propose import ProposalResult
 from calib.analyses.sensitivity import Screening, Sensitivity
 from calib.analyses.versions import Versions
 from calib.missing.explanation import Explanation
@@ -55,6 +56,9 @@ class Listener:
 
     def may_add(self, study: StudyFile, found: Explanation) -> None:
         """An explanation was requested by itself: its named effects may be added."""
+
+    def proposed(self, study: StudyFile, result: ProposalResult, folder: Results, root: Path) -> None:
+        """Proposals were composed; ``root`` is the root folder of all results."""
 
     def extended(self, written: Extension) -> None:
         """A study with more effects was written."""

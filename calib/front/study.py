@@ -14,6 +14,7 @@ from calib.analyses import calibrate as calibration
 from calib.analyses import compare as comparison
 from calib.analyses import explain as explanation
 from calib.analyses import extend as extension
+from calib.analyses import propose as proposal
 from calib.analyses import sensitivity as sensitivity_analysis
 from calib.analyses.explanation_result import ExplanationResult
 from calib.analyses.joint_calibration import Fitted, calibrate_jointly
@@ -29,6 +30,7 @@ from calib.front.listener import Listener, Showing
 from calib.front.problem import Problem
 from calib.front.shown import AnalysisResult, Compared
 from calib.front.test import model_of, test_of
+from calib.given import integer
 from calib.given import path as path_of
 from calib.joint import said, stacked
 from calib.missing.explanation import Explanation
@@ -214,6 +216,20 @@ class Study:
         self.listener.may_add(self.loaded, found.explanation)
         self._draw_tests()
         return AnalysisResult((*found.sentences, *found.notes), found.effects, self.folder.path, found)
+
+    def propose(self, rank: int = proposal.RANKED) -> AnalysisResult:
+        """Compose effects that explain what no effect of the library explains, after `explain`.
+
+        The best ``rank`` are written as a library of effects, in a study of its own among the results.
+        """
+        wanted, loaded, root = integer(rank, 1, "rank"), self.loaded, self.results
+        self.listener.begins(loaded, "propose")
+        with self.listener.progress() as step, modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as kept:
+            homes = {one.test: places.results_of(one, root) for one in loaded.studies}
+            found = proposal.propose(kept, self.folder, wanted, step, homes)
+        self.listener.proposed(loaded, found, self.folder, root)
+        words = (found.answer.found, found.answer.sure, *found.sentences)
+        return AnalysisResult(words, found.table, self.folder.path, found)
 
     def extend(self, effects: Sequence[str], into: str | Path) -> Study:
         """Write a new study whose model also has the named effects; this one stays as it is."""

@@ -7,7 +7,7 @@ on the mesh.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import scipy.sparse as sp
@@ -50,9 +50,25 @@ def outer_term(name: str, rows: Sequence[np.ndarray], coefficient: Coefficient, 
     return Term(name, sp.csr_array(stacked.T @ stacked), coefficient)
 
 
+def parts_of(model: StructuralModel) -> tuple[Part, ...]:
+    """The parts of a model; without any, its affine terms with a monomial coefficient, at the centroid of its nodes."""
+    return model.parts or tuple(_terms_as_parts(model))
+
+
+def _terms_as_parts(model: StructuralModel) -> Iterator[Part]:
+    kinds: tuple[PartKind, ...] = ("stiffness", "damping", "mass")
+    for kind in kinds:
+        for term in getattr(model, kind).terms:
+            if isinstance(term.coefficient, Monomial):
+                nodes = model.dofs.node[np.unique(sp.csr_array(term.matrix).indices)]
+                x, y, z = model.mesh.points[nodes[nodes >= 0]].mean(axis=0)
+                place = (float(x), float(y), float(z))
+                yield Part(term.name, kind, sp.csr_array(term.matrix), term.coefficient, place)
+
+
 def part_of(model: StructuralModel, kind: PartKind, name: str) -> Part:
     """The part of that kind and name; InputError when there is not exactly one."""
-    found = [p for p in model.parts if p.kind == kind and p.name == name]
+    found = [p for p in parts_of(model) if p.kind == kind and p.name == name]
     if len(found) != 1:
         raise InputError(f"the model {model.name} has {len(found)} parts {name!r} of {kind}", place="effect")
     return found[0]

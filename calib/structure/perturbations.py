@@ -13,7 +13,7 @@ from calib.effect import Effect
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.space import Parameter
 from calib.structure.affine import Monomial, Term
-from calib.structure.attach import outer_term
+from calib.structure.attach import outer_term, parts_of
 from calib.structure.extend import Addition
 from calib.structure.inertia import symmetric_factor
 from calib.structure.model import Part, StructuralModel
@@ -72,7 +72,7 @@ def perturbations(
         Appended to every name, where several models have parts of the same name.
     """
     suffix = f" ({of})" if of else ""
-    found = [_scaled(part, suffix) for part in model.parts or _terms_as_parts(model)]
+    found = [_scaled(part, suffix) for part in parts_of(model)]
     if sensors:
         rows = model.sensor_rows(sensors)
         stiffness, _, mass = model.matrices(values)
@@ -146,16 +146,3 @@ def _wider(matrix: sp.csr_array, size: int) -> sp.csr_array:
         return matrix
     coo = sp.coo_array(matrix)
     return sp.csr_array(sp.coo_array((coo.data, (coo.row, coo.col)), shape=(size, size)))
-
-
-def _terms_as_parts(model: StructuralModel) -> list[Part]:
-    """Every affine term with a monomial coefficient, at the centroid of its nodes."""
-    out = []
-    for kind in ("stiffness", "damping", "mass"):
-        for term in getattr(model, kind).terms:
-            if isinstance(term.coefficient, Monomial):
-                nodes = model.dofs.node[np.unique(sp.csr_array(term.matrix).indices)]
-                x, y, z = model.mesh.points[nodes[nodes >= 0]].mean(axis=0)
-                place = (float(x), float(y), float(z))
-                out.append(Part(term.name, kind, sp.csr_array(term.matrix), term.coefficient, place))
-    return out

@@ -1,0 +1,110 @@
+"""Compositions for the tests of a model, and the search for the one that explains best."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from calib.analyses.adapter import Adapter
+from calib.analyses.hypotheses import ModelHypotheses
+from calib.analyses.joint_adapter import JointAdapter
+from calib.analyses.one_test import OneTest
+from calib.effect import Effect
+from calib.function import FunctionModel
+from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.modal import MeasuredModes, Sensor
+from calib.missing.hypotheses import Hypotheses
+from calib.missing.joint import JointHypotheses
+from calib.missing.proposal import HungBy
+from calib.structure.compositions import Composition, Names, hung_at, of_function, of_parts, of_sensors
+from calib.structure.modal_function import ModalFunctionModel
+from calib.structure.model import StructuralModel
+
+Measured = MeasuredModes | MeasuredFRFs
+
+
+@dataclass(frozen=True, eq=False)
+class Compositions:
+    """What may be proposed for a model.
+
+    Attributes
+    ----------
+    plain : tuple of Composition
+        Without degrees of freedom of their own.
+    hung : tuple of HungBy
+        Hung masses.
+    freqs : mapping from str to float
+        Measured frequency of each mode, Hz.
+    """
+
+    plain: tuple[Composition, ...]
+    hung: tuple[HungBy, ...] = ()
+    freqs: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """All of them."""
+        hung = (one.composed.effect for one in self.hung)
+        return (*(c.effect for c in self.plain), *(effect for effect in hung if isinstance(effect, Effect)))
+
+
+def compositions(
+    model: StructuralModel | ModalFunctionModel | FunctionModel,
+    measured: Sequence[Measured],
+    values: Mapping[str, float],
+    taken: Collection[str] = (),
+) -> Compositions:
+    """Everything that may be composed for a model and the tests of it.
+
+    Parameters
+    ----------
+    model : StructuralModel, ModalFunctionModel or FunctionModel
+        Of a function only the parts that it scales itself are known.
+    measured : sequence of MeasuredModes or MeasuredFRFs
+        The fitted data of each test.
+    values : mapping
+        Reference values of its parameters.
+    taken : collection of str
+        Names that are used otherwise, such as those of the library.
+    """
+    names = Names({*taken, *model.space.names})
+    if not isinstance(model, StructuralModel):
+        return Compositions(tuple(of_function(model.parts, names)))
+    values = {name: value for name, value in values.items() if name in model.space}
+    sensors = _sensors(measured)
+    freqs = np.concatenate([one.natural_freq if isinstance(one, MeasuredModes) else one.freq for one in measured])
+    band = float(freqs[freqs > 0].min()), float(freqs.max())
+    middle = float(np.sqrt(band[0] * band[1]))
+    plain = (*of_parts(model, names, middle), *of_sensors(model, sensors, values, names, middle))
+    modal = [one for one in measured if isinstance(one, MeasuredModes)]
+    if len(modal) < len(measured) or len(modal) > 1:
+        return Compositions(plain)
+    placed = {c.at for c in plain if c.kind == "added mass"}
+    hung = tuple(
+        HungBy(hung_at(model, sensor, values, names, band), f"added mass at sensor {sensor.name}")
+        for sensor in sensors
+        if f"node {sensor.node}" in placed and sensor.direction in "xyz"
+    )
+    (one,) = modal
+    return Compositions(plain, hung, dict(zip(one.names, one.natural_freq.tolist(), strict=True)))
+
+
+def _sensors(measured: Sequence[Measured]) -> list[Sensor]:
+    return list({s.name: s for one in measured for s in one.sensors if s.point is not None}.values())
+
+
+def hypotheses_with(adapter: Adapter, effects: Sequence[Effect]) -> Hypotheses:
+    """The hypotheses of an adapter with other effects beside those of its library."""
+    if isinstance(adapter, JointAdapter):
+        return JointHypotheses({test: hypotheses_with(own, effects) for test, own in adapter.adapters.items()})
+    assert isinstance(adapter, OneTest)
+    return with_more(adapter.hypotheses, effects)
+
+
+def with_more(hypotheses: ModelHypotheses[Any], effects: Sequence[Effect]) -> ModelHypotheses[Any]:
+    """The same hypotheses with further effects."""
+    variants: Any = hypotheses.variants
+    return replace(hypotheses, variants=replace(variants, effects=(*variants.effects, *effects)))

@@ -1,0 +1,311 @@
+"""Proposals of a study: effects that nobody listed, as a library in a study of its own among the results."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import tomlkit
+
+from calib.analyses.adapter import Adapter
+from calib.analyses.adapters import adapter_of, perturbations_of
+from calib.analyses.compositions import Measured, compositions, hypotheses_with
+from calib.analyses.explain import require_usable
+from calib.analyses.explained_fit import explained_fit
+from calib.analyses.extend import NAME, anywhere, draft_of, put_among, require_valid, unwritable
+from calib.analyses.joint_adapter import together
+from calib.analyses.proposed_code import FUNCTION, library_text
+from calib.analyses.proposed_words import COLUMNS, answer_of, not_sought, proposals_table
+from calib.analyses.record import begin_analysis, write_record
+from calib.analyses.stale import stale_answers
+from calib.analyses.uncertain import with_uncertain
+from calib.answer import Answer
+from calib.correlation.function_problem import FunctionProblem
+from calib.errors import EvaluationError, InputError
+from calib.loading import Model
+from calib.missing.collinear import Group
+from calib.missing.explanation import Explanation
+from calib.missing.proposal import Proposals, Search
+from calib.missing.recommendation import recommend, recommendation
+from calib.missing.refits import Refits, Settings
+from calib.named_values import read_json
+from calib.results import Results
+from calib.settings import ExplainSettings
+from calib.several import AnyStudy
+from calib.stage import Progress, unheard
+from calib.study_file import shell_argument
+
+PROPOSED, FILE = "_proposed", "proposed_effects.py"
+"""End of the name of the study with the proposals, and the file of its library."""
+RANKED = 5
+"""Proposals that are told."""
+OPEN = ("none_explains", "partial", "misfit_unlocated", "unconfirmed")
+"""Verdicts after which something is proposed: a misfit that no effect of the library explains."""
+
+
+@dataclass(frozen=True, eq=False)
+class ProposalResult:
+    """What is proposed, in words and as a table.
+
+    Attributes
+    ----------
+    proposals : Proposals or None
+        None where nothing was sought, since nothing unlisted seems missing.
+    answer : Answer
+    table : DataFrame
+        ``proposals.csv``.
+    sentences : tuple of str
+        What would tell apart what the data do not.
+    seconds : float
+    folder : Path or None
+        Of the study whose library has the proposals; None where there are none.
+    aside : Path or None
+        Where a changed study was moved that stood in its place.
+    """
+
+    proposals: Proposals | None
+    answer: Answer
+    table: pd.DataFrame
+    sentences: tuple[str, ...] = ()
+    seconds: float = 0.0
+    folder: Path | None = None
+    aside: Path | None = None
+
+
+@dataclass(frozen=True)
+class Explained:
+    """What an explanation found, as far as proposals need it.
+
+    Attributes
+    ----------
+    verdict : str
+    named : tuple of str
+        Effects or faults of the measurement that it names.
+    scale : float
+        Factor on the standard deviation.
+    base : mapping from str to float
+        Fitted values without effects; empty where they are unknown.
+    attempt : mapping from str to float
+        Fitted values with the best attempt.
+    beside : tuple of str
+        Effects of that attempt, where they have strong evidence.
+    """
+
+    verdict: str
+    named: tuple[str, ...]
+    scale: float
+    base: Mapping[str, float]
+    attempt: Mapping[str, float] = field(default_factory=dict)
+    beside: tuple[str, ...] = ()
+
+
+def propose(
+    study: AnyStudy,
+    results: Results,
+    count: int = RANKED,
+    progress: Progress = unheard,
+    homes: Mapping[str, Results] = MappingProxyType({}),
+) -> ProposalResult:
+    """Compose effects that explain what no effect of the library explains; write them as a study and a table.
+
+    Parameters
+    ----------
+    study : Study or JointStudy
+        Of several tests, all of one model.
+    results : Results
+        With the explanation of the study.
+    count : int
+        Proposals that are written.
+    progress : callable
+    homes : mapping from str to Results
+        By name of the test: they hold the reduced bases; by default ``results``.
+
+    Raises
+    ------
+    InputError
+        Without an explanation of the study as it is, for tests of several models, and where nothing can be written.
+    """
+    explained = _explained(study, results)
+    tests = study.studies
+    models = {repr((one.settings.model, one.settings.model_options)) for one in tests}
+    if len(models) > 1:
+        raise InputError(
+            "its tests have several models, of each of which other effects would be composed", place=study.file,
+            remedy="propose for a study of the tests of one model",
+        )  # fmt: skip
+    begin_analysis(results, "propose")
+    if explained.verdict not in OPEN:
+        found = ProposalResult(
+            None, not_sought(explained.verdict, explained.named, shell_argument(study.file)), _empty()
+        )
+        _keep(study, results, found)
+        return found
+    require_usable([(one.model, one.candidates) for one in tests], str(study.file))
+    local = perturbations_of(study)
+    adapter = together({
+        s.test: adapter_of(with_uncertain(s), homes.get(s.test, results), progress, local.get(s.test), study.held_sd)
+        for s in tests
+    })  # fmt: skip
+    measured = [one.problem.measured for one in tests if not isinstance(one.problem, FunctionProblem)]
+    taken = [name for effect in study.library for name in effect.names]
+    model = tests[0].model
+    found = composed(adapter, model, measured, taken, study.settings.explain, explained, count, progress)
+    if found.proposals is not None and found.proposals.ranked and not found.proposals.measurement:
+        found = _written(study, results, found)
+    _keep(study, results, found)
+    return found
+
+
+def composed(
+    adapter: Adapter,
+    model: Model,
+    measured: Sequence[Measured],
+    taken: Sequence[str],
+    given: ExplainSettings,
+    explained: Explained,
+    count: int = RANKED,
+    progress: Progress = unheard,
+) -> ProposalResult:
+    """Compose, fit and rank; ``taken`` are names that are used otherwise. Nothing is written."""
+    started = time.perf_counter()
+    own = compositions(model, measured, explained.base or model.space.values, taken)
+    if not own.plain:
+        words = "Nothing can be proposed: the model names no parts, and has no matrices from which to compose effects."
+        then = "Give it parts that its function scales: calib.structure.scaled_part.ScaledPart."
+        return ProposalResult(None, Answer(words, "Nothing was tested.", then), _empty())
+    hypotheses = hypotheses_with(adapter, own.effects)
+    settings = Settings(given.alpha, given.refits, given.merge, given.seed, math.inf)
+    fits = Refits(hypotheses, settings, explained.scale, progress)
+    search = Search(fits, own.plain, own.hung, own.freqs)
+    start = explained.base or hypotheses.fit_problem(()).space.values
+    try:
+        found = search.proposals((), start)
+        if explained.beside:
+            beside = search.proposals(explained.beside, explained.attempt or start)
+            found = max(found, beside, key=_reached)
+    except EvaluationError as fault:
+        raise InputError(f"the model cannot be fitted: {fault}", remedy="check values and limits") from None
+    progress("intervals")
+    found = found.settled(count)
+    advice = _advice(adapter, hypotheses, found, progress)
+    answer = answer_of(found)
+    table = proposals_table(found)
+    return ProposalResult(found, answer, table, advice, time.perf_counter() - started)
+
+
+def _reached(found: Proposals) -> float:
+    """Log evidence of the best proposal with what it was fitted beside."""
+    return found.base.ln_evidence + (found.ranked[0].evidence if found.ranked else 0.0)
+
+
+def _advice(adapter: Adapter, hypotheses: Any, found: Proposals, progress: Progress) -> tuple[str, ...]:
+    """What would tell the two best proposals apart, where these data do not and candidate measurements are known."""
+    if len(found.close) < 2 or found.base.effects or found.left is None or found.measurement:
+        return ()
+    one, other = (p.candidate_fit for p in found.close[:2])
+    fits = Refits(hypotheses, Settings(budget=math.inf), found.scale, progress)
+    named = fits.scores(found.base.fit, [*one.effects, *other.effects])
+    adequacy = replace(found.left, named=named)
+    explanation = Explanation(
+        verdict="indistinguishable", base=found.base, base_adequacy=adequacy,
+        groups=tuple(Group(e) for e in (*one.effects, *other.effects)), candidate_fits=(one, other), perturbation=None,
+        chosen=one, chosen_adequacy=found.left, credible=(*one.names, *other.names), noise_scale=found.scale,
+        measured_scale=1.0, evaluations=0, alpha=fits.settings.alpha,
+    )  # fmt: skip
+    whole: Any = adapter
+    design = replace(whole, hypotheses=hypotheses).design(explanation, progress)
+    if design is None or design.competing is None:
+        return ()
+    best = recommendation(recommend(design), design.competing.names, ())
+    return () if best is None else (best.sentence,)
+
+
+# -- what was found before ---------------------------------------------------------------------------------------------
+
+
+def _explained(study: AnyStudy, results: Results) -> Explained:
+    """The explanation in a folder; InputError without one of the study as it is."""
+    remedy = f"run it first: calib explain {shell_argument(study.file)}"
+    if not results.has("explanation.json"):
+        raise InputError("the study was not explained yet", place=study.file, remedy=remedy)
+    if sentence := stale_answers(study, results).sentences.get("explain"):
+        raise InputError(sentence.partition(", so ")[0], place=study.file, remedy=remedy)
+    kinds = {"verdict": str, "noise_scale": float, "chosen": [str], "credible_set": [str], "blamed": [{"name": str}]}
+    stored = read_json(results.path / "explanation.json", kinds, tuple(kinds), remedy)
+    named = [*stored["credible_set"], *(one["name"] for one in stored["blamed"])]
+    beside = tuple(stored["chosen"]) if stored["verdict"] == "partial" else ()
+    base, attempt = (explained_fit(study, results, names) for names in ((), beside))
+    return Explained(
+        stored["verdict"], tuple(named), stored["noise_scale"], base, attempt if beside else {}, beside
+    )  # fmt: skip
+
+
+# -- writing -----------------------------------------------------------------------------------------------------------
+
+
+def _empty() -> pd.DataFrame:
+    return pd.DataFrame(columns=list(COLUMNS))
+
+
+def _keep(study: AnyStudy, results: Results, found: ProposalResult) -> None:
+    """Write ``proposals.csv``, ``proposals.json`` and the record."""
+    results.write_table("proposals", found.table)
+    p = found.proposals
+    fault = None if p is None or p.fault is None else p.fault.names[0]
+    results.write_json(
+        "proposals",
+        {
+            "study": study.name, "synthetic": study.synthetic, "proposed": found.folder is not None,
+            **found.answer.plain, "sentences": list(found.sentences),
+            "beside": [] if p is None else list(p.base.names), "p_family": np.nan if p is None else p.p_family,
+            "tested": 0 if p is None else p.tested, "evaluations": 0 if p is None else p.evaluations,
+            "adequacy_p_family": np.nan if p is None or p.left is None else p.left.p_family,
+            "adequacy_p_fit": np.nan if p is None or p.left is None else p.left.p_fit,
+            "measurement_fault": fault, "wrong_datum": None if p is None or p.datum is None else p.datum.what,
+            "written": "" if found.folder is None else str(found.folder), "seconds": found.seconds,
+        },
+    )  # fmt: skip
+    write_record(study, results, "propose", {"probabilities": study.settings.explain.seed}, answer=found.answer)
+
+
+def _written(study: AnyStudy, results: Results, found: ProposalResult) -> ProposalResult:
+    """The result with its study: it builds on the given one, and has the proposals in its library too."""
+    assert found.proposals is not None
+    folder = results.path / f"{study.name}{PROPOSED}"
+    new = folder.parent.resolve() / folder.name
+    source = study.file.resolve()
+    libraries = [_seen_from(new, source.parent, name) for name in study.settings.libraries]
+    document = tomlkit.document()
+    document["title"] = f"{study.settings.title}, with proposed effects"
+    document["base"] = anywhere(source.parent if source.name == NAME else source, new)
+    document["effects"] = [*libraries, f"{FILE}:{FUNCTION}"]
+    text = library_text(found.proposals.ranked, study.settings.title, found.proposals.base.names)
+    with draft_of(new, folder) as draft:
+        try:
+            draft.chmod(0o755)
+            (draft / NAME).write_text(tomlkit.dumps(document), encoding="utf-8", newline="")
+            (draft / FILE).write_text(text, encoding="utf-8", newline="")
+        except OSError as fault:
+            raise unwritable(fault, folder) from None
+        require_valid(study, draft / NAME, folder)
+        for cache in draft.rglob("__pycache__"):  # made by the check
+            shutil.rmtree(cache, ignore_errors=True)
+        aside = put_among(draft, new, folder)
+    return replace(found, folder=folder, aside=aside)
+
+
+def _seen_from(new: Path, old: Path, function: str) -> str:
+    """The name of a library with its file relative to another folder."""
+    where, _, name = function.rpartition(":")
+    if not where.endswith(".py") or Path(where).is_absolute():
+        return function
+    return f"{Path(os.path.relpath(old / where, new)).as_posix()}:{name}"

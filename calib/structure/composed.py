@@ -1,0 +1,269 @@
+"""Composed effects: what a local perturbation may be in engineering terms, each with the code that builds it.
+
+Every builder adds to a model what its code, run as the body of ``def build(model)``, would add.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from calib.structure.affine import Term, parameter
+from calib.structure.attach import Place, between, hung_masses, motion, outer_term, scaled_part
+from calib.structure.extend import Addition
+from calib.structure.model import PartKind, StructuralModel
+
+HUNG_RATIO = 0.03
+"""Damping ratio of a hung mass on a fixed base: that of rubber mounts."""
+
+
+class Builder(Protocol):
+    """What builds an effect, and its code."""
+
+    def __call__(self, model: Any) -> Any:
+        """What the effect adds to a model."""
+        ...
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """Lines of the body of a function of ``model``, without indentation."""
+        ...
+
+    @property
+    def needs(self) -> Mapping[str, tuple[str, ...]]:
+        """Names that the code uses, by module."""
+        ...
+
+
+def _literal(place: Place) -> str:
+    part, point = place
+    return f"({None if part is None else quoted(part)}, ({', '.join(repr(float(c)) for c in point)}))"
+
+
+_ATTACH, _EXTEND, _AFFINE = "calib.structure.attach", "calib.structure.extend", "calib.structure.affine"
+
+
+@dataclass(frozen=True)
+class ScaledParts:
+    """Parts of a model scaled together by one plus the magnitude, or damping in proportion to their stiffness.
+
+    Attributes
+    ----------
+    name : str
+        Of the magnitude.
+    parts : tuple of (kind, name)
+    dissipating : bool
+        Whether dampers in parallel are added: C is the magnitude, in s, times the stiffness of the parts.
+    """
+
+    name: str
+    parts: tuple[tuple[PartKind, str], ...]
+    dissipating: bool = False
+
+    def __call__(self, model: StructuralModel) -> Addition:
+        """Terms of every matrix."""
+        terms: dict[str, list[Term]] = {}
+        for kind, part in self.parts:
+            terms.setdefault("damping" if self.dissipating else kind, []).append(
+                scaled_part(model, kind, part, self.name)
+            )
+        own = {kind: tuple(terms.get(kind, ())) for kind in ("stiffness", "damping", "mass")}
+        return Addition(own["stiffness"], own["damping"], own["mass"])
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """See `Builder`."""
+        lines, kinds = ["return Addition("], tuple(dict.fromkeys(kind for kind, _ in self.parts))
+        for kind in kinds:
+            lines.append(f"    {'damping' if self.dissipating else kind}=(")
+            lines += [
+                f'        scaled_part(model, "{kind}", {quoted(part)}, "{self.name}"),'
+                for own, part in self.parts
+                if own == kind
+            ]
+            lines.append("    ),")
+        return (*lines, ")")
+
+    @property
+    def needs(self) -> Mapping[str, tuple[str, ...]]:
+        """See `Builder`."""
+        return {_ATTACH: ("scaled_part",), _EXTEND: ("Addition",)}
+
+
+@dataclass(frozen=True)
+class AddedMass:
+    """A mass at a point, in all directions in which the point moves.
+
+    Attributes
+    ----------
+    name : str
+    place : Place
+    directions : tuple of int
+    """
+
+    name: str
+    place: Place
+    directions: tuple[int, ...]
+
+    def __call__(self, model: StructuralModel) -> Addition:
+        """One mass term."""
+        rows = [motion(model, self.place, d) for d in self.directions]
+        return Addition(mass=(outer_term(self.name, rows, parameter(self.name)),))
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """See `Builder`."""
+        return (
+            f"place = {_literal(self.place)}",
+            f"rows = [motion(model, place, direction) for direction in {_tuple(self.directions)}]  # 0, 1, 2: x, y, z",
+            f'return Addition(mass=(outer_term("{self.name}", rows, parameter("{self.name}")),))',
+        )
+
+    @property
+    def needs(self) -> Mapping[str, tuple[str, ...]]:
+        """See `Builder`."""
+        return {_ATTACH: ("motion", "outer_term"), _AFFINE: ("parameter",), _EXTEND: ("Addition",)}
+
+
+@dataclass(frozen=True)
+class HungMass:
+    """A mass on a spring that gives in one direction; in the others it moves with its point.
+
+    Attributes
+    ----------
+    name : str
+    freq : str
+        Name of its natural frequency on a fixed base.
+    place : Place
+    direction : int
+        In which the spring gives.
+    others : tuple of int
+        Directions in which the mass is held.
+    """
+
+    name: str
+    freq: str
+    place: Place
+    direction: int
+    others: tuple[int, ...]
+
+    def __call__(self, model: StructuralModel) -> Addition:
+        """An oscillator, and a mass in the other directions."""
+        hung = hung_masses([motion(model, self.place, self.direction)], self.name, self.freq, HUNG_RATIO)
+        rows = [motion(model, self.place, d) for d in self.others]
+        held = (outer_term(f"{self.name}: held", rows, parameter(self.name), hung.n_added),) if rows else ()
+        return Addition(hung.stiffness, hung.damping, (*hung.mass, *held), n_added=hung.n_added)
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """See `Builder`."""
+        hung = f'hung_masses([motion(model, place, {self.direction})], "{self.name}", "{self.freq}", {HUNG_RATIO})'
+        lines = (f"place = {_literal(self.place)}", f"hung = {hung}  # damping ratio on its mounts: rubber (assumed)")
+        if not self.others:
+            return (*lines, "return hung")
+        return (
+            *lines,
+            f"rows = [motion(model, place, direction) for direction in {_tuple(self.others)}]  # held in these",
+            f'held = outer_term("{self.name}: held", rows, parameter("{self.name}"), hung.n_added)',
+            "return Addition(hung.stiffness, hung.damping, (*hung.mass, held), n_added=hung.n_added)",
+        )
+
+    @property
+    def needs(self) -> Mapping[str, tuple[str, ...]]:
+        """See `Builder`."""
+        if not self.others:
+            return {_ATTACH: ("hung_masses", "motion")}
+        names = ("hung_masses", "motion", "outer_term")
+        return {_ATTACH: names, _AFFINE: ("parameter",), _EXTEND: ("Addition",)}
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A spring or a damper in one direction, between two points or from one to the ground.
+
+    Attributes
+    ----------
+    name : str
+    matrix : {"stiffness", "damping"}
+    place : Place
+    other : Place or None
+        None for the ground.
+    direction : int
+    """
+
+    name: str
+    matrix: str
+    place: Place
+    other: Place | None
+    direction: int
+
+    def __call__(self, model: StructuralModel) -> Addition:
+        """One term."""
+        if self.other is None:
+            row = motion(model, self.place, self.direction)
+        else:
+            row = between(model, self.place, self.other, self.direction)
+        term = (outer_term(self.name, [row], parameter(self.name)),)
+        return Addition(stiffness=term) if self.matrix == "stiffness" else Addition(damping=term)
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """See `Builder`."""
+        first = _literal(self.place)
+        row = [f"row = motion(model, {first}, {self.direction})"]
+        if self.other is not None:
+            row = [
+                f"one = {first}",
+                f"other = {_literal(self.other)}",
+                f"row = between(model, one, other, {self.direction})",
+            ]
+        return (*row, f'return Addition({self.matrix}=(outer_term("{self.name}", [row], parameter("{self.name}")),))')
+
+    @property
+    def needs(self) -> Mapping[str, tuple[str, ...]]:
+        """See `Builder`."""
+        move = "motion" if self.other is None else "between"
+        return {_ATTACH: (move, "outer_term"), _AFFINE: ("parameter",), _EXTEND: ("Addition",)}
+
+
+@dataclass(frozen=True)
+class ScaledByFunction:
+    """A part of a function model that the function itself scales.
+
+    Attributes
+    ----------
+    name : str
+    part : str
+        The value by which the function scales it, see `calib.structure.scaled_part.ScaledPart`.
+    """
+
+    name: str
+    part: str
+
+    def __call__(self, model: Any) -> Callable[[Mapping[str, float]], Any]:
+        """A function of all values."""
+        function, name, part = model.function, self.name, self.part
+        return lambda values: function({**values, part: values.get(part, 0.0) + values[name]})
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """See `Builder`."""
+        return (
+            f"part = {quoted(self.part)}",
+            f'return lambda values: model.function({{**values, part: values.get(part, 0.0) + values["{self.name}"]}})',
+        )
+
+    @property
+    def needs(self) -> Mapping[str, tuple[str, ...]]:
+        """See `Builder`."""
+        return {}
+
+
+def quoted(text: str) -> str:
+    """A Python string in double quotes where that needs no escapes."""
+    return f'"{text}"' if text.isprintable() and not set(text) & set('"\\') else repr(text)
+
+
+def _tuple(numbers: tuple[int, ...]) -> str:
+    return f"({', '.join(map(str, numbers))}{',' * (len(numbers) == 1)})"
