@@ -46,6 +46,10 @@ class Effect(WithMagnitude):
         Whether it is a measurement error, not an effect missing in the model.
     told : callable, optional
         What a fitted magnitude of a measurement error means, such as ``sensor 12y reads 10 % low``.
+    richer : Effect, optional
+        The same physics in more detail, with more parameters, such as a body that also rocks on its mounts. It is no
+        candidate of the first question: it is fitted after the decision where this effect is like what is missing, but
+        not exactly. It has a name of its own; nuisance parameters that mean the same may be shared. A chain is allowed.
     phrase : str
         Completes "The model lacks ...", such as ``a brake unit hung on the crossbar``; by default the title, quoted.
 
@@ -84,6 +88,7 @@ class Effect(WithMagnitude):
     of_measurement: bool = False
     phrase: str = ""
     told: Callable[[float], str] | None = None
+    richer: Effect | None = None
 
     def __post_init__(self) -> None:
         place, p = f"effect {self.name}", self.magnitude
@@ -109,11 +114,32 @@ class Effect(WithMagnitude):
                 )
             if point[p.name] == 0:
                 raise InputError("its grid has a point of magnitude 0", place=place, remedy="give it a magnitude")
+        self._require_family()
+
+    def _require_family(self) -> None:
+        """InputError where two members of the family have one name, or mean different things by one parameter."""
+        known: dict[str, Parameter] = {}
+        for one in self.family:
+            if one.name in known:
+                words = f"its family has the parameter {one.name!r} twice"
+                raise InputError(words, place=f"effect {self.name}", remedy="give each member a name of its own")
+            known[one.name] = one.magnitude
+            for p in one.nuisance:
+                if known.setdefault(p.name, p) != p:
+                    raise InputError(
+                        f"its family has different parameters {p.name!r}", place=f"effect {self.name}",
+                        remedy="give one of them another name, or both the same values",
+                    )  # fmt: skip
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Magnitude first, then nuisance parameters."""
         return (self.magnitude, *self.nuisance)
+
+    @property
+    def family(self) -> tuple[Effect, ...]:
+        """The effect and its richer members, from simple to rich; a model has at most one of them."""
+        return (self, *(() if self.richer is None else self.richer.family))
 
     @property
     def in_words(self) -> str:

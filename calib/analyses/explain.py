@@ -19,6 +19,7 @@ from calib.analyses.explanation_result import ExplanationResult, summary
 from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.joint_adapter import JointAdapter, together
 from calib.analyses.record import begin_analysis, write_record
+from calib.analyses.richer import richer_members
 from calib.analyses.state import ADDED
 from calib.analyses.uncertain import uncertain_note, with_uncertain
 from calib.candidate import Candidate
@@ -41,6 +42,7 @@ from calib.missing.pattern import parameter_table, pattern_table, place_table
 from calib.missing.profile import profile_interval
 from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
 from calib.missing.recommendation import Recommendation, recommend, recommendation
+from calib.missing.richer import richer_next, richer_sentence, richer_tables
 from calib.missing.rules import RULES
 from calib.missing.score import noise_limit
 from calib.missing.steps_table import step_fits, steps_tables
@@ -102,9 +104,8 @@ def explain(
     found = decided(adapter, study.settings.explain, study.file, progress)
     answer = answered(adapter, found, progress, started)
     taken = dict.fromkeys(note for one in tests for note in uncertain_note(one))
-    answer = replace(
-        answer, tables=answer.tables | {TABLE: explained_fits(study, found)}, notes=(*answer.notes, *taken)
-    )  # fmt: skip
+    tables = answer.tables | {TABLE: explained_fits(study, found, answer.richer)}
+    answer = replace(answer, tables=tables, notes=(*answer.notes, *taken))
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
     of_all = {name: table for name, table in answer.tables.items() if TEST not in table or name in (BY_TEST, BETWEEN)}
     seen: list[tuple[AnyStudy, Results, ExplanationResult]] = [(study, results, replace(answer, tables=of_all))]
@@ -120,7 +121,7 @@ def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: s
     """InputError, before any solve, where an effect cannot be built or two models have different ones of one name."""
     known: dict[str, Effect] = {}
     for model, effects in libraries:
-        for effect in effects:
+        for effect in (one for simplest in effects for one in simplest.family):
             with_effects(model, [effect], place)
             other = known.setdefault(effect.name, effect)
             if other.parameters != effect.parameters:
@@ -189,6 +190,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     }
     progress("discretisation error")
     discretisation = adapter.discretisation_error(found)
+    richer = richer_members(adapter, found, progress)
     notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *more_notes]
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
@@ -198,6 +200,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         "" if found.blamed or found.verdict == "effect" else suspect_sentence(found.suspects),
         accuracy_sentence(accuracy, found.alpha),
         "" if differing is None else differing.sentence(found.alpha),
+        richer_sentence(richer, errors),
     )
     told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed)
     words = (*told.sentences, *filter(None, more))
@@ -219,6 +222,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         **({BY_TEST: reduction_table(found, labels[TEST].tolist())} if TEST in labels else {}),
         **({} if differing is None else {BETWEEN: differing.table}),
         **stepped,
+        **(richer_tables(found, richer) if richer else {}),
         "faults": faults_table(found, adapter.places(), known),
         "perturbations": _perturbations(adapter, found),
         "confounding": confounding_table(found),
@@ -238,7 +242,10 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         figures["discretisation"] = discretisation.largest
     seconds = time.perf_counter() - started
     traces = tuple(reason.first.trace for reason in reasons(adapter.failed())[:SHOWN] if reason.first.trace)
-    return ExplanationResult(found, told.answer, words, tuple(notes), effects, errors, tables, figures, seconds, traces)
+    answer = replace(told.answer, then=f"{told.answer.then} {richer_next(richer)}".strip())
+    return ExplanationResult(
+        found, answer, words, tuple(notes), effects, errors, tables, figures, seconds, traces, richer
+    )
 
 
 def _between(adapter: Adapter, found: Explanation) -> Differences | None:
