@@ -38,6 +38,7 @@ from calib.missing.explanation import Explanation
 from calib.missing.fault_table import faults_table
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Altered, Hypotheses
+from calib.missing.left import left_of
 from calib.missing.pattern import parameter_table, pattern_table, place_table
 from calib.missing.profile import profile_interval
 from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
@@ -195,11 +196,18 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
     differing = _between(adapter, found)
+    last = "explained" if found.names_something else "attempt"
+    stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
+    stages |= {"explained": found.blamed[0]} if found.blamed else {}
+    labels = adapter.labels()
+    own = adapter.tables(stages)
+    left = left_of(found, adapter.places(), _acting(found, own), labels["mode"].tolist())
     more = (
         correction_offered(found),
         "" if found.blamed or found.verdict == "effect" else suspect_sentence(found.suspects),
         accuracy_sentence(accuracy, found.alpha),
         "" if differing is None else differing.sentence(found.alpha),
+        "" if left is None else left.told,
         richer_sentence(richer, errors),
     )
     told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed)
@@ -213,11 +221,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         "std_assumed": facts.assumed,
         "accuracy_that_explains": None if math.isnan(at := changing(accuracy)) else at,
     }
-    last = "explained" if found.names_something else "attempt"
-    stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
-    stages |= {"explained": found.blamed[0]} if found.blamed else {}
     known = {e.name: e for e in adapter.hypotheses.faults}
-    labels = adapter.labels()
     tables = {
         **({BY_TEST: reduction_table(found, labels[TEST].tolist())} if TEST in labels else {}),
         **({} if differing is None else {BETWEEN: differing.table}),
@@ -235,8 +239,10 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         "why": pattern_table(found, labels),
         "why_parameters": parameter_table(found),
         "why_places": place_table(found, adapter.places()),
-        **adapter.tables(stages),
+        **own,
     }
+    if left is not None:
+        figures["left"] = left.plain
     if discretisation is not None:
         tables["discretisation"] = discretisation.table
         figures["discretisation"] = discretisation.largest
@@ -246,6 +252,15 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     return ExplanationResult(
         found, answer, words, tuple(notes), effects, errors, tables, figures, seconds, traces, richer
     )
+
+
+def _acting(found: Explanation, tables: Mapping[str, pd.DataFrame]) -> list[tuple[float, float, float]]:
+    """Where the best attempt acts on a model with matrices, m; empty where that is unknown."""
+    table = tables.get("effect_places")
+    if table is None or found.chosen is None:
+        return []
+    own = table[table["effect"].isin(found.chosen.names)]
+    return [(float(x), float(y), float(z)) for x, y, z in own[["x", "y", "z"]].itertuples(index=False)]
 
 
 def _between(adapter: Adapter, found: Explanation) -> Differences | None:
