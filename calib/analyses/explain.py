@@ -36,6 +36,7 @@ from calib.missing.by_test import BY_TEST, reduction_table
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.fault_table import faults_table
+from calib.missing.found_place import FOUND_PLACES, found_places, places_sentence
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Altered, Hypotheses
 from calib.missing.left import left_of
@@ -174,6 +175,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     if found.verdict in ("effect", "indistinguishable"):
         by_name = {t.names[0]: t for t in found.singles}
         intervals = {name: profile_interval(by_name[name].fit, name) for name in found.credible if name in by_name}
+    placed = found_places(found)
     progress("held-out data")
     found, errors, more_notes, figures = _confirmed(adapter, found)
     along = step_fits(found)
@@ -207,6 +209,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         "" if found.blamed or found.verdict == "effect" else suspect_sentence(found.suspects),
         accuracy_sentence(accuracy, found.alpha),
         "" if differing is None else differing.sentence(found.alpha),
+        places_sentence(placed),
         "" if left is None else left.told,
         richer_sentence(richer, errors),
     )
@@ -227,6 +230,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         **({} if differing is None else {BETWEEN: differing.table}),
         **stepped,
         **(richer_tables(found, richer) if richer else {}),
+        **({FOUND_PLACES: placed} if len(placed) else {}),
         "faults": faults_table(found, adapter.places(), known),
         "perturbations": _perturbations(adapter, found),
         "confounding": confounding_table(found),
