@@ -46,6 +46,14 @@ class Effect(WithMagnitude):
         Whether it is a measurement error, not an effect missing in the model.
     told : callable, optional
         What a fitted magnitude of a measurement error means, such as ``sensor 12y reads 10 % low``.
+    richer : Effect, optional
+        The same physics in more detail, with more parameters, such as a body that also rocks on its mounts. It is no
+        candidate of the first question: it is fitted after the decision where this effect is like what is missing, but
+        not exactly. It has a name of its own; nuisance parameters that mean the same may be shared. A chain is allowed.
+    places : tuple of str
+        Names of the places at one of which it acts, such as ``("floor 1", "floor 2")``; see
+        `calib.structure.anywhere.at_one_of`. It then has the nuisance parameter ``<name>_place``, an integer that
+        counts them from 1, and a grid with a point for each. All of them count in the search.
     phrase : str
         Completes "The model lacks ...", such as ``a brake unit hung on the crossbar``; by default the title, quoted.
 
@@ -84,6 +92,8 @@ class Effect(WithMagnitude):
     of_measurement: bool = False
     phrase: str = ""
     told: Callable[[float], str] | None = None
+    richer: Effect | None = None
+    places: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         place, p = f"effect {self.name}", self.magnitude
@@ -109,11 +119,51 @@ class Effect(WithMagnitude):
                 )
             if point[p.name] == 0:
                 raise InputError("its grid has a point of magnitude 0", place=place, remedy="give it a magnitude")
+        self._require_family()
+        if self.places:
+            self._require_places()
+
+    def _require_family(self) -> None:
+        """InputError where two members of the family have one name, or mean different things by one parameter."""
+        known: dict[str, Parameter] = {}
+        for one in self.family:
+            if one.name in known:
+                words = f"its family has the parameter {one.name!r} twice"
+                raise InputError(words, place=f"effect {self.name}", remedy="give each member a name of its own")
+            known[one.name] = one.magnitude
+            for p in one.nuisance:
+                if known.setdefault(p.name, p) != p:
+                    raise InputError(
+                        f"its family has different parameters {p.name!r}", place=f"effect {self.name}",
+                        remedy="give one of them another name, or both the same values",
+                    )  # fmt: skip
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Magnitude first, then nuisance parameters."""
         return (self.magnitude, *self.nuisance)
+
+    def _require_places(self) -> None:
+        """InputError where the parameter that chooses the place is missing, or the grid lacks a place."""
+        place, count = f"effect {self.name}", len(self.places)
+        known = [p for p in self.nuisance if p.name == self.place_name and p.integer]
+        if not known or (known[0].lower, known[0].upper) != (1, count):
+            raise InputError(
+                f"nothing chooses among its {count} places", place=place,
+                remedy=f"give it the integer nuisance parameter {self.place_name!r} from 1 to {count}",
+            )  # fmt: skip
+        if {round(point[self.place_name]) for point in self.grid} != set(range(1, count + 1)):
+            raise InputError("its grid lacks a place", place=place, remedy="give a point for each place")
+
+    @property
+    def place_name(self) -> str:
+        """Name of the parameter that chooses among its places."""
+        return f"{self.name}_place"
+
+    @property
+    def family(self) -> tuple[Effect, ...]:
+        """The effect and its richer members, from simple to rich; a model has at most one of them."""
+        return (self, *(() if self.richer is None else self.richer.family))
 
     @property
     def in_words(self) -> str:

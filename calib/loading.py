@@ -9,7 +9,7 @@ import importlib.machinery
 import importlib.util
 import inspect
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import CodeType, ModuleType
@@ -127,6 +127,14 @@ class Sources:
             if name in names[:k]:
                 place = self.place("with_effects", k)
                 raise InputError(f"the effect {name!r} is named twice", place=place, remedy="name it once")
+        for effect in library:
+            of_family = [name for name in names if name in (one.name for one in effect.family)]
+            if len(of_family) > 1:
+                one, other = of_family[:2]
+                raise InputError(
+                    f"{one!r} and {other!r} are the same effect in less and in more detail",
+                    place=self.place("with_effects", names.index(other)), remedy="name one of them",
+                )  # fmt: skip
         return tuple(pick(library, name, self.place("with_effects", k)) for k, name in enumerate(names))
 
     def _call(self, key: str, function: str, options: Mapping[str, Any]) -> Any:
@@ -229,7 +237,7 @@ def require_distinct(library: Sequence[Effect], base: Model, place: Place | str)
     """InputError where two parameters of a library, or one of them and one of the base model, share a name."""
     owner: dict[str, str] = {}
     for effect in library:
-        for name in effect.names:
+        for name in dict.fromkeys(name for one in effect.family for name in one.names):
             if name in base.space:
                 raise InputError(
                     f"the effect {effect.name!r} has a parameter {name!r}, as has the model {base.name!r}",
@@ -247,7 +255,7 @@ def require_distinct(library: Sequence[Effect], base: Model, place: Place | str)
 
 def pick(library: Sequence[Effect], name: str, place: Place) -> Effect:
     """The effect of that name; InputError with the nearest name when there is none."""
-    known = {effect.name: effect for effect in library}
+    known = {one.name: one for effect in library for one in effect.family}
     if name not in known:
         near = difflib.get_close_matches(name, known, n=1)
         raise InputError(
@@ -261,6 +269,11 @@ def pick(library: Sequence[Effect], name: str, place: Place) -> Effect:
 def extended(model: Model, effects: Sequence[Effect]) -> Model:
     """The model with effects added; InputError when one does not fit the model."""
     return extend(model, effects) if isinstance(model, StructuralModel) else extend_function(model, effects)
+
+
+def lacking(library: Sequence[Effect], names: Collection[str]) -> tuple[Effect, ...]:
+    """Effects of a library of whose family no member is among the names of those in a model."""
+    return tuple(effect for effect in library if not any(one.name in names for one in effect.family))
 
 
 def with_effects(base: Model, effects: Sequence[Effect], place: Place | str) -> Model:

@@ -12,6 +12,7 @@ from calib.effect import Effect
 from calib.errors import InputError
 from calib.given import path as path_of
 from calib.joint import joined
+from calib.loading import lacking
 from calib.space import ParameterSpace
 from calib.study import Study
 from calib.study_file import StudyFile
@@ -88,7 +89,7 @@ class JointStudy(StudyFile):
     @property
     def candidates(self) -> tuple[Effect, ...]:
         """Effects of the library that the models lack."""
-        return tuple(e for e in self.library if e.name not in self.settings.with_effects)
+        return lacking(self.library, self.settings.with_effects)
 
     @property
     def included(self) -> tuple[Effect, ...]:

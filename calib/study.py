@@ -35,7 +35,7 @@ from calib.forward import (
 from calib.function import FunctionModel
 from calib.given import path as path_of
 from calib.limits import parameter_hints, search_space, sensitivity_space
-from calib.loading import Model, Sources, fingerprint_of, with_effects
+from calib.loading import Model, Sources, fingerprint_of, lacking, with_effects
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
@@ -174,13 +174,13 @@ class Study(StudyFile):
     @property
     def included(self) -> tuple[Effect, ...]:
         """Effects of the library that are in the model, in the order they were added."""
-        known = {effect.name: effect for effect in self.library}
+        known = {one.name: one for effect in self.library for one in effect.family}
         return tuple(known[name] for name in self.settings.with_effects)
 
     @property
     def candidates(self) -> tuple[Effect, ...]:
-        """Effects of the library that the model lacks."""
-        return tuple(effect for effect in self.library if effect.name not in self.settings.with_effects)
+        """Effects of the library that the model lacks, in whatever detail."""
+        return lacking(self.library, self.settings.with_effects)
 
     def whole_problem(self) -> ModalProblem | None:
         """The modal problem over everything measured; None where no mode and no sensor is held out.
@@ -237,7 +237,8 @@ def _study(
     sources = Sources(file.settings, file.folder, file.place)
     base = sources.model()
     library = sources.library(base)
-    digest = digest_of([(e.name, e.build) for e in library])[:16]  # before any effect is built, which may fill caches
+    members = [(one.name, one.build) for effect in library for one in effect.family]
+    digest = digest_of(members)[:16]  # before any effect is built, which may fill caches
     included = sources.included(library)
     model = with_effects(base, included, file.place("with_effects"))
     elsewhere = {name for _, name in file.settings.mentioned} if file.test else ()
@@ -348,8 +349,8 @@ class _Extendable:
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
         """As `FunctionProblem.evaluate`; effects are added in the order of the values."""
         parts = () if isinstance(self.study.model, StructuralModel) else self.study.model.parts
-        known = (*self.study.candidates, *(scaling_by_function(part) for part in parts))
-        owner = {name: effect for effect in known for name in effect.names}
+        of_library = [one for effect in self.study.candidates for one in effect.family]
+        owner = {effect.name: effect for effect in (*of_library, *map(scaling_by_function, parts))}
         effects = {owner[name].name: owner[name] for name in values if name in owner}
         key = tuple(effects)
         if key not in self._made:

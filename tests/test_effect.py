@@ -118,3 +118,28 @@ def test_an_effect_that_cannot_be_added_is_refused(model):
     own = replace(effect(), nuisance=(replace(FREQ, name="offset"),), grid=({"gap": 1.0, "offset": 1.0},))
     with pytest.raises(InputError, match="has 'offset' already"):
         extend_function(model, [own])
+
+
+# -- families ----------------------------------------------------------------------------------------------------------
+
+
+def member(name, richer=None, freq=FREQ):
+    return effect(name, nuisance=(freq,), grid=({name: 1.0, freq.name: 4.0},), richer=richer)
+
+
+def test_a_family_runs_from_simple_to_rich_and_may_share_nuisance_parameters():
+    third = member("third")
+    first = member("first", member("second", third))
+    assert [e.name for e in first.family] == ["first", "second", "third"] and third.family == (third,)
+
+
+@pytest.mark.parametrize(
+    ("richer", "words"),
+    [
+        (member("gap"), "the parameter 'gap' twice"),
+        (member("wide", freq=replace(FREQ, upper=12.0)), "different parameters 'gap_freq'"),
+    ],
+)
+def test_a_family_whose_members_mean_different_things_by_one_name_is_refused(richer, words):
+    with pytest.raises(InputError, match=words):
+        member("gap", richer)

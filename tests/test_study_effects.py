@@ -414,3 +414,36 @@ def test_a_library_may_come_from_several_functions(rig):
     changed(rig, '"effects.py:library"', '"effects"')
     with pytest.raises(InputError, match="names no function"):
         Study.load(rig)
+
+
+# -- families ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def family(sums):
+    """The sums, of whose bend there is a richer form."""
+    changed(
+        sums, '"A bend.", size("bend"), bent)',
+        '"A bend.", size("bend"), bent,\n               '
+        'richer=Effect("bow", "bow", "It is straight.", "A bow.", size("bow"), lambda model: '
+        'lambda v: model.function(v) | {"s": model.function(v)["s"] + v["bow"] * v["a"] ** 3}))', "effects.py",
+    )  # fmt: skip
+    return sums
+
+
+def test_a_richer_member_is_no_candidate_but_may_be_in_the_model(family):
+    study = Study.load(family)
+    assert names(study.library) == names(study.candidates) == ("bend", "known")
+    study = Study.load(with_keys(family, 'with_effects = ["bow"]'))
+    assert names(study.included) == ("bow",) and names(study.candidates) == ("known",)
+    assert study.problem.evaluate({"a": 2.0, "b": 1.0, "bow": 0.5})["s"] == 3.0 + 0.5 * 8.0
+
+
+def test_two_members_of_a_family_are_not_in_one_model(family):
+    words = complaint(with_keys(family, 'with_effects = ["known", "bend", "bow"]'))
+    assert "'bend' and 'bow' are the same effect in less and in more detail" in words and "study.toml" in words
+
+
+def test_a_changed_richer_member_is_noticed(family):
+    before = Study.load(family).library_digest
+    assert Study.load(changed(family, "** 3", "** 4", "effects.py")).library_digest != before

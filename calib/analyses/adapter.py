@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, Self
 
 import pandas as pd
 
@@ -50,6 +50,10 @@ class Adapter(Protocol):
         self, stages: dict[str, CandidateFit], scale: float
     ) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
         """Errors by stage and group of data, notes, and entries of the summary."""
+        ...
+
+    def richer(self, name: str, progress: Progress = unheard) -> Self | None:
+        """The same with the next richer member in the place of an effect; None where it has none."""
         ...
 
     def failing(self) -> set[str]:

@@ -19,6 +19,7 @@ from calib.analyses.explanation_result import ExplanationResult, summary
 from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.joint_adapter import JointAdapter, together
 from calib.analyses.record import begin_analysis, write_record
+from calib.analyses.richer import richer_members
 from calib.analyses.state import ADDED, PROPOSED
 from calib.analyses.uncertain import uncertain_note, with_uncertain
 from calib.candidate import Candidate
@@ -35,12 +36,15 @@ from calib.missing.by_test import BY_TEST, reduction_table
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.fault_table import faults_table
+from calib.missing.found_place import FOUND_PLACES, found_places, places_sentence
 from calib.missing.held_out import contradicting
 from calib.missing.hypotheses import Altered, Hypotheses
+from calib.missing.left import left_of
 from calib.missing.pattern import parameter_table, pattern_table, place_table
 from calib.missing.profile import profile_interval
 from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
 from calib.missing.recommendation import Recommendation, recommend, recommendation
+from calib.missing.richer import richer_next, richer_sentence, richer_tables
 from calib.missing.rules import RULES
 from calib.missing.score import noise_limit
 from calib.missing.steps_table import step_fits, steps_tables
@@ -102,9 +106,8 @@ def explain(
     found = decided(adapter, study.settings.explain, study.file, progress)
     answer = answered(adapter, found, progress, started)
     taken = dict.fromkeys(note for one in tests for note in uncertain_note(one))
-    answer = replace(
-        answer, tables=answer.tables | {TABLE: explained_fits(study, found)}, notes=(*answer.notes, *taken)
-    )  # fmt: skip
+    tables = answer.tables | {TABLE: explained_fits(study, found, answer.richer)}
+    answer = replace(answer, tables=tables, notes=(*answer.notes, *taken))
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
     of_all = {name: table for name, table in answer.tables.items() if TEST not in table or name in (BY_TEST, BETWEEN)}
     seen: list[tuple[AnyStudy, Results, ExplanationResult]] = [(study, results, replace(answer, tables=of_all))]
@@ -120,7 +123,7 @@ def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: s
     """InputError, before any solve, where an effect cannot be built or two models have different ones of one name."""
     known: dict[str, Effect] = {}
     for model, effects in libraries:
-        for effect in effects:
+        for effect in (one for simplest in effects for one in simplest.family):
             with_effects(model, [effect], place)
             other = known.setdefault(effect.name, effect)
             if other.parameters != effect.parameters:
@@ -172,6 +175,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     if found.verdict in ("effect", "indistinguishable"):
         by_name = {t.names[0]: t for t in found.singles}
         intervals = {name: profile_interval(by_name[name].fit, name) for name in found.credible if name in by_name}
+    placed = found_places(found)
     progress("held-out data")
     found, errors, more_notes, figures = _confirmed(adapter, found)
     along = step_fits(found)
@@ -189,15 +193,25 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     }
     progress("discretisation error")
     discretisation = adapter.discretisation_error(found)
+    richer = richer_members(adapter, found, progress)
     notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *more_notes]
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
     differing = _between(adapter, found)
+    last = "explained" if found.names_something else "attempt"
+    stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
+    stages |= {"explained": found.blamed[0]} if found.blamed else {}
+    labels = adapter.labels()
+    own = adapter.tables(stages)
+    left = left_of(found, adapter.places(), _acting(found, own), labels["mode"].tolist())
     more = (
         correction_offered(found),
         "" if found.blamed or found.verdict == "effect" else suspect_sentence(found.suspects),
         accuracy_sentence(accuracy, found.alpha),
         "" if differing is None else differing.sentence(found.alpha),
+        places_sentence(placed),
+        "" if left is None else left.told,
+        richer_sentence(richer, errors),
     )
     told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed)
     words = (*told.sentences, *filter(None, more))
@@ -210,15 +224,13 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         "std_assumed": facts.assumed,
         "accuracy_that_explains": None if math.isnan(at := changing(accuracy)) else at,
     }
-    last = "explained" if found.names_something else "attempt"
-    stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
-    stages |= {"explained": found.blamed[0]} if found.blamed else {}
     known = {e.name: e for e in adapter.hypotheses.faults}
-    labels = adapter.labels()
     tables = {
         **({BY_TEST: reduction_table(found, labels[TEST].tolist())} if TEST in labels else {}),
         **({} if differing is None else {BETWEEN: differing.table}),
         **stepped,
+        **(richer_tables(found, richer) if richer else {}),
+        **({FOUND_PLACES: placed} if len(placed) else {}),
         "faults": faults_table(found, adapter.places(), known),
         "perturbations": _perturbations(adapter, found),
         "confounding": confounding_table(found),
@@ -231,14 +243,28 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         "why": pattern_table(found, labels),
         "why_parameters": parameter_table(found),
         "why_places": place_table(found, adapter.places()),
-        **adapter.tables(stages),
+        **own,
     }
+    if left is not None:
+        figures["left"] = left.plain
     if discretisation is not None:
         tables["discretisation"] = discretisation.table
         figures["discretisation"] = discretisation.largest
     seconds = time.perf_counter() - started
     traces = tuple(reason.first.trace for reason in reasons(adapter.failed())[:SHOWN] if reason.first.trace)
-    return ExplanationResult(found, told.answer, words, tuple(notes), effects, errors, tables, figures, seconds, traces)
+    answer = replace(told.answer, then=f"{told.answer.then} {richer_next(richer)}".strip())
+    return ExplanationResult(
+        found, answer, words, tuple(notes), effects, errors, tables, figures, seconds, traces, richer
+    )
+
+
+def _acting(found: Explanation, tables: Mapping[str, pd.DataFrame]) -> list[tuple[float, float, float]]:
+    """Where the best attempt acts on a model with matrices, m; empty where that is unknown."""
+    table = tables.get("effect_places")
+    if table is None or found.chosen is None:
+        return []
+    own = table[table["effect"].isin(found.chosen.names)]
+    return [(float(x), float(y), float(z)) for x, y, z in own[["x", "y", "z"]].itertuples(index=False)]
 
 
 def _between(adapter: Adapter, found: Explanation) -> Differences | None:

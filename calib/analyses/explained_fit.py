@@ -10,6 +10,7 @@ import pandas as pd
 from calib.analyses.stale import stale_analyses
 from calib.errors import InputError
 from calib.missing.explanation import Explanation
+from calib.missing.richer import Richer
 from calib.results import Results
 from calib.several import AnyStudy
 from calib.space import ParameterSpace
@@ -22,9 +23,9 @@ COLUMNS = ("effects", "parameter", "value")
 """``effects``: those in the fitted model, by name in alphabetical order."""
 
 
-def explained_fits(study: StudyFile, found: Explanation) -> pd.DataFrame:
-    """The base fit and, if any, the fit with the chosen effects; columns `COLUMNS`."""
-    fits = [found.base, *([] if found.chosen is None else [found.chosen])]
+def explained_fits(study: StudyFile, found: Explanation, richer: Sequence[Richer] = ()) -> pd.DataFrame:
+    """The base fit and, if any, the fits with the chosen effects and with richer members; columns `COLUMNS`."""
+    fits = [found.base, *([] if found.chosen is None else [found.chosen]), *(one.candidate_fit for one in richer)]
     rows = []
     for candidate_fit in fits:
         space = candidate_fit.fit.fit_problem.space

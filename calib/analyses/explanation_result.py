@@ -15,6 +15,7 @@ from calib.missing.candidate_fit import CandidateFit, WrongDatum
 from calib.missing.explanation import Explanation
 from calib.missing.local import local_perturbation
 from calib.missing.nearly import is_nearly
+from calib.missing.richer import Richer
 from calib.missing.verdict import GROUPS as UNSEEN_GROUPS
 from calib.several import AnyStudy
 from calib.study import Study
@@ -92,6 +93,8 @@ class ExplanationResult:
     seconds : float
     traces : tuple of str
         Tracebacks of the commonest failures in the user's code.
+    richer : tuple of Richer
+        Richer members of the effect that nearly explains the data, from simple to rich.
     """
 
     explanation: Explanation
@@ -104,6 +107,7 @@ class ExplanationResult:
     figures: dict[str, object]
     seconds: float
     traces: tuple[str, ...] = ()
+    richer: tuple[Richer, ...] = ()
 
     @property
     def sentence(self) -> str:

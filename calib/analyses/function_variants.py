@@ -93,6 +93,12 @@ class FunctionVariants(Generic[F]):
         cached: Any = self._base.function
         return int(cached.calls)
 
+    def exchanged(self, effect: Effect, other: Effect, basis: Any) -> FunctionVariants[F]:
+        """The same with one effect in the place of another; calls of the base function are shared."""
+        return FunctionVariants(
+            self._base, tuple(other if e is effect else e for e in self.effects), self.perturbations
+        )
+
     def added(self, names: Sequence[str]) -> int:
         """No further modes: a function returns a fixed number."""
         return 0

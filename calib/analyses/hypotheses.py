@@ -81,6 +81,10 @@ class ModelVariants(Protocol):
         """The base model with only the named effects, at full order and at any magnitude."""
         ...
 
+    def exchanged(self, effect: Effect, other: Effect, basis: Any) -> Self:
+        """The same with one effect in the place of another, and a basis for that; None where none is used."""
+        ...
+
     @property
     def unproven(self) -> Collection[str]:
         """Effects that may change the base model even at magnitude 0, since user code adds them."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from calib.effect import Effect
 from calib.evaluate import Evaluator
 from calib.forward import ForwardProblem
 from calib.outcome import failure
@@ -61,8 +62,14 @@ def isolated(study: Study) -> Study:
         study,
         model=model.with_function(child),
         problem=problem.with_function(child),
-        library=tuple(replace(effect, build=KnownThere(effect.build)) for effect in study.library),
+        library=tuple(map(_known_there, study.library)),
     )
+
+
+def _known_there(effect: Effect) -> Effect:
+    """The effect and its richer members, each built by the other process."""
+    richer = None if effect.richer is None else _known_there(effect.richer)
+    return replace(effect, build=KnownThere(effect.build), richer=richer)
 
 
 @dataclass(frozen=True)

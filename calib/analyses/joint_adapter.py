@@ -113,6 +113,13 @@ class JointAdapter:
         found = fit.left_out(groups)
         return found.p(factors, np.array([std[str(name)] for name in found.names]))
 
+    def richer(self, name: str, progress: Progress = unheard) -> JointAdapter | None:
+        """The same with the next richer member in the place of an effect, in every test whose library has it."""
+        found = {test: adapter.richer(name, progress) for test, adapter in self.adapters.items()}
+        if not any(found.values()):
+            return None
+        return JointAdapter.of({test: found[test] or adapter for test, adapter in self.adapters.items()})
+
     def failing(self) -> set[str]:
         """Effects with which a model of any test failed somewhere."""
         return {name for adapter in self.adapters.values() for name in adapter.failing()}

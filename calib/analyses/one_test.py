@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
@@ -14,6 +14,7 @@ import pandas as pd
 from calib.analyses.discretisation_error import DiscretisationError
 from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.hypotheses import Failure, ModelHypotheses
+from calib.analyses.reduction import Wanted
 from calib.candidate import Candidate
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
@@ -124,6 +125,22 @@ class OneTest(ABC):
         if isinstance(model, StructuralModel):
             rows = [(e.name, *place) for e in self.hypotheses.effects for place in effect_places(model, e)]
         return pd.DataFrame(rows, columns=["effect", "x", "y", "z"])
+
+    def richer(self, name: str, progress: Progress = unheard) -> Self | None:
+        """The same with the next richer member in the place of an effect; None without one.
+
+        EvaluationError where the model cannot be solved with it, ToleranceError where no reduced basis represents it.
+        """
+        variants = self.hypotheses.variants
+        simpler = next((e for e in self.hypotheses.effects if e.name == name), None)
+        if simpler is None or simpler.richer is None:
+            return None
+        basis = variants.basis
+        if basis is not None:
+            wanted = Wanted.of(self.hypotheses.pair.problem, basis.tolerance, self.facts.seed)
+            basis = wanted.with_effects(variants.model, basis, self.hypotheses.space, [simpler.richer], (), progress)
+        exchanged = variants.exchanged(simpler, simpler.richer, basis)
+        return replace(self, hypotheses=replace(self.hypotheses, variants=exchanged))
 
     def failing(self) -> set[str]:
         """Effects that were nonzero at any point at which a function failed."""

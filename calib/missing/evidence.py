@@ -21,6 +21,9 @@ def ln_evidence(fit: LinearisedFit, added: Sequence[Candidate]) -> float:
     negative has a half-normal prior: twice the density, and only the part of the posterior above 0. When the fit ended
     at such a limit, the Gaussian is centred on the minimum that it would have without the limit.
 
+    A choice among places, an integer parameter of an effect, has the same prior for each: the evidence is that of the
+    best place over their number.
+
     The size of a measurement fault is not known beforehand. Its plausible size is therefore the one, up to the stated
     value, that maximises the evidence (Berger and Sellke 1987).
 
@@ -44,6 +47,7 @@ def ln_evidence(fit: LinearisedFit, added: Sequence[Candidate]) -> float:
         centre = centre + fit.prior_sd * step
     std = np.sqrt(np.diag(fit.covariance))
     for effect in added:
+        total -= sum(float(np.log(q.upper - q.lower + 1)) for q in effect.nuisance if q.integer)
         if not effect.signed:
             k = fit.names.index(effect.name)
             total += float(np.log(2.0) + log_ndtr(centre[k] / std[k]))

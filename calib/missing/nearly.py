@@ -14,22 +14,31 @@ from calib.missing.score import Scores
 def is_nearly(found: Explanation) -> bool:
     """Whether a partial explanation is that of an effect which the library lists in a simpler form than the real one.
 
-    Every other effect, local perturbation or fault gains less than `Rules.by_far` of the log evidence that the best
-    effect gains, or leaves more than `Rules.leaves` times the sum of squares that it leaves; and nothing further is
-    predicted to lower the sum of squares by more than `Rules.little` of what it did.
+    It is far ahead (`is_far_ahead`), and nothing further is predicted to lower the sum of squares by more than
+    `Rules.little` of what it did.
     """
     best, adequacy = found.chosen, found.chosen_adequacy
-    if found.verdict != "partial" or best is None or adequacy is None:
+    if found.verdict != "partial" or best is None or adequacy is None or not is_far_ahead(found):
+        return False
+    decrease = found.base.fit.misfit - best.fit.misfit
+    return max(_drops(adequacy.named, adequacy.perturbations, adequacy.faults), default=0.0) < RULES.little * decrease
+
+
+def is_far_ahead(found: Explanation) -> bool:
+    """Whether the best attempt explains far more than anything else.
+
+    Every other effect, local perturbation or fault gains less than `Rules.by_far` of the log evidence that it gains, or
+    leaves more than `Rules.leaves` times the sum of squares that it leaves.
+    """
+    best = found.chosen
+    if best is None:
         return False
     gained = found.ln_bayes(best)
     same = {name for group in found.groups if group.effect.name in best.names for name in group.names}
     others = [t for t in found.candidate_fits if not same & set(t.names)]
     others += [t for t in (found.perturbation, *found.faults) if t is not None]
     near = [t for t in others if found.ln_bayes(t) > RULES.by_far * gained]
-    if any(t.fit.misfit < RULES.leaves * best.fit.misfit for t in near):
-        return False
-    decrease = found.base.fit.misfit - best.fit.misfit
-    return max(_drops(adequacy.named, adequacy.perturbations, adequacy.faults), default=0.0) < RULES.little * decrease
+    return not any(t.fit.misfit < RULES.leaves * best.fit.misfit for t in near)
 
 
 def _drops(*families: Scores | None) -> Iterator[float]:

@@ -58,7 +58,7 @@ def implausible(fit: LinearisedFit, added: Sequence[Candidate]) -> str:
         for limit in (p.upper, p.lower) if effect.signed else (p.upper,):
             if _held(fit, p, limit):
                 reasons.append(f"{effect.name} is on its limit of {_with_unit(limit, p)}")
-        for q in effect.nuisance:
+        for q in (q for q in effect.nuisance if not q.integer):  # a choice, of which the ends are as good as any
             here = fit.values[q.name]
             on = [limit for limit in (q.upper, q.lower) if _held(fit, q, limit)]
             if on:

@@ -58,9 +58,7 @@ class MountedBody:
     gyration: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        level = np.delete(np.asarray(self.mounts, dtype=float), self.up, axis=1)
-        if len(level) < 3 or np.linalg.matrix_rank(level - level.mean(axis=0), tol=1e-6) < 2:
-            raise InputError("its mounts lie on one line", place="body", remedy="give at least three that do not")
+        require_restrained(self.mounts, self.up)
 
     def let_go(self, carrier: np.ndarray, sag: str, lower: str, sideways: str, damping_ratio: str) -> Addition:
         """Addition of the elastically mounted body to a model.
@@ -76,7 +74,7 @@ class MountedBody:
         """
         n, root = carrier.shape[1], 1 / math.sqrt(GRAVITY)
         shifts, turns = np.asarray(carrier, dtype=float).reshape(2, 3, n) * math.sqrt(self.mass)
-        lowered, gyration = _cross(np.eye(3)[self.up]) @ turns, np.diag(self.gyration)
+        lowered, gyration = cross_matrix(np.eye(3)[self.up]) @ turns, np.diag(self.gyration)
         shift, turn = np.eye(6)[:3], np.eye(6)[3:]
 
         def term(name: str, matrix: np.ndarray | sp.csr_array, coefficient: Coefficient) -> Term:
@@ -101,7 +99,7 @@ class MountedBody:
         return Addition(
             stiffness=tuple(
                 term(f"mounts {name}", on_body(block), _scaled(1.0, powers, sag, grow))
-                for name, block, powers, grow in self._gaps(lower, sideways)
+                for name, block, powers, grow in mount_stiffness(self.mounts, self.up, lower, sideways)
             ),
             damping=tuple(
                 term(
@@ -109,7 +107,7 @@ class MountedBody:
                     on_body(block),
                     _scaled(2 * root, {damping_ratio: 1.0, sag: 0.5, **powers}, sag, grow),
                 )
-                for name, block, powers, grow in self._gaps(lower, sideways)
+                for name, block, powers, grow in mount_stiffness(self.mounts, self.up, lower, sideways)
             ),
             mass=(
                 term("lower", mixed + mixed.T, grown(1, **{lower: 1.0})),
@@ -124,23 +122,37 @@ class MountedBody:
             n_added=6,
         )
 
-    def _gaps(self, lower: str, sideways: str) -> Iterator[tuple[str, np.ndarray, Mapping[str, float], int]]:
-        """Parts of kappa: name, matrix (6, 6), powers of parameters, power with which it grows."""
-        upright = np.eye(3)[self.up]
-        # A mount deflects by ``(flat + lower * tilt) (t, theta)``, both (n_mounts, 3, 6).
-        flat = np.array([np.hstack([np.eye(3), -_cross(place)]) for place in np.asarray(self.mounts, dtype=float)])
-        tilt = np.broadcast_to(np.hstack([np.zeros((3, 3)), -_cross(upright)]), flat.shape)
-        along = np.outer(upright, upright)
 
-        def product(one: np.ndarray, weight: np.ndarray, other: np.ndarray) -> np.ndarray:
-            return np.asarray(np.einsum("fia,ij,fjb->ab", one, weight, other) / len(flat))
+def require_restrained(mounts: np.ndarray, up: int) -> None:
+    """InputError where mounts, (n_mounts, 3), do not restrain a body: fewer than three, or on a line from above."""
+    level = np.delete(np.asarray(mounts, dtype=float), up, axis=1)
+    if len(level) < 3 or np.linalg.matrix_rank(level - level.mean(axis=0), tol=1e-6) < 2:
+        raise InputError("its mounts lie on one line", place="body", remedy="give at least three that do not")
 
-        across = np.eye(3) - along
-        mixed = product(flat, across, tilt)
-        yield "upright", product(flat, along, flat), {}, 0
-        yield "sideways", product(flat, across, flat), {sideways: 1.0}, 0
-        yield "sideways, lower", mixed + mixed.T, {sideways: 1.0, lower: 1.0}, 1
-        yield "sideways, lower, squared", product(tilt, across, tilt), {sideways: 1.0, lower: 2.0}, 2
+
+def mount_stiffness(
+    mounts: np.ndarray, up: int, lower: str, sideways: str
+) -> Iterator[tuple[str, np.ndarray, Mapping[str, float], int]]:
+    """Parts of kappa, the stiffness of equal mounts of a body over the vertical one of all; see `MountedBody`.
+
+    Yields the name, the matrix (6, 6), the powers of the parameters, and that of the distance of the centre below the
+    point, with which it grows.
+    """
+    upright = np.eye(3)[up]
+    # A mount deflects by ``(flat + lower * tilt) (t, theta)``, both (n_mounts, 3, 6).
+    flat = np.array([np.hstack([np.eye(3), -cross_matrix(place)]) for place in np.asarray(mounts, dtype=float)])
+    tilt = np.broadcast_to(np.hstack([np.zeros((3, 3)), -cross_matrix(upright)]), flat.shape)
+    along = np.outer(upright, upright)
+
+    def product(one: np.ndarray, weight: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return np.asarray(np.einsum("fia,ij,fjb->ab", one, weight, other) / len(flat))
+
+    across = np.eye(3) - along
+    mixed = product(flat, across, tilt)
+    yield "upright", product(flat, along, flat), {}, 0
+    yield "sideways", product(flat, across, flat), {sideways: 1.0}, 0
+    yield "sideways, lower", mixed + mixed.T, {sideways: 1.0, lower: 1.0}, 1
+    yield "sideways, lower, squared", product(tilt, across, tilt), {sideways: 1.0, lower: 2.0}, 2
 
 
 def _scaled(factor: float, powers: Mapping[str, float], sag: str, grow: int) -> Coefficient:
@@ -148,6 +160,6 @@ def _scaled(factor: float, powers: Mapping[str, float], sag: str, grow: int) -> 
     return Grown(monomial, sag, GROWN_SAG, grow) if grow else monomial
 
 
-def _cross(place: np.ndarray) -> np.ndarray:
+def cross_matrix(place: np.ndarray) -> np.ndarray:
     """Matrix of ``place x v``."""
     return np.cross(place, np.eye(3)).T

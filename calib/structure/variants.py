@@ -60,6 +60,11 @@ class Variants:
         """Degrees of freedom that the named effects add together."""
         return sum(self._added.get(name, 0) for name in names)
 
+    def exchanged(self, effect: Effect, other: Effect, basis: Basis | None) -> Variants:
+        """The same with one effect in the place of another, and a basis for that."""
+        effects = tuple(other if e is effect else e for e in self.effects)
+        return Variants(self.model, effects, self.perturbations, basis)
+
     def with_effects(self, names: Sequence[str]) -> StructuralModel | ReducedModel:
         """A model whose parameters include those of the named effects and of every local perturbation.
 

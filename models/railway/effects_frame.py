@@ -29,11 +29,18 @@ from models.railway.bogie import (
     UY,
     UZ,
 )
+from models.railway.effects_richer import brake_unit_on_mounts, crossbar_body
 
 JOINT_LENGTH = 0.15
 GIRDER_END_STRETCHES = 2
 BRAKE_UNIT_Z, BRAKE_UNIT_RATIO = 0.45, 0.03
 
+_MIDDLE: Place = ("crossbar", (CROSSBAR_X, GIRDER_Y, 0.0))
+_UNIT: Place = ("crossbar", (CROSSBAR_X, GIRDER_Y, BRAKE_UNIT_Z))
+_UNIT_FREQ = Parameter(
+    "brake_unit_freq", 18.0, 8.0, 40.0, "Hz", prior_sd=7.0,
+    description="natural frequency of the unit on its bushes; 8 Hz for bushes that sag by 4 mm",
+)  # fmt: skip
 _REASON = "where such parts usually sit"
 
 
@@ -72,6 +79,7 @@ def frame_effects() -> tuple[Effect, ...]:
             look_for="Brackets, pipes, ballast or test equipment at the middle of the front crossbar.",
             magnitude=Parameter("crossbar_mass", 0.0, 0.0, 600.0, "kg", prior_sd=100.0, description="mass of it"),
             build=_crossbar_mass,
+            richer=crossbar_body(_MIDDLE),
         ),
         Effect(
             name="brake_unit",
@@ -81,13 +89,9 @@ def frame_effects() -> tuple[Effect, ...]:
             look_for="A brake unit on rubber bushes at the left of the front crossbar: knock on it and listen.",
             magnitude=Parameter("brake_unit", 0.1, 0.1, 500.0, "kg", prior_sd=80.0, description="mass of the unit"),
             build=_brake_unit,
-            nuisance=(
-                Parameter(
-                    "brake_unit_freq", 18.0, 8.0, 40.0, "Hz", prior_sd=7.0,
-                    description="natural frequency of the unit on its bushes; 8 Hz for bushes that sag by 4 mm",
-                ),
-            ),
+            nuisance=(_UNIT_FREQ,),
             grid=tuple({"brake_unit": 80.0, "brake_unit_freq": f} for f in (9.0, 12.0, 15.0, 19.0, 24.0, 32.0)),
+            richer=brake_unit_on_mounts(_UNIT, _UNIT_FREQ, BRAKE_UNIT_RATIO),
         ),
     )  # fmt: skip
 
@@ -126,8 +130,7 @@ def _turned(model: StructuralModel, one: Place, other: Place, section: Section, 
 
 
 def _crossbar_mass(model: StructuralModel) -> Addition:
-    middle: Place = ("crossbar", (CROSSBAR_X, GIRDER_Y, 0.0))
-    rows = [motion(model, middle, direction) for direction in (UX, UY, UZ)]
+    rows = [motion(model, _MIDDLE, direction) for direction in (UX, UY, UZ)]
     return Addition(
         mass=(outer_term("crossbar_mass", rows, parameter("crossbar_mass")),),
         assumptions=(Assumption("unmodelled mass: x, y, z", f"{CROSSBAR_X}, {GIRDER_Y}, 0", "m", _REASON),),
@@ -135,8 +138,7 @@ def _crossbar_mass(model: StructuralModel) -> Addition:
 
 
 def _brake_unit(model: StructuralModel) -> Addition:
-    place: Place = ("crossbar", (CROSSBAR_X, GIRDER_Y, BRAKE_UNIT_Z))
-    hung = hung_masses([motion(model, place, UY)], "brake_unit", "brake_unit_freq", BRAKE_UNIT_RATIO)
+    hung = hung_masses([motion(model, _UNIT, UY)], "brake_unit", "brake_unit_freq", BRAKE_UNIT_RATIO)
     assumed = (
         Assumption("brake unit: x, y, z", f"{CROSSBAR_X}, {GIRDER_Y}, {BRAKE_UNIT_Z}", "m", _REASON),
         Assumption("brake unit: damping ratio on its bushes", f"{BRAKE_UNIT_RATIO}", "-", "rubber bushes"),

@@ -191,3 +191,12 @@ def test_progress_is_reported_in_order(guyed):
     ]
     assert [words for words in dict.fromkeys(progress) if words in wanted] == wanted
     assert "fitting Guy rope along x" in progress
+
+
+def test_where_the_rest_of_a_nearly_explained_misfit_sits_is_told_and_kept(mast, tmp_path, monkeypatch):
+    monkeypatch.setattr("calib.missing.left.is_nearly", lambda found: found.chosen is not None)
+    study = Study.load(mast.write_study(tmp_path / "mast", {"guy": 12000.0}))
+    answer = explain(study, Results.at(tmp_path / "results", study.name))
+    kept = json.loads((tmp_path / "results/mast/explanation.json").read_text("utf-8"))["left"]
+    assert set(kept) == {"near", "distance", "modes", "modes_expected"}
+    assert kept["near"] is None or any(s.startswith("What is left sits ") for s in answer.sentences)
