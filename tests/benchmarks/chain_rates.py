@@ -18,16 +18,25 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_variable] = "1"
 
 import argparse
+import time
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from other_methods import answers
+from rates_outcome import magnitude, outcome
 from rates_subject import ROOT
+from rates_table import methods_file, report_methods
+from rates_world import digest_of
 
 from calib.analyses.function_hypotheses import function_hypotheses
 from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.response_residual import ResponseResidual
+from calib.effect import Effect
 from calib.function import FunctionModel
 from calib.loading import module_of
 from calib.missing.explain import Settings, explain
@@ -35,6 +44,9 @@ from calib.space import ParameterSpace
 from calib.study import Study
 
 FOLDER = ROOT / "studies/five_mass_chain"
+TWIN: Any = module_of(FOLDER / "make_twin.py")
+SOURCES = ("studies/five_mass_chain", "tests/benchmarks/chain_rates.py", "calib/analyses/function_hypotheses.py")
+"""What a run depends on beside the code that answers."""
 NAMING = ("effect", "indistinguishable", "two_effects", "several_effects")
 FAULTS: dict[str, tuple[str, float, float]] = {
     "damping too high": ("damping", 0.003, 0.010),
@@ -50,30 +62,86 @@ def main() -> None:
     arguments.add_argument("--runs", type=int, default=200, help="runs of each row (default 200)")
     arguments.add_argument("--bare", action="store_true", help="no parameter is declared fixed")
     arguments.add_argument("--outside", action="store_true", help="the hidden effect is in no library")
+    arguments.add_argument("--write", type=Path, help="docs/rates_chain.csv: other methods, to rates_chain_methods.csv")
     given = arguments.parse_args()
-    study, twin = Study.load(FOLDER), module_of(FOLDER / "make_twin.py")
-    hidden = [e.name for e in twin.chain_effects() if e.name not in twin.INVISIBLE]
+    hidden = [e.name for e in TWIN.chain_effects() if e.name not in TWIN.INVISIBLE]
     hidden = [*hidden, *FAULTS] if given.outside else ["", *hidden]
-    model, space = study.model, study.search_space
-    if given.bare:
-        model, space = bare(model, space)
+    asked = chain(given.bare)
     print(f"{'hidden':20s}" + "".join(f"{c:>25s}" for c in COLUMNS) + f"{'calls (mean)':>14s}{'(most)':>8s}")
+    rows: list[dict[str, Any]] = []
     for name in hidden:
-        counts: Counter[str] = Counter()
-        calls = []
-        for seed in range(given.runs):
-            rng = np.random.default_rng([seed, *name.encode()])
-            exact = twin.twin_responses(twin.draw(rng, "" if name in FAULTS else name))
-            targets = twin.measure(faulty(exact, name, rng), rng)
-            repeats = study.settings.measurement.repeats
-            library = tuple(e for e in study.candidates if not (given.outside and e.name == name))
-            pair = ResponseResidual(FunctionProblem(model.space, model.function, targets, "", repeats))
-            asked, _ = function_hypotheses(model, pair, library, space)
-            found = explain(asked, Settings(budget=np.inf))
-            counts[_outcome(found.verdict, found.untold, truth_of(name))] += 1
-            calls.append(found.evaluations)
+        own = [one(asked, name, seed, given.outside) for seed in range(given.runs)]
+        counts = Counter(_outcome(row["verdict"], row["untold"], truth_of(name)) for row in own)
+        calls = [row["evaluations"] for row in own]
         cells = "".join(f"{counts[c]:25d}" for c in COLUMNS)
         print(f"{name or 'nothing':20s}{cells}{np.mean(calls):14.0f}{max(calls):8d}", flush=True)
+        rows += own
+    report_methods(rows, methods_file(given.write), date.today().isoformat())
+
+
+class Chain(NamedTuple):
+    """The model that is asked, its library and its free parameters."""
+
+    model: FunctionModel
+    library: tuple[Effect, ...]
+    space: ParameterSpace
+    repeats: Any
+
+
+def chain(is_bare: bool = False) -> Chain:
+    """That of the study, or one that declares no parameter fixed."""
+    study = Study.load(FOLDER)
+    model, space = study.model, study.search_space
+    if is_bare:
+        model, space = bare(model, space)
+    return Chain(model, study.candidates, space, study.settings.measurement.repeats)
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One effect with its true values, as `rates_outcome.Truth`; a fault of the measurement is no effect."""
+
+    values: Mapping[str, float]
+    hidden: tuple[str, ...]
+
+
+def one(asked: Chain, name: str, seed: int, outside: bool = False) -> dict[str, Any]:
+    """Draw a chain, measure it, and ask what its model lacks: a row with what other methods answer beside."""
+    rng, started = np.random.default_rng([seed, *name.encode()]), time.perf_counter()
+    truth = TWIN.draw(rng, "" if name in FAULTS else name)
+    exact = TWIN.twin_responses(truth)
+    targets = TWIN.measure(faulty(exact, name, rng), rng)
+    library = tuple(e for e in asked.library if not (outside and e.name == name))
+    pair = ResponseResidual(FunctionProblem(asked.model.space, asked.model.function, targets, "", asked.repeats))
+    hypotheses, _ = function_hypotheses(asked.model, pair, library, asked.space)
+    found = explain(hypotheses, Settings(budget=np.inf))
+    seconds = round(time.perf_counter() - started, 3)
+    hidden = Hidden(truth, (name,) if name and name not in FAULTS else ())
+    row = outcome(found, hidden)
+    if row["outcome"] == "right" and len(hidden.hidden) == 1:
+        row |= magnitude(found, hidden)
+    group = "fault" if name in FAULTS else "removed" if name and outside else "single" if name else "nothing"
+    seen = [round(visible(hypotheses.fit_problem(()), truth, exact, targets, name), 2)] if hidden.hidden else []
+    return {
+        "code": digest_of(SOURCES), "scenario": name or "nothing", "number": seed, "group": group,
+        "hidden": list(hidden.hidden), "magnitudes": {n: truth[n] for n in hidden.hidden}, "visible": seen,
+        "untold": list(found.untold), "seconds": seconds,
+    } | row | answers(found, hypotheses, hidden)  # fmt: skip
+
+
+def visible(
+    base: Any, truth: Mapping[str, float], exact: Mapping[str, float], targets: Mapping[str, Any], name: str
+) -> float:
+    """Length of the change of the exact responses by the effect that no parameter absorbs, in standard deviations."""
+    library = {e.name: e for e in TWIN.chain_effects()}
+    plain = TWIN.twin_responses({n: v for n, v in truth.items() if n not in library[name].names})
+    change = [(exact[n] - plain[n]) / std for n, (_, std) in targets.items()]
+    names = [p.name for p in base.space.free]
+    values = base.space.complete({n: v for n, v in truth.items() if n in names})
+    slope = base.jacobian(values, names) * [base.space[n].prior_width for n in names]
+    basis = np.linalg.qr(np.vstack([slope, np.eye(len(names))]))[0]  # the prior counts as data
+    direction = np.concatenate([change, np.zeros(len(names))])
+    return float(np.linalg.norm(direction - basis @ (basis.T @ direction)))
 
 
 def faulty(exact: Mapping[str, float], fault: str, rng: np.random.Generator) -> dict[str, float]:
@@ -95,7 +163,7 @@ def bare(model: FunctionModel, space: ParameterSpace) -> tuple[FunctionModel, Pa
     return replace(model, space=own, function=lambda values: model.function(held | dict(values))), own
 
 
-def _outcome(verdict: str, untold: tuple[str, ...], hidden: str) -> str:
+def _outcome(verdict: str, untold: Sequence[str], hidden: str) -> str:
     if verdict == "nothing_detectable":
         return "nothing"
     if verdict not in NAMING:

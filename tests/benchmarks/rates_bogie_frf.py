@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from other_methods import answers
 from rates_outcome import Measured, magnitude, outcome
 from rates_scenarios import MAGNITUDES, Scenario
 from rates_subject import ROOT
@@ -167,13 +168,16 @@ class BogieWorld(World):
             effects = [self.effects[name] for name in measured.hidden]
             row["visible"] = [round(self._visible(true, e, measured), 2) for e in effects]
             without = measured.hidden if scenario.removed else ()
-            found = explain(ModelHypotheses(seen, self.variants, self.by_frfs.search_space, without))
+            hypotheses = ModelHypotheses(seen, self.variants, self.by_frfs.search_space, without)
+            found = explain(hypotheses)
             row |= outcome(found, measured)
             if row["outcome"] == "right":
                 row |= magnitude(found, measured)
+            row["seconds"] = round(time.perf_counter() - started, 2)
+            row |= answers(found, hypotheses, measured)
         except (EvaluationError, InputError, np.linalg.LinAlgError) as fault:
             row |= {"verdict": "failed", "outcome": "failed", "error": f"frfs: {type(fault).__name__}: {fault}"}
-        return row | {"seconds": round(time.perf_counter() - started, 2)}
+        return {"seconds": round(time.perf_counter() - started, 2)} | row
 
     def _visible(self, true: FRFResidual, effect: Effect, measured: Measured) -> float:
         """Length of the change of noise-free FRFs by an effect that no parameter absorbs, in standard deviations."""

@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from other_methods import answers
 from rates_outcome import magnitude, outcome
 from rates_scenarios import MAGNITUDES, Scenario
 from rates_subject import ROOT, Subject
@@ -231,9 +232,11 @@ class PanelWorld:
             row |= outcome(found, array)
             if row["outcome"] == "right":
                 row |= magnitude(found, array)
+            row["seconds"] = round(time.perf_counter() - started, 2)
+            row |= answers(found, hypotheses, array)
         except (EvaluationError, InputError, np.linalg.LinAlgError) as fault:
             row |= {"verdict": "failed", "outcome": "failed", "error": f"{way}: {type(fault).__name__}: {fault}"}
-        return row | {"seconds": round(time.perf_counter() - started, 2)}
+        return {"seconds": round(time.perf_counter() - started, 2)} | row
 
     def _visible(self, true: Any, effect: Effect, array: Array) -> float:
         """Length of the change of noise-free data by an effect that no parameter absorbs, in standard deviations."""

@@ -49,6 +49,7 @@ def report(rows: Sequence[Row], code: str | None, counts: Path | None = None, ma
     failed = [row for row in rows if row["outcome"] == "failed"]
     rows = [row for row in rows if row["outcome"] != "failed"]
     _rates(rows)
+    report_methods(rows, methods_file(counts), made)
     _nearly(rows)
     _numbers(rows)
     _by_effect(rows)
@@ -94,6 +95,59 @@ def read(file: Path) -> list[tuple[Rate, str, str]]:
             )
             for row in csv.DictReader(text)
         ]  # fmt: skip
+
+
+METHODS = ("method", *Rate._fields, "code", "methods_code", "date")
+"""Columns of the file of `report_methods`."""
+
+
+def report_methods(rows: Sequence[Row], counts: Path | None = None, made: str = "") -> None:
+    """Print what other methods answered to the same measurements, beside the search; ``counts`` is a CSV of it.
+
+    Rows have an entry ``methods`` of `other_methods.answers`; those of the latest code of the methods count, and all
+    methods are judged by the same rule.
+    """
+    rows = [row for row in rows if "methods" in row]
+    rows = [row for row in rows if row["methods_code"] == rows[-1]["methods_code"]]
+    if not rows:
+        return
+    found = of_methods(rows)
+    titles = list(dict.fromkeys((rate.hidden, rate.verdict) for own in found.values() for rate in own))
+    print(f"\nother methods on the same measurements ({len(rows)} runs); in brackets the one-sided 95 % bound:")
+    for number, (hidden, verdict) in enumerate(titles, 1):
+        print(f"  ({number}) {hidden}: {verdict}")
+    print(f"{'method':22s}" + "".join(f"{f'({k})':>22s}" for k in range(1, len(titles) + 1)))
+    for method, own in found.items():
+        cells = {(r.hidden, r.verdict): f"{r.count} of {r.n} ({100 * bound_of(r):.1f} %)" for r in own if r.n}
+        print(f"{method:22s}" + "".join(f"{cells.get(title, '-'):>22s}" for title in titles))
+    if counts is not None:
+        text = io.StringIO()
+        table = csv.writer(text, lineterminator="\n")
+        table.writerow(METHODS)
+        code, own_code = rows[-1]["code"], rows[-1]["methods_code"]
+        table.writerows([m, *rate, code, own_code, made] for m, own in found.items() for rate in own if rate.n)
+        counts.write_text(text.getvalue(), "utf-8")
+
+
+def methods_file(counts: Path | None) -> Path | None:
+    """Where the counts of other methods stand beside those of the search: docs/rates_bogie_methods.csv."""
+    return counts and counts.with_name(f"{counts.stem}_methods{counts.suffix}")
+
+
+def of_methods(rows: Sequence[Row]) -> dict[str, list[Rate]]:
+    """Rates by method: rightly named of what is visible, wrong names, false alarms, and names outside the library."""
+    wanted = {
+        (f"one effect, expected score {DETECTABLE:g} or more", "names it rightly"),
+        ("one effect of any magnitude", "names a wrong effect"),
+        ("nothing", "says that something is missing"),
+        ("nothing", "names something"),
+        ("something that is not in the library", "names something"),
+    }
+    out = {}
+    for method in dict.fromkeys(name for row in rows for name in row["methods"]):
+        told = [row | row["methods"][method] for row in rows if method in row["methods"]]
+        out[method] = [rate for rate in rates(told) if (rate.hidden, rate.verdict) in wanted]
+    return out
 
 
 def named(row: Row) -> bool:

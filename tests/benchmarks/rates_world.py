@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from other_methods import answers
 from rates_outcome import Measured, magnitude, outcome
 from rates_scenarios import FIFTY, OWN, Scenario, fifty_effects, scenarios
 from rates_subject import ROOT, Subject
@@ -253,9 +254,11 @@ class World:
             row |= outcome(found, measured)
             if row["outcome"] == "right" and len(measured.hidden) == 1:
                 row |= magnitude(found, measured) | self._held_out(found, hypotheses, measured)
+            row["seconds"] = round(time.perf_counter() - started, 2)
+            row |= answers(found, hypotheses, measured)
         except (EvaluationError, InputError, np.linalg.LinAlgError) as fault:
             row |= {"verdict": "failed", "outcome": "failed", "error": f"{type(fault).__name__}: {fault}"}
-        return row | {"seconds": round(time.perf_counter() - started, 2)}
+        return {"seconds": round(time.perf_counter() - started, 2)} | row
 
     def _truth(self, scenario: Scenario, measured: Measured) -> dict[str, Any]:
         hidden = [self.effects[name] for name in measured.hidden]

@@ -23,7 +23,9 @@ import multiprocessing
 import time
 import warnings
 from collections import Counter
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
 from datetime import date
 from functools import cache
 from itertools import count, islice
@@ -31,8 +33,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from other_methods import answers, hypotheses_of
 from rates_subject import ROOT
-from rates_table import Rate, write_rates
+from rates_table import Rate, methods_file, report_methods, write_rates
 from rates_world import digest_of
 from scipy.stats import beta
 
@@ -92,13 +95,33 @@ def one(kind: str, design: str, number: int) -> dict[str, Any]:
             warnings.simplefilter("ignore")
             fit = calib.Problem(make.study.tire(), tests).calibrate(progress=False)
             found = fit.explain(list(make.tire_effects()), progress=False)
+            row["seconds"] = time.process_time() - begun
+            decision = found.explanation.explanation
+            row |= answers(decision, hypotheses_of(decision), Hidden(dict(truth.designs)))
     except EvaluationError as fault:
         return row | {"verdict": f"failed: {fault}"}
     naming = found.verdict in ("effect", "indistinguishable", "two_effects", "several_effects")
     return row | {
         "verdict": found.verdict, "named": list(found.explanation.explanation.untold) if naming else [],
-        "seconds": time.process_time() - begun,
     }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """Designs of a tire by their magnitudes, as `rates_outcome.Truth`."""
+
+    values: Mapping[str, float]
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(self.values)
+
+
+def as_row(row: dict[str, Any]) -> dict[str, Any]:
+    """A run as `rates_table` counts it."""
+    group = "single" if row["kind"] == "effect" else row["kind"]
+    return row | {"group": group, "visible": [row["visible"]] if row.get("visible") else []}
 
 
 def measured(table: np.ndarray) -> MeasuredResponses:
@@ -138,6 +161,7 @@ def report(given: argparse.Namespace) -> None:
     rows = lines(given.folder / "runs.jsonl")
     if given.write is not None:
         write_rates(rates(rows), given.write, rows[-1]["code"], rows[-1]["date"])
+    report_methods([as_row(r) for r in rows], methods_file(given.write), rows[-1]["date"] if rows else "")
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         name = row["design"] or "nothing"
