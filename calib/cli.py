@@ -205,14 +205,18 @@ def calibrate(
 
 @app.command(short_help="Find which physical effect the model lacks.")
 def explain(
-    study: StudyPath, results: ResultsPath = RESULTS, cache: CachePath = None, verbose: Verbose = False
+    study: StudyPath,
+    results: ResultsPath = RESULTS,
+    workers: Workers = None,
+    cache: CachePath = None,
+    verbose: Verbose = False,
 ) -> None:
     """Find which physical effect the model lacks: a verdict, its evidence, and the recommended next measurement.
 
     Calibrates by least squares, tests every effect of the study's library and every local perturbation of the model,
     fits the most promising ones, and tests the remaining misfit.
     """
-    with _study("explain", study, results, verbose, cache=cache) as loaded:
+    with _study("explain", study, results, verbose, workers, cache=cache) as loaded:
         loaded.explain()
 
 

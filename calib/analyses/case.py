@@ -40,6 +40,7 @@ from calib.analyses.places import (
     QUICK_POPULATION,
     Workers,
     open_evaluator,
+    tasks_shared,
 )
 from calib.analyses.reduction import Reduction, reduction_of
 from calib.analyses.stored import confirm
@@ -182,6 +183,10 @@ class CaseFinder:
         linear = linear_starts(self.exact, self.study.search_space.values)
         return (*linear, *known_starts(self.study, explained_fit(self.study, self.home)))
 
+    def _reduction(self) -> Reduction | None:
+        with tasks_shared(self.workers):
+            return reduction_noted(self.study, self.home, self.notes, self.progress)
+
     def by_agreement(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
         """Least squares from sampled points until the starts agree; where they do not, a genetic search from there too.
 
@@ -191,7 +196,7 @@ class CaseFinder:
         if not given.refine or {"weight_freq", "weight_mac"} & given.model_fields_set:
             yield from self.by_search(cases)
             return
-        reduction = reduction_noted(self.study, self.home, self.notes, self.progress)
+        reduction = self._reduction()
         for case in cases:
             until, found = UntilAgreed(len(self.known) + 1), None
             fit = partial(self.refined, reduction, told=named(self.progress, case.name), enough=until)
@@ -212,7 +217,7 @@ class CaseFinder:
         """
         study, space = self.study, self.study.search_space
         settings, objective = genetic_settings(study, self.quick), objective_of(study)
-        reduction = reduction_noted(self.study, self.home, self.notes, self.progress)
+        reduction = self._reduction()
         remaining = list(cases)
         while remaining:
             problem = study.problem if reduction is None else reduction.problem
@@ -244,7 +249,7 @@ class CaseFinder:
 
     def by_least_squares(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
         """Least squares from several starting points of each case."""
-        reduction = reduction_noted(self.study, self.home, self.notes, self.progress)
+        reduction = self._reduction()
         for case in cases:
             fit = partial(self.refined, reduction, told=named(self.progress, case.name))
             yield reported(self.study, *least_squares(case, self.study, self.known, self.quick, fit))

@@ -18,6 +18,8 @@ from calib.ledger import Ledger
 from calib.results import Results
 from calib.study import EvaluationSource, Study
 from calib.study_file import StudyFile, shell_argument
+from calib.tasks import shared_by
+from calib.team import Team
 from calib.written import LOG
 
 QUICK = "quick"
@@ -156,6 +158,20 @@ def open_evaluator(
     return _opened_for(given, Evaluator(source, chosen, study.settings.calibration.time_limit))
 
 
+@contextmanager
+def tasks_shared(workers: Workers) -> Iterator[None]:
+    """While this lasts, worker processes share the tasks of `calib.tasks.each`; they are started when they pay off.
+
+    An injected executor does not take them: each task needs matrices and bases, which are large.
+    """
+    if isinstance(workers, Injected):
+        yield
+        return
+    team = Team(available_cores(), _PATIENCE) if workers is None else Team(workers)
+    with team, shared_by(team):
+        yield
+
+
 def limit_asked(study: StudyFile) -> float | None:
     """The time limit in a study's file; None where it has none, since the default holds for the own pool only."""
     given = study.settings.calibration
@@ -177,6 +193,9 @@ def _answering(problem: ForwardProblem, evaluator: Evaluator | ExecutorEvaluator
 
 _WORTHWHILE = 10.0
 """Expected seconds of work above which a process pool is started."""
+
+_PATIENCE = 2.0
+"""Seconds of shared tasks after which worker processes are started."""
 
 
 def available_cores() -> int:

@@ -336,7 +336,8 @@ class Study:
             self.listener.other_state(ledger.other_fingerprints(*known))
             if isinstance(loaded, JointStudy):
                 folders = {one.test: places.results_of(one, root, quick, case, method) for one in loaded.studies}
-                found: Fitted = calibrate_jointly(loaded, folders, folder, ledger, case, quick, method, step, homes)
+                with places.tasks_shared(self.workers):
+                    found: Fitted = calibrate_jointly(loaded, folders, folder, ledger, case, quick, method, step, homes)
             else:
                 home = homes[loaded.test]
                 found = calibration.calibrate(loaded, folder, ledger, self.workers, case, quick, method, step, home)
@@ -353,7 +354,11 @@ class Study:
     def _explain(self) -> ExplanationResult:
         loaded, root = self.loaded, self.results
         self.listener.begins(loaded, "explain")
-        with self.listener.progress() as step, modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as kept:
+        with (
+            self.listener.progress() as step,
+            places.tasks_shared(self.workers),
+            modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as kept,
+        ):
             homes = {one.test: places.results_of(one, root) for one in loaded.studies}
             answer = explanation.explain(kept, self.folder, step, homes, {s.one.test: s.folder for s in self.tests})
         self.listener.explained(loaded, answer, self.folder)

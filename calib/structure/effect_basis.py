@@ -13,7 +13,7 @@ from calib.effect import Effect
 from calib.space import ParameterSpace
 from calib.stage import Progress, unheard
 from calib.structure.basis import Basis
-from calib.structure.derivatives import mode_derivatives
+from calib.structure.derivatives import ModeDerivatives, mode_derivatives
 from calib.structure.extend import extend
 from calib.structure.frf_target import FRFTarget
 from calib.structure.growth import Growth, lowest_freq, next_round
@@ -24,6 +24,7 @@ from calib.structure.perturbations import LOCAL, Perturbation
 from calib.structure.reduced import ReducedModel
 from calib.structure.refinement import modes_near
 from calib.structure.space_filling import space_filling_points
+from calib.tasks import each
 
 _POINTS = 2
 """Points of the space, beside its middle, at which modes with effects are sampled."""
@@ -35,6 +36,8 @@ _REFINED = 0.1 * _ERROR
 """Accuracy of eigenvalues of refined modes: about the squared error of their shapes."""
 _BATCH = 20
 """Perturbations per batch: principal directions of all at once cost far more and save few vectors."""
+_MODES = 3
+"""Modes per task: each has a factor of its own, and all of them need the derivatives of the matrices."""
 _TOGETHER = 80
 """Perturbations solved with one set of factors, limited by memory."""
 
@@ -76,9 +79,7 @@ def effect_basis(
     for number, effect in enumerate(effects):
         progress(stage, number, len(effects) + batches)
         known = ReducedModel(model, replace(basis, vectors=vectors)).extended([effect])
-        solved = [
-            modes_near(known, {**point, **own}, known.n_modes, _REFINED) for point in points for own in _sampled(effect)
-        ]
+        solved = each(_near, known, [{**point, **own} for point in points for own in _sampled(effect)])
         vectors = growth.widened(vectors, np.hstack([_unit(growth, m, model.n_dof, basis) for m in solved]), _ERROR)
     nominal = model.modes(middle, basis.count)
     for first in range(0, len(perturbations), _TOGETHER):
@@ -128,6 +129,10 @@ def frf_effect_basis(
     return replace(basis, version=basis.version + 1)
 
 
+def _near(known: ReducedModel, point: Mapping[str, float]) -> Modes:
+    return modes_near(known, point, known.n_modes, _REFINED)
+
+
 def _points(space: ParameterSpace, seed: int) -> list[dict[str, float]]:
     """Middle of a space and a few points in it."""
     middle = {p.name: p.value for p in space.parameters}
@@ -166,13 +171,22 @@ def _derivatives(
     Perturbations add no degrees of freedom and have magnitude 0 at the point.
     """
     chosen = np.flatnonzero(modes.natural_freq <= basis.freq_max)
-    slopes = mode_derivatives(model, point, modes, [a.effect.name for a in perturbations], chosen)
+    some = [chosen[k : k + _MODES] for k in range(0, len(chosen), _MODES)]
+    parts = each(_slopes, (model, point, modes, [a.effect.name for a in perturbations]), some)
     shapes = modes.shapes[:, chosen]
     size = np.sqrt(np.einsum("ij,ij->j", shapes.conj(), growth.matrix @ shapes).real)
-    usable = slopes.regular & (modes.damping_ratio[chosen] < basis.damping_max)
+    usable = np.hstack([part.regular for part in parts]) & (modes.damping_ratio[chosen] < basis.damping_max)
     weights = _weights(growth, model, point, perturbations)
-    columns = [weight * slope[:, usable] / size[usable] for weight, slope in zip(weights, slopes.shapes, strict=True)]
+    slopes = (np.hstack(own) for own in zip(*(part.shapes for part in parts), strict=True))
+    columns = [weight * slope[:, usable] / size[usable] for weight, slope in zip(weights, slopes, strict=True)]
     return [np.hstack([c.real, c.imag]) if np.iscomplexobj(c) else c for c in columns]
+
+
+def _slopes(
+    shared: tuple[StructuralModel, Mapping[str, float], Modes, list[str]], which: np.ndarray
+) -> ModeDerivatives:
+    model, point, modes, names = shared
+    return mode_derivatives(model, point, modes, names, which)
 
 
 def weight_key(perturbation: Perturbation) -> tuple[str, float]:

@@ -15,6 +15,7 @@ from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduced import ReducedModel, reference_factor, reference_matrix
 from calib.structure.solve import solve_modes
+from calib.tasks import each
 
 SAFETY = 0.5
 """Limit of the error indicator, as a fraction of the tolerance."""
@@ -180,15 +181,15 @@ class Growth:
         passed = True
         while waiting:
             reduced = target.posed(ReducedModel(self.model, basis))
-            for k in waiting:
-                final[k] = target.estimate(reduced, points[k])
+            final[waiting] = each(_estimate, (target, reduced), [points[k] for k in waiting])
             checks = [(number, basis.size, final[k], np.nan) for k in waiting]
             waiting = [k for k in waiting if final[k] > SAFETY * target.tolerance]
             worst = [max(waiting, key=lambda k: final[k])] if waiting else []
             unseen = not waiting
             if not waiting:
-                for rank, k in enumerate(np.argsort(-final, kind="stable")[:verified].tolist()):
-                    error = target.error(reduced, points[k], counted=rank > 0)
+                chosen = np.argsort(-final, kind="stable")[:verified].tolist()
+                asked = [(points[k], rank > 0) for rank, k in enumerate(chosen)]
+                for k, error in zip(chosen, each(_error, (target, reduced), asked), strict=True):
                     checks.append((number, basis.size, final[k], error))
                     if error > target.tolerance:
                         worst.append(k)
@@ -208,6 +209,17 @@ class Growth:
         """An orthonormal basis with vectors added, directions of energy below ``least`` dropped."""
         new = self.spanned(self.project_out(vectors, basis), least)
         return np.hstack([basis, self.project_out(new, basis)])
+
+
+def _estimate(shared: tuple[Target, ReducedModel], point: Mapping[str, float]) -> float:
+    target, reduced = shared
+    return target.estimate(reduced, point)
+
+
+def _error(shared: tuple[Target, ReducedModel], asked: tuple[Mapping[str, float], bool]) -> float:
+    target, reduced = shared
+    point, counted = asked
+    return target.error(reduced, point, counted)
 
 
 def _rigid_count(model: StructuralModel, values: Mapping[str, float]) -> int:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from calib.errors import InputError, ToleranceError
 from calib.space import ParameterSpace
@@ -16,6 +17,7 @@ from calib.structure.mode_target import ModeTarget
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
 from calib.structure.space_filling import box, levels, middle, space_filling_points
+from calib.tasks import each
 
 _FRESH = 24
 """Validation points of each space in a round of checks."""
@@ -67,7 +69,7 @@ def train_basis(
         Snapshot points of each space; default 8 plus 2 for each free parameter, at least as many as an integer
         parameter has values.
     progress : callable
-        Called before every point that is solved.
+        Called before every point that is solved here; others may share them, see `calib.tasks.each`.
 
     Raises
     ------
@@ -125,12 +127,15 @@ def train(
     points = [p for space in several for p in space_filling_points(space, samples or _sample_count(space), rng)]
     solved: list[np.ndarray] = []
     known: ReducedModel | None = None
-    for k, p in enumerate(points):
-        progress("training the reduced basis", k, len(points))
-        if k >= _FIRST and k.bit_count() == 1:  # what is known so far, at 4, 8, 16 ... points
+    for some in _batches(len(points)):
+        if some.start:
             so_far = growth.widened(vectors, np.hstack(solved), POD * target.tolerance)
             known = ReducedModel(model, replace(basis, vectors=so_far))
-        solved.append(target.snapshots(model, growth.matrix, p, known))
+
+        def told(done: int, first: int = some.start) -> None:
+            progress("training the reduced basis", first + done, len(points))
+
+        solved += each(_snapshots, (target, model, growth.matrix, known), [points[k] for k in some], told)
     vectors = growth.widened(vectors, np.hstack(solved), POD * target.tolerance)
     basis = replace(basis, vectors=vectors, samples=sampled_rows(basis, points))
     for number in range(1, _ROUNDS + 1):
@@ -144,6 +149,21 @@ def train(
         place=_place(model),
         remedy="raise the tolerance, narrow the limits, or work with the full model",
     )
+
+
+def _batches(count: int) -> Iterator[range]:
+    """Points that are solved from what is known at 0, 4, 8, 16 ... points: independently of each other."""
+    first, size = 0, _FIRST
+    while first < count:
+        yield range(first, min(first + size, count))
+        first = size = first + size
+
+
+def _snapshots(
+    shared: tuple[Target, StructuralModel, sp.csc_array, ReducedModel | None], point: Mapping[str, float]
+) -> np.ndarray:
+    target, model, energy, known = shared
+    return target.snapshots(model, energy, point, known)
 
 
 def _missed(basis: Basis) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib import cli
+from calib import cli, team
 from calib.missing.local import interval_words
 from calib.missing.verdict import rounded
 from calib.results import Results
@@ -43,6 +43,22 @@ def written(folder):
 
 def truth(name):
     return json.loads((ROOT / f"tests/truth/{name}.json").read_text("utf-8"))
+
+
+def test_the_answer_is_the_same_for_any_number_of_workers(tmp_path, monkeypatch):
+    """With nothing kept, so that the basis is trained in one process and in two; apart from the time it took."""
+    monkeypatch.setattr(team, "_WORTH", 0.0)
+    answers = []
+    for workers in ("1", "2"):
+        home = tmp_path / workers
+        asked = ["--results", str(home), "--cache", str(home / "cache"), "--workers", workers]
+        assert cli.execute(["explain", str(ROOT / "studies" / HIDDEN), *asked]) == 0
+        summary = json.loads((home / HIDDEN / "explanation.json").read_text("utf-8"))
+        assert summary.pop("seconds") > 0
+        files = sorted((home / HIDDEN).glob("*.csv")) + sorted((home / HIDDEN).glob("basis_*.npz"))
+        answers.append((summary, {file.name: file.read_bytes() for file in files}))
+    assert len(answers[0][1]) > 20
+    assert answers[0] == answers[1]
 
 
 # -- an effect of the library ------------------------------------------------------------------------------------------

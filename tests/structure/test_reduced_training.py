@@ -1,6 +1,7 @@
 """Training a reduced basis, and the file it is kept in."""
 
 import dataclasses
+import pickle
 import re
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from calib.structure.reduced import ReducedModel
 from calib.structure.space_filling import space_filling_points
 from calib.structure.training import enrich_basis, train_basis
 from calib.study import Study
+from calib.tasks import shared_by
 from calib.written import LOG
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -219,3 +221,19 @@ def test_damaged_and_foreign_files_are_refused(trained, tmp_path):
         Basis.load(path)
     with pytest.raises(InputError, match="cannot be written"):
         basis.save(tmp_path / "nowhere" / "basis.npz")
+
+
+def test_a_basis_is_the_same_whoever_shares_its_training(trained, monkeypatch):
+    """The one process takes a part of the tasks, the other the rest; both see the same arrays."""
+    model, basis = trained
+    done = []
+
+    def forgetful(function, shared, items, told):
+        copies = [pickle.loads(pickle.dumps((shared, item))) for item in items]  # as another process gets them
+        done.append(len(items))
+        return [function(*copy) for copy in reversed(copies)][::-1]
+
+    with shared_by(forgetful):
+        again = train_basis(model, model.space, 4, seed=1, freq_max=np.inf)
+    assert again.digest == basis.digest and again.checks.tobytes() == basis.checks.tobytes()
+    assert done[:2] == [4, 4] and sum(done) > len(basis.samples)

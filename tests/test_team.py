@@ -1,0 +1,196 @@
+"""Tasks shared with other processes: the same results, failures and order as in one, and nothing left behind."""
+
+import multiprocessing
+import os
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from calib import tasks, team
+from calib.errors import EvaluationError, InputError
+from calib.tasks import alone, each, shared_by
+from calib.team import Team
+
+# Other processes import functions by name, so they live in a module of their own on the path.
+MODULE = """
+import os, time
+
+import numpy as np
+from threadpoolctl import threadpool_info
+
+from calib.errors import EvaluationError
+
+
+def who(shared, item):
+    time.sleep(0.05)
+    return os.getpid()
+
+
+def product(shared, item):
+    matrix, home = shared
+    time.sleep(0.02)
+    return item, matrix @ matrix[:, item], matrix.flags.f_contiguous, matrix.flags.writeable
+
+
+def threads(shared, item):
+    time.sleep(0.05)
+    np.linalg.inv(np.eye(3))
+    return os.getpid(), max(one["num_threads"] for one in threadpool_info())
+
+
+def fails(shared, item):
+    time.sleep(0.02)
+    if item in shared:
+        raise EvaluationError(f"no convergence at {item}")
+    return item
+
+
+def dies_elsewhere(home, item):
+    time.sleep(0.02)
+    if os.getpid() != home:
+        os._exit(3)
+    return item
+
+
+def fails_elsewhere(home, item):
+    time.sleep(0.02)
+    if os.getpid() != home:
+        raise MemoryError
+    return item
+
+
+def stops(home, item):
+    time.sleep(0.02)
+    if item == 3 and os.getpid() == home:
+        raise KeyboardInterrupt
+    return item
+"""
+
+
+@pytest.fixture(scope="module")
+def module(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tasks")
+    (folder / "team_tasks.py").write_text(MODULE, "utf-8")
+    sys.path.insert(0, str(folder))
+    import team_tasks
+
+    yield team_tasks
+    sys.path.remove(str(folder))
+
+
+def ready(one, module):
+    """The team, once another process does tasks: to start takes it seconds."""
+    until = time.monotonic() + 60
+    while len(set(one(module.who, None, range(12)))) == 1:
+        assert time.monotonic() < until
+    return one
+
+
+@pytest.fixture(scope="module")
+def two(module):
+    with Team(2) as one:
+        yield ready(one, module)
+
+
+def test_results_are_those_of_one_process_in_the_order_of_the_items(two, module):
+    matrix = np.asfortranarray(np.random.default_rng(1).standard_normal((90, 90)))
+    shared, told = (matrix, os.getpid()), []
+    own, both = alone(module.product, shared, range(30)), two(module.product, shared, range(30), told.append)
+    assert two.shares
+    for (k, mine, *order), (j, theirs, *other) in zip(own, both, strict=True):
+        assert k == j and order == other == [True, True]
+        assert mine.tobytes() == theirs.tobytes()
+    assert len(told) < 30  # the other process has done some
+    assert told[0] == 0 and sorted(told) == told and told[-1] < 30
+
+
+def test_the_same_array_is_written_once_and_a_dropped_one_is_deleted(two, module):
+    first, second = np.ones((90, 90)), np.full((90, 90), 2.0)
+    files = []
+    for matrix in (first, first, second):
+        two(module.product, (matrix, 0), range(40))
+        files.append({path.name for path in two._store.file("").parent.glob("*.npy")})
+    assert files[0] == files[1] and files[1] & files[2] == set() and len(files[2]) == 1
+
+
+def test_libraries_use_one_thread_in_every_process(two, module):
+    found = two(module.threads, None, range(12))
+    assert len({pid for pid, _ in found}) == 2
+    assert {count for _, count in found} == {1}
+
+
+@pytest.mark.parametrize("failing", [{0}, {19}, {4, 15}, {18, 3}])
+def test_the_first_failure_in_order_is_raised(two, module, failing):
+    with pytest.raises(EvaluationError, match=f"at {min(failing)}$"):
+        two(module.fails, failing, range(20))
+    assert two(module.fails, (), range(20)) == list(range(20))
+
+
+def test_what_cannot_be_sent_is_done_here(module):
+    with Team(2) as one:
+        assert one(lambda shared, item: item + shared, 1, range(5)) == [1, 2, 3, 4, 5]
+        assert not one.shares
+
+
+def test_what_fails_or_dies_elsewhere_is_done_here(module):
+    with Team(2) as one:
+        ready(one, module)
+        assert one(module.fails_elsewhere, os.getpid(), range(20)) == list(range(20))
+        assert one.shares
+        assert one(module.dies_elsewhere, os.getpid(), range(20)) == list(range(20))
+        assert not one.shares
+        assert one(module.dies_elsewhere, os.getpid(), range(3)) == [0, 1, 2]
+
+
+def test_no_process_and_no_file_is_left_after_an_interrupt(module):
+    before = set(multiprocessing.active_children())
+    with pytest.raises(KeyboardInterrupt), Team(3) as one:
+        ready(one, module)
+        others, folder = set(multiprocessing.active_children()) - before, one._store.file("").parent
+        assert len(others) == 2 and folder.is_dir()
+        one(module.stops, os.getpid(), range(40))
+    assert not folder.exists()
+    assert not any(process.is_alive() for process in others)
+    assert not others & set(multiprocessing.active_children())
+
+
+def test_others_are_started_when_they_pay_off(module, monkeypatch):
+    with Team(2, patience=0.5) as one:
+        one(module.who, None, range(2))
+        assert one._pool is None
+        one(module.who, None, range(10))
+        one(module.who, None, range(10))
+        assert one._pool is not None
+    with Team(2) as one:
+        one._seconds[module.who] = 1e-4
+        one(module.who, None, range(5))
+        assert one._pool is None
+        one(module.fails, (), [1])
+        assert one._pool is None
+
+
+def test_more_tasks_than_the_board_has_places(two, module, monkeypatch):
+    monkeypatch.setattr(team, "_MOST", 8)
+    told = []
+    assert two(module.fails, (), range(20), told.append) == list(range(20))
+    assert sorted(told) == told and told[-1] < 20
+
+
+def test_tasks_are_shared_while_a_context_lasts():
+    seen = []
+
+    def share(function, shared, items, told=tasks.untold):
+        seen.append(len(items))
+        return alone(function, shared, items, told)
+
+    with shared_by(share):
+        assert each(pow, 2, [1, 2]) == [2, 4]
+    assert each(pow, 2, [3]) == [8]
+    assert seen == [2]
+
+
+def test_workers_below_one_are_refused():
+    with pytest.raises(InputError, match="0 workers"):
+        Team(0)
