@@ -18,6 +18,7 @@ from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.explanation_result import ExplanationResult, summary
 from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.joint_adapter import JointAdapter, together
+from calib.analyses.mesh_term import mesh_words, with_mesh_error
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.state import ADDED
 from calib.analyses.uncertain import uncertain_note, with_uncertain
@@ -60,6 +61,7 @@ from calib.results import Results
 from calib.settings import ExplainSettings
 from calib.several import AnyStudy
 from calib.stage import Progress, unheard
+from calib.study import Study
 
 
 def explain(
@@ -95,16 +97,21 @@ def explain(
     if any(one.measured is not None for one in tests):
         engine.require_modes(sum(one.problem.n_measured for one in tests))
     started, local = time.perf_counter(), perturbations_of(study)
-    adapter = together({
+    mesh_sd = study.settings.explain.mesh_sd
+    adapters = {
         s.test: adapter_of(with_uncertain(s), homes.get(s.test, results), progress, local.get(s.test), study.held_sd)
         for s in tests
-    })  # fmt: skip
+    }
+    if mesh_sd is not None:
+        progress("error of the mesh")
+        adapters = {s.test: _with_mesh(adapters[s.test], s, mesh_sd) for s in tests}
+    adapter = together(adapters)
     found = decided(adapter, study.settings.explain, study.file, progress)
-    answer = answered(adapter, found, progress, started)
+    answer = answered(adapter, found, progress, started, mesh_words(mesh_sd))
     taken = dict.fromkeys(note for one in tests for note in uncertain_note(one))
-    answer = replace(
-        answer, tables=answer.tables | {TABLE: explained_fits(study, found)}, notes=(*answer.notes, *taken)
-    )  # fmt: skip
+    figures = answer.figures if mesh_sd is None else answer.figures | {"mesh_sd": mesh_sd}
+    tables, notes = answer.tables | {TABLE: explained_fits(study, found)}, (*answer.notes, *taken)
+    answer = replace(answer, tables=tables, notes=notes, figures=figures)
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
     of_all = {name: table for name, table in answer.tables.items() if TEST not in table or name in (BY_TEST, BETWEEN)}
     seen: list[tuple[AnyStudy, Results, ExplanationResult]] = [(study, results, replace(answer, tables=of_all))]
@@ -114,6 +121,14 @@ def explain(
         keep(part, folder, own)
         write_record(part, folder, "explain", seeds, answer=own.answer)
     return answer
+
+
+def _with_mesh(adapter: Adapter, study: Study, sd: float) -> Adapter:
+    try:
+        return with_mesh_error(adapter, study.finer_model(), sd, study.test)
+    except InputError as fault:
+        place = study.place("explain", "mesh_sd")
+        raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
 
 
 def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: str) -> None:
@@ -165,8 +180,14 @@ def _not_fitted(adapter: Adapter, fault: EvaluationError) -> tuple[str, Evaluati
     return words, failure(common.first)
 
 
-def answered(adapter: Adapter, found: Explanation, progress: Progress, started: float) -> ExplanationResult:
-    """Assemble the results of a decision; ``started`` is when it began, in seconds of `time.perf_counter`."""
+def answered(
+    adapter: Adapter, found: Explanation, progress: Progress, started: float, supposed: Sequence[str] = ()
+) -> ExplanationResult:
+    """Assemble the results of a decision.
+
+    ``started`` is when it began, in seconds of `time.perf_counter`; ``supposed`` says what the covariance of the
+    residual has beside the measurement.
+    """
     progress("intervals and leave-one-out errors")
     intervals = {}
     if found.verdict in ("effect", "indistinguishable"):
@@ -199,7 +220,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         accuracy_sentence(accuracy, found.alpha),
         "" if differing is None else differing.sentence(found.alpha),
     )
-    told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed)
+    told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed, supposed)
     words = (*told.sentences, *filter(None, more))
     errors = errors.assign(std_from="assumed" if facts.assumed else "stated")
     figures |= {

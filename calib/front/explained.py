@@ -27,7 +27,8 @@ from calib.correlation.fault_library import modal_faults
 from calib.effect import Effect
 from calib.errors import InputError, ToleranceError
 from calib.front.frf_test import FRFTest
-from calib.front.posed import Effects, P, PosedProblem
+from calib.front.model_error import EXACT, ModelError, finer_of
+from calib.front.posed import Effects, Finer, P, PosedProblem
 from calib.front.shown import Shown
 from calib.front.test import Model, ResponseTest, Test, under
 from calib.function import FunctionModel
@@ -132,18 +133,24 @@ class Explained(Shown, Generic[P]):
         return f"Explained({self.verdict}{''.join(f', {e.name}' for e in self.named)})"
 
 
-def explained(problem: P, effects: Effects, seed: int, progress: bool) -> Explained[P]:
+def explained(
+    problem: P, effects: Effects, seed: int, progress: bool, fixed_sd: str | None, finer: Finer, mesh_sd: float | None
+) -> Explained[P]:
     """See `calib.front.problem.Problem.explain`."""
     library, seed = library_of(problem, effects), integer(seed, 0, "seed")
     known = [(model, library.get(model.name, ())) for model, _ in problem.by_model]
     for model, own in known:
         require_distinct(own, model, "effects")
     require_usable(known, "effects")
+    models = [model for model, _ in known]
+    error = ModelError(fixed_sd, finer_of(models, finer), mesh_sd)
     started = time.perf_counter()
     with in_python("explain", progress) as told:
-        adapter = together(_adapters(problem, library, seed))
+        adapter = together(_adapters(problem, library, seed, error))
         found = decided(adapter, ExplainSettings().model_copy(update={"seed": seed}), "explain", told)
-        return Explained(problem, library, answered(adapter, found, told, started))
+        answer = answered(adapter, found, told, started, error.supposed)
+        notes = (*answer.notes, *error.notes(models, problem.unselected))
+        return Explained(problem, library, replace(answer, notes=notes))
 
 
 def library_of(problem: PosedProblem, effects: Effects) -> Library:
@@ -159,17 +166,20 @@ def library_of(problem: PosedProblem, effects: Effects) -> Library:
     return {name: objects(own, Effect, f"effects of {name}") for name, own in effects.items()}
 
 
-def _adapters(problem: PosedProblem, effects: Library, seed: int) -> dict[str, Adapter]:
+def _adapters(problem: PosedProblem, effects: Library, seed: int, error: ModelError = EXACT) -> dict[str, Adapter]:
     """Adapters by name of the test; all tests of one model share its local perturbations."""
     groups = problem.by_model
     out: dict[str, Adapter] = {}
-    for model, tests in groups:
+    for given, tests in groups:
+        model = error.of(given, problem.unselected)
         own, several = effects.get(model.name, ()), len(tests) > 1 or len(groups) > 1
         local: tuple[Perturbation, ...] = ()
         if isinstance(model, StructuralModel):
             measured = [test.used for test in tests if not isinstance(test, ResponseTest)]
             local = local_perturbations(model, measured, model.space.values, model.name if len(groups) > 1 else "")
-        out |= {test.name: _adapter(model, test, own, local, seed, several) for test in tests}
+        for test in tests:
+            adapter = _adapter(model, test, own, local, seed, several)
+            out[test.name] = error.within(adapter, model, test, several)
     return out
 
 
