@@ -34,6 +34,9 @@ from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.between_tests import BETWEEN, Differences, differences
 from calib.missing.by_test import BY_TEST, reduction_table
 from calib.missing.candidate_fit import CandidateFit
+from calib.missing.discrepancy import TABLE as UNEXPLAINED
+from calib.missing.discrepancy import parameter_intervals
+from calib.missing.discrepancy import sentence as unexplained_sentence
 from calib.missing.explanation import Explanation
 from calib.missing.fault_table import faults_table
 from calib.missing.held_out import contradicting
@@ -213,12 +216,13 @@ def answered(
     notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *more_notes]
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
-    differing = _between(adapter, found)
+    differing, unexplained = _between(adapter, found), parameter_intervals(found)
     more = (
         correction_offered(found),
         "" if found.blamed or found.verdict == "effect" else suspect_sentence(found.suspects),
         accuracy_sentence(accuracy, found.alpha),
         "" if differing is None else differing.sentence(found.alpha),
+        unexplained_sentence(unexplained),
     )
     told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed, supposed)
     words = (*told.sentences, *filter(None, more))
@@ -239,6 +243,7 @@ def answered(
     tables = {
         **({BY_TEST: reduction_table(found, labels[TEST].tolist())} if TEST in labels else {}),
         **({} if differing is None else {BETWEEN: differing.table}),
+        **({} if unexplained.empty else {UNEXPLAINED: unexplained}),
         **stepped,
         "faults": faults_table(found, adapter.places(), known),
         "perturbations": _perturbations(adapter, found),
