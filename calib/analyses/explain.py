@@ -164,7 +164,7 @@ def decided(adapter: Adapter, given: ExplainSettings, place: str | Path, progres
 def keep(study: AnyStudy, results: Results, answer: ExplanationResult) -> None:
     """Write all tables of an explanation and ``explanation.json``."""
     begin_analysis(results, "explain")
-    results.remove(*ADDED)
+    results.remove(*ADDED, f"{UNEXPLAINED}.csv")  # which not every verdict writes
     results.write_table("effects", answer.effects)
     results.write_table("errors", answer.errors)
     for name, table in answer.tables.items():
