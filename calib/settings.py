@@ -326,6 +326,9 @@ class ExplainSettings(_Section):
     fixed_sd: str | None = None
     """Standard deviation of parameters that are not selected, a share of their nominal value such as ``"3 %"``; by
     default they are exact."""
+    mesh_sd: float | None = Field(default=None, gt=0, le=10)
+    """Standard deviation of the error of the mesh, over the change that the mesh of ``finer_options`` makes in the
+    predictions; by default the mesh is exact."""
     seed: Seed = 1
     """Seed of all random numbers of the analysis."""
 

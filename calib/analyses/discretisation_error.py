@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from calib.analyses.hypotheses import ModelHypotheses, VariantPair
 from calib.analyses.imagined_measurement import imagined_measurement
 from calib.correlation.frf_residual import FRFResidual
+from calib.correlation.mesh_error import LEAST_MAC
 from calib.correlation.residual import ModalResidual
 from calib.errors import EvaluationError, InputError
 from calib.mac import mac
@@ -23,8 +24,6 @@ from calib.structure.modes import Modes
 
 P = TypeVar("P", bound=VariantPair)
 
-_LEAST_MAC = 0.5
-"""MAC below which a mode of the finer model is not the measured one."""
 ALLOWED = 1.0
 """Largest score that the discretisation error may cause."""
 
@@ -97,7 +96,7 @@ def discretisation_error_of(
     names = tuple(measured.names[i] for i in paired)
     similar = mac(found.sensor_shapes[:, found.pairing.model_index[paired]], sensor_shapes)
     which = linear_sum_assignment(-similar)[1]
-    if float(similar[np.arange(len(names)), which].min()) < _LEAST_MAC:
+    if float(similar[np.arange(len(names)), which].min()) < LEAST_MAC:
         raise InputError("the finer model does not have the modes that were measured", place="finer_options")
     shapes = sensor_shapes[:, which] / np.abs(sensor_shapes[:, which]).max(axis=0)
     twin = imagined_measurement(measured, fit_problem.pair.std, names, modes, which.tolist(), measured.sensors, shapes)
@@ -119,7 +118,8 @@ def frf_discretisation_error(
     problem = hypotheses.pair.problem
     measured = problem.measured
     try:
-        functions = replace(problem, model=finer).functions(fit.values)
+        point = fit.values if problem.mesh is None else problem.mesh.without(fit.values)
+        functions = problem.of_mesh(finer).functions(point)
     except (KeyError, EvaluationError, InputError) as fault:
         raise InputError(f"the finer model has no such FRFs ({fault})", place="finer_options") from None
     values = np.where(np.isfinite(measured.values), functions, np.nan)
@@ -131,9 +131,11 @@ def frf_discretisation_error(
 def _scored(pair: P, hypotheses: ModelHypotheses[P], fit: LinearisedFit) -> DiscretisationError:
     """Scores of all candidates of the hypotheses on a noise-free twin."""
     # Priors are centred on the twin's values: otherwise they would pull the fit away, which looks like a mesh error.
-    space = hypotheses.space
+    # The error of the mesh keeps its own about 0, which is what is asked for.
+    space, mesh = hypotheses.space, pair.problem.mesh
     for p in space.free:
-        space = space.replace(p.name, value=fit.values[p.name])
+        if mesh is None or p.name != mesh.name:
+            space = space.replace(p.name, value=fit.values[p.name])
     against_twin = ModelHypotheses(pair, hypotheses.variants, space)
     base = fitted(against_twin.fit_problem(()), (), fit.values)
     rows: list[tuple[str, str, float]] = []

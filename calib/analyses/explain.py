@@ -18,6 +18,7 @@ from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.explanation_result import ExplanationResult, summary
 from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.joint_adapter import JointAdapter, together
+from calib.analyses.mesh_term import mesh_words, with_mesh_error
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.richer import richer_members
 from calib.analyses.state import ADDED, PROPOSED
@@ -34,6 +35,9 @@ from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.between_tests import BETWEEN, Differences, differences
 from calib.missing.by_test import BY_TEST, reduction_table
 from calib.missing.candidate_fit import CandidateFit
+from calib.missing.discrepancy import TABLE as UNEXPLAINED
+from calib.missing.discrepancy import parameter_intervals
+from calib.missing.discrepancy import sentence as unexplained_sentence
 from calib.missing.explanation import Explanation
 from calib.missing.fault_table import faults_table
 from calib.missing.found_place import FOUND_PLACES, found_places, places_sentence
@@ -64,6 +68,7 @@ from calib.results import Results
 from calib.settings import ExplainSettings
 from calib.several import AnyStudy
 from calib.stage import Progress, unheard
+from calib.study import Study
 
 
 def explain(
@@ -98,16 +103,14 @@ def explain(
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
     if any(one.measured is not None for one in tests):
         engine.require_modes(sum(one.problem.n_measured for one in tests))
-    started, local = time.perf_counter(), perturbations_of(study)
-    adapter = together({
-        s.test: adapter_of(with_uncertain(s), homes.get(s.test, results), progress, local.get(s.test), study.held_sd)
-        for s in tests
-    })  # fmt: skip
+    started, mesh_sd = time.perf_counter(), study.settings.explain.mesh_sd
+    adapter = adapter_for(study, results, progress, homes)
     found = decided(adapter, study.settings.explain, study.file, progress)
-    answer = answered(adapter, found, progress, started)
+    answer = answered(adapter, found, progress, started, mesh_words(mesh_sd))
     taken = dict.fromkeys(note for one in tests for note in uncertain_note(one))
-    tables = answer.tables | {TABLE: explained_fits(study, found, answer.richer)}
-    answer = replace(answer, tables=tables, notes=(*answer.notes, *taken))
+    figures = answer.figures if mesh_sd is None else answer.figures | {"mesh_sd": mesh_sd}
+    tables, notes = answer.tables | {TABLE: explained_fits(study, found, answer.richer)}, (*answer.notes, *taken)
+    answer = replace(answer, tables=tables, notes=notes, figures=figures)
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
     of_all = {name: table for name, table in answer.tables.items() if TEST not in table or name in (BY_TEST, BETWEEN)}
     seen: list[tuple[AnyStudy, Results, ExplanationResult]] = [(study, results, replace(answer, tables=of_all))]
@@ -117,6 +120,27 @@ def explain(
         keep(part, folder, own)
         write_record(part, folder, "explain", seeds, answer=own.answer)
     return answer
+
+
+def adapter_for(study: AnyStudy, results: Results, progress: Progress, homes: Mapping[str, Results] = ALONE) -> Adapter:
+    """All tests of a study, with stated errors of its models; arguments as in `explain`."""
+    local, mesh_sd = perturbations_of(study), study.settings.explain.mesh_sd
+    adapters = {
+        s.test: adapter_of(with_uncertain(s), homes.get(s.test, results), progress, local.get(s.test), study.held_sd)
+        for s in study.studies
+    }
+    if mesh_sd is not None:
+        progress("error of the mesh")
+        adapters = {s.test: _with_mesh(adapters[s.test], s, mesh_sd) for s in study.studies}
+    return together(adapters)
+
+
+def _with_mesh(adapter: Adapter, study: Study, sd: float) -> Adapter:
+    try:
+        return with_mesh_error(adapter, study.finer_model(), sd, study.test)
+    except InputError as fault:
+        place = study.place("explain", "mesh_sd")
+        raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
 
 
 def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: str) -> None:
@@ -149,7 +173,7 @@ def decided(adapter: Adapter, given: ExplainSettings, place: str | Path, progres
 def keep(study: AnyStudy, results: Results, answer: ExplanationResult) -> None:
     """Write all tables of an explanation and ``explanation.json``."""
     begin_analysis(results, "explain")
-    results.remove(*ADDED, *PROPOSED)
+    results.remove(*ADDED, *PROPOSED, f"{UNEXPLAINED}.csv")  # which not every verdict writes
     results.write_table("effects", answer.effects)
     results.write_table("errors", answer.errors)
     for name, table in answer.tables.items():
@@ -168,8 +192,14 @@ def _not_fitted(adapter: Adapter, fault: EvaluationError) -> tuple[str, Evaluati
     return words, failure(common.first)
 
 
-def answered(adapter: Adapter, found: Explanation, progress: Progress, started: float) -> ExplanationResult:
-    """Assemble the results of a decision; ``started`` is when it began, in seconds of `time.perf_counter`."""
+def answered(
+    adapter: Adapter, found: Explanation, progress: Progress, started: float, supposed: Sequence[str] = ()
+) -> ExplanationResult:
+    """Assemble the results of a decision.
+
+    ``started`` is when it began, in seconds of `time.perf_counter`; ``supposed`` says what the covariance of the
+    residual has beside the measurement.
+    """
     progress("intervals and leave-one-out errors")
     intervals = {}
     if found.verdict in ("effect", "indistinguishable"):
@@ -197,7 +227,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *more_notes]
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
-    differing = _between(adapter, found)
+    differing, unexplained = _between(adapter, found), parameter_intervals(found)
     last = "explained" if found.names_something else "attempt"
     stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
     stages |= {"explained": found.blamed[0]} if found.blamed else {}
@@ -212,8 +242,9 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
         places_sentence(placed),
         "" if left is None else left.told,
         richer_sentence(richer, errors),
+        unexplained_sentence(unexplained),
     )
-    told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed)
+    told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed, supposed)
     words = (*told.sentences, *filter(None, more))
     errors = errors.assign(std_from="assumed" if facts.assumed else "stated")
     figures |= {
@@ -228,6 +259,7 @@ def answered(adapter: Adapter, found: Explanation, progress: Progress, started: 
     tables = {
         **({BY_TEST: reduction_table(found, labels[TEST].tolist())} if TEST in labels else {}),
         **({} if differing is None else {BETWEEN: differing.table}),
+        **({} if unexplained.empty else {UNEXPLAINED: unexplained}),
         **stepped,
         **(richer_tables(found, richer) if richer else {}),
         **({FOUND_PLACES: placed} if len(placed) else {}),

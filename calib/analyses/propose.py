@@ -17,17 +17,14 @@ import pandas as pd
 import tomlkit
 
 from calib.analyses.adapter import Adapter
-from calib.analyses.adapters import adapter_of, perturbations_of
 from calib.analyses.compositions import Measured, compositions, hypotheses_with
-from calib.analyses.explain import require_usable
+from calib.analyses.explain import adapter_for, require_usable
 from calib.analyses.explained_fit import explained_fit
 from calib.analyses.extend import NAME, anywhere, draft_of, put_among, require_valid, unwritable
-from calib.analyses.joint_adapter import together
 from calib.analyses.proposed_code import FUNCTION, library_text
 from calib.analyses.proposed_words import COLUMNS, answer_of, not_sought, proposals_table
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.stale import stale_answers
-from calib.analyses.uncertain import with_uncertain
 from calib.answer import Answer
 from calib.correlation.function_problem import FunctionProblem
 from calib.errors import EvaluationError, InputError
@@ -150,11 +147,7 @@ def propose(
         _keep(study, results, found)
         return found
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
-    local = perturbations_of(study)
-    adapter = together({
-        s.test: adapter_of(with_uncertain(s), homes.get(s.test, results), progress, local.get(s.test), study.held_sd)
-        for s in tests
-    })  # fmt: skip
+    adapter = adapter_for(study, results, progress, homes)
     measured = [one.problem.measured for one in tests if not isinstance(one.problem, FunctionProblem)]
     taken = [name for effect in study.library for name in effect.names]
     model = tests[0].model

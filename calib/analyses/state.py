@@ -52,7 +52,7 @@ _EXPLAINED = ("effects", "why", "why_parameters", "why_places", "reduction_by_te
               "effect_places", "accuracy", "explained_fits", "suspects_explained", "faults", "perturbations",
               "confounding", "pulls", "candidate_fits", "misfit_kinds", "sensor_misfit", "response_misfit",
               "frf_misfit", "unpaired", "errors", "next_measurement", "discretisation",
-              "steps", "steps_errors", "steps_rejected", "versions")  # fmt: skip
+              "steps", "steps_errors", "steps_rejected", "unexplained", "versions")  # fmt: skip
 WRITES: Mapping[str, tuple[str, ...]] = {
     "compare": (*RECORDED, *GEOMETRY, *_of_stages("before"), "sensor_check.csv"),
     "sensitivity": (*RECORDED, *(f"{name}.csv" for name in _MEASURES)),

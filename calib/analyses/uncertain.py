@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from calib.measurement.accuracy import Claim
-from calib.space import Parameter
+from calib.space import Parameter, ParameterSpace
 from calib.study import Study
 
 REACH = 5.0
@@ -24,14 +25,19 @@ def with_uncertain(study: Study) -> Study:
     given = study.settings.explain.fixed_sd
     if given is None:
         return study
-    share, space = Claim.of(given).share, study.search_space
-    for p in uncertain(study):
+    return replace(study, search_space=freed(study.search_space, uncertain(study), given))
+
+
+def freed(space: ParameterSpace, parameters: Iterable[Parameter], given: str) -> ParameterSpace:
+    """The space with some parameters free about their nominal values, which are uncertain by a share of themselves."""
+    share = Claim.of(given).share
+    for p in parameters:
         sd = share * abs(p.value)
         reach = min(REACH * sd, (1 - LEAST) * abs(p.value))
         space = space.replace(
             p.name, lower=p.value - reach, upper=p.value + reach, prior_sd=sd, distribution="uniform"
         )  # fmt: skip
-    return replace(study, search_space=space)
+    return space
 
 
 def uncertain(study: Study) -> tuple[Parameter, ...]:
@@ -51,6 +57,11 @@ def uncertain_note(study: Study) -> tuple[str, ...]:
         for p in study.sensitivity_space.free
         if p.name not in (*study.search_space.free_names, *study.condition, *study.adopted, *names)
     ]
+    return (uncertain_words(given, names, exact),)
+
+
+def uncertain_words(given: str, names: Sequence[str], exact: Sequence[str]) -> str:
+    """Which parameters that are not fitted are uncertain, and which are exact, in words."""
     told = f"uncertain by {given}: {', '.join(names)}" if names else "all selected, so that none is uncertain"
     rest = f"; exact, as integers or of value 0: {', '.join(exact)}" if exact else ""
-    return (f"Parameters that are not selected are {told}{rest}.",)
+    return f"Parameters that are not selected are {told}{rest}."

@@ -56,6 +56,8 @@ class Comparison:
         Motion of every model mode at the sensors.
     faults : mapping from str to float
         Faults of the measurement that a residual includes, with their magnitudes; the comparison itself has none.
+    mesh_error : float
+        Multiple of the change to a finer mesh that a residual includes; the comparison itself has none.
     """
 
     model: ModalModel
@@ -67,6 +69,7 @@ class Comparison:
     emac: np.ndarray
     sensor_shapes: np.ndarray
     faults: Mapping[str, float] = field(default_factory=dict)
+    mesh_error: float = 0.0
 
     @cached_property
     def std(self) -> StandardDeviations:

@@ -12,6 +12,7 @@ from calib.correlation.frf_channels import Channels
 from calib.correlation.frf_comparison import frac_and_amplitude
 from calib.correlation.frf_nuisance import LOADING, OF_ROWS, ChannelError, Nuisance, require_channels
 from calib.correlation.frf_rows import Rows
+from calib.correlation.mesh_error import MeshError
 from calib.errors import InputError
 from calib.fingerprint import digest_of
 from calib.measurement.frf import MeasuredFRFs
@@ -51,6 +52,8 @@ class FRFProblem:
     measured : MeasuredFRFs
     nuisances : tuple of Nuisance
         Errors of channels and transducers, masses of accelerometers, stingers; their parameters follow the model's.
+    mesh : MeshError or None
+        Error of the mesh, whose multiple is the last parameter; None for an exact mesh.
 
     Raises
     ------
@@ -61,6 +64,7 @@ class FRFProblem:
     model: StructuralModel | ReducedModel
     measured: MeasuredFRFs
     nuisances: tuple[Nuisance, ...] = ()
+    mesh: MeshError | None = None
     space: ParameterSpace = field(init=False, repr=False)
     loaded_model: StructuralModel | ReducedModel = field(init=False, repr=False)
     _channels: Channels = field(init=False, repr=False)
@@ -78,6 +82,7 @@ class FRFProblem:
         rows = Rows.of([n for n in self.nuisances if isinstance(n, OF_ROWS)], self.measured, self.model)
         model, own = loaded(self.model, loads), self.model.space
         parameters = (*model.space.parameters, *(e.parameter for e in errors), *(e.parameter for e in rows.errors))
+        parameters += () if self.mesh is None else (self.mesh.parameter,)
         object.__setattr__(self, "space", ParameterSpace(parameters, own.constraints))
         object.__setattr__(self, "loaded_model", model)
         object.__setattr__(self, "_channels", Channels(errors, self.measured))
@@ -160,7 +165,12 @@ class FRFProblem:
         """FRFs at named values, (n_freq, n_responses, n_references), complex; EvaluationError where it has none."""
         si, measured = self._si(values), self.measured
         own = frf(self.loaded_model, self._of_model(values), measured.freq, *self._rows.rows(si), measured.quantity)
-        return own * self._channels.factors(si)
+        read = own * self._channels.factors(si)
+        return read if self.mesh is None else read + self.mesh.at(values) * self.mesh.functions(self)
+
+    def of_mesh(self, model: StructuralModel) -> FRFProblem:
+        """The same measurement of the model on another mesh, without an error of it."""
+        return replace(self, model=model, mesh=None)
 
     @cached_property
     def response_names(self) -> tuple[str, ...]:
@@ -193,6 +203,7 @@ class FRFProblem:
         found = dict(zip(own, solved.derivatives, strict=True))
         found |= self._rows.derivatives(asked, solved.felt, solved.driven)
         found = {name: slope * factors for name, slope in found.items()}
+        found |= {} if self.mesh is None else {self.mesh.name: self.mesh.functions(self)}
         functions = solved.functions * factors
         return np.array(
             [found[n] if n in found else self._channels.slope(n, si, functions) for n in names]

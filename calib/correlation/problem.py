@@ -13,6 +13,7 @@ from scipy.optimize import linear_sum_assignment
 
 from calib.correlation.compare import Comparison
 from calib.correlation.energy import emac
+from calib.correlation.mesh_error import MeshError
 from calib.correlation.mode_tracking import Point, follow
 from calib.correlation.order import Costs
 from calib.correlation.pairing import Pairing, check_override, in_window, pair_by_order, pair_by_shape
@@ -65,6 +66,8 @@ class ModalProblem:
         There its pairs without shapes are inherited, since an uncoupled added motion is not a mode of the structure,
         however well its frequency fits. Pairs chosen in both problems refer to modes of the base model and are
         inherited like its other pairs.
+    mesh : MeshError or None
+        Error of the mesh that residuals include; None for an exact mesh.
 
     Raises
     ------
@@ -81,6 +84,7 @@ class ModalProblem:
     override: Mapping[str, int] = field(default_factory=dict)
     reference: Mapping[str, float] = field(default_factory=dict)
     base: ModalProblem | None = None
+    mesh: MeshError | None = None
     sensor_rows: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -249,7 +253,7 @@ class ModalProblem:
 
         Modes already ``solved`` at these values are reused where they are enough.
         """
-        complete = self.space.complete(values)
+        complete = self.space.complete(values if self.mesh is None else self.mesh.without(values))
         modes = solved
         if modes is None or modes.n_modes != self.mode_count:
             modes = self.model.modes(complete, self.mode_count)
@@ -266,7 +270,11 @@ class ModalProblem:
             shape = (self.measured.n_modes, modes.n_modes)
             mac_matrix, emac_matrix = np.full(shape, np.nan), np.full(shape, np.nan)
             pairing = self._in_order(Point(complete, modes))
-        return Comparison(self.model, self.measured, complete, modes, pairing, mac_matrix, emac_matrix, sensor_shapes)
+        multiple = 0.0 if self.mesh is None else self.mesh.at(values)
+        return Comparison(
+            self.model, self.measured, complete, modes, pairing, mac_matrix, emac_matrix, sensor_shapes,
+            mesh_error=multiple,
+        )  # fmt: skip
 
     def pair(
         self,

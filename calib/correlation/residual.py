@@ -14,6 +14,7 @@ from calib.correlation.compare import Comparison
 from calib.correlation.faulty_modes import FaultyModes
 from calib.correlation.fitted_shape import FittedShape
 from calib.correlation.modal_faults import ModalFault
+from calib.correlation.modal_mesh import both_meshes
 from calib.correlation.modal_rows import Row, damping_modes, rows_of, shape_parts
 from calib.correlation.problem import ModalProblem
 from calib.correlation.standard_deviations import USUAL, Floors, StandardDeviations, dof_behind, std_for
@@ -141,9 +142,10 @@ class ModalResidual:
 
     @cached_property
     def space(self) -> ParameterSpace:
-        """Parameters of the model, and after them the magnitudes of faults."""
+        """Parameters of the model, and after them the magnitudes of faults and the error of the mesh."""
         own = self.problem.space
         more = tuple(fault.magnitude for fault in self.faults)
+        more += () if self.problem.mesh is None else (self.problem.mesh.parameter,)
         return ParameterSpace((*own.parameters, *more), own.constraints) if more else own
 
     @property
@@ -233,8 +235,12 @@ class ModalResidual:
 
     def regular(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
         """Point at which derivatives by the named parameters are taken; see `beside_roots`."""
+        mesh = self.problem.mesh
         own = {name: value for name, value in values.items() if name not in self._faulty}
+        if mesh is not None:
+            own, names = mesh.without(own), mesh.others(names)
         point = beside_roots(self.problem.space, self.problem.model.roots, own, names)
+        point |= {} if mesh is None else {mesh.name: mesh.at(values)}
         return point | self._faulty.readings.active(values)
 
     def derivatives(
@@ -246,9 +252,10 @@ class ModalResidual:
         """Derivatives of the paired modes, in the order of the measured modes, with shapes at the sensors.
 
         ``at`` returns comparisons at other values, for a model whose derivatives are differences; by default they are
-        solved.
+        solved. The error of the mesh changes no mode.
         """
-        chosen = found.pairing.model_index[found.pairing.paired]
+        mesh, chosen = self.problem.mesh, found.pairing.model_index[found.pairing.paired]
+        names = names if mesh is None else mesh.others(names)
         rows = self._faulty.rows(found) if self._parts else np.zeros((0, found.modes.shapes.shape[0]))
         return self._derivatives(found, names, chosen, rows, at)
 
@@ -283,10 +290,21 @@ class ModalResidual:
             if i not in fitted:
                 fitted[i] = self._fit(found, i)
             blocks.append(fitted[i].residual.real if part == "re" else fitted[i].residual.imag)
-        return np.concatenate(blocks)
+        left = np.concatenate(blocks)
+        return left - found.mesh_error * self.mesh_change if found.mesh_error else left
+
+    @cached_property
+    def mesh_change(self) -> np.ndarray:
+        """Change of the whitened predictions to a finer mesh, (n_rows,); 0 for modes that it lacks."""
+        here, there, lost = both_meshes(self.problem)
+        return np.where([row.mode in lost for row in self.rows], 0.0, self.of(here) - self.of(there))
 
     def slope_of(self, found: Comparison, names: Sequence[str], slopes: ModeDerivatives) -> np.ndarray:
         """Derivative of the residual of an existing comparison; ``slopes`` as from `derivatives`."""
+        mesh = self.problem.mesh
+        if mesh is not None and mesh.name in names:
+            own = self.slope_of(found, mesh.others(names), slopes)
+            return np.insert(own, list(names).index(mesh.name), -self.mesh_change, axis=1)
         measured, n = self.problem.measured, len(names)
         place = {int(i): k for k, i in enumerate(found.pairing.paired)}
         freq, damping = np.zeros((measured.n_modes, n)), np.zeros((measured.n_modes, n))

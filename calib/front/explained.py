@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeAlias
 
 import pandas as pd
@@ -20,7 +20,8 @@ from calib.analyses.record import check_repeats, disagreements_table
 from calib.analyses.uncertainty import in_words, notes_on
 from calib.effect import Effect
 from calib.errors import InputError
-from calib.front.posed import Effects, P, PosedProblem
+from calib.front.model_error import EXACT, ModelError, finer_of
+from calib.front.posed import Effects, Finer, P, PosedProblem
 from calib.front.proposed import Proposed, proposed
 from calib.front.shown import Shown
 from calib.front.test import Test, under
@@ -49,6 +50,8 @@ class Explained(Shown, Generic[P]):
         All results, with their tables.
     seed : int
         Of its random numbers.
+    error : ModelError
+        Stated errors of the models.
 
     Examples
     --------
@@ -71,6 +74,7 @@ class Explained(Shown, Generic[P]):
     effects: Library
     explanation: ExplanationResult
     seed: int = 1
+    error: ModelError = EXACT
 
     @property
     def verdict(self) -> str:
@@ -138,7 +142,7 @@ class Explained(Shown, Generic[P]):
         InputError
             For a problem of several models.
         """
-        adapter = together(_adapters(self.problem, self.effects, self.seed))
+        adapter = together(_adapters(self.problem, self.effects, self.seed, self.error))
         taken = [name for own in self.effects.values() for effect in own for name in effect.names]
         return proposed(self.problem, adapter, self.explanation.explanation, taken, rank, progress)
 
@@ -146,18 +150,24 @@ class Explained(Shown, Generic[P]):
         return f"Explained({self.verdict}{''.join(f', {e.name}' for e in self.named)})"
 
 
-def explained(problem: P, effects: Effects, seed: int, progress: bool) -> Explained[P]:
+def explained(
+    problem: P, effects: Effects, seed: int, progress: bool, fixed_sd: str | None, finer: Finer, mesh_sd: float | None
+) -> Explained[P]:
     """See `calib.front.problem.Problem.explain`."""
     library, seed = library_of(problem, effects), integer(seed, 0, "seed")
     known = [(model, library.get(model.name, ())) for model, _ in problem.by_model]
     for model, own in known:
         require_distinct(own, model, "effects")
     require_usable(known, "effects")
+    models = [model for model, _ in known]
+    error = ModelError(fixed_sd, finer_of(models, finer), mesh_sd)
     started = time.perf_counter()
     with in_python("explain", progress) as told:
-        adapter = together(_adapters(problem, library, seed))
+        adapter = together(_adapters(problem, library, seed, error))
         found = decided(adapter, ExplainSettings().model_copy(update={"seed": seed}), "explain", told)
-        return Explained(problem, library, answered(adapter, found, told, started), seed)
+        answer = answered(adapter, found, told, started, error.supposed)
+        notes = (*answer.notes, *error.notes(models, problem.unselected))
+        return Explained(problem, library, replace(answer, notes=notes), seed, error)
 
 
 def library_of(problem: PosedProblem, effects: Effects) -> Library:
@@ -173,11 +183,12 @@ def library_of(problem: PosedProblem, effects: Effects) -> Library:
     return {name: objects(own, Effect, f"effects of {name}") for name, own in effects.items()}
 
 
-def _adapters(problem: PosedProblem, effects: Library, seed: int) -> dict[str, Adapter]:
+def _adapters(problem: PosedProblem, effects: Library, seed: int, error: ModelError) -> dict[str, Adapter]:
     """Adapters by name of the test; all tests of one model share its local perturbations."""
     groups = problem.by_model
     out: dict[str, Adapter] = {}
-    for model, tests in groups:
+    for given, tests in groups:
+        model = error.of(given, problem.unselected)
         own, several = effects.get(model.name, ()), len(tests) > 1 or len(groups) > 1
         local: tuple[Perturbation, ...] = ()
         if isinstance(model, StructuralModel):
@@ -185,7 +196,8 @@ def _adapters(problem: PosedProblem, effects: Library, seed: int) -> dict[str, A
             local = local_perturbations(model, measured, model.space.values, model.name if len(groups) > 1 else "")
         for test in tests:
             held, facts = under(model, test.name, test.condition), _facts(test, seed)
-            out[test.name] = test.adapter(held, own, local, facts, test.name if several else "")
+            adapter = test.adapter(held, own, local, facts, test.name if several else "")
+            out[test.name] = error.within(adapter, model, test, several)
     return out
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic
 from calib.analyses.fit_statistics import FitStatistics
 from calib.front.explained import Explained, explained
 from calib.front.page import draw, write_pages
-from calib.front.posed import Effects, P
+from calib.front.posed import Effects, Finer, P
 from calib.front.responses import own
 from calib.front.search import Searched
 from calib.front.shown import Compared, Shown
@@ -116,9 +116,12 @@ class Fit(Shown, Generic[P]):
         """Models against tests at the fitted values."""
         return self.problem.compare(self.values)
 
-    def explain(self, effects: Effects = (), *, seed: int = 1, progress: bool = True) -> Explained[P]:
+    def explain(
+        self, effects: Effects = (), *, seed: int = 1, progress: bool = True, fixed_sd: str | None = None,
+        finer: Finer = None, mesh_sd: float | None = None,
+    ) -> Explained[P]:  # fmt: skip
         """See `calib.Problem.explain`."""
-        return explained(self.problem, effects, seed, progress)
+        return explained(self.problem, effects, seed, progress, fixed_sd, finer, mesh_sd)
 
     def figure(self, name: str, ax: Axes | None = None, *, test: str = "") -> Axes:
         """Draw one figure of the fit.

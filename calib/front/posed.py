@@ -15,9 +15,12 @@ from calib.inference.agreement import Agreement
 from calib.joint import JointProblem
 from calib.problem import Problem as Posed
 from calib.space import ParameterSpace
+from calib.structure.model import StructuralModel
 
 Effects: TypeAlias = Sequence[Effect] | Mapping[str, Sequence[Effect]]
 """Effects that models may lack: of the first model, or by the name of the model."""
+Finer: TypeAlias = StructuralModel | Mapping[str, StructuralModel] | None
+"""The same on a finer mesh: of the first model, or by the name of the model."""
 
 
 class PosedProblem(Protocol):
@@ -46,6 +49,11 @@ class PosedProblem(Protocol):
     @property
     def ledger(self) -> Any:
         """The `calib.ledger.Ledger` that keeps its points; None without one."""
+        ...
+
+    @property
+    def unselected(self) -> tuple[str, ...]:
+        """Parameters that a selection holds at their nominal values."""
         ...
 
     @property

@@ -17,7 +17,7 @@ from calib.executor import Injected
 from calib.front.explained import Explained, Library, explained, library_of
 from calib.front.fit import Fit
 from calib.front.pairs import by_model, opened, posed, require_names, require_within, told
-from calib.front.posed import Effects
+from calib.front.posed import Effects, Finer
 from calib.front.responses import own
 from calib.front.search import refined, searched
 from calib.front.sensitivity import Assessed, assessed
@@ -59,6 +59,8 @@ class Problem:
         same call again solves none of them. `compare` and `explain` keep none. The key of a point holds all
         parameter values, and matrices or the function's file, its code and the objects it holds; name another file
         when something else changes that a function reads. Of joined problems that of the first counts.
+    unselected : tuple of str
+        Parameters that `keep` has left out.
 
     Raises
     ------
@@ -89,6 +91,7 @@ class Problem:
     tests: Test | Sequence[Test]
     beside: tuple[Problem, ...] = ()
     ledger: str | Path | Ledger | None = None
+    unselected: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         objects([self.model], (StructuralModel, ModalFunctionModel, FunctionModel), "problem, model")
@@ -148,7 +151,9 @@ class Problem:
     def keep(self, names: Sequence[str]) -> Problem:
         """A copy with only the named parameters free; the others keep their nominal values."""
         kept = self.space.keep(names_of(names, "parameters"))
-        return self._holding({p.name: p.value for p in kept.parameters if p.distribution == "fixed"})
+        held = self._holding({p.name: p.value for p in kept.parameters if p.distribution == "fixed"})
+        left_out = (name for name in self.space.free_names if name not in kept.free_names)
+        return replace(held, unselected=(*self.unselected, *left_out))
 
     def _holding(self, values: Mapping[str, float]) -> Problem:
         space = self.model.space.freeze({name: v for name, v in values.items() if name in self.model.space})
@@ -353,7 +358,10 @@ class Problem:
     def _complete(self, values: Mapping[str, float]) -> dict[str, float]:
         return self.space.complete(values_of(values, "values"))
 
-    def explain(self, effects: Effects = (), *, seed: int = 1, progress: bool = True) -> Explained[Problem]:
+    def explain(
+        self, effects: Effects = (), *, seed: int = 1, progress: bool = True, fixed_sd: str | None = None,
+        finer: Finer = None, mesh_sd: float | None = None,
+    ) -> Explained[Problem]:  # fmt: skip
         """Find which effects the models lack: calibrate, test, refit with promising effects, test the remaining misfit.
 
         Without effects it reports whether anything is missing, and which local perturbation fits best. All tests are
@@ -368,13 +376,38 @@ class Problem:
             Seed of the samples behind probabilities and the recommended measurement.
         progress : bool
             As in `calibrate`.
+        fixed_sd : str, optional
+            Standard deviation of the parameters that `keep` or a fit left out, a share of their nominal values such as
+            ``"3 %"``; exact by default.
+        finer : StructuralModel, or mapping from str to StructuralModel, optional
+            The model on a finer mesh, which tells the scores that are due to the mesh alone; by the name of the model.
+        mesh_sd : float, optional
+            Standard deviation of the error of the mesh, over the change that the finer mesh makes in the predictions;
+            see `calib.correlation.mesh_error.MeshError`. Exact by default.
 
         Raises
         ------
         InputError
-            Where too little was measured to name any effect.
+            Where too little was measured to name any effect, or a stated error is out of range.
+
+        Examples
+        --------
+        A spring is fitted, the masses that it carries are taken from a list that may be off by 5 %:
+
+        >>> import calib
+        >>> space = calib.ParameterSpace((
+        ...     calib.Parameter("k", 10.0, 5.0, 20.0), calib.Parameter("m", 2.0, 1.0, 4.0),
+        ... ))
+        >>> def responses(v):
+        ...     return {"k": v["k"], "m": 9.81 * v["m"], "sum": v["k"] + v["m"], "rest": v["k"] - v["m"]}
+        >>> test = calib.ResponseTest({"k": (10.1, 0.1), "m": (20.2, 0.1), "sum": (12.2, 0.1), "rest": (8.0, 0.1)})
+        >>> problem = calib.Problem(calib.FunctionModel("spring", space, responses), test).keep(["k"])
+        >>> problem.explain(progress=False).verdict
+        'none_explains'
+        >>> problem.explain(fixed_sd="5 %", progress=False).verdict
+        'nothing_detectable'
         """
-        return explained(self, effects, seed, progress)
+        return explained(self, effects, seed, progress, fixed_sd, finer, mesh_sd)
 
     @property
     def terms(self) -> Terms:

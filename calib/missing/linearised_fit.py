@@ -84,8 +84,8 @@ class LinearisedFit:
         return self.residual if self.others is None else np.concatenate([self.residual, self.others.residual])
 
     @property
-    def _data_slope(self) -> np.ndarray:
-        """The same of the slope, (n_rows + n_others, p)."""
+    def data_slope(self) -> np.ndarray:
+        """G of the rows and of the other ones, (n_rows + n_others, p)."""
         return self.slope if self.others is None else np.vstack([self.slope, self.others.slope])
 
     @cached_property
@@ -96,19 +96,19 @@ class LinearisedFit:
     @cached_property
     def _orthonormal(self) -> np.ndarray:
         # Columns scaled by the prior: the span is the same, the numbers do not depend on units.
-        scaled = np.vstack([self._data_slope * self.prior_sd, np.eye(len(self.names))])
+        scaled = np.vstack([self.data_slope * self.prior_sd, np.eye(len(self.names))])
         return la.qr(scaled, mode="economic")[0]
 
     @cached_property
     def scaled_information(self) -> np.ndarray:
         """``S G^T G S + I`` with S the prior standard deviations, (p, p)."""
-        g = self._data_slope * self.prior_sd
+        g = self.data_slope * self.prior_sd
         return g.T @ g + np.eye(len(self.names))
 
     @cached_property
     def covariance(self) -> np.ndarray:
         """Posterior covariance in the parameters' own units, (p, p); see `calib.inference.identify.posterior`."""
-        return posterior(self.names, self._data_slope, self.prior_sd).covariance
+        return posterior(self.names, self.data_slope, self.prior_sd).covariance
 
     def project_out(self, columns: np.ndarray) -> np.ndarray:
         """Part of changes of the rows (n_rows, m) that the parameters cannot absorb: ``P [g; 0]``.
@@ -148,7 +148,7 @@ class LinearisedFit:
         if not self.on_limit:
             return self._projected(rest[:, None])[:, 0]
         region = Region.of(self.fit_problem.space, dict(self.values))
-        matrix = -np.vstack([self._data_slope, np.diag(1.0 / self.prior_sd)]) * region.span
+        matrix = -np.vstack([self.data_slope, np.diag(1.0 / self.prior_sd)]) * region.span
         return np.asarray(rest + matrix @ region.step(matrix, rest, 0.0, region.start))
 
     def granting(self, names: Collection[str]) -> LinearisedFit:
@@ -166,7 +166,7 @@ class LinearisedFit:
         others. The fitted parameters are updated; the slope is kept.
         """
         data = residual if self.others is None else np.concatenate([residual, self.others.residual])
-        right = (self._data_slope * self.prior_sd).T @ data - self.shift
+        right = (self.data_slope * self.prior_sd).T @ data - self.shift
         step = la.solve(self.scaled_information, right, assume_a="pos")
         moved = {n: self.values[n] + d for n, d in zip(self.names, self.prior_sd * step, strict=True)}
         left = residual - self.slope @ (self.prior_sd * step)

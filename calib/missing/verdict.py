@@ -73,6 +73,7 @@ def verdict(
     recommendation: Recommendation | None = None,
     disagreements: pd.DataFrame | None = None,
     assumed: str = "",
+    supposed: Sequence[str] = (),
 ) -> Verdict:
     """The explanation in words.
 
@@ -89,6 +90,8 @@ def verdict(
         Repeats that disagree with the others: columns ``repeat, mode, sensor, times``.
     assumed : str
         Assumed standard deviations, in words.
+    supposed : sequence of str
+        What the covariance of the residual has beside the measurement, in sentences.
     """
     words = {
         "nothing_detectable": _nothing,
@@ -129,6 +132,7 @@ def verdict(
         support.insert(0, suspect_sentence(found.suspects, found.chosen.names[0]))
     if assumed:
         sure.append(f"These results rest on an assumed standard deviation: {assumed}.")
+    sure += supposed
     answer = Answer(words.found, " ".join(filter(None, sure)), f"{words.then} {short}".strip())
     return Verdict(answer, tuple(filter(None, (answer.found, answer.sure, words.then, *support))))
 

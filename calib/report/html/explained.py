@@ -41,6 +41,7 @@ def pulls(results: StudyResults) -> Section | None:
         "has its pattern."
     )
     caption = f"Shift of every parameter from its nominal value. {note}"
+    wider = _unexplained(results)
     heads = ("parameter", "model", "nominal", "fitted", "shift, prior std", "pull", "pulled")
     return Section(
         "pulled",
@@ -49,8 +50,30 @@ def pulls(results: StudyResults) -> Section | None:
             Words(intro),
             *results.picture("pulls", caption, f"Dots. {note}"),
             Table("Parameter pulls", heads, rows, (1, 6)),
+            *wider,
         ),
     )
+
+
+def _unexplained(results: StudyResults) -> tuple[Block, ...]:
+    """Intervals of the parameters with the unexplained misfit; nothing where everything is explained."""
+    numbers = ["value", "low", "high", "value_unexplained", "low_unexplained", "high_unexplained"]
+    table = results.table("unexplained", ["parameter"], numbers, blank=["unit"])
+    if table is None:
+        return ()
+    rows = tuple(
+        (str(r["parameter"]), *(with_unit(r[name], str(r["unit"]), 4) for name in numbers))
+        for r in table.to_dict("records")
+    )
+    words = (
+        "A misfit that nothing explains may have pulled the parameters. The last columns take every effect of the "
+        "library and every local perturbation as present a little, as much as the misfit says (95 % intervals)."
+    )
+    alone, beside = (
+        ("fit alone", "lower end", "upper end"),
+        ("with the misfit", "lower end with it", "upper end with it"),
+    )
+    return Words(words), Table("Parameters with the unexplained misfit", ("parameter", *alone, *beside), rows, ())
 
 
 def verdict(results: StudyResults) -> Section | None:

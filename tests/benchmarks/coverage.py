@@ -1,0 +1,131 @@
+"""How often intervals of fitted parameters hold the true values where a misfit is left that nothing explains.
+
+    python tests/benchmarks/coverage.py run --runs 65
+    python tests/benchmarks/coverage.py report
+
+Bogies of ``rates.py`` that have something outside the library, or an effect that is taken out of it, with an expected
+score of 4 or more; ``--skip`` leaves out so many at the beginning. Each line of
+``results/coverage_bogie/runs.jsonl`` is a run: the verdict, and of every parameter its true value, the interval of the
+fit alone, that with the unexplained misfit (`calib.missing.discrepancy`), and that of the informed fit, whose model has
+what is hidden.
+"""
+
+from __future__ import annotations
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_variable] = "1"
+
+import argparse
+import json
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rates_outcome import Measured
+from rates_scenarios import Scenario, rounds
+from rates_subject import BOGIE, ROOT
+from rates_world import World, code_digest
+from scipy.stats import beta
+
+from calib.analyses.hypotheses import ModelHypotheses
+from calib.correlation.residual import ModalResidual
+from calib.errors import EvaluationError, InputError
+from calib.missing.discrepancy import VERDICTS, parameter_intervals
+from calib.missing.explain import explain
+from calib.missing.linearised_fit import LinearisedFit, fitted
+from calib.missing.local import WIDE
+from calib.structure.variants import Variants
+
+VISIBLE = 4.0
+"""Least expected score of what is hidden."""
+
+
+def main() -> None:
+    """Run or report."""
+    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    arguments.add_argument("what", choices=("run", "report"))
+    arguments.add_argument("--runs", type=int, default=65)
+    arguments.add_argument("--skip", type=int, default=0)
+    arguments.add_argument("--folder", type=Path, default=ROOT / "results/coverage_bogie")
+    given = arguments.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    file = given.folder / "runs.jsonl"
+    if given.what == "report":
+        report([json.loads(line) for line in file.read_text("utf-8").splitlines()])
+        return
+    world = World(BOGIE, given.folder, code_digest(BOGIE))
+    world.settle()
+    with file.open("a", encoding="utf-8") as out:
+        for scenario, number, measured, visible in islice(visible_runs(world), given.skip, given.skip + given.runs):
+            try:
+                row = run(world, scenario, measured)
+            except (EvaluationError, InputError, np.linalg.LinAlgError) as fault:
+                row = {"verdict": "failed", "error": str(fault)}
+            about = {"code": world.code, "scenario": scenario.name, "number": number, "visible": visible}
+            out.write(json.dumps(about | row) + "\n")
+            out.flush()
+
+
+def visible_runs(world: World) -> Iterator[tuple[Scenario, int, Measured, float]]:
+    """Measurements whose hidden design is visible, with its expected score."""
+    for scenario, number in rounds([s for s in world.kinds if s.group in ("outside", "removed")]):
+        try:
+            measured = world.measure(scenario, number)
+            visible = max(world._truth(scenario, measured)["visible"])
+        except (EvaluationError, InputError, np.linalg.LinAlgError):
+            continue
+        if visible >= VISIBLE:
+            yield scenario, number, measured, visible
+
+
+def run(world: World, scenario: Scenario, measured: Measured) -> dict[str, Any]:
+    """Intervals of one measurement."""
+    pair = ModalResidual(world.specimen.problem(measured.whole))
+    removed = measured.hidden if scenario.removed else ()
+    found = explain(ModelHypotheses(pair, world.libraries[scenario.library], world.space, without=removed))
+    hidden = tuple(world.effects[name] for name in measured.hidden)
+    names = tuple(e.name for e in hidden)
+    asked = ModelHypotheses(pair, Variants(world.model, hidden, (), None), world.space)
+    start = {**found.base.fit.values, **{n: measured.values[n] for e in hidden for n in e.names}}
+    informed = intervals(fitted(asked.fit_problem(names), names, start))
+    told = parameter_intervals(found).set_index("parameter")
+    parameters = {
+        name: {
+            "true": measured.values[name], "alone": own, "informed": informed[name],
+            "unexplained": told.loc[name, ["low_unexplained", "high_unexplained"]].tolist() if len(told) else None,
+        }
+        for name, own in intervals(found.base.fit).items()
+    }  # fmt: skip
+    return {"verdict": found.verdict, "parameters": parameters}
+
+
+def intervals(fit: LinearisedFit) -> dict[str, list[float]]:
+    """95 % intervals of the fitted parameters, within their limits."""
+    out = {}
+    for name, std in zip(fit.names, np.sqrt(np.diag(fit.covariance)).tolist(), strict=True):
+        p, value = fit.fit_problem.space[name], fit.values[name]
+        out[name] = [max(value - WIDE * std, p.lower), min(value + WIDE * std, p.upper)]
+    return out
+
+
+def report(rows: list[dict[str, Any]]) -> None:
+    """Coverage and width of each kind of interval."""
+    left = [row for row in rows if row["verdict"] in VERDICTS]
+    print(f"{len(rows)} runs, {len(left)} with a misfit that nothing explains")
+    every = [p for row in left for p in row["parameters"].values()]
+    for kind in ("alone", "unexplained", "informed"):
+        hit = sum(p[kind][0] <= p["true"] <= p[kind][1] for p in every)
+        width = [np.diff(p[kind])[0] / np.diff(p["informed"])[0] for p in every if np.diff(p["informed"])[0] > 0]
+        low, high = beta.ppf(0.05, hit, len(every) - hit + 1), beta.ppf(0.95, hit + 1, len(every) - hit)
+        print(
+            f"{kind:12s} {hit} of {len(every)} = {hit / len(every):.3f} [{low:.3f}, {high:.3f}], "
+            f"{np.median(width):.2f} times as wide as informed in the median"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""Intervals of parameters with an unexplained misfit, against truths of linear models by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import scipy.linalg as la
+
+from calib.missing.discrepancy import SURE, discrepancy, parameter_intervals, sentence
+from calib.missing.linearised_fit import LinearisedFit
+from calib.missing.score import scored
+
+P, N, M = 3, 60, 25
+
+
+def world(seed, size, sparse=False):
+    """A linear model of three parameters, fitted to data with small changes by all candidates, or by one alone."""
+    rng = np.random.default_rng(seed)
+    slope, signatures = rng.standard_normal((N, P)), rng.standard_normal((N, M)) + rng.standard_normal((N, 1))
+    truth, sd = rng.standard_normal(P), np.ones(P)
+    present = np.where(np.arange(M) == seed % M, size * np.sqrt(M), 0.0) if sparse else size * rng.standard_normal(M)
+    data = slope @ truth + signatures @ (present / np.linalg.norm(signatures, axis=0)) + rng.standard_normal(N)
+    wide = np.vstack([slope, np.eye(P)])
+    values = la.lstsq(wide, np.concatenate([data, np.zeros(P)]))[0]
+    names = tuple(f"p{k}" for k in range(P))
+    space = {name: SimpleNamespace(lower=-50.0, upper=50.0, unit="-") for name in names}
+    fit = LinearisedFit(
+        (), SimpleNamespace(space=space), names, dict(zip(names, values.tolist(), strict=True)),
+        data - slope @ values, slope, sd, values, True,
+    )  # fmt: skip
+    every = [f"c{k}" for k in range(M)]
+    return fit, scored(fit, every, [{}] * M, signatures, np.ones(M, bool), np.zeros(M)), truth
+
+
+def test_the_posterior_is_that_of_generalised_least_squares():
+    fit, scores, _ = world(1, 4.0)
+    found = discrepancy(fit, scores)
+    columns = scores.raw / scores.size * found.size
+    weight = la.inv(np.eye(N) + columns @ columns.T)
+    covariance = la.inv(fit.slope.T @ weight @ fit.slope + np.eye(P))
+    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-8)
+    np.testing.assert_allclose(found.change, covariance @ (fit.slope.T @ weight @ fit.residual - fit.shift), rtol=1e-6)
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+def test_the_true_values_lie_inside_where_those_of_the_fit_alone_do_not(sparse):
+    """Of 300 parameters; 95 % of them, and 0.9 to 0.99 by three standard deviations of a count."""
+    alone = together = 0
+    for seed in range(100):
+        fit, scores, truth = world(seed, 6.0, sparse)
+        found, values = discrepancy(fit, scores), np.array(list(fit.values.values()))
+        alone += int(np.sum(np.abs(values - truth) < 1.96 * np.sqrt(np.diag(fit.covariance))))
+        std = np.sqrt(np.diag(found.covariance))
+        together += int(np.sum(np.abs(values + found.change - truth) < 1.96 * std))
+    assert alone < 0.75 * 300 and 0.9 * 300 < together
+
+
+def test_the_size_follows_the_misfit_and_is_that_of_noise_without_one():
+    """An upper limit: 2 to 3 scores where nothing is present; signatures here are absorbed in part."""
+    sizes = [discrepancy(*world(seed, 0.0)[:2]).size for seed in range(20)]
+    large = [discrepancy(*world(seed, 6.0)[:2]).size for seed in range(20)]
+    assert max(sizes) < 4.0 and max(sizes) < min(large) and 6.0 < np.median(large) < 20.0
+
+
+def test_what_the_parameters_absorb_wholly_is_left_out():
+    fit, scores, _ = world(2, 4.0)
+    names = [f"c{k}" for k in range(M + 1)]
+    raw = np.hstack([scores.raw, 1e6 * fit.slope[:, :1] + 1e-1 * scores.raw[:, :1]])
+    more = scored(fit, names, [{}] * (M + 1), raw, np.ones(M + 1, bool), np.zeros(M + 1))
+    one, two = discrepancy(fit, scores), discrepancy(fit, more)
+    assert np.isfinite(two.covariance).all()
+    # The prior leaves a little of the parameter itself, so that the signature counts by that part alone.
+    assert SURE < 1 and one.size == pytest.approx(two.size, rel=0.3)
+
+
+def test_the_table_tells_both_intervals_and_only_after_an_unexplained_misfit():
+    fit, scores, _ = world(3, 6.0)
+    tests = SimpleNamespace(perturbations=scores, named=scored(fit, [], [], np.zeros((N, 0)), [], []))
+    found = SimpleNamespace(verdict="none_explains", base=SimpleNamespace(fit=fit), base_adequacy=tests)
+    table = parameter_intervals(found)
+    wide = discrepancy(fit, scores)
+    half = 1.96 * np.sqrt(np.diag(wide.covariance))
+    np.testing.assert_allclose(table["high_unexplained"] - table["value_unexplained"], half)
+    np.testing.assert_allclose(table["value_unexplained"] - table["value"], wide.change)
+    np.testing.assert_allclose(table["value"] - table["low"], 1.96 * np.sqrt(np.diag(fit.covariance)))
+    width = np.median(half / (1.96 * np.sqrt(np.diag(fit.covariance))))
+    assert f"are {width:.2g} times as wide" in sentence(table)
+    named = parameter_intervals(SimpleNamespace(verdict="effect", base=found.base, base_adequacy=tests))
+    assert named.empty and sentence(named) == ""
