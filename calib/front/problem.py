@@ -354,9 +354,9 @@ class Problem:
         with _told("sensitivity", progress) as told:
             return assessed(self._of(parameters), samples, seed, executor, told)
 
-    def judge(self, values: Mapping[str, float]) -> Fit[Problem]:
+    def statistics_at(self, values: Mapping[str, float]) -> Fit[Problem]:
         """Fit statistics at given values, without fitting."""
-        with _told("judge", False):
+        with _told("statistics_at", False):
             return Fit(self, statistics_at(self.posed, self.terms, self._complete(values)))
 
     def _of(self, parameters: Sequence[str]) -> Problem:

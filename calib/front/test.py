@@ -180,7 +180,7 @@ class ModalTest:
             model.space,
             values,
             joint=fit.parts.get(self.name),
-            on_limit=fit.on_limit,
+            active=fit.active,
         )
 
     @property
@@ -297,7 +297,7 @@ class ResponseTest:
             model.space,
             values,
             joint=fit.parts.get(self.name),
-            on_limit=fit.on_limit,
+            active=fit.active,
         )
 
     @property

@@ -78,7 +78,7 @@ def test_the_information_of_all_tests_is_the_sum_of_theirs(both):
 
 def test_one_test_is_not_compared_with_itself(both):
     alone = calib.Problem(WORLD.chain(), calib.ModalTest(WORLD.modes(5)))
-    assert alone.judge(both.values).std_by_test.empty
+    assert alone.statistics_at(both.values).std_by_test.empty
 
 
 # -- as a study --------------------------------------------------------------------------------------------------------
