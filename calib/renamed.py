@@ -26,6 +26,7 @@ COLUMNS: Mapping[str, str] = {
     "influence_floor": "variance_share_floor",
     "influence_response": "variance_share_response",
     "max_influence": "max_variance_share",
+    "on_bound": "on_limit",
     "option": "measurement",
     "phi": "magnitude",
     "phi_high": "magnitude_high",
@@ -33,6 +34,7 @@ COLUMNS: Mapping[str, str] = {
     "phi_min": "magnitude_min",
     "posterior": "model_probability",
     "scatter": "std_from",
+    "search_on_bound": "search_on_limit",
     "strained": "pulled",
     "withheld": "held_out",
 }

@@ -14,6 +14,7 @@ from scipy.optimize import linprog
 
 from calib.errors import InputError
 from calib.given import number, objects, values
+from calib.on_limit import limit_at
 from calib.units import SI_FACTORS
 
 Distribution = Literal["uniform", "fixed"]
@@ -22,10 +23,6 @@ MOST = 1e100
 FINEST_PRIOR = 1e-9
 """Least prior standard deviation over a parameter's range or value, and the inverse of the largest: beyond, sums of
 squares lose every digit of the data or of the prior."""
-
-
-AT_LIMIT = 0.01
-"""Distance to a limit, over the range, below which a value is on it."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,7 @@ class Parameter:
     >>> stiffness = calib.Parameter("k", 30.0, 1.0, 100.0, "kN/m", prior_sd=5.0)
     >>> stiffness.value * stiffness.si_factor
     30000.0
-    >>> stiffness.limit_at(99.5)
+    >>> stiffness.limit_at(99.95)
     'upper'
     """
 
@@ -119,12 +116,11 @@ class Parameter:
         """Factor from ``unit`` to SI."""
         return SI_FACTORS[self.unit]
 
-    def limit_at(self, value: float) -> Literal["lower", "upper"] | None:
-        """The limit that a value is on, within `AT_LIMIT` of the range; None between the limits."""
-        ratio = (value - self.lower) / (self.upper - self.lower)
-        if ratio > 1 - AT_LIMIT:
-            return "upper"
-        return "lower" if ratio < AT_LIMIT else None
+    def limit_at(
+        self, value: float, std: float | None = None, searched: bool = False
+    ) -> Literal["lower", "upper"] | None:
+        """The limit that a value is on, see `calib.on_limit.limit_at`; None between the limits."""
+        return limit_at(value, self.lower, self.upper, std, searched)
 
     @property
     def prior_width(self) -> float:

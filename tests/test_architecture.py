@@ -18,7 +18,7 @@ RANKS = (
     {"place"},
     {"excerpt", "own_code", "csv_entries", "toml_places"},
     {"errors", "interrupt", "written", "neighbours", "version", "threads", "renamed", "stage", "answer"},
-    {"given", "units", "mac", "degrees_of_freedom", "outcome", "table", "fingerprint", "tasks"},
+    {"given", "units", "on_limit", "mac", "degrees_of_freedom", "outcome", "table", "fingerprint", "tasks"},
     {"space"},
     {"candidate"},
     {"effect", "fault", "differences", "measurement", "sampling", "worker", "named_values"},

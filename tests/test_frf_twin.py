@@ -15,7 +15,7 @@ from calib.inference.cmcf import cmcf
 from calib.inference.cmcf_equations import CmcfSettings, MeasuredReceptance
 from calib.loading import module_of
 from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.frf_repeats import scatter
+from calib.measurement.frf_repeats import repeatability
 from calib.measurement.modal import Sensor
 from calib.measurement.uff_frf import read_uff_frfs
 from calib.structure.frf import frf
@@ -101,7 +101,7 @@ def test_the_noise_of_each_repeat_is_the_stated_share_and_floor(rig):
         assert np.abs(off).max() < 4.5 / np.sqrt(200)
     parts = np.corrcoef(every.real[:, 3, 1, 0], every.imag[:, 3, 1, 0])[0, 1]
     assert abs(parts) < 0.3
-    assert scatter(every[:, :, 0, 0]) == pytest.approx(expected[:, 0, 0], rel=0.05)
+    assert repeatability(every[:, :, 0, 0]) == pytest.approx(expected[:, 0, 0], rel=0.05)
 
 
 def test_gain_and_phase_are_shared_by_all_repeats_and_told_in_the_truth(rig):

@@ -35,7 +35,7 @@ def test_four_frequencies_of_the_measured_rig_are_met_within_their_standard_devi
     scatter_of_the_mean = np.array([0.032, 0.115, 0.169, 0.228]) / 10
     assert np.all(np.abs(table["natural_freq_model"] - table["natural_freq_measured"]) < scatter_of_the_mean)
     parameters = pd.read_csv(folder / "parameters.csv")
-    assert parameters["identified"].all() and not parameters["on_bound"].any()
+    assert parameters["identified"].all() and not parameters["on_limit"].any()
     assert parameters.groupby("parameter")["value"].agg(np.ptp).max() < 1e-4  # four cases, one solution
     assert quick or parameters["stable"].all()
 

@@ -87,8 +87,8 @@ def nothing_added(found: Explanation) -> str:
         f"These data cannot discriminate between {' and '.join(found.untold)}, so none of them is "
         "added: inspect the structure, or make a measurement that discriminates between them."
     )
-    if found.steps is not None and found.steps.rivals:
-        pairs = "; and between ".join(f"{name} and {other}" for name, other in found.steps.rivals)
+    if found.steps is not None and found.steps.competing:
+        pairs = "; and between ".join(f"{name} and {other}" for name, other in found.steps.competing)
         untold = f"These data cannot discriminate between {pairs}, so nothing is added: inspect the structure."
     named = " and ".join(() if found.chosen is None else found.chosen.names)
     if is_nearly(found):

@@ -290,7 +290,7 @@ def keep(
     values = {name: value for name, value in best.statistics.values.items() if name in study.problem.space}
     with suppress(EvaluationError):  # errors are unknown where the model fails near the optimum
         ended = best.statistics
-        errors = errors_at(study, values, ended.parts.get(study.test), ended.on_limit)
+        errors = errors_at(study, values, ended.parts.get(study.test), ended.active)
         results.write_table("data_errors", errors.assign(std_from=best.statistics.rests_on))
         if study.settings.held_out.responses:
             responses = every_response(study, study.model.space.values, values)

@@ -46,21 +46,21 @@ def _parameters(
     """``parameters.csv``: reported values, how far the searches spread, and what the data determine.
 
     ``spread`` and ``stable`` are those of the genetic searches before least squares, or of the fits where nothing was
-    searched; ``search_value`` and ``search_on_bound`` are given where least squares followed a search.
+    searched; ``search_value`` and ``search_on_limit`` are given where least squares followed a search.
     """
     table = parameters_table([result for result, _ in found], space)
-    table["search_value"], table["search_on_bound"] = np.nan, None
+    table["search_value"], table["search_on_limit"] = np.nan, None
     if searched:
         raw = parameters_table(searched, space)
         table["spread"], table["stable"] = raw["spread"], raw["stable"]
         if any(statistics.fit is not None for _, statistics in found):
-            table["search_value"], table["search_on_bound"] = raw["value"], raw["on_bound"]
+            table["search_value"], table["search_on_limit"] = raw["value"], raw["on_limit"]
     each = [statistics.verdicts(space, {}, differing).assign(case=result.name) for result, statistics in found]
     known = _without_whole(pd.concat(each), space)
-    columns = ["case", "parameter", "std", "identified", "std_from"]
-    table = table.merge(known[columns], on=columns[:2], how="left")
-    order = ["value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable", "std", "identified"]
-    return table[["case", "parameter", *order, "search_value", "search_on_bound", "std_from"]]
+    columns = ["case", "parameter", "on_limit", "std", "identified", "std_from"]
+    table = table.drop(columns="on_limit").merge(known[columns], on=columns[:2], how="left")
+    order = ["value", "unit", "lower", "upper", "ratio", "on_limit", "spread", "stable", "std", "identified"]
+    return table[["case", "parameter", *order, "search_value", "search_on_limit", "std_from"]]
 
 
 def _without_whole(table: pd.DataFrame, space: ParameterSpace) -> pd.DataFrame:

@@ -122,7 +122,7 @@ def explain(
     return answer
 
 
-def adapter_for(study: AnyStudy, results: Results, progress: Progress, homes: Mapping[str, Results] = ALONE) -> Adapter:
+def adapter_for(study: AnyStudy, results: Results, progress: Progress, homes: Mapping[str, Results]) -> Adapter:
     """All tests of a study, with stated errors of its models; arguments as in `explain`."""
     local, mesh_sd = perturbations_of(study), study.settings.explain.mesh_sd
     adapters = {

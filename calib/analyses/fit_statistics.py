@@ -23,7 +23,7 @@ from calib.inference.cases import CaseResult
 from calib.inference.gauss_newton import FitResult, Prior
 from calib.inference.identify import Identification, identify, prediction_interval
 from calib.inference.integers import MixedResult, fit_mixed
-from calib.inference.region import InfeasibleError, on_limit
+from calib.inference.region import InfeasibleError, active_limits
 from calib.inference.starts import EQUAL, Enough, never
 from calib.inference.verdicts import integer_std, parameter_verdicts
 from calib.joint import JointProblem
@@ -121,8 +121,8 @@ class FitStatistics:
         What each of several tests alone would determine, see `calib.analyses.std_by_test.std_by_test`; empty for one.
     parts : mapping from str to JointPart
         What the fit says about the parameters of each of several tests, by its name; empty for one.
-    on_limit : frozenset of str
-        Parameters that a limit holds, see `calib.inference.region.on_limit`.
+    active : frozenset of str
+        Parameters with an active limit, see `calib.inference.region.active_limits`.
     """
 
     values: dict[str, float]
@@ -143,7 +143,7 @@ class FitStatistics:
     assumed: str
     by_test: pd.DataFrame
     parts: Mapping[str, JointPart]
-    on_limit: frozenset[str]
+    active: frozenset[str]
 
     def verdicts(
         self, space: ParameterSpace, spread: Mapping[str, float], differing: Mapping[str, float] | None = None
@@ -341,7 +341,7 @@ def _statistics(
         name: integer_std(numbers, misfits / birge**2, space[name].value, space[name].prior_width)
         for name, (numbers, misfits) in profiles.items()
     }
-    identification = identify(space, names, slope, values=values, held=held, birge=birge)
+    identification = identify(space, names, slope, values=values, held=held, birge=birge, searched=fit is None)
     predictions = prediction_interval(*problem.frequencies(values, names), identification.posterior.covariance)
     suspected = suspects(at, problem, alpha)
     by_test, parts = pd.DataFrame(columns=list(COLUMNS)), dict[str, JointPart]()
@@ -353,7 +353,7 @@ def _statistics(
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
         predictions=predictions, fit=fit, ends=ends, suspects=suspected,
         assumed=terms.assumed, by_test=by_test, parts=parts,
-        on_limit=on_limit(space, names, values, -slope.T @ vector - shift / prior_sd),
+        active=active_limits(space, names, values, -slope.T @ vector - shift / prior_sd),
     )  # fmt: skip
 
 

@@ -63,7 +63,7 @@ class GroupAdapter(OneTest):
             slope = np.hstack([slope, whitened(pair, s.values, (), held_sd)[1] / scale])
         labels = [row.sensor for row in self.hypotheses.rows]
         return group_errors(
-            s.residual, slope, s.names, s.prior_sd, labels, held_out, self.left_out_std, s.others, s.on_limit
+            s.residual, slope, s.names, s.prior_sd, labels, held_out, self.left_out_std, s.others, s.active
         )
 
     def _measuring(self, names: tuple[str, ...]) -> Pair:

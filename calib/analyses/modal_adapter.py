@@ -74,7 +74,7 @@ class ModalAdapter(OneTest):
             whole = whole.with_model(self.problem.model).with_model(fitted.problem.model, added)
         return modal_errors(
             fitted.problem, whole, fit.values, fit.names, fit.prior_sd, fitted.floors,
-            self.hypotheses.std_dof, scale, self.facts.held_sd, fit.others, fit.on_limit,
+            self.hypotheses.std_dof, scale, self.facts.held_sd, fit.others, fit.active,
         )  # fmt: skip
 
     def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:

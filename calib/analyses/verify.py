@@ -32,11 +32,11 @@ ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", "unpaired")
 
 
 def errors_at(
-    study: Study, values: Mapping[str, float], joint: JointPart | None = None, on_limit: Collection[str] = ()
+    study: Study, values: Mapping[str, float], joint: JointPart | None = None, active: Collection[str] = ()
 ) -> pd.DataFrame:
     """Errors of a study's model by group of data, at fitted values of the selected parameters; see `errors_of`."""
     space, held_sd = study.search_space, study.held_sd
-    return errors_of(study.problem, study.whole_problem(), study.unseen, space, values, held_sd, joint, on_limit)
+    return errors_of(study.problem, study.whole_problem(), study.unseen, space, values, held_sd, joint, active)
 
 
 def errors_of(
@@ -47,7 +47,7 @@ def errors_of(
     values: Mapping[str, float],
     held_sd: Mapping[str, float] = _NONE,
     joint: JointPart | None = None,
-    on_limit: Collection[str] = (),
+    active: Collection[str] = (),
 ) -> pd.DataFrame:
     """Errors by group of data: used, left out in turn, and held out; see `modal_errors` and `group_errors`.
 
@@ -67,8 +67,8 @@ def errors_of(
         Standard deviations of held parameters that are uncertain.
     joint : JointPart, optional
         The fit to several tests of which this is one.
-    on_limit : collection of str
-        Parameters that a limit holds.
+    active : collection of str
+        Parameters with an active limit.
     """
     names = tuple(p.name for p in space.free if not p.integer)
     prior_sd = np.array([space[n].prior_width for n in names])
@@ -78,7 +78,7 @@ def errors_of(
     if isinstance(problem, ModalProblem):
         dof = ModalResidual(problem).std_dof
         return modal_errors(
-            problem, whole, values, names, prior_sd, Floors(), dof, held_sd=held_sd, others=others, on_limit=on_limit
+            problem, whole, values, names, prior_sd, Floors(), dof, held_sd=held_sd, others=others, active=active
         )
     if isinstance(problem, FunctionProblem):
         problem = replace(problem, space=space)
@@ -86,7 +86,7 @@ def errors_of(
     pair = pair_of(problem)
     e, g = whitened(pair, values, names, held_sd)
     labels = [row.sensor for row in pair.rows]
-    return group_errors(e, g, names, prior_sd, labels, held_out, std_behind(pair), others, on_limit)
+    return group_errors(e, g, names, prior_sd, labels, held_out, std_behind(pair), others, active)
 
 
 def held_out_rows(
@@ -140,7 +140,7 @@ def modal_errors(
     scale: float = 1.0,
     held_sd: Mapping[str, float] = _NONE,
     others: OtherRows | None = None,
-    on_limit: Collection[str] = (),
+    active: Collection[str] = (),
 ) -> pd.DataFrame:
     """Errors of a fitted modal model by group of data, rms in standard deviations.
 
@@ -167,8 +167,8 @@ def modal_errors(
         Rows of other tests in the same joint fit, in units of ``scale`` times the standard deviation. All posteriors
         are those of the joint fit: a row is predicted by all tests without its group, and the residual of these rows
         has the covariance ``I - G_a V G_a^T`` (see `calib.degrees_of_freedom.matched`).
-    on_limit : collection of str
-        Parameters that a limit holds; they stay there when a mode is left out.
+    active : collection of str
+        Parameters with an active limit; they stay there when a mode is left out.
 
     Returns
     -------
@@ -184,7 +184,7 @@ def modal_errors(
     every = np.vstack([jacobian, -others.slope])
     known = posterior(names, every, prior_sd)
     modes = [row.mode for row in residual.rows]
-    at_limit = [name in on_limit for name in names]
+    at_limit = [name in active for name in names]
     predicted = leave_one_out(vector, -jacobian, prior_sd, modes, others.slope, at_limit)
     own: dict[Hashable, int] = {mode: residual.n_fitted_factors_of({mode}) for mode in dict.fromkeys(modes)}
     finite = {kind: dof for kind, dof in std_dof.items() if np.isfinite(dof)}
@@ -234,7 +234,7 @@ def group_errors(
     held_out: Mapping[str, tuple[np.ndarray, np.ndarray]],
     std: float = KNOWN,
     others: OtherRows | None = None,
-    on_limit: Collection[str] = (),
+    active: Collection[str] = (),
 ) -> pd.DataFrame:
     """The same for scalar responses or FRFs, each of which is left out in turn.
 
@@ -253,14 +253,14 @@ def group_errors(
         deviation of what no fit determines; empty groups are left out.
     std : float
         Degrees of freedom behind the standard deviations; see `std_behind`.
-    others, on_limit
+    others, active
         As in `modal_errors`.
     """
     jacobian, held = jacobian[:, : len(names)], jacobian[:, len(names) :]
     others = others or none_beside(len(names), held.shape[1])
     every = np.vstack([jacobian, -others.slope])
     known = with_held(posterior(names, every, prior_sd), every, np.vstack([held, -others.held]))
-    at_limit = [name in on_limit for name in names]
+    at_limit = [name in active for name in names]
     predicted = leave_one_out(residual, -jacobian, prior_sd, list(labels), others.slope, at_limit)
     scale, dof = matched(jacobian, prior_sd, others=others.slope)
     p, p_left_out = float(chance(residual @ residual / scale, dof, std)), predicted.p({}, std)

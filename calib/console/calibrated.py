@@ -97,7 +97,7 @@ def _parameters(result: Calibration) -> Iterator[Rows]:
         std = "–" if r["parameter"] in best.statistics.whole else "" if pd.isna(r["std"]) else f"{r['std']:.3g}"
         unit = unit_words(r["unit"])
         why = [_WHY[reason] for reason in r["not_identified"].split(", ") if reason]
-        why += [_WHY["limit"]] if r["on_bound"] and _WHY["limit"] not in why else []
+        why += [_WHY["limit"]] if r["on_limit"] and _WHY["limit"] not in why else []
         known = "" if pd.isna(r["identified"]) else "yes" if r["identified"] else "no"
         remark = f"{known}: {', '.join(why)}" if why else known
         rows.append((r["parameter"], f"{r['value']:.5g}{unit}", std, f"{100 * r['ratio']:.0f} %", spread, remark))

@@ -75,7 +75,7 @@ class Fit(Shown, Generic[P]):
     @property
     def table(self) -> Any:
         """The main columns of `parameters`."""
-        shown = ["value", "unit", "std", "identified", "on_bound", "confounded_with"]
+        shown = ["value", "unit", "std", "identified", "on_limit", "confounded_with"]
         return self.parameters[shown].reset_index()
 
     @property

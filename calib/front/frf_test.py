@@ -152,7 +152,7 @@ class FRFTest:
         """Errors on fitted, left-one-out and held-out FRFs; see `calib.analyses.verify.errors_of`."""
         problem = self.problem(model)
         return errors_of(
-            problem, None, self.unseen, problem.space, values, joint=fit.parts.get(self.name), on_limit=fit.on_limit
+            problem, None, self.unseen, problem.space, values, joint=fit.parts.get(self.name), active=fit.active
         )
 
     @property

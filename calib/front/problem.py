@@ -346,9 +346,9 @@ class Problem:
         with told("sensitivity", progress) as heard:
             return assessed(self._of(parameters), samples, seed, executor, heard)
 
-    def judge(self, values: Mapping[str, float]) -> Fit[Problem]:
+    def statistics_at(self, values: Mapping[str, float]) -> Fit[Problem]:
         """Fit statistics at given values, without fitting."""
-        with told("judge", False):
+        with told("statistics_at", False):
             return Fit(self, statistics_at(self.posed, self.terms, self._complete(values)))
 
     def _of(self, parameters: Sequence[str]) -> Problem:

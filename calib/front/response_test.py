@@ -144,7 +144,7 @@ class ResponseTest:
             model.space,
             values,
             joint=fit.parts.get(self.name),
-            on_limit=fit.on_limit,
+            active=fit.active,
         )
 
     @property

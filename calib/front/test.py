@@ -179,7 +179,7 @@ class ModalTest:
             model.space,
             values,
             joint=fit.parts.get(self.name),
-            on_limit=fit.on_limit,
+            active=fit.active,
         )
 
     @property

@@ -244,14 +244,14 @@ def ratios(results: Sequence[CaseResult], space: ParameterSpace) -> np.ndarray:
 
 
 def parameters_table(results: Sequence[CaseResult], space: ParameterSpace) -> pd.DataFrame:
-    """Best value of every free parameter in every case.
+    """Best value of every free parameter at the end of every search.
 
     Returns
     -------
     DataFrame
-        ``case, parameter, value, unit, lower, upper``; ``ratio`` (position between the limits, 0 to 1); ``on_bound``
-        (within 1 % of a limit); ``spread`` (largest minus smallest ratio over the cases) and ``stable`` (spread of at
-        most 0.10; Ribeiro et al. 2013). Both are missing when there is one case only.
+        ``case, parameter, value, unit, lower, upper``; ``ratio`` (position between the limits, 0 to 1); ``on_limit``
+        (see `calib.on_limit.limit_at`); ``spread`` (largest minus smallest ratio over the cases) and ``stable`` (spread
+        of at most 0.10; Ribeiro et al. 2013). Both are missing when there is one case only.
     """
     position = ratios(results, space)
     spread = np.ptp(position, axis=0) if len(results) > 1 else np.full(len(space.free), np.nan)
@@ -267,12 +267,12 @@ def parameters_table(results: Sequence[CaseResult], space: ParameterSpace) -> pd
                     "lower": parameter.lower,
                     "upper": parameter.upper,
                     "ratio": ratio,
-                    "on_bound": parameter.limit_at(result.values[parameter.name]) is not None,
+                    "on_limit": parameter.limit_at(result.values[parameter.name], searched=True) is not None,
                     "spread": width,
                     "stable": None if math.isnan(width) else width <= RULES.stable,
                 }
             )
-    columns = ["case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable"]
+    columns = ["case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_limit", "spread", "stable"]
     return pd.DataFrame(rows, columns=columns)
 
 

@@ -142,6 +142,8 @@ class Identification:
         Change of the whitened residual when all parameters change by 10 % together, for the measurement uncertainty as
         stated; NaN without values or with fewer than two parameters. Near 0, the data see ratios only, such as those of
         stiffnesses to masses.
+    searched : bool
+        Whether the values are the end of a genetic search, or given, and no least-squares fit ended there.
     """
 
     posterior: Posterior
@@ -149,6 +151,7 @@ class Identification:
     confounded: pd.DataFrame
     directions: pd.DataFrame
     common_scale: float
+    searched: bool = False
 
     @property
     def correlation(self) -> pd.DataFrame:
@@ -188,7 +191,9 @@ class Identification:
         return tuple(out)
 
 
-def faults(p: Parameter, std: float, data_share: float, value: float | None = None) -> tuple[str, ...]:
+def faults(
+    p: Parameter, std: float, data_share: float, value: float | None = None, searched: bool = False
+) -> tuple[str, ...]:
     """Reasons why a parameter is not identified; empty when it is.
 
     The data must give at least half of the information on it (else ``prior``), its standard deviation must be at most
@@ -204,11 +209,13 @@ def faults(p: Parameter, std: float, data_share: float, value: float | None = No
         See `Posterior`.
     value : float, optional
         At the optimum; without it limits are not checked.
+    searched : bool
+        See `Identification`.
     """
     found = {
         "wide": not std <= RULES.identified * (p.upper - p.lower),
         "prior": not data_share >= RULES.by_data,
-        "limit": value is not None and p.limit_at(value) is not None,
+        "limit": value is not None and p.limit_at(value, None if p.integer else std, searched) is not None,
     }
     return tuple(name for name, wrong in found.items() if wrong)
 
@@ -222,6 +229,7 @@ def identify(
     threshold: float = RULES.confounded,
     held: np.ndarray | None = None,
     birge: float = 1.0,
+    searched: bool = False,
 ) -> Identification:
     """Find which parameters the data determine, and which are confounded.
 
@@ -244,6 +252,8 @@ def identify(
     birge : float
         Factor by which the posterior scales the measurement uncertainty, above 1 where the model does not fit (Birge
         1932). Directions and common scale are for the uncertainty as stated.
+    searched : bool
+        See `Identification`.
     """
     chosen = tuple(names)
     s = np.array([space[n].prior_width for n in chosen]) if prior_sd is None else np.asarray(prior_sd, dtype=float)
@@ -253,7 +263,8 @@ def identify(
     relative = found.std / span
     known = zip(chosen, found.std.tolist(), found.data_share.tolist(), strict=True)
     at = dict(values or {})
-    identified = np.array([not faults(space[n], std, share, at.get(n)) for n, std, share in known], dtype=bool)
+    bad = [faults(space[n], std, share, at.get(n), searched) for n, std, share in known]
+    identified = np.array([not why for why in bad], dtype=bool)
     parameters = pd.DataFrame(
         {
             "parameter": chosen,
@@ -269,7 +280,7 @@ def identify(
     scale = math.nan
     if values is not None and len(chosen) > 1:
         scale = float(np.linalg.norm(g @ (0.1 * np.array([values[n] for n in chosen]))))
-    return Identification(found, parameters, _confounded(found, identified, threshold), directions, scale)
+    return Identification(found, parameters, _confounded(found, identified, threshold), directions, scale, searched)
 
 
 def _confounded(found: Posterior, identified: np.ndarray, threshold: float) -> pd.DataFrame:

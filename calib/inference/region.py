@@ -14,7 +14,7 @@ from calib.errors import InputError
 from calib.space import ParameterSpace
 
 ACTIVE = 1e-6
-"""Distance to a limit, over the range, below which it is active; `calib.space.AT_LIMIT` is the one reported."""
+"""Distance to a limit, over the range, below which a step is held by it: its rounding, not what is reported."""
 
 
 class InfeasibleError(InputError):
@@ -133,10 +133,10 @@ class Region:
         return tuple(limits), tuple(label for label, g in zip(self.labels, gap, strict=True) if g < ACTIVE)
 
 
-def on_limit(
+def active_limits(
     space: ParameterSpace, names: Sequence[str], values: Mapping[str, float], descent: np.ndarray
 ) -> frozenset[str]:
-    """Parameters that a limit holds at the end of a fit: beyond it the misfit would fall.
+    """Parameters with an active limit at the end of a fit: beyond it the misfit would fall.
 
     Parameters
     ----------

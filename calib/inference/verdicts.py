@@ -76,7 +76,7 @@ def parameter_verdicts(
     Returns
     -------
     DataFrame
-        ``parameter, value, unit, lower, upper, ratio, on_bound, suggested_limit, spread, stable, std, std_of_range,
+        ``parameter, value, unit, lower, upper, ratio, on_limit, suggested_limit, spread, stable, std, std_of_range,
         data_share, identified, not_identified, confounded_with, fits_within_std, sentence``; missing where unknown.
         ``not_identified`` holds the reasons of `calib.inference.identify.faults`, and ``solutions`` for a parameter by
         which equally good solutions differ. A limit is suggested half a range further out; a limit of 0 is physical
@@ -87,10 +87,6 @@ def parameter_verdicts(
     rows = []
     for p in space.free:
         ratio = (values[p.name] - p.lower) / (p.upper - p.lower)
-        side = p.limit_at(values[p.name])
-        limit = _suggested(p.lower, p.upper, side)
-        if p.integer and math.isfinite(limit):
-            limit = float(math.floor(limit) if side == "lower" else math.ceil(limit))
         width = None if spread is None or not math.isfinite(spread.get(p.name, math.nan)) else spread[p.name]
         std, share, identified = math.nan, math.nan, None
         why: tuple[str, ...] = ()
@@ -99,8 +95,12 @@ def parameter_verdicts(
         elif whole is not None and p.name in whole:
             std = whole[p.name]
             share = max(1.0 - (std / p.prior_width) ** 2, 0.0)
+        side = p.limit_at(values[p.name], None if p.integer else std, found.searched)
+        limit = _suggested(p.lower, p.upper, side)
+        if p.integer and math.isfinite(limit):
+            limit = float(math.floor(limit) if side == "lower" else math.ceil(limit))
         if not math.isnan(std):
-            why = faults(p, std, share, values[p.name])
+            why = faults(p, std, share, values[p.name], found.searched)
             identified = not why
         # Correlations are those of the reported solution: they say nothing on the distance to another one.
         others = [] if identified else found.confounded_with(p.name)
@@ -117,7 +117,7 @@ def parameter_verdicts(
                 "lower": p.lower,
                 "upper": p.upper,
                 "ratio": ratio,
-                "on_bound": side is not None,
+                "on_limit": side is not None,
                 "suggested_limit": limit,
                 "spread": math.nan if width is None else width,
                 "stable": stable,

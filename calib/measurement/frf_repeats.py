@@ -1,4 +1,4 @@
-"""Repeats of measured FRFs, and their mean with its standard deviation from scatter or coherence."""
+"""Repeats of measured FRFs, and their mean with its standard deviation from repeats or coherence."""
 
 from __future__ import annotations
 
@@ -82,11 +82,11 @@ def repeat_of(
 
 
 def combine_frfs(repeats: Sequence[FRFRepeat], averages: int | None = None, synthetic: bool = False) -> MeasuredFRFs:
-    """Mean of repeats, with its standard deviation from their scatter, or from the coherence of a single one.
+    """Mean of repeats, with its standard deviation from them, or from the coherence of a single one.
 
-    The scatter of a function over two or more repeats is smoothed over its lines as ``sqrt((a |H|)^2 + b^2)``, a share
-    of the value and a floor, both of largest likelihood for the variances of all lines: a single line has too few
-    repeats. With the coherence and the number of averages n of a single repeat the standard deviation is
+    The standard deviation of two or more repeats of a function is smoothed over its lines as ``sqrt((a |H|)^2 +
+    b^2)``, a share of the value and a floor, both of largest likelihood for the variances of all lines: a single line
+    has too few repeats. With the coherence and the number of averages n of a single repeat the standard deviation is
     ``|H| sqrt((1 - gamma^2)/(2 n gamma^2))`` (Bendat and Piersol 2010, section 9.2.2).
 
     Parameters
@@ -115,7 +115,7 @@ def combine_frfs(repeats: Sequence[FRFRepeat], averages: int | None = None, synt
         every = np.array([repeat.functions[response, reference] for repeat in repeats])
         values[here] = every.mean(axis=0)
         if len(repeats) > 1:
-            std[here] = scatter(every) / np.sqrt(len(repeats))
+            std[here] = repeatability(every) / np.sqrt(len(repeats))
         elif averages is not None and (response, reference) in first.coherence:
             gamma = np.clip(first.coherence[response, reference], 1e-6, 1.0)  # of coherence gamma^2
             std[here] = np.abs(values[here]) * np.sqrt((1 - gamma) / (2 * averages * gamma))
@@ -142,7 +142,7 @@ def _require_alike(first: FRFRepeat, other: FRFRepeat) -> None:
         )  # fmt: skip
 
 
-def scatter(every: np.ndarray) -> np.ndarray:
+def repeatability(every: np.ndarray) -> np.ndarray:
     """Standard deviation of one repeat of a function, of its real and imaginary part each; see `combine_frfs`.
 
     Parameters

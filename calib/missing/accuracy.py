@@ -81,9 +81,9 @@ def sentence(table: pd.DataFrame, level: float) -> str:
     """Accuracy at which the verdict would change, in words; empty for an empty table.
 
     Where none of the table changes it, the largest accuracy that the data do not contradict is stated: with a larger
-    one they would scatter more than they do. They contradict an accuracy whose ``p_smaller`` is at most ``level``: the
-    lower tail of chi-square, or of F where the standard deviations are estimates. What is missing adds to the sum of
-    squares, so that without it an accuracy that is contradicted would be so all the more.
+    one their errors would be larger than they are. They contradict an accuracy whose ``p_smaller`` is at most
+    ``level``: the lower tail of chi-square, or of F where the standard deviations are estimates. What is missing adds
+    to the sum of squares, so that without it an accuracy that is contradicted would be so all the more.
     """
     if table.empty:
         return ""

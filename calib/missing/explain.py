@@ -292,7 +292,7 @@ class _Decision:
         names = last.candidate_fit.names
         verdict = "two_effects" if len(names) == 2 else "several_effects"
         found = replace(found, measured_scale=measured_scale(self.fits, found.base, last.candidate_fit))
-        credible = tuple(dict.fromkeys((*names, *(rival for _, rival in steps.rivals))))
+        credible = tuple(dict.fromkeys((*names, *(other for _, other in steps.competing))))
         fitted = [step.candidate_fit for step in steps.steps[1:]]
         every = (*lead.singles, *pairs, *(t for t in fitted if t not in (*lead.singles, *pairs)))
         return self.done(found, every, verdict, last.candidate_fit, last.adequacy, credible)

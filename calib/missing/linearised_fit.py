@@ -17,7 +17,7 @@ from calib.inference.gauss_newton import fit as gauss_newton
 from calib.inference.identify import posterior
 from calib.inference.leave_one_out import LeaveOneOut, leave_one_out
 from calib.inference.other_rows import OtherRows
-from calib.inference.region import Region, on_limit
+from calib.inference.region import Region, active_limits
 from calib.missing.hypotheses import FitProblem
 from calib.missing.rules import RULES
 
@@ -57,8 +57,8 @@ class LinearisedFit:
     others : OtherRows or None
         Of the part of a joint fit that belongs to one test: what the other tests say about its parameters. They count
         as further rows of the data.
-    on_limit : frozenset of str
-        Parameters that a limit holds, see `calib.inference.region.on_limit`.
+    active : frozenset of str
+        Parameters with an active limit, see `calib.inference.region.active_limits`.
     """
 
     effects: tuple[str, ...]
@@ -71,7 +71,7 @@ class LinearisedFit:
     shift: np.ndarray
     converged: bool = False
     others: OtherRows | None = None
-    on_limit: frozenset[str] = frozenset()
+    active: frozenset[str] = frozenset()
 
     @property
     def misfit(self) -> float:
@@ -135,7 +135,7 @@ class LinearisedFit:
     def left_out(self, groups: Sequence[Hashable]) -> LeaveOneOut:
         """Every group of rows predicted from all others; a parameter that a limit holds stays there."""
         others = None if self.others is None else self.others.slope
-        held = [name in self.on_limit for name in self.names]
+        held = [name in self.active for name in self.names]
         return leave_one_out(self.residual, self.slope, self.prior_sd, groups, others, held)
 
     def remaining(self, change: np.ndarray) -> np.ndarray:
@@ -145,7 +145,7 @@ class LinearisedFit:
         would absorb what no fit can.
         """
         rest = self.augmented - np.concatenate([change, np.zeros(len(self.augmented) - len(change))])
-        if not self.on_limit:
+        if not self.active:
             return self._projected(rest[:, None])[:, 0]
         region = Region.of(self.fit_problem.space, dict(self.values))
         matrix = -np.vstack([self.data_slope, np.diag(1.0 / self.prior_sd)]) * region.span
@@ -333,7 +333,7 @@ def _fitted(
         prior_sd=sd,
         shift=shift,
         converged=result.converged,
-        on_limit=on_limit(space, result.names, result.values, descent),
+        active=active_limits(space, result.names, result.values, descent),
     )
     return fit, result.evaluations
 

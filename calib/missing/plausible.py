@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -54,27 +55,25 @@ def implausible(fit: LinearisedFit, added: Sequence[Candidate]) -> str:
         if pulled:
             reasons.append(f"{name} has a pull of {score:+.1f} (limit {limit:.1f})")
     for effect in added:
-        p = effect.magnitude
-        for limit in (p.upper, p.lower) if effect.signed else (p.upper,):
-            if _held(fit, p, limit):
-                reasons.append(f"{effect.name} is on its limit of {_with_unit(limit, p)}")
+        p, side = effect.magnitude, _limit(fit, effect.magnitude)
+        if side == "upper" or (side == "lower" and effect.signed):
+            reasons.append(f"{effect.name} is on its limit of {_with_unit(getattr(p, side), p)}")
         for q in (q for q in effect.nuisance if not q.integer):  # a choice, of which the ends are as good as any
-            here = fit.values[q.name]
-            on = [limit for limit in (q.upper, q.lower) if _held(fit, q, limit)]
-            if on:
-                reasons.append(f"{q.name} is on its limit of {_with_unit(on[0], q)}")
+            here, side = fit.values[q.name], _limit(fit, q)
+            if side is not None:
+                reasons.append(f"{q.name} is on its limit of {_with_unit(getattr(q, side), q)}")
             elif abs(here - q.value) > RULES.nuisance * q.prior_width:
                 reasons.append(f"{q.name} = {_with_unit(here, q)} is far from {q.value:.4g}")
     return "; ".join(reasons)
 
 
-def _held(fit: LinearisedFit, p: Parameter, limit: float) -> bool:
-    """Whether a fitted parameter is on a limit, relative to its range and to its posterior standard deviation."""
-    near = RULES.at_limit * (p.upper - p.lower)
+def _limit(fit: LinearisedFit, p: Parameter) -> Literal["lower", "upper"] | None:
+    """The limit that a fitted parameter is on; integers have no posterior standard deviation."""
+    std = None
     if p.name in fit.names:
         k = fit.names.index(p.name)
-        near = min(near, RULES.at_limit_std * float(np.sqrt(fit.covariance[k, k])))
-    return abs(fit.values[p.name] - limit) <= near
+        std = float(np.sqrt(fit.covariance[k, k]))
+    return p.limit_at(fit.values[p.name], std)
 
 
 def _with_unit(value: float, p: Parameter) -> str:

@@ -22,7 +22,7 @@ class Rules:
         The same for scalar responses.
     detectable : float
         Expected score from which an effect is found with about 90 % power at a family-wise level of 1 %.
-    draws : int
+    samples : int
         Samples behind family-wise p-values; one over it is the smallest p-value.
     unseen : float
         Change of the data by a plausible magnitude, in standard deviations, below which a candidate changes nothing.
@@ -38,10 +38,6 @@ class Rules:
         Family-wise level at which a parameter counts as pulled.
     nuisance : float
         Largest distance of a nuisance parameter from its nominal value, in prior standard deviations.
-    at_limit : float
-        Distance at which a parameter counts as on its limit, over its range.
-    at_limit_std : float
-        The same over its posterior standard deviation.
     same : float
         Correlation of signatures from which a local perturbation is collinear with a named effect.
     far : float
@@ -92,7 +88,7 @@ class Rules:
         Groups of collinear effects that are fitted beside those taken in, at every step.
     stepped : float
         Least part of the budget for the stepwise search, whatever was spent before.
-    rivals : int
+    competing : int
         Other groups that are fitted in the place of each effect before several are named.
     worth : float
         Smallest predicted decrease of the sum of squares for which another integer is tried.
@@ -107,7 +103,7 @@ class Rules:
     least_modes: int = 4
     least_responses: int = 4
     detectable: float = 4.0
-    draws: int = 8000
+    samples: int = 8000
     unseen: float = 1e-4
     absorbed: float = 1e-6
     alike_std: float = 0.01
@@ -115,8 +111,6 @@ class Rules:
     contradicted: float = 1e-3
     pull: float = 0.01
     nuisance: float = 2.0
-    at_limit: float = 1e-3
-    at_limit_std: float = 0.05
     same: float = 0.98
     far: float = 30.0
     close: float = 10.0
@@ -141,7 +135,7 @@ class Rules:
     most_effects: int = 4
     further: int = 3
     stepped: float = 1.0
-    rivals: int = 1
+    competing: int = 1
     worth: float = 0.5
     blamed: int = 3
     confounded: float = 0.9

@@ -168,8 +168,8 @@ def family_p(found: Scores, labelled: Labelled, seed: int) -> float:
 
     If nothing is missing, scores are correlated normal variates with the covariance ``U^T U`` of their unit directions.
     The standard deviation is estimated from a few repeats, so that the samples of every kind of response share a factor
-    (``sqrt(nu/chi2_nu)``, as in Student's t). The smallest p-value is about ``1/Rules.draws``; a score that none of the
-    samples would reach has it without any being drawn.
+    (``sqrt(nu/chi2_nu)``, as in Student's t). The smallest p-value is about ``1/Rules.samples``; a score that none of
+    the samples would reach has it without any being drawn.
     """
     seen = found.size > 0
     if not seen.any():
@@ -177,18 +177,18 @@ def family_p(found: Scores, labelled: Labelled, seed: int) -> float:
     unit, signed = found.unit[:, seen], found.signed[seen]
     kinds = [row.kind for row in labelled.rows]
     std_dof = np.array([labelled.std_dof.get(kind, np.inf) for kind in dict.fromkeys(kinds)])
-    if RULES.draws * _reached(found.magnitude[seen].max(), unit.shape[1], std_dof) < _NEVER:
-        return 1 / (RULES.draws + 1)
+    if RULES.samples * _reached(found.magnitude[seen].max(), unit.shape[1], std_dof) < _NEVER:
+        return 1 / (RULES.samples + 1)
     blocks = [np.flatnonzero([k == kind for k in kinds]) for kind in dict.fromkeys(kinds)]
     blocks.append(np.arange(len(kinds), len(unit)))
     roots = [_root(unit[index]) for index in blocks]
     dof = (*std_dof.tolist(), np.inf)
-    samples = np.zeros((unit.shape[1], RULES.draws))
-    noise = _noise(seed, RULES.draws, tuple(zip(dof, (root.shape[1] for root in roots), strict=True)))
+    samples = np.zeros((unit.shape[1], RULES.samples))
+    noise = _noise(seed, RULES.samples, tuple(zip(dof, (root.shape[1] for root in roots), strict=True)))
     for root, (factor, normal) in zip(roots, noise, strict=True):
         samples += factor * (root @ normal)
     largest = np.max(np.where(signed[:, None], np.abs(samples), samples), axis=0)
-    return float((np.count_nonzero(largest >= found.magnitude[seen].max()) + 1) / (RULES.draws + 1))
+    return float((np.count_nonzero(largest >= found.magnitude[seen].max()) + 1) / (RULES.samples + 1))
 
 
 def _reached(score: float, count: int, std_dof: np.ndarray) -> float:
@@ -217,14 +217,14 @@ def noise_limit(scores: np.ndarray) -> float:
 
 @lru_cache(maxsize=3)  # the candidates of one fit after another: effects, perturbations, faults of the measurement
 def _noise(
-    seed: int, draws: int, parts: tuple[tuple[float, int], ...]
+    seed: int, count: int, parts: tuple[tuple[float, int], ...]
 ) -> tuple[tuple[np.ndarray | float, np.ndarray], ...]:
-    """Common factor (draws,) and independent normal variates (size, draws) of parts of given dof and size."""
+    """Common factor (count,) and independent normal variates (size, count) of parts of given dof and size."""
     rng = np.random.default_rng(seed)
     out: list[tuple[np.ndarray | float, np.ndarray]] = []
     for dof, size in parts:
-        factor = np.sqrt(dof / rng.chisquare(dof, draws)) if np.isfinite(dof) else 1.0
-        out.append((factor, rng.standard_normal((size, draws))))
+        factor = np.sqrt(dof / rng.chisquare(dof, count)) if np.isfinite(dof) else 1.0
+        out.append((factor, rng.standard_normal((size, count))))
     return tuple(out)
 
 

@@ -49,7 +49,8 @@ class Trial:
         The other effects of the model.
     what : Candidate
     ln_bayes : float
-        Log Bayes factor of the model with it against that without; for a rival, against the model of the last step.
+        Log Bayes factor of the model with it against that without; for a competing one, against the model of the last
+        step.
     left_out : float
         Rms of the leave-one-out error with it, in standard deviations.
     why : str
@@ -74,14 +75,14 @@ class Steps:
     trials : tuple of Trial
     stopped : str
         One of `Stopped`.
-    rivals : tuple of (str, str)
+    competing : tuple of (str, str)
         An effect of the last model, and one collinear with it that explains about as well in its place.
     """
 
     steps: tuple[Step, ...]
     trials: tuple[Trial, ...] = ()
     stopped: Stopped = "adequate"
-    rivals: tuple[tuple[str, str], ...] = ()
+    competing: tuple[tuple[str, str], ...] = ()
 
     @property
     def last(self) -> Step:

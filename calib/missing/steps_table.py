@@ -83,11 +83,11 @@ def steps_sentence(found: Explanation) -> str:
     return f"Effects were also taken in one after the other: {_STOPPED[found.steps.stopped]} ({REJECTED}.csv)."
 
 
-def rivals_sentence(found: Explanation) -> str:
+def competing_sentence(found: Explanation) -> str:
     """Other effects that explain about as well in the place of one of several, in words; empty without any."""
     if found.steps is None or not found.names_something:
         return ""
-    return " ".join(f"In the place of {name}, {other} explains about as well." for name, other in found.steps.rivals)
+    return " ".join(f"In the place of {name}, {other} explains about as well." for name, other in found.steps.competing)
 
 
 def _together(names: tuple[str, ...]) -> str:

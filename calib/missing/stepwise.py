@@ -56,7 +56,7 @@ class Stepwise:
         while True:
             current = steps[-1]
             if adequate(self.fits, current.adequacy):
-                return self._judged(steps)
+                return self._assessed(steps)
             if len(current.candidate_fit.names) >= RULES.most_effects:
                 return self._ended(steps, "most")
             if self.fits.spent():
@@ -171,24 +171,24 @@ class Stepwise:
 
     # -- what may be named ---------------------------------------------------------------------------------------------
 
-    def _judged(self, steps: Sequence[Step]) -> Steps:
+    def _assessed(self, steps: Sequence[Step]) -> Steps:
         """The search that ended with a model which leaves nothing systematic: whether it may be named."""
         model = steps[-1].candidate_fit
         if model.implausible or any(at_lower(model.fit, e) for e in model.effects):
             return self._ended(steps, "implausible")
         if not predicts(self.fits, model, self.base):
             return self._ended(steps, "doubtful")
-        rivals: list[tuple[str, str]] = []
+        competing: list[tuple[str, str]] = []
         doubted = False
         for effect in model.effects if len(model.names) > 1 else ():
-            for one, why in self._rivals(model, effect):
-                rivals += [(effect.name, one.effects[-1].name)] if why == "collinear" else []
+            for one, why in self._competing(model, effect):
+                competing += [(effect.name, one.effects[-1].name)] if why == "collinear" else []
                 doubted |= why != "collinear"
                 self._reject(one, model, one.effects[-1], why)
         found = self._ended(steps, "doubtful" if doubted else "adequate")
-        return replace(found, rivals=tuple(rivals))
+        return replace(found, competing=tuple(competing))
 
-    def _rivals(self, model: CandidateFit, effect: Candidate) -> list[tuple[CandidateFit, Rejected]]:
+    def _competing(self, model: CandidateFit, effect: Candidate) -> list[tuple[CandidateFit, Rejected]]:
         """What explains about as well in the place of one effect: other effects, a local perturbation, a fault.
 
         One of many local perturbations, or of many faults, fits best by chance: their number is taken off.
@@ -202,7 +202,7 @@ class Stepwise:
             groups = self._groups(rest, scores)
             own = next((g for g in groups if effect.name in g.names), None)
             alike = [] if own is None else [e for e in own.effects if e is not effect]
-            others = [g.effect for g in groups if g is not own][: RULES.rivals]
+            others = [g.effect for g in groups if g is not own][: RULES.competing]
             near = model.ln_evidence - RULES.credible
             out: list[tuple[CandidateFit, Rejected]] = [
                 (one, "collinear" if one.effects[-1] in alike else "as_good")

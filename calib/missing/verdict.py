@@ -16,7 +16,7 @@ from calib.missing.measurement_verdict import on_measurement
 from calib.missing.nearly import is_nearly, spread_of
 from calib.missing.recommendation import Recommendation, as_ratio, rounded
 from calib.missing.rules import RULES
-from calib.missing.steps_table import rivals_sentence, steps_sentence
+from calib.missing.steps_table import competing_sentence, steps_sentence
 from calib.missing.suspect import in_short as suspect_in_short
 from calib.missing.suspect import sentence as suspect_sentence
 from calib.missing.tables import UNTESTED
@@ -236,7 +236,7 @@ def _several(found: Explanation, effects: pd.DataFrame) -> Words:
     fewer = "No single effect removes" if count == 2 else "No single effect and no pair removes"
     them = "both" if count == 2 else f"all {_NUMBERS[count]}"
     return Words(
-        f"{named} {rivals_sentence(found)}".strip(),
+        f"{named} {competing_sentence(found)}".strip(),
         f"{fewer} the systematic misfit. {without_in_short(found)} {with_in_short(found, them)}",
         look_for(found.chosen.effects),
         (

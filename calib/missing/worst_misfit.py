@@ -9,7 +9,7 @@ import pandas as pd
 from calib.missing.candidate_fit import AdequacyTests
 from calib.missing.rules import RULES
 
-_LEAST = 3 / RULES.draws
+_LEAST = 3 / RULES.samples
 """Smallest p-value that is stated: that of the samples, for the smallest of three tests (`AdequacyTests.p_family`)."""
 
 

@@ -28,8 +28,8 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
     ----------
     table : DataFrame
         Columns ``case, parameter, value, unit``, ``ratio`` (position between the limits, 0 to 1),
-        ``on_bound`` (bool), ``spread`` (of the ratio over the cases, NaN if unknown) and ``stable`` (bool, or None).
-        Optional: ``search_value`` (end of the search, before least squares) and ``search_on_bound``, ``lower``,
+        ``on_limit`` (bool), ``spread`` (of the ratio over the cases, NaN if unknown) and ``stable`` (bool, or None).
+        Optional: ``search_value`` (end of the search, before least squares) and ``search_on_limit``, ``lower``,
         ``upper``.
     ax : Axes, optional
     best_case : str, optional
@@ -70,7 +70,7 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
         for marker, side in (("<", lengths <= 50.0), (">", lengths > 50.0)):
             at = bound & side
             ends = np.clip(lengths[at], 0.0, 100.0) + 1.6
-            ax.plot(ends, y[at], marker, color="black", markersize=4.5, gid=f"on_bound {case} {marker}")
+            ax.plot(ends, y[at], marker, color="black", markersize=4.5, gid=f"on_limit {case} {marker}")
     ax.set_yticks(range(len(names)), [str(n) for n in names])
     ax.set_ylim(len(names) - 0.45, -0.55)
     ax.set_xlim(0.0, 104.0)
@@ -111,9 +111,9 @@ def searched(table: pd.DataFrame) -> pd.Series[float]:
 
 def _at_limit(rows: pd.DataFrame) -> np.ndarray:
     """Whether what the bar shows is at a limit: the end of the search, or without one the final value."""
-    ends = rows["on_bound"]
-    if "search_on_bound" in rows:
-        ends = rows["search_on_bound"].where(rows["search_on_bound"].notna(), ends)
+    ends = rows["on_limit"]
+    if "search_on_limit" in rows:
+        ends = rows["search_on_limit"].where(rows["search_on_limit"].notna(), ends)
     return np.array([flag(value) for value in ends])
 
 

@@ -28,7 +28,7 @@ def draw_parameters(
     Parameters
     ----------
     table : DataFrame
-        Columns ``case, parameter, value, unit``, ``ratio`` (position between the limits, 0 to 1) and ``on_bound``.
+        Columns ``case, parameter, value, unit``, ``ratio`` (position between the limits, 0 to 1) and ``on_limit``.
         Optional: ``lower, upper`` (the limits), ``std`` (posterior standard deviation, NaN if unknown) and
         ``identified`` (bool, or None).
     ax : Axes, optional
@@ -64,9 +64,9 @@ def draw_parameters(
     others = table[table["case"] != best_case]
     at = others["parameter"].map({name: row for row, name in enumerate(names)})
     ax.plot(others["ratio"], at, "x", color=GREY, markersize=5, markeredgewidth=1.2, gid="other cases", zorder=4)
-    bound = np.array([_flag(value) is True for value in best["on_bound"]])
+    bound = np.array([_flag(value) is True for value in best["on_limit"]])
     edge = np.where(place[bound] > 0.5, 1.02, -0.02)
-    ax.plot(edge, rows[bound], "d", color=VERMILLION, markersize=6, gid="on_bound", clip_on=False, zorder=5)
+    ax.plot(edge, rows[bound], "d", color=VERMILLION, markersize=6, gid="on_limit", clip_on=False, zorder=5)
     words = []
     for row, (name, value) in enumerate(best.iterrows()):
         unit, width = str(value["unit"]), std[row]

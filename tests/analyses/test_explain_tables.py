@@ -144,7 +144,7 @@ def test_the_score_of_the_named_effect_follows_from_the_rows_of_its_pattern(guye
         assert data["part"].astype(object).fillna("").tolist() == [getattr(row, "part", "") for row in rows]
         np.testing.assert_allclose(table["residual"], table["signature"] + table["left"], atol=1e-8)
         base = answer.explanation.base.fit
-        if base.on_limit:  # the pattern keeps the limits, the score test does not
+        if base.active:  # the pattern keeps the limits, the score test does not
             np.testing.assert_allclose(data["residual"], base.residual, atol=0.02 * np.abs(base.residual).max())
             continue
         projected.append(name)
@@ -170,7 +170,7 @@ def test_leave_one_out_gains_are_those_of_the_two_models(guyed):
 
     def density(candidate_fit):
         s = candidate_fit.fit
-        free = [k for k, name in enumerate(s.names) if name not in s.on_limit]
+        free = [k for k, name in enumerate(s.names) if name not in s.active]
         return leave_one_out(s.residual, s.slope[:, free], s.prior_sd[free], modes).elpd.sum()
 
     table = answer.effects.set_index("name")["held_out_gain"]

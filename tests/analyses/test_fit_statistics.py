@@ -121,7 +121,7 @@ def test_a_parameter_without_influence_is_not_identified_by_its_prior(line):
 
 def test_a_parameter_at_its_limit_is_not_identified(line):
     table = line(48.0 + 51.0 * np.arange(8)).verdicts.set_index("parameter")
-    assert table["std_of_range"]["b"] < 0.01 and table["on_bound"]["b"]
+    assert table["std_of_range"]["b"] < 0.01 and table["on_limit"]["b"]
     assert not table["identified"]["b"] and table["not_identified"]["b"] == "limit"
 
 

@@ -85,7 +85,7 @@ def test_left_out_errors_are_those_of_real_refits_of_all_tests(joint, limited, t
     joint = limited if limit else joint
     found, hypotheses = joint.found, joint.adapter.hypotheses
     fit = (found.base if stage == "before" else found.chosen).fit
-    assert ("a" in fit.on_limit) == limit
+    assert ("a" in fit.active) == limit
     out = []
     for k, row in enumerate(hypotheses.rows):
         if row.test == test:

@@ -19,8 +19,8 @@ COMPARISON = [
     "freq_error", "damping_ratio_measured", "damping_ratio_model", "mac", "emac", "margin",
 ]  # fmt: skip
 PARAMETERS = [
-    "case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable", "std",
-    "identified", "search_value", "search_on_bound", "std_from",
+    "case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_limit", "spread", "stable", "std",
+    "identified", "search_value", "search_on_limit", "std_from",
 ]  # fmt: skip
 SUMMARY = {
     "study", "synthetic", "best_case", "mean_freq_error_before", "mean_freq_error_after", "mean_mac_before",

@@ -207,7 +207,7 @@ def test_results_print_their_table_with_every_number(rig):
     found = rig.compare()
     for text in (str(found), found._repr_html_()):
         assert all(f"{value:.4g}" in text for value in found.table["natural_freq_model"])
-    fit = rig.judge({})
+    fit = rig.statistics_at({})
     assert all(name in str(fit) for name in fit.parameters.index)
     assert "<table" in fit._repr_html_() and "\n" not in repr(fit) + repr(rig) + repr(found)
 

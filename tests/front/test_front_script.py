@@ -55,7 +55,7 @@ def test_a_script_runs_as_a_notebook_shows_it(folder, monkeypatch, capsys):
     assert list(compared.table["mode"]) == [f"{k}BT" for k in (1, 2, 3, 5, 6, 7, 8, 9)]  # 4BT is held out
     assert "<table" in compared._repr_html_()
     assert list(parameters.index) == ["K_primary", "m_crossbar"]
-    assert {"value", "std", "identified", "on_bound", "confounded_with"} <= set(parameters.columns)
+    assert {"value", "std", "identified", "on_limit", "confounded_with"} <= set(parameters.columns)
     fit, why, better = names["fit"], names["why"], names["better"]
     assert [line.split(":")[0] for line in said[-4:]] == ["Found", "How sure", "Next", "Evidence"]
     assert said[-4:] == str(why).splitlines()

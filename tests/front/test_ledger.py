@@ -66,7 +66,7 @@ def test_failed_points_are_kept_as_failed(tmp_path):
     for _ in range(2):
         before = len(CALLS)
         with pytest.raises(calib.EvaluationError, match="it buckles"):
-            calib.Problem(MODEL, both(), ledger=tmp_path / "kept.sqlite").judge(values)
+            calib.Problem(MODEL, both(), ledger=tmp_path / "kept.sqlite").statistics_at(values)
         called = len(CALLS) - before
     assert called == 0
 

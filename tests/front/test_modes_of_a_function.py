@@ -268,7 +268,7 @@ def test_a_function_that_fails_in_places_is_fitted_around_them(modal_test):
     assert fit.values["m_tip"] < 1.6
     assert (
         fit.statistics.criterion
-        < calib.Problem(model, modal_test).keep(["EI_y", "EI_z", "m_tip"]).judge({}).statistics.criterion
+        < calib.Problem(model, modal_test).keep(["EI_y", "EI_z", "m_tip"]).statistics_at({}).statistics.criterion
     )
 
 

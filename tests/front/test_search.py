@@ -107,7 +107,7 @@ def test_least_squares_follow_from_where_the_cases_ended(rig, found):
     assert list(found.search.table["asked"]) == [SIZE["population"] * SIZE["generations"]] * 2
     assert [case.misfit for case in found.search.best] == sorted(found.search.table["misfit"])
     for case in found.search.cases:
-        assert found.statistics.criterion < rig.keep(STOREYS).judge(case.values).statistics.criterion
+        assert found.statistics.criterion < rig.keep(STOREYS).statistics_at(case.values).statistics.criterion
     assert list(found.parameters.index) == list(STOREYS)
     ends = agreement_sentences(found.agreement, found.search.agreement)
     # Goodness of fit, one sentence a parameter, then the agreement once: nothing is told of it besides.

@@ -85,7 +85,7 @@ def test_two_analyses_at_once_share_a_terminal(monkeypatch):
     assert fit.statistics.fits and "outer: last 1/2" in stream.getvalue()
 
 
-@pytest.mark.parametrize("act", [*ACTS.values(), calib.Problem.compare, lambda problem: problem.judge({})])
+@pytest.mark.parametrize("act", [*ACTS.values(), calib.Problem.compare, lambda problem: problem.statistics_at({})])
 def test_a_wrong_result_shows_the_function_that_gave_it(act):
     with pytest.raises((calib.EvaluationError, calib.InputError)) as caught:
         act(problem_of(lacking))

@@ -19,17 +19,17 @@ def test_the_parameters_table(search):
         [result("A", k=1.0, m=0.5), result("B", k=1.3, m=0.995), result("C", k=1.31, m=0.5)], search.space
     )
     assert table.columns.tolist() == [
-        "case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_bound", "spread", "stable"
+        "case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_limit", "spread", "stable"
     ]  # fmt: skip
     assert table["case"].tolist() == ["A"] * 3 + ["B"] * 3 + ["C"] * 3
     assert table["parameter"].tolist() == ["k", "m", "place"] * 3
     k = table[table.parameter == "k"]
     np.testing.assert_allclose(k["ratio"], [0.0, 0.1, 0.31 / 3], atol=1e-12)
-    assert k["on_bound"].tolist() == [True, False, False] and k["unit"].tolist() == ["kN/m"] * 3
+    assert k["on_limit"].tolist() == [True, False, False] and k["unit"].tolist() == ["kN/m"] * 3
     np.testing.assert_allclose(k["spread"], 0.31 / 3)
     assert k["stable"].tolist() == [False] * 3
     m = table[table.parameter == "m"]
-    assert m["on_bound"].tolist() == [False, True, False] and m["stable"].tolist() == [False] * 3
+    assert m["on_limit"].tolist() == [False, True, False] and m["stable"].tolist() == [False] * 3
     assert table[table.parameter == "place"]["stable"].tolist() == [True] * 3
 
 

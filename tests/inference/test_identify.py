@@ -301,13 +301,13 @@ def test_verdicts_say_what_is_wrong():
         )
     )
     names = ("good", "top", "zero", "low")
-    values = {"good": 4.0, "top": 10.0, "zero": 0.0, "low": 2.05, "place": 7.0, "spot": 8.0}
+    values = {"good": 4.0, "top": 10.0, "zero": 0.0, "low": 2.005, "place": 7.0, "spot": 8.0}
     g = np.array([[10.0, 0, 0, 0], [0, 10.0, 0, 0], [0, 0, 10.0, 10.0]])
     found = identify(space, names, g)
     table = parameter_verdicts(space, values, found, {"good": 0.02, "top": 0.3}, {"place": 0.01}, True).set_index(
         "parameter"
     )
-    assert table["on_bound"].to_dict() == {
+    assert table["on_limit"].to_dict() == {
         "good": False, "top": True, "zero": True, "low": True, "place": False, "spot": True
     }  # fmt: skip
     assert table.loc["top", "suggested_limit"] == 14.0

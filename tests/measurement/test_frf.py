@@ -9,7 +9,7 @@ import pyuff
 from calib.errors import InputError
 from calib.measurement.accuracy import Claim
 from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.frf_repeats import FRFRepeat, combine_frfs, scatter
+from calib.measurement.frf_repeats import FRFRepeat, combine_frfs, repeatability
 from calib.measurement.modal import Sensor
 from calib.measurement.uff_frf import read_uff_frfs
 
@@ -161,7 +161,7 @@ def test_the_scatter_of_repeats_is_a_share_of_the_value_and_a_floor(repeats):
     ratios = []
     for seed in range(40):
         every, std = noisy(repeats, seed)
-        ratios.append(scatter(every) / std)
+        ratios.append(repeatability(every) / std)
     middle = np.median(ratios, axis=0)
     assert np.all((0.85 < middle) & (middle < 1.15))  # at the resonance and far above it
 
@@ -178,7 +178,7 @@ def test_the_standard_deviation_is_that_of_the_mean():
 
 
 def test_without_noise_the_standard_deviation_is_zero():
-    assert np.all(scatter(np.array([receptance()] * 3)) < 1e-12 * np.abs(receptance()))
+    assert np.all(repeatability(np.array([receptance()] * 3)) < 1e-12 * np.abs(receptance()))
 
 
 def test_functions_that_were_not_measured_stay_unknown():

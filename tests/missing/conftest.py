@@ -243,4 +243,4 @@ def toy() -> Callable[..., Toy]:
 @pytest.fixture
 def fewer_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     """A quarter of the samples behind a p-value: enough for a level of 1 %; sampling takes longest over toys."""
-    monkeypatch.setattr("calib.missing.score.RULES", replace(RULES, draws=RULES.draws // 4))
+    monkeypatch.setattr("calib.missing.score.RULES", replace(RULES, samples=RULES.samples // 4))

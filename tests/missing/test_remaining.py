@@ -13,7 +13,7 @@ N, UPPER = 9, 0.3
 PRIOR = np.array([1.0, 2.0, 0.5])
 
 
-def fit_of(seed, on_limit):
+def fit_of(seed, active):
     """End of a linear fit of which the first parameter is at its upper limit."""
     rng = np.random.default_rng(seed)
     g = rng.standard_normal((N, 3))
@@ -25,7 +25,7 @@ def fit_of(seed, on_limit):
     values = dict(zip("abc", theta.tolist(), strict=True))
     return g, y, LinearisedFit(
         (), SimpleNamespace(space=space), ("a", "b", "c"), values, y - g @ theta, g, PRIOR, theta / PRIOR, True,
-        on_limit=frozenset(on_limit),
+        active=frozenset(active),
     )  # fmt: skip
 
 

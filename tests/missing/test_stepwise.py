@@ -152,7 +152,7 @@ def test_a_collinear_effect_is_named_beside_the_one_taken_in(toy):
     one = toy(seed=2, effects=10, perturbations=12).correlated("E7", "E2", 0.9999)
     found = explain(one.drawn(np.random.default_rng(2), THREE))
     assert found.verdict == "several_effects" and set(found.credible) == {*THREE, "E7"}
-    ((name, other),) = found.steps.rivals
+    ((name, other),) = found.steps.competing
     assert {name, other} == {"E2", "E7"}
 
 

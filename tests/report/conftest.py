@@ -90,7 +90,7 @@ def parameters() -> pd.DataFrame:
             "lower": [1.0, -1.0, 1.0, -1.0],
             "upper": [2.0, 1.0, 2.0, 1.0],
             "ratio": [0.5, 0.375, 0.6, 1.0],
-            "on_bound": [False, False, False, True],
+            "on_limit": [False, False, False, True],
             "spread": [0.1, 0.625, 0.1, 0.625],
             "stable": [True, False, True, False],
             "identified": [True, False, True, False],

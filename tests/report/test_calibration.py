@@ -55,26 +55,26 @@ def test_cases_may_lack_parameters(parameters):
 
 def test_a_value_at_a_limit_has_a_marker_beside_its_bar(parameters):
     ax = draw_searches(parameters)
-    marks = {line.get_gid(): line for line in ax.lines if (line.get_gid() or "").startswith("on_bound")}
-    assert len(marks["on_bound GB1 >"].get_xdata()) == len(marks["on_bound GB2 <"].get_xdata()) == 0
+    marks = {line.get_gid(): line for line in ax.lines if (line.get_gid() or "").startswith("on_limit")}
+    assert len(marks["on_limit GB1 >"].get_xdata()) == len(marks["on_limit GB2 <"].get_xdata()) == 0
     bar = ax.containers[1][1]
-    assert marks["on_bound GB2 >"].get_ydata() == pytest.approx([bar.get_y() + bar.get_height() / 2])
-    assert marks["on_bound GB2 >"].get_xdata()[0] > 100.0
+    assert marks["on_limit GB2 >"].get_ydata() == pytest.approx([bar.get_y() + bar.get_height() / 2])
+    assert marks["on_limit GB2 >"].get_xdata()[0] > 100.0
     assert "ends at a limit" in legend(ax)
 
 
 def test_a_search_that_ended_at_a_limit_is_marked_wherever_least_squares_went(parameters):
     """The bar ends where the search did: at the lower limit it has no length, and only the mark is seen."""
-    table = parameters.assign(lower=0.0, upper=10.0, on_bound=[False, True, False, False], stable=True)
+    table = parameters.assign(lower=0.0, upper=10.0, on_limit=[False, True, False, False], stable=True)
     table["search_value"] = [0.0, 5.0, 10.0, np.nan]
-    table["search_on_bound"] = pd.Series([True, False, True, None], dtype=object)
+    table["search_on_limit"] = pd.Series([True, False, True, None], dtype=object)
     marks = {
         line.get_gid(): line.get_xdata().tolist()
         for line in draw_searches(table).lines
-        if (line.get_gid() or "").startswith("on_bound")
+        if (line.get_gid() or "").startswith("on_limit")
     }
     assert marks == {
-        "on_bound GB1 <": [1.6], "on_bound GB1 >": [], "on_bound GB2 <": [], "on_bound GB2 >": [101.6],
+        "on_limit GB1 <": [1.6], "on_limit GB1 >": [], "on_limit GB2 <": [], "on_limit GB2 >": [101.6],
     }  # fmt: skip
 
 
@@ -85,7 +85,7 @@ def test_an_unstable_parameter_is_hatched_and_labelled(parameters):
 
 
 def test_stable_parameters_within_their_limits_have_no_markers(parameters):
-    ax = draw_searches(parameters.assign(stable=True, on_bound=False))
+    ax = draw_searches(parameters.assign(stable=True, on_limit=False))
     assert words(ax) == [] and legend(ax) == ["GB1", "GB2"]
 
 
@@ -133,7 +133,7 @@ def test_bars_show_where_the_searches_ended():
     rows = [
         {
             "case": case, "parameter": "k", "value": 6.0, "unit": "-", "lower": 0.0, "upper": 10.0, "ratio": 0.6,
-            "on_bound": False, "spread": 0.2, "stable": False, "std": 0.5, "search_value": found,
+            "on_limit": False, "spread": 0.2, "stable": False, "std": 0.5, "search_value": found,
         }
         for case, found in (("A", 2.0), ("B", 4.0))
     ]  # fmt: skip

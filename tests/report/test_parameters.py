@@ -43,7 +43,7 @@ def test_the_reported_value_stands_between_the_limits_with_its_interval(table):
 def test_an_interval_ends_at_the_limits_and_a_value_there_is_marked(table):
     ax = draw_parameters(table, best_case="GB2")
     np.testing.assert_allclose(segments(ax, "posterior")[1], [1.0 - 1.96 * 0.25, 1.0])
-    mark = lines(ax)["on_bound"]
+    mark = lines(ax)["on_limit"]
     assert mark.get_ydata().tolist() == [1] and mark.get_xdata()[0] > 1.0
 
 

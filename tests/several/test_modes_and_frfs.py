@@ -103,7 +103,7 @@ def test_lines_of_frfs_reach_the_pattern_of_an_effect_beside_modes(both):
 
 def test_one_test_is_not_compared_with_itself(both):
     alone = calib.Problem(WORLD.chain(), calib.ModalTest(WORLD.modes(5)))
-    assert alone.judge(both.values).std_by_test.empty
+    assert alone.statistics_at(both.values).std_by_test.empty
 
 
 # -- as a study --------------------------------------------------------------------------------------------------------

@@ -50,7 +50,7 @@ def section(results: StudyResults) -> Section | None:
         "parameters",
         ["case", "parameter", "unit"],
         ["value", "lower", "upper", "ratio", "spread", "std", "search_value"],
-        flags=["on_bound", "stable", "identified"],
+        flags=["on_limit", "stable", "identified"],
     )
     if table is None:
         return None
@@ -174,7 +174,7 @@ def _by_test(results: StudyResults) -> list[Block]:
 
 
 def _parameter_picture(results: StudyResults, table: pd.DataFrame, best: str) -> list[Picture]:
-    bound = table[(table["case"] == best) & table["on_bound"].map(flag)]["parameter"].tolist()
+    bound = table[(table["case"] == best) & table["on_limit"].map(flag)]["parameter"].tolist()
     note = f"At a limit: {', '.join(bound)}." if bound else "None is at a limit."
     rows = table[table["case"] == best]
     positions = ", ".join(f"{n} {fixed(v, 2)}" for n, v in zip(rows["parameter"], rows["ratio"], strict=True))
