@@ -12,6 +12,7 @@ from calib.analyses.adapters import adapter_of
 from calib.analyses.joint_adapter import together
 from calib.errors import InputError
 from calib.front.explained import _adapters
+from calib.front.model_error import EXACT
 from calib.loading import module_of
 from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
@@ -94,7 +95,7 @@ def test_labels_of_all_tests_keep_the_columns_that_each_brings(both):
 
 
 def test_lines_of_frfs_reach_the_pattern_of_an_effect_beside_modes(both):
-    adapter = together(_adapters(both.problem, {}, 1))
+    adapter = together(_adapters(both.problem, {}, 1, EXACT))
     base = adapter.hypotheses.fit_problem(())
     table = adapter.labels().astype(object).fillna("")
     assert len(table) == len(base.rows) and table["test"].tolist() == [row.test for row in base.rows]
@@ -150,7 +151,7 @@ def test_faults_of_channels_of_the_same_name_belong_to_their_tests(tmp_path):
     """In Python and as a study: another test has its own cables."""
     frfs = WORLD.measured(3, share=0.1, floor=0.02)
     problem = calib.Problem(WORLD.chain(), [calib.FRFTest(frfs, name=name) for name in ("before", "after")])
-    first, second = _adapters(problem, {}, 1).values()
+    first, second = _adapters(problem, {}, 1, EXACT).values()
     names = [{f.name for f in one.hypotheses.faults} for one in (first, second)]
     assert "gain_1x in test before" in names[0] and "cross_talk_3x_1x in test after" in names[1]
     assert not names[0] & names[1]
