@@ -105,12 +105,19 @@ def test_each_fault_changes_what_it_should(bench, worlds, fault):
         assert np.allclose(ratio, ratio[0, 0]) and 0.04 < abs(ratio[0, 0] - 1) < 0.31
 
 
-def test_a_misplaced_sensor_and_an_odd_repeat_are_measured(worlds):
+def test_a_misplaced_sensor_and_an_odd_repeat_are_measured(worlds, monkeypatch):
     """The noise-free modes show the former; the standard deviations the latter."""
     _, world = worlds
     places = world._shifted(world.specimen.layout, np.random.default_rng(3))
     moved = [(a, b) for a, b in zip(world.specimen.layout, places, strict=True) if a != b]
     assert len(moved) == 1 and 0.1 < np.linalg.norm(np.subtract(moved[0][0].point, moved[0][1].point)) < 0.5
+    place = scenario(world, "fault/place")
+    off = world.measure(place, 0).clean.shapes
+    with monkeypatch.context() as patch:
+        patch.setattr(type(world), "_shifted", lambda self, layout, rng: layout)
+        there = world.measure(place, 0).clean.shapes
+    touched = np.abs(np.abs(off) - np.abs(there)).max(axis=1) > 1e-6
+    assert 1 <= touched.sum() <= 1 + 8  # the shape's largest entry may be the one that is off
     odd, plain = (world.measure(scenario(world, f"fault/{name}"), 0).whole for name in ("odd repeat", "gain"))
     assert odd.freq_std.mean() > 2 * plain.freq_std.mean()
     assert world.specimen.layout is worlds[0].specimen.layout  # put back
