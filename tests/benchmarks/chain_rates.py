@@ -23,13 +23,15 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from other_methods import answers
 from rates_outcome import magnitude, outcome
-from rates_subject import ROOT
+from rates_scenarios import Scenario
+from rates_subject import CHAIN, ROOT, Subject
 from rates_table import methods_file, report_methods
 from rates_world import digest_of
 
@@ -45,8 +47,6 @@ from calib.study import Study
 
 FOLDER = ROOT / "studies/five_mass_chain"
 TWIN: Any = module_of(FOLDER / "make_twin.py")
-SOURCES = ("studies/five_mass_chain", "tests/benchmarks/chain_rates.py", "calib/analyses/function_hypotheses.py")
-"""What a run depends on beside the code that answers."""
 NAMING = ("effect", "indistinguishable", "two_effects", "several_effects")
 FAULTS: dict[str, tuple[str, float, float]] = {
     "damping too high": ("damping", 0.003, 0.010),
@@ -105,12 +105,15 @@ class Hidden:
     hidden: tuple[str, ...]
 
 
-def one(asked: Chain, name: str, seed: int, outside: bool = False) -> dict[str, Any]:
-    """Draw a chain, measure it, and ask what its model lacks: a row with what other methods answer beside."""
-    rng, started = np.random.default_rng([seed, *name.encode()]), time.perf_counter()
+def one(asked: Chain, name: str, seed: int, outside: bool = False, reading: str = "") -> dict[str, Any]:
+    """Draw a chain, measure it, and ask what its model lacks: a row with what other methods answer beside.
+
+    ``reading`` is a fault of the sensors, see `misread`.
+    """
+    rng, started = np.random.default_rng([seed, *(reading or name).encode()]), time.perf_counter()
     truth = TWIN.draw(rng, "" if name in FAULTS else name)
     exact = TWIN.twin_responses(truth)
-    targets = TWIN.measure(faulty(exact, name, rng), rng)
+    targets = TWIN.measure(misread(faulty(exact, name, rng), reading, rng), rng)
     library = tuple(e for e in asked.library if not (outside and e.name == name))
     pair = ResponseResidual(FunctionProblem(asked.model.space, asked.model.function, targets, "", asked.repeats))
     hypotheses, _ = function_hypotheses(asked.model, pair, library, asked.space)
@@ -120,10 +123,10 @@ def one(asked: Chain, name: str, seed: int, outside: bool = False) -> dict[str, 
     row = outcome(found, hidden)
     if row["outcome"] == "right" and len(hidden.hidden) == 1:
         row |= magnitude(found, hidden)
-    group = "fault" if name in FAULTS else "removed" if name and outside else "single" if name else "nothing"
+    group = "fault" if name in FAULTS or reading else "removed" if name and outside else "single" if name else "nothing"
     seen = [round(visible(hypotheses.fit_problem(()), truth, exact, targets, name), 2)] if hidden.hidden else []
     return {
-        "code": digest_of(SOURCES), "scenario": name or "nothing", "number": seed, "group": group,
+        "code": digest_of(CHAIN.sources), "scenario": reading or name or "nothing", "number": seed, "group": group,
         "hidden": list(hidden.hidden), "magnitudes": {n: truth[n] for n in hidden.hidden}, "visible": seen,
         "untold": list(found.untold), "seconds": seconds,
     } | row | answers(found, hypotheses, hidden)  # fmt: skip
@@ -149,6 +152,69 @@ def faulty(exact: Mapping[str, float], fault: str, rng: np.random.Generator) -> 
     kind, low, high = FAULTS.get(fault, ("", 0.0, 0.0))
     off = rng.uniform(low, high) if kind else 0.0
     return {name: value + off * (name.split("_")[0] == kind) for name, value in exact.items()}
+
+
+def misread(exact: Mapping[str, float], fault: str, rng: np.random.Generator) -> dict[str, float]:
+    """Responses as read with a fault of one sensor or set-up; as they are for an empty name."""
+    mass, sign = int(rng.integers(1, 6)) if fault else 0, -1.0 if fault and rng.random() < 0.5 else 1.0
+    size = rng.uniform(0.1, 0.3) if fault else 0.0
+    out = dict(exact)
+    for name in exact if fault else ():
+        kind, *where = name.split("_")
+        if kind != "shape":
+            continue
+        mode, at = where
+        beside = exact.get(f"shape_{mode}_{at_other(int(at))}", 0.0)
+        if fault == "fault/gain" and int(at) == mass:
+            out[name] *= 1 + sign * size
+        elif fault == "fault/cross-talk" and int(at) == mass:
+            out[name] += size * beside
+        elif fault == "fault/set-up factor" and int(at) > 3:
+            out[name] *= 1 + sign * size / 2
+    return out
+
+
+def at_other(mass: int) -> int:
+    """The mass whose channel lies beside that of another."""
+    return mass - 1 if mass > 1 else 2
+
+
+@dataclass(frozen=True, eq=False)
+class ChainWorld:
+    """Chains by a plan of their own, see `rates_world.World`; each effect also left out of the library, and faults.
+
+    A place, a rotation and an odd repeat have no meaning for responses in one direction that are given as means.
+    """
+
+    subject: Subject
+    folder: Path
+    code: str
+
+    @cached_property
+    def asked(self) -> Chain:
+        """The model and its library."""
+        return chain()
+
+    def settle(self) -> None:
+        """Load the model."""
+        _ = self.asked
+
+    @property
+    def kinds(self) -> tuple[Scenario, ...]:
+        """What may be hidden or wrong."""
+        names = [e.name for e in TWIN.chain_effects() if e.name not in TWIN.INVISIBLE]
+        return (
+            Scenario("nothing", "nothing", each=6), *(Scenario(n, "single", (n,), each=2) for n in names),
+            *(Scenario(f"without/{n}", "removed", (n,), removed=True) for n in names),
+            *(Scenario(f"fault/{f}", "fault") for f in ("gain", "cross-talk", "set-up factor")),
+        )  # fmt: skip
+
+    def run(self, scenario: Scenario, number: int) -> dict[str, Any]:
+        """One chain."""
+        name = scenario.effects[0] if scenario.effects else ""
+        reading = scenario.name if scenario.group == "fault" else ""
+        row = one(self.asked, name, number + 10_000 * scenario.removed, scenario.removed, reading)
+        return row | {"code": self.code, "scenario": scenario.name, "number": number}
 
 
 def truth_of(hidden: str) -> str:

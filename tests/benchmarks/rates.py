@@ -31,14 +31,17 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from chain_rates import ChainWorld
 from rates_bogie_frf import BogieWorld
+from rates_faults import FaultyFrameWorld, FaultyWorld
+from rates_frame import FrameWorld
 from rates_panel import PanelWorld
 from rates_scenarios import Scenario, rounds
 from rates_subject import ROOT, SUBJECTS, Subject
 from rates_table import report
 from rates_world import World, code_digest
 
-AnyWorld = World | PanelWorld
+AnyWorld = World | PanelWorld | ChainWorld
 
 _world: AnyWorld | None = None
 """Of a worker process."""
@@ -59,23 +62,29 @@ def main() -> None:
     given = arguments.parse_args()
     subject = SUBJECTS[given.of]
     folder = given.folder or ROOT / "results" / f"rates_{subject.name}"
-    folder.mkdir(parents=True, exist_ok=True)
-    file = folder / "runs.jsonl"
     if given.what == "report":
+        file = folder / "runs.jsonl"
         made = date.fromtimestamp(file.stat().st_mtime).isoformat() if file.exists() else ""
         report_of(subject, list(lines(file)), given.code, given.write, made)
         return
+    make(subject, folder, given.runs, given.workers, given.skip, given.only or "")
+
+
+def make(subject: Subject, folder: Path, runs: int, workers: int, skip: int = 0, only: str = "") -> None:
+    """Make those of the first so many runs of a subject's plan that the folder lacks."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / "runs.jsonl"
     world = world_of(subject, folder, code_digest(subject))
     world.settle()
     done = {(row["scenario"], row["number"]) for row in lines(file) if row["code"] == world.code}
-    chosen = ((s, k) for s, k in rounds(world.kinds) if not given.only or s.name.startswith(given.only))
-    wanted = [(s, k) for s, k in islice(chosen, given.skip, given.skip + given.runs) if (s.name, k) not in done]
-    print(f"code {world.code}: {len(wanted)} of {given.runs} runs to make", flush=True)
+    chosen = ((s, k) for s, k in rounds(world.kinds) if not only or s.name.startswith(only))
+    wanted = [(s, k) for s, k in islice(chosen, skip, skip + runs) if (s.name, k) not in done]
+    print(f"code {world.code}: {len(wanted)} of {runs} runs to make", flush=True)
     started = time.perf_counter()
     with file.open("a", encoding="utf-8") as out:
         if out.tell() and not file.read_bytes().endswith(b"\n"):
             out.write("\n")  # the last line was cut off: it stands alone and is not read
-        for k, row in enumerate(rows(world, wanted, given.workers), 1):
+        for k, row in enumerate(rows(world, wanted, workers), 1):
             out.write(json.dumps(row) + "\n")
             out.flush()
             if k % 10 == 0:
@@ -84,7 +93,10 @@ def main() -> None:
 
 def world_of(subject: Subject, folder: Path, code: str) -> AnyWorld:
     """The bench of a subject."""
-    kinds: dict[str, type[World] | type[PanelWorld]] = {"panel": PanelWorld, "bogie_frf": BogieWorld}
+    kinds: dict[str, type[AnyWorld]] = {
+        "panel": PanelWorld, "bogie_frf": BogieWorld, "bogie_fault": FaultyWorld, "frame": FrameWorld,
+        "frame_fault": FaultyFrameWorld, "chain": ChainWorld,
+    }  # fmt: skip
     return kinds.get(subject.name, World)(subject, folder, code)
 
 

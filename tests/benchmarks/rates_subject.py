@@ -102,4 +102,23 @@ BOGIE_FRF = replace(
     ),
 )  # fmt: skip
 
-SUBJECTS = {s.name: s for s in (BOGIE, BOGIE_FRF, VEHICLE, PANEL)}
+BOGIE_FAULT = replace(
+    BOGIE, name="bogie_fault",
+    sources=(*BOGIE.sources, "tests/benchmarks/rates_faults.py", "calib/analyses/frf_start.py"),
+)  # fmt: skip
+
+FRAME = Subject(
+    "frame", "", ("tests/benchmarks/rates_frame.py", "studies/blind_twin.py", "studies/bogie/make_twin.py"),
+    ("soft_storey", "heavy_bay"), (), really_built=True,
+)  # fmt: skip
+
+FRAME_FAULT = replace(FRAME, name="frame_fault", sources=(*FRAME.sources, "tests/benchmarks/rates_faults.py"))
+
+CHAIN = Subject(
+    "chain", "studies/five_mass_chain",
+    ("studies/five_mass_chain", "models/five_mass_chain.py", "tests/benchmarks/chain_rates.py"), (), (),
+)  # fmt: skip
+
+SUBJECTS = {
+    s.name: s for s in (BOGIE, BOGIE_FRF, BOGIE_FAULT, VEHICLE, PANEL, FRAME, FRAME_FAULT, CHAIN)
+}  # fmt: skip

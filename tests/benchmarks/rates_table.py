@@ -112,7 +112,7 @@ def report_methods(rows: Sequence[Row], counts: Path | None = None, made: str = 
     if not rows:
         return
     found = of_methods(rows)
-    titles = list(dict.fromkeys((rate.hidden, rate.verdict) for own in found.values() for rate in own))
+    titles = list(dict.fromkeys((rate.hidden, rate.verdict) for own in found.values() for rate in own if rate.n))
     print(f"\nother methods on the same measurements ({len(rows)} runs); in brackets the one-sided 95 % bound:")
     for number, (hidden, verdict) in enumerate(titles, 1):
         print(f"  ({number}) {hidden}: {verdict}")
@@ -147,6 +147,9 @@ def of_methods(rows: Sequence[Row]) -> dict[str, list[Rate]]:
     for method in dict.fromkeys(name for row in rows for name in row["methods"]):
         told = [row | row["methods"][method] for row in rows if method in row["methods"]]
         out[method] = [rate for rate in rates(told) if (rate.hidden, rate.verdict) in wanted]
+        faulty = [row for row in told if row["group"] == "fault"]
+        title = "a fault of the measurement", "names a wrong effect"
+        out[method].append(Rate(*title, 0.01, False, sum(map(wrong, faulty)), len(faulty)))
     return out
 
 

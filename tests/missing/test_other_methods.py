@@ -84,6 +84,16 @@ def test_collinear_effects_count_as_one(bench, toy):
     assert set(told["OMP"]["credible"]) <= {"E1", "E2"}
 
 
+def test_an_effect_stands_for_its_group(bench):
+    """E2 is collinear with E1, which leads the group and is hidden; E3 is another one."""
+    stands, told = {"E1": "E1", "E2": "E1", "E3": "E3"}, bench["other_methods"]._Told
+    assert told("effect", ["E2"], ["E2"]).row(stands, {"E1"})["outcome"] == "right"
+    assert told("two_effects", ["E2"], ["E2", "E1"]).row(stands, {"E1"})["outcome"] == "right"
+    assert told("two_effects", ["E2"], ["E2", "E3"]).row(stands, {"E1"})["outcome"] == "extra"
+    assert told("indistinguishable", ["E3"], ["E3", "E2"]).row(stands, {"E1"})["outcome"] == "second"
+    assert told("effect", ["E3"], ["E3"]).row(stands, {"E1"})["outcome"] == "wrong"
+
+
 def test_two_effects_are_named_by_sparse_regression_and_in_part_by_criteria(bench, toy):
     _, told = answers(bench, toy(), {"E1": 2.0, "E4": 2.0})
     assert told["OMP"]["verdict"] == "two_effects" and set(told["OMP"]["credible"]) == {"E1", "E4"}

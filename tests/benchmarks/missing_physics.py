@@ -1,0 +1,143 @@
+"""Missing physics in a thousand blind measurements: this search and other methods on the same cases.
+
+    python tests/benchmarks/missing_physics.py run --workers 2 --folder results/missing_physics
+    python tests/benchmarks/missing_physics.py report --folder results/missing_physics
+
+Cases follow a fixed plan with a seed each: bogies by modes, by FRFs and with faults of the test, solar arrays, tires,
+chains (functions) and frames (matrices). Started again, ``run`` goes on where it stopped. Each subject has a folder
+with ``runs.jsonl``, as `rates.py` and `tire_rates.py` write it, so that what these have run counts too. A solar array
+is counted by its modes and by FRFs whose channel errors the fit frees, a bogie measured by FRFs by these alone.
+"""
+
+from __future__ import annotations
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_variable] = "1"
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import tire_rates
+from rates import by_way, lines, make
+from rates_subject import ROOT, SUBJECTS
+from rates_table import DETECTABLE, Rate, Row, bound_of, named, report_methods, score, wrong
+
+PLAN = {
+    "bogie": 393, "bogie_fault": 39, "bogie_frf": 100, "panel": 110, "tire": 60, "chain": 250, "frame": 250,
+    "frame_fault": 25,
+}  # fmt: skip
+"""Cases of each subject."""
+WAYS = {"bogie_frf": ("frfs",), "panel": ("modes", "freed")}
+"""Ways of measuring that count, of subjects that have several."""
+
+
+def main() -> None:
+    """Run or report."""
+    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    arguments.add_argument("what", choices=("run", "report"))
+    arguments.add_argument("--workers", type=int, default=2)
+    arguments.add_argument("--folder", type=Path, default=ROOT / "results/missing_physics")
+    arguments.add_argument("--only", choices=tuple(PLAN), nargs="*", help="subjects (default all)")
+    arguments.add_argument("--most", type=int, help="run no more than so many cases of each subject")
+    arguments.add_argument("--write", type=Path, help="report: also write the methods' counts as CSV")
+    given = arguments.parse_args()
+    plan = {name: min(n, given.most or n) for name, n in PLAN.items() if not given.only or name in given.only}
+    if given.what == "run":
+        run(plan, given.folder, given.workers)
+    else:
+        report(found(given.folder), given.write)
+
+
+def run(plan: Mapping[str, int], folder: Path, workers: int) -> None:
+    """Make the cases of a plan that the folder lacks."""
+    for name, count in plan.items():
+        print(f"== {name} ==", flush=True)
+        if name == "tire":
+            tire_rates.run(argparse.Namespace(folder=folder / name, runs=count, workers=workers))
+        else:
+            make(SUBJECTS[name], folder / name, count, workers)
+
+
+def found(folder: Path) -> dict[str, list[Row]]:
+    """Rows of each subject's latest code, by subject and way; those that broke are among them."""
+    out: dict[str, list[Row]] = {}
+    for name in PLAN:
+        rows = list(lines(folder / name / "runs.jsonl"))
+        rows = [row for row in rows if row["code"] == rows[-1]["code"]]
+        if name == "tire":
+            rows = [tire_rates.as_row(row) for row in rows]
+        ways = SUBJECTS[name].ways if name in SUBJECTS else ()
+        for way in WAYS.get(name, ("",)):
+            of_way = [by_way(row, ways)[way] for row in rows] if way else rows
+            out[f"{name} {way}".strip()] = of_way
+    return {name: rows for name, rows in out.items() if rows}
+
+
+def criteria(rows: Sequence[Row]) -> list[Rate]:
+    """What is counted, with the value that is wanted."""
+
+    def rate(hidden: str, verdict: str, wanted: float, at_least: bool, some: list[Row], so: Callable) -> Rate:
+        return Rate(hidden, verdict, wanted, at_least, sum(map(so, some)), len(some))
+
+    single = [r for r in rows if r["group"] == "single"]
+    outside = [r for r in rows if r["group"] in ("outside", "removed")]
+    nothing = [r for r in rows if r["group"] == "nothing"]
+    faulty = [r for r in rows if r["group"] == "fault"]
+    covering = [r for r in single if "covers" in r]
+    seen = [r for r in single if score(r) >= DETECTABLE]
+    return [
+        rate("one effect, expected score 6 or more", "named rightly", 0.95, True, seen, _right),
+        rate("one effect of any magnitude", "a wrong effect is named", 0.01, False, single, wrong),
+        rate("something outside the library", "an effect is named", 0.02, False, outside, named),
+        rate("nothing", "something seems to be missing", 0.03, False, nothing, _alarm),
+        rate("one effect, named", "its interval covers the truth (at least)", 0.90, True, covering, _covers),
+        rate("one effect, named", "its interval covers the truth (at most)", 0.99, False, covering, _covers),
+        rate("a fault of the measurement", "a wrong effect is named", 0.01, False, faulty, wrong),
+    ]  # fmt: skip
+
+
+def _right(row: Row) -> bool:
+    return bool(row["outcome"] == "right")
+
+
+def _alarm(row: Row) -> bool:
+    return bool(row["verdict"] != "nothing_detectable")
+
+
+def _covers(row: Row) -> bool:
+    return bool(row["covers"])
+
+
+def report(found: Mapping[str, Sequence[Row]], write: Path | None = None) -> None:
+    """Print counts by subject and in all, with what is wanted and one-sided 95 % bounds, and the methods' table."""
+    # A tire's row has an outcome of its own words; the entry of the search in its methods has the common ones.
+    told = {name: [r | r.get("methods", {}).get("this search", {}) for r in rows] for name, rows in found.items()}
+    broken = {name: sum(r["verdict"].startswith("failed") for r in rows) for name, rows in told.items()}
+    told = {name: [r for r in rows if not r["verdict"].startswith("failed")] for name, rows in told.items()}
+    every = [r for rows in told.values() for r in rows]
+    if not every:
+        print("no runs yet")
+        return
+    print(f"{len(every)} cases; broken: {', '.join(f'{n} {k}' for n, k in broken.items() if k) or 'none'}\n")
+    counted = {name: criteria(rows) for name, rows in {**told, "all": every}.items()}
+    print(f"{'':24s}" + "".join(f"{f'({k})':>20s}" for k in range(1, len(counted["all"]) + 1)))
+    for name, own in counted.items():
+        print(f"{name:24s}" + "".join(f"{_cell(r):>20s}" for r in own))
+    print()
+    for k, r in enumerate(counted["all"], 1):
+        sign, share = ">=" if r.at_least else "<=", f"{100 * r.count / r.n:.1f} %" if r.n else "-"
+        bound = f", 95 % bound {100 * bound_of(r):.1f} %" if r.n else ""
+        print(f"({k}) {r.hidden}: {r.verdict}; wanted {sign} {100 * r.required:.0f} %, counted {share}{bound}")
+    made = [r for r in every if "methods" in r]
+    report_methods(made, write)
+
+
+def _cell(rate: Rate) -> str:
+    return f"{rate.count}/{rate.n} ({100 * bound_of(rate):.0f} %)" if rate.n else "-"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,154 @@
+"""Blind modal tests whose measurement has a fault, as real ones do; faults of the test are candidates.
+
+One in two has nothing hidden beside the fault, the other an effect of the library. Whatever effect is named that is not
+there is a wrong name.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from other_methods import answers
+from rates_frame import FrameWorld
+from rates_outcome import Measured, outcome
+from rates_scenarios import ANY, OWN, Scenario
+from rates_world import World
+
+from calib.analyses.hypotheses import ModelHypotheses
+from calib.correlation.fault_library import modal_faults
+from calib.correlation.residual import ModalResidual
+from calib.effect import Effect
+from calib.errors import EvaluationError, InputError
+from calib.measurement.modal import MeasuredModes, Sensor
+from calib.measurement.repeats import Repeat
+from calib.missing.explain import explain
+from calib.structure.modes import Modes
+
+FAULTS = ("gain", "place", "rotation", "cross-talk", "set-up factor", "odd repeat")
+GAIN, FACTOR, SHARE, ANGLE, OFF = (0.10, 0.30), (0.05, 0.15), (0.05, 0.20), (10.0, 25.0), (0.15, 0.45)
+"""Ranges: of a sensor's gain and a set-up's factor less 1, of the share of another channel, degrees, metres."""
+ODD_FREQ, ODD_SHAPE = 0.06, 0.2
+"""Standard deviations of the odd repeat: of its frequencies, relative, and of its shapes over their largest entry."""
+
+
+def fault_scenarios() -> tuple[Scenario, ...]:
+    """Every fault alone and beside an effect."""
+    alone = (Scenario(f"fault/{name}", "fault") for name in FAULTS)
+    return (*alone, *(Scenario(f"fault/{name}/any", "fault", ANY) for name in FAULTS))
+
+
+def misread(fault: str, shapes: np.ndarray, layout: Sequence[Sensor], rng: np.random.Generator) -> np.ndarray:
+    """Shapes (n_sensors, n_modes) as a test with that fault reads them; unchanged for a fault of another kind."""
+    out, k = shapes.copy(), int(rng.integers(len(layout)))
+    sign = 1.0 if rng.random() < 0.5 else -1.0
+    if fault == "gain":
+        out[k] *= 1 + sign * rng.uniform(*GAIN)
+    elif fault == "cross-talk":
+        out[k] += rng.uniform(*SHARE) * shapes[k - 1]
+    elif fault == "rotation":
+        # towards the nearest channel of another direction
+        apart = [
+            float(np.linalg.norm(np.subtract(s.point, layout[k].point))) + 1e9 * (s.direction == layout[k].direction)
+            for s in layout
+        ]  # fmt: skip
+        angle = sign * np.deg2rad(rng.uniform(*ANGLE))
+        out[k] = np.cos(angle) * shapes[k] + np.sin(angle) * shapes[int(np.argmin(apart))]
+    elif fault == "set-up factor":
+        part = len(layout) // 3
+        first = int(rng.integers(3)) * part
+        out[first : first + part] *= 1 + sign * rng.uniform(*FACTOR)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class FaultyWorld(World):
+    """A world whose tests have a fault each.
+
+    Attributes
+    ----------
+    now : list
+        Fault and generator of the run that is being made.
+    """
+
+    now: list[Any] = field(default_factory=list)
+
+    @property
+    def kinds(self) -> tuple[Scenario, ...]:
+        """Faults."""
+        return fault_scenarios()
+
+    def measure(self, scenario: Scenario, number: int) -> Measured:
+        """As any world's, with the fault."""
+        self.now[:] = [scenario.name.split("/")[1], np.random.default_rng([*scenario.name.encode(), number, 7])]
+        return super().measure(scenario, number)
+
+    def _solved(
+        self, hidden: Sequence[Effect], values: dict[str, float], rng: np.random.Generator
+    ) -> tuple[tuple[str, ...], Modes, np.ndarray]:
+        with self._misplaced():
+            return super()._solved(hidden, values, rng)
+
+    @contextmanager
+    def _misplaced(self) -> Iterator[None]:
+        """With one sensor at another place of its part, where that is the fault."""
+        own, (fault, rng) = self.specimen, self.now
+        if fault == "place":
+            self.__dict__["specimen"] = replace(own, layout=self._shifted(own.layout, rng))
+        try:
+            yield
+        finally:
+            self.__dict__["specimen"] = own
+
+    def _shifted(self, layout: tuple[Sensor, ...], rng: np.random.Generator) -> tuple[Sensor, ...]:
+        while True:
+            k, axis = int(rng.integers(len(layout))), int(rng.integers(3))
+            sensor, step = layout[k], np.zeros(3)
+            step[axis] = rng.uniform(*OFF) * (1 if rng.random() < 0.5 else -1)
+            x, y, z = np.add(sensor.point, step)
+            there = replace(sensor, point=(float(x), float(y), float(z)))
+            _, distance = self.specimen.fine.locator.row(there.point, "xyz".index(sensor.direction), sensor.on)
+            if distance < 0.1:
+                return (*layout[:k], there, *layout[k + 1 :])
+
+    def _combined(self, repeats: Sequence[Repeat]) -> MeasuredModes:
+        fault, rng = self.now
+        state, out = rng.bit_generator.state, list[Repeat]()
+        for k, one in enumerate(repeats):
+            rng.bit_generator.state = state  # the same fault in all repeats
+            shapes = one.shape_set
+            assert shapes is not None
+            read = misread(fault, shapes.shapes, self.specimen.layout, rng)
+            freq = one.natural_freq
+            if fault == "odd repeat" and k == len(repeats) - 1:
+                freq = freq * np.exp(ODD_FREQ * rng.standard_normal(freq.shape))
+                read = read + ODD_SHAPE * np.abs(read).max(axis=0) * rng.standard_normal(read.shape)
+            out.append(replace(one, natural_freq=freq, shape_set=replace(shapes, shapes=read)))
+        return super()._combined(out)
+
+    def run(self, scenario: Scenario, number: int) -> dict[str, Any]:
+        """Measure, explain with the faults of the test among the candidates, and tell what came out."""
+        started = time.perf_counter()
+        row: dict[str, Any] = {"code": self.code, "scenario": scenario.name, "number": number, "group": scenario.group}
+        try:
+            measured = self.measure(scenario, number)
+            row |= self._truth(scenario, measured)
+            problem = self.specimen.problem(measured.whole)
+            pair = ModalResidual(problem, faults=modal_faults(problem.model, problem.measured))
+            hypotheses = ModelHypotheses(pair, self.libraries[OWN], self.space)
+            found = explain(hypotheses)
+            row |= outcome(found, measured) | {"faults": [t.names[0] for t in found.blamed]}
+            row["seconds"] = round(time.perf_counter() - started, 2)
+            row |= answers(found, hypotheses, measured)
+        except (EvaluationError, InputError, np.linalg.LinAlgError) as fault:
+            row |= {"verdict": "failed", "outcome": "failed", "error": f"{type(fault).__name__}: {fault}"}
+        return {"seconds": round(time.perf_counter() - started, 2)} | row
+
+
+@dataclass(frozen=True, eq=False)
+class FaultyFrameWorld(FaultyWorld, FrameWorld):
+    """Frames whose tests have a fault each."""
