@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 import pandas as pd
 
+from calib import on_limit
 from calib.analyses.state import made_from
 from calib.analyses.uncertainty import accuracy_words, assumed_std, assumed_words, in_one, std_notes
 from calib.answer import Answer
@@ -154,7 +155,7 @@ def made_with() -> dict[str, Any]:
     }
 
 
-RULES: Mapping[str, Any] = {"inference": inference.RULES, "missing": missing.RULES}
+RULES: Mapping[str, Any] = {"limits": on_limit.RULES, "inference": inference.RULES, "missing": missing.RULES}
 """Rules that determine the verdicts."""
 
 

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from calib import on_limit
 from calib.inference import rules as inference
 from calib.measurement.responses import MeasuredResponses
 from calib.missing import rules as missing
@@ -207,7 +208,7 @@ def _of_calibration(study: Study) -> tuple[Any, ...]:
     given = study.settings
     return (
         study.search_space, given.calibration.model_dump(), given.reduction.model_dump(), study.adopted_sd,
-        inference.RULES,
+        inference.RULES, on_limit.RULES,
     )  # fmt: skip
 
 

@@ -1,13 +1,13 @@
 """The record beside the results: measurement, assumptions, versions, seeds and sentences."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from calib import __version__
+from calib import __version__, on_limit
 from calib.analyses.compare import compare
 from calib.analyses.record import measured_table, sensors_table, write_record
 from calib.missing.rules import RULES
@@ -62,6 +62,7 @@ def test_the_record_names_versions_and_seeds_and_keeps_earlier_analyses(guyed, t
     first, second = content["analyses"].values()
     assert first["sentences"] == list(answer.sentences) and first["seeds"] == {} and not first["quick"]
     assert second["seeds"] == {"samples": 7} and second["quick"] and second["sentences"] == ["Two matter."]
+    assert first["rules"]["limits"] == asdict(on_limit.RULES) and len(first["rules"]["limits"]) == 3
     assert first["rules"]["missing"]["credible"] == RULES.credible and len(first["rules"]["inference"]) > 5
     assert first["versions"]["calib"] == __version__ and first["versions"]["numpy"] == np.__version__
 
