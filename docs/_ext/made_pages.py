@@ -179,14 +179,31 @@ def results() -> str:
 # -- error rates -------------------------------------------------------------------------------------------------------
 
 
-def rates(subject: str) -> str:
-    """Counts of blind runs with their one-sided 95 % bounds (Clopper and Pearson 1934)."""
+def _rates_table() -> Any:
+    """The module of the benchmarks that reads counts."""
     bench = str(DOCS.parent / "tests/benchmarks")
     sys.path.insert(0, bench)
     try:
-        found = importlib.import_module("rates_table")
+        return importlib.import_module("rates_table")
     finally:
         sys.path.remove(bench)
+
+
+def methods(subject: str) -> str:
+    """Counts of several methods on the same blind runs, with one-sided 95 % bounds."""
+    found, rows = _rates_table(), {}
+    for method, rate in found.read_methods(DOCS / f"rates_{subject}_methods.csv"):
+        cell = f"{rate.count} of {rate.n} ({'≥' if rate.at_least else '≤'} {100 * found.bound_of(rate):.0f} %)"
+        rows.setdefault(method, {})[f"{rate.hidden}: {rate.verdict}"] = cell
+    header = list(dict.fromkeys(title for own in rows.values() for title in own))
+    return table(
+        ("method", *header), ([method, *(own.get(title, "") for title in header)] for method, own in rows.items())
+    )
+
+
+def rates(subject: str) -> str:
+    """Counts of blind runs with their one-sided 95 % bounds (Clopper and Pearson 1934)."""
+    found = _rates_table()
     rows, made = [], {}
     for rate, code, date in found.read(DOCS / f"rates_{subject}.csv"):
         sign = "≥" if rate.at_least else "≤"
@@ -236,7 +253,8 @@ def api() -> str:
 
 
 PARTS: dict[str, Callable[..., str]] = {
-    "keys": keys, "commands": commands, "tables": results, "rates": rates, "modules": modules, "api": api,
+    "keys": keys, "commands": commands, "tables": results, "rates": rates, "methods": methods,
+    "modules": modules, "api": api,
 }  # fmt: skip
 
 

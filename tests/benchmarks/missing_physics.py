@@ -18,12 +18,13 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
+from datetime import date
 from pathlib import Path
 
 import tire_rates
 from rates import by_way, lines, make
 from rates_subject import ROOT, SUBJECTS
-from rates_table import DETECTABLE, Rate, Row, bound_of, named, report_methods, score, wrong
+from rates_table import DETECTABLE, Rate, Row, bound_of, methods_file, named, report_methods, score, write_rates, wrong
 
 PLAN = {
     "bogie": 393, "bogie_fault": 39, "bogie_frf": 100, "panel": 110, "tire": 60, "chain": 250, "frame": 250,
@@ -42,7 +43,7 @@ def main() -> None:
     arguments.add_argument("--folder", type=Path, default=ROOT / "results/missing_physics")
     arguments.add_argument("--only", choices=tuple(PLAN), nargs="*", help="subjects (default all)")
     arguments.add_argument("--most", type=int, help="run no more than so many cases of each subject")
-    arguments.add_argument("--write", type=Path, help="report: also write the methods' counts as CSV")
+    arguments.add_argument("--write", type=Path, help="report: also write the counts as CSV, docs/rates_all.csv")
     given = arguments.parse_args()
     plan = {name: min(n, given.most or n) for name, n in PLAN.items() if not given.only or name in given.only}
     if given.what == "run":
@@ -132,7 +133,10 @@ def report(found: Mapping[str, Sequence[Row]], write: Path | None = None) -> Non
         bound = f", 95 % bound {100 * bound_of(r):.1f} %" if r.n else ""
         print(f"({k}) {r.hidden}: {r.verdict}; wanted {sign} {100 * r.required:.0f} %, counted {share}{bound}")
     made = [r for r in every if "methods" in r]
-    report_methods(made, write)
+    today = date.today().isoformat()
+    if write is not None:
+        write_rates(counted["all"], write, every[-1]["code"], today)
+    report_methods(made, methods_file(write), today)
 
 
 def _cell(rate: Rate) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -84,17 +84,20 @@ def write_rates(found: Sequence[Rate], file: Path, code: str, made: str) -> None
 def read(file: Path) -> list[tuple[Rate, str, str]]:
     """Counts as written by `write`: every rate with its code and date."""
     with file.open(encoding="utf-8", newline="") as text:
-        return [
-            (
-                Rate(
-                    row["hidden"], row["verdict"], float(row["required"]), row["at_least"] == "True",
-                    int(row["count"]), int(row["n"]),
-                ),
-                row["code"],
-                row["date"],
-            )
-            for row in csv.DictReader(text)
-        ]  # fmt: skip
+        return [(_rate_of(row), row["code"], row["date"]) for row in csv.DictReader(text)]
+
+
+def read_methods(file: Path) -> list[tuple[str, Rate]]:
+    """Counts of several methods as written by `report_methods`: the method and every rate of it."""
+    with file.open(encoding="utf-8", newline="") as text:
+        return [(row["method"], _rate_of(row)) for row in csv.DictReader(text)]
+
+
+def _rate_of(row: Mapping[str, str]) -> Rate:
+    return Rate(
+        row["hidden"], row["verdict"], float(row["required"]), row["at_least"] == "True",
+        int(row["count"]), int(row["n"]),
+    )  # fmt: skip
 
 
 METHODS = ("method", *Rate._fields, "code", "methods_code", "date")
