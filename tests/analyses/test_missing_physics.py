@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 BENCH = Path(__file__).resolve().parents[1] / "benchmarks"
-NAMES = ("missing_physics", "rates", "rates_faults", "rates_frame", "rates_scenarios", "rates_subject")
+NAMES = (
+    "missing_physics", "rates", "rates_faults", "rates_frame", "rates_scenarios", "rates_subject", "rates_table",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +152,7 @@ def test_run_goes_on_where_it_stopped_and_report_counts(bench, tmp_path, capsys)
         out.write(json.dumps(broken) + "\n")
     found = physics.found(tmp_path)
     assert list(found) == ["chain"]
-    physics.report(found, tmp_path / "methods.csv")
+    physics.report(found, tmp_path / "all.csv")
     shown = capsys.readouterr().out
     assert "4 cases; broken: chain 1" in shown
     single = [row for row in rows if row["group"] == "single"]
@@ -159,7 +161,10 @@ def test_run_goes_on_where_it_stopped_and_report_counts(bench, tmp_path, capsys)
     (line,) = re.findall(r"^chain  .*$", shown, re.MULTILINE)
     assert len(seen) > 0 and line.split()[1] == f"{right}/{len(seen)}"
     assert "wanted >= 95 %" in shown and "AICc" in shown
-    assert (tmp_path / "methods.csv").read_text("utf-8").startswith("method,hidden,verdict")
+    kept = {(rate.hidden, rate.verdict): rate for rate, _, _ in bench["rates_table"].read(tmp_path / "all.csv")}
+    assert kept["one effect, expected score 6 or more", "named rightly"][-2:] == (right, len(seen))
+    methods = bench["rates_table"].read_methods(tmp_path / "all_methods.csv")
+    assert {"this search", "AICc", "BIC"} <= {method for method, _ in methods}
 
 
 def test_nothing_run_is_said(bench, tmp_path, capsys):
