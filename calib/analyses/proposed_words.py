@@ -74,7 +74,7 @@ def answer_of(found: Proposals) -> Answer:
     beside = f" beside {' and '.join(found.base.names)}" if found.base.names else ""
     assert found.left is not None
     left = min(found.left.p_family, found.left.p_fit)
-    rest = "nothing organised is left" if left > 0.01 else "a misfit is left, so it is not the whole truth"
+    rest = "nothing systematic is left" if left > 0.01 else "a misfit is left, so it is not the whole truth"
     doubt = f" It is implausible: {best.candidate_fit.implausible}." if best.candidate_fit.implausible else ""
     sure = f"{evidence[:1].upper()}{evidence[1:]}. With it{beside} {rest} ({p_words(left)}).{doubt}"
     return Answer(words, sure, "Look at that place; the proposals are no effects of your library until you test them.")
