@@ -183,7 +183,7 @@ def library_of(problem: PosedProblem, effects: Effects) -> Library:
     return {name: objects(own, Effect, f"effects of {name}") for name, own in effects.items()}
 
 
-def _adapters(problem: PosedProblem, effects: Library, seed: int, error: ModelError) -> dict[str, Adapter]:
+def _adapters(problem: PosedProblem, effects: Library, seed: int, error: ModelError = EXACT) -> dict[str, Adapter]:
     """Adapters by name of the test; all tests of one model share its local perturbations."""
     groups = problem.by_model
     out: dict[str, Adapter] = {}
