@@ -8,7 +8,7 @@ from dataclasses import replace
 from calib.analyses.case import CaseFound
 from calib.inference.agreement import Agreement
 from calib.inference.cases import CaseResult
-from calib.inference.starts import EQUAL
+from calib.inference.rules import RULES
 from calib.space import ParameterSpace
 
 
@@ -35,7 +35,7 @@ def best_of(tests: Sequence[Sequence[CaseFound]]) -> int:
     equal = [k for k, statistics in enumerate(every) if statistics.fit is not None]
     if equal:
         lowest = min(every[k].criterion for k in equal)
-        equal = [k for k in equal if every[k].criterion <= lowest + EQUAL]
+        equal = [k for k in equal if every[k].criterion <= lowest + RULES.equal]
     return min(equal or range(len(every)), key=lambda k: sum(cases[k].result.misfit for cases in tests))
 
 

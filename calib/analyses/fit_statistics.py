@@ -24,12 +24,14 @@ from calib.inference.gauss_newton import FitResult, Prior
 from calib.inference.identify import Identification, identify, prediction_interval
 from calib.inference.integers import MixedResult, fit_mixed
 from calib.inference.region import InfeasibleError, active_limits
-from calib.inference.starts import EQUAL, Enough, never
+from calib.inference.rules import RULES
+from calib.inference.starts import Enough, never
 from calib.inference.verdicts import integer_std, parameter_verdicts
 from calib.joint import JointProblem
 from calib.ledger import Ledger
 from calib.missing.goodness import goodness, misfit_factor, overall
-from calib.missing.suspect import LEVEL, suspects
+from calib.missing.rules import RULES as MISSING
+from calib.missing.suspect import suspects
 from calib.problem import Counts, Pair, Problem
 from calib.several import AnyStudy
 from calib.space import ParameterSpace
@@ -69,7 +71,7 @@ class Terms:
         Assumed standard deviations, in words; see `calib.analyses.uncertainty.assumed_words`.
     """
 
-    alpha: float = LEVEL
+    alpha: float = MISSING.suspect
     held_sd: Mapping[str, float] = field(default_factory=dict)
     assumed: str = ""
 
@@ -161,9 +163,9 @@ class FitStatistics:
         good = [
             replace(CaseResult.fitted(f"start {k}", end.values, Counts(), pd.DataFrame(), 0.0), misfit=end.data_misfit)
             for k, end in enumerate(self.ends, start=1)
-            if end.data_misfit <= self.misfit + EQUAL
+            if end.data_misfit <= self.misfit + RULES.equal
         ]
-        return agreement(good, space, level=self.misfit + EQUAL) if len(good) > 1 else None
+        return agreement(good, space, level=self.misfit + RULES.equal) if len(good) > 1 else None
 
     @property
     def figures(self) -> dict[str, object]:
@@ -265,9 +267,9 @@ def fitted(
 
     ``refits`` bounds the integer combinations tried from every start. ``before`` is an earlier fit that tried them, for
     a final fit that tries no more. ``shared`` holds fits of the same residual from further starts: the fit from the
-    nominal values replaces the own one only if its data misfit is lower by more than `EQUAL`, the fit from known points
-    if it is better in data and priors together. ``told`` receives the progress of the stage of that name. ``enough``
-    tells after every start whether the others may be left out.
+    nominal values replaces the own one only if its data misfit is lower by more than `Rules.equal`, the fit from known
+    points if it is better in data and priors together. ``told`` receives the progress of the stage of that name.
+    ``enough`` tells after every start whether the others may be left out.
     """
     space = problem.space
     found: MixedResult = fit_mixed(
@@ -275,7 +277,7 @@ def fitted(
     )
     told("identifiability")
     if shared is not None and shared.nominal is not None:
-        found = found.joined(shared.nominal, EQUAL)
+        found = found.joined(shared.nominal, RULES.equal)
     if shared is not None and shared.known is not None:
         found = found.joined(shared.known)
     if before is not None:

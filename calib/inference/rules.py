@@ -29,6 +29,8 @@ class Rules:
         2013).
     nearly_equal : float
         Relative difference up to which misfits count as equal.
+    equal : float
+        Insignificant difference of sums of squares: a third of a standard deviation of one parameter.
     unseen : float
         Largest share of the search space, expected to lead to an optimum not found yet, at which starts of least
         squares agree; see `calib.inference.starts.Optima`.
@@ -44,6 +46,7 @@ class Rules:
     takes_part: float = 0.3
     stable: float = 0.10
     nearly_equal: float = 0.05
+    equal: float = 0.1
     unseen: float = 0.10
     most_starts: int = 20
 

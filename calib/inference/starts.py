@@ -11,9 +11,6 @@ from typing import TypeAlias
 from calib.inference.gauss_newton import FitResult
 from calib.inference.rules import RULES
 
-EQUAL = 0.1
-"""Insignificant difference of sums of squares: a third of a standard deviation of one parameter."""
-
 Enough: TypeAlias = Callable[[Sequence[FitResult | None]], bool]
 """Whether the starts tried so far suffice, from the end of each; None for one that cannot be evaluated."""
 
@@ -27,7 +24,7 @@ class Optima:
     starts : int
         Starts tried.
     found : int
-        Different sums of squares among their ends, more than `EQUAL` apart. A fit that did not converge, or that
+        Different sums of squares among their ends, more than `Rules.equal` apart. A fit that did not converge, or that
         could not begin, counts as one of its own.
     lowest : int
         Starts that ended at the lowest of them.
@@ -41,7 +38,7 @@ class Optima:
     def of(cls, ends: Sequence[FitResult | None]) -> Optima:
         """Count them."""
         ended = sorted(end.misfit for end in ends if end is not None and end.converged)
-        apart = [k for k, (low, high) in enumerate(pairwise(ended), 1) if high - low > EQUAL]
+        apart = [k for k, (low, high) in enumerate(pairwise(ended), 1) if high - low > RULES.equal]
         lowest = apart[0] if apart else len(ended)
         return cls(len(ends), len(apart) + bool(ended) + len(ends) - len(ended), lowest)
 
@@ -92,7 +89,7 @@ class UntilAgreed:
         """Whether the starts agree."""
         random = ends[self.given :]
         self.optima = Optima.of(random)
-        self.agree = self.optima.agree and _lowest(random) <= _lowest(ends[: self.given]) + EQUAL
+        self.agree = self.optima.agree and _lowest(random) <= _lowest(ends[: self.given]) + RULES.equal
         return self.agree
 
 

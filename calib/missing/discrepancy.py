@@ -11,6 +11,7 @@ import scipy.linalg as la
 from calib.missing.explanation import Explanation
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.local import WIDE
+from calib.missing.rules import RULES
 from calib.missing.score import Scores
 
 TABLE = "unexplained"
@@ -19,11 +20,6 @@ COLUMNS = (
 )  # fmt: skip
 VERDICTS = ("partial", "none_explains", "misfit_unlocated")
 """After which a misfit is left that nothing explains."""
-ABSORBED = 1e-3
-"""Unabsorbed part of a signature below which it is left out: the data cannot tell its size."""
-SURE = 0.999
-"""Probability that the size of the candidates is not larger than the one taken: they are many and small, while what is
-missing is often one and large."""
 _LEAST, _POINTS = 1e-2, 80
 
 
@@ -58,7 +54,7 @@ def discrepancy(fit: LinearisedFit, *scores: Scores) -> Discrepancy:
     """Posterior of the parameters of a fit with the candidates of some scores, which were computed at this fit."""
     raw = np.hstack([s.raw for s in scores])
     unit, length = np.hstack([s.unit for s in scores]), np.concatenate([s.size for s in scores])
-    seen = length > ABSORBED * np.maximum(np.linalg.norm(raw, axis=0), 1e-300)
+    seen = length > RULES.unexplained_seen * np.maximum(np.linalg.norm(raw, axis=0), 1e-300)
     size = _size(unit[:, seen], fit.projected)
     columns = raw[:, seen] * (size / length[seen])
     p, slope = len(fit.names), fit.data_slope * fit.prior_sd
@@ -92,7 +88,8 @@ def _size(unit: np.ndarray, projected: np.ndarray) -> float:
     square = sizes[:, None] ** 2
     ln = 0.5 * np.sum(square * along / (1 + square * eigenvalues) - np.log1p(square * eigenvalues), axis=1)
     weight = np.exp(ln - ln.max()) * np.gradient(sizes)
-    return float(sizes[min(int(np.searchsorted(np.cumsum(weight) / weight.sum(), SURE)), len(sizes) - 1)])
+    at = int(np.searchsorted(np.cumsum(weight) / weight.sum(), RULES.unexplained_size))
+    return float(sizes[min(at, len(sizes) - 1)])
 
 
 def parameter_intervals(found: Explanation) -> pd.DataFrame:

@@ -18,7 +18,7 @@ from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.linearised_fit import nearest_whole
 from calib.missing.pairs import alone, fit_pairs
-from calib.missing.refits import DEFAULT, EARLY, Refits, Settings, near_to
+from calib.missing.refits import DEFAULT, Refits, Settings, near_to
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
 from calib.missing.stepwise import Stepwise, further_price
@@ -175,7 +175,7 @@ class _Decision:
         begin = start or nearest_whole(fit_problem, fit_problem.space.values)
         linear = None if start else fits.hypotheses.linear_start((), begin)
         starts = [begin] if linear is None else [linear, begin]
-        whole = 0 if fits.spent(EARLY) else 1
+        whole = 0 if fits.spent(RULES.early) else 1
         return min((fits.candidate_fit((), one, whole) for one in starts), key=lambda found: found.fit.misfit)
 
     def candidates(self, base: CandidateFit) -> tuple[list[Candidate], Scores]:

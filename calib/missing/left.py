@@ -11,13 +11,7 @@ import pandas as pd
 
 from calib.missing.explanation import Explanation
 from calib.missing.nearly import is_nearly
-
-NOISE = 2.0
-"""Score that noise gives a local perturbation anyway."""
-NEAR, MOST = 0.6, 0.5
-"""Relative distance below which what is left is near the effect; share of it that is most of it."""
-CHANGED = 0.8
-"""Share of an effect's signature in the fewest modes that count as those it changes."""
+from calib.missing.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -44,8 +38,8 @@ class Left:
     def near(self) -> bool | None:
         """Whether it sits near the effect, or without places in its modes; None where neither can be told."""
         if not math.isnan(self.distance):
-            return self.distance < NEAR
-        return None if math.isnan(self.modes) else self.modes > max(MOST, self.expected)
+            return self.distance < RULES.left_near
+        return None if math.isnan(self.modes) else self.modes > max(RULES.left_most, self.expected)
 
     @property
     def told(self) -> str:
@@ -105,7 +99,7 @@ def _distance(
     if not len(acting) or not known.any():
         return math.nan
     square = ((points[known][:, None] - acting[None]) ** 2).sum(axis=2).min(axis=1)
-    weight = np.maximum(scores.magnitude[known].clip(0.0) ** 2 - NOISE**2, 0.0)
+    weight = np.maximum(scores.magnitude[known].clip(0.0) ** 2 - RULES.left_noise**2, 0.0)
     if not weight.any() or not square.any():
         return math.nan
     return float(np.sqrt(weight @ square / weight.sum() / square.mean()))
@@ -123,6 +117,6 @@ def _modes(found: Explanation, modes: Sequence[str]) -> tuple[float, float]:
     if len(table) < 2 or not beyond.sum() > 0 or not table["own"].sum() > 0:
         return math.nan, math.nan
     order = table["own"].sort_values(ascending=False, kind="stable")
-    count = int(np.searchsorted(order.cumsum().to_numpy(), CHANGED * order.sum())) + 1
+    count = int(np.searchsorted(order.cumsum().to_numpy(), RULES.left_changed * order.sum())) + 1
     own = list(order.index[:count])
     return float(beyond[own].sum() / beyond.sum()), float(table.loc[own, "rows"].sum() / table["rows"].sum())

@@ -12,12 +12,9 @@ from calib.missing.candidate_fit import CandidateFit
 from calib.missing.collinear import grouped
 from calib.missing.evidence import at_lower
 from calib.missing.linearised_fit import ROUGH, LinearisedFit, neighbours
-from calib.missing.refits import LATE, Refits
+from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
-
-PAIRS_OF_BEST, PAIRS_OF_NEXT = 3, 2
-"""Effects tried beside the best one and beside the runner-up."""
 
 
 def fit_pairs(
@@ -32,14 +29,14 @@ def fit_pairs(
     fits.allowance.ensure(RULES.paired * fits.settings.budget)
     if fits.allowance.left <= 0:
         return []
-    tests = [(best, found, PAIRS_OF_BEST)]
+    tests = [(best, found, RULES.pairs_of_best)]
     for runner_up in [t for t in singles if t is not best][:1]:
         rest = [e for e in candidates if e.name not in runner_up.names]
         if rest:
-            tests.append((runner_up, fits.scores(runner_up.fit, rest), PAIRS_OF_NEXT))
+            tests.append((runner_up, fits.scores(runner_up.fit, rest), RULES.pairs_of_next))
     wanted: dict[frozenset[str], list[dict[str, float]]] = {}
     for first, beside, count in tests:
-        places = [] if fits.spent(LATE) else neighbours(first.fit)
+        places = [] if fits.spent(RULES.late) else neighbours(first.fit)
         linearisations = [(place, beside.at(place)) for place in (first.fit, *places)]
         left = {n: _left(linearisations, n) for n in dict.fromkeys(beside.owners)}
         for name in _first_of(fits, left, linearisations, candidates, count):

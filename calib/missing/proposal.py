@@ -24,12 +24,6 @@ from calib.missing.score import Scores, family_p, scored, scores
 from calib.missing.suspect import suspects
 from calib.missing.wrong_datum import wrong_datum
 
-FITTED = 10
-"""Compositions that are fitted, by predicted evidence."""
-OF_A_KIND = 3
-"""Compositions of one kind among them."""
-HUNG = 3
-"""Places at which a hung mass is fitted."""
 _DAMPED = 0.1
 """Damping ratio of the hung masses whose signatures are derived from those of fixed ones."""
 _FREQS = 15
@@ -248,13 +242,13 @@ class Search:
         of_kind = Counter[str]()
         for k in np.argsort(-predicted, kind="stable").tolist():
             composed = self.composed[k]
-            if len(chosen) == FITTED or predicted[k] <= 0:
+            if len(chosen) == RULES.proposed or predicted[k] <= 0:
                 break
             twin = any(
                 abs(found.unit[:, k] @ found.unit[:, j]) > RULES.same and self.composed[j].kind == composed.kind
                 for j in chosen
             )
-            if of_kind[composed.kind] < OF_A_KIND and not twin:
+            if of_kind[composed.kind] < RULES.proposed_of_a_kind and not twin:
                 chosen.append(k)
                 of_kind[composed.kind] += 1
         return [self.composed[k] for k in chosen]
@@ -280,7 +274,7 @@ class Search:
                 seen = scored(fit, many, [{}] * len(many), raw, [False] * len(many), [0.0] * len(many))
                 best.append((float(seen.z.max()), k))
         best.sort(key=lambda pair: (-pair[0], pair[1]))
-        return [self.hung[k].composed for score, k in best[:HUNG] if score > 0]
+        return [self.hung[k].composed for score, k in best[: RULES.proposed_hung] if score > 0]
 
     # -- fits ----------------------------------------------------------------------------------------------------------
 

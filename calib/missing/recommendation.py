@@ -15,8 +15,6 @@ from calib.missing.candidate_measurement import CandidateMeasurement, at_effect
 from calib.missing.competing import EIGHT_OF_TEN, BayesFactor, CompetingModels
 from calib.missing.rules import RULES
 
-WORTHWHILE = 1.2
-"""Smallest factor on the expected score for which a measurement is recommended."""
 MOST = 3
 """Invisible effects for which a measurement is recommended: more do not fit into a sentence."""
 _MEASURED = "measured and held out so far"
@@ -228,7 +226,7 @@ def recommendation(
         advised = [own]
         purpose = "To tell them apart"
     else:
-        wanted = [table[(table["effect"] == name) & (table["gain"] >= WORTHWHILE)] for name in unseen]
+        wanted = [table[(table["effect"] == name) & (table["gain"] >= RULES.worthwhile)] for name in unseen]
         advised = sorted((own for own in wanted if len(own)), key=lambda own: -float(own["gain"].iloc[0]))[:MOST]
         purpose = "To see further effects"
     if not advised:
@@ -245,25 +243,25 @@ def recommendation(
 def _narrowing(table: pd.DataFrame, name: str) -> str:
     """What narrows the magnitude of a named effect most: its standard deviation falls as its expected score rises."""
     own = table[table["effect"] == name]
-    there = own[own["measurement"].str.startswith(at_effect(name)) & (own["gain"] < WORTHWHILE)]
+    there = own[own["measurement"].str.startswith(at_effect(name)) & (own["gain"] < RULES.worthwhile)]
     little = "".join(
         f" Sensors where {name} acts are not needed: {gain:.3g} times its score." for gain in there["gain"]
     )
-    own = own[own["gain"] >= WORTHWHILE]
+    own = own[own["gain"] >= RULES.worthwhile]
     if own.empty:
         return f"{_no_need(name)}{little}"
     return f"To narrow the magnitude of {name}, {_used_or_measured(own)}.{little}"
 
 
 def _no_need(name: str) -> str:
-    return f"{name} needs no further measurement: none looked at raises its score {WORTHWHILE:g} times."
+    return f"{name} needs no further measurement: none looked at raises its score {RULES.worthwhile:g} times."
 
 
 def _narrowing_in_short(table: pd.DataFrame, named: Sequence[str]) -> list[str]:
     """The best measurement for each magnitude that needs one; those that need the same one share a sentence."""
     best: dict[str, list[str]] = {}
     for name in named:
-        own = table[(table["effect"] == name) & (table["gain"] >= WORTHWHILE)]
+        own = table[(table["effect"] == name) & (table["gain"] >= RULES.worthwhile)]
         best.setdefault("" if own.empty else str(own["measurement"].iloc[0]), []).append(name)
     best.pop("", None)
     told = [

@@ -25,9 +25,6 @@ from calib.missing.rules import RULES
 from calib.missing.score import Scores, scores
 from calib.stage import Progress
 
-EARLY, LATE = 0.7, 0.85
-"""Parts of the budget: for single effects, and for choosing integer parameters again."""
-
 
 def near_to(reached: float) -> float:
     """Log evidence below the best within which a fit is refined, when the best has gained ``reached``."""
@@ -157,7 +154,7 @@ class Refits:
         order = sorted(by_effect, key=lambda n: (-by_effect[n], n))[: self.settings.refits]
         out: list[CandidateFit] = []
         for name in order:
-            if len(out) > 1 and self.spent(EARLY):
+            if len(out) > 1 and self.spent(RULES.early):
                 break
             reached = max((t.ln_evidence - base.ln_evidence for t in out), default=0.0)
             if reached > RULES.far and by_effect[name] < reached / 4 and (name,) not in starts:
@@ -182,7 +179,7 @@ class Refits:
         near = near_to(reached)
         for k, one in enumerate(out[: RULES.refined]):
             close = reached > RULES.credible and out[0].ln_evidence - one.ln_evidence < near
-            if close and not self.spent(EARLY if k else 1.0):
+            if close and not self.spent(RULES.early if k else 1.0):
                 out[k] = self.followed(one, whole=1)
         return sorted(out, key=lambda t: -t.ln_evidence)
 
@@ -331,7 +328,7 @@ class Refits:
         """
         fit_problem, best = self.fit_problem(candidate_fit.names), candidate_fit
         whole = [p.name for p in fit_problem.space.free if p.integer]
-        if not self.spent(LATE):
+        if not self.spent(RULES.late):
             own = {n for e in best.effects for n in e.names} | set(whole)
             nominal = fit_problem.space.values
             start = nearest_whole(fit_problem, {n: best.fit.values[n] if n in own else v for n, v in nominal.items()})

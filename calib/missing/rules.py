@@ -96,6 +96,28 @@ class Rules:
         Number of faults of the measurement that are fitted.
     confounded : float
         Correlation of signatures from which effects are reported as confounded.
+    early, late : float
+        Parts of the budget: for single effects, and for choosing integer parameters again.
+    pairs_of_best, pairs_of_next : int
+        Effects tried beside the best one and beside the runner-up.
+    noise_level : float
+        Probability that noise alone gives the score that figures mark as noise.
+    suspect : float
+        Family-wise level at which one datum counts as the one without which everything fits.
+    worthwhile : float
+        Ratio of scores from which a further measurement is recommended.
+    left_noise : float
+        Score that noise gives a local perturbation anyway, where the place of what is left is sought.
+    left_near, left_most : float
+        Relative distance below which what is left is near the effect; share of it that is most of it.
+    left_changed : float
+        Share of an effect's signature in the fewest modes that count as those it changes.
+    unexplained_size : float
+        Posterior probability that the common size of unexplained candidates is not larger than assumed.
+    unexplained_seen : float
+        Unabsorbed part of a signature below which the data cannot tell its size.
+    proposed, proposed_of_a_kind, proposed_hung : int
+        Compositions that are fitted, by predicted evidence; of one kind among them; places of a hung mass.
     """
 
     credible: float = 3.0
@@ -139,6 +161,22 @@ class Rules:
     worth: float = 0.5
     blamed: int = 3
     confounded: float = 0.9
+    early: float = 0.7
+    late: float = 0.85
+    pairs_of_best: int = 3
+    pairs_of_next: int = 2
+    noise_level: float = 0.01
+    suspect: float = 0.01
+    worthwhile: float = 1.2
+    left_noise: float = 2.0
+    left_near: float = 0.6
+    left_most: float = 0.5
+    left_changed: float = 0.8
+    unexplained_size: float = 0.999
+    unexplained_seen: float = 1e-3
+    proposed: int = 10
+    proposed_of_a_kind: int = 3
+    proposed_hung: int = 3
 
 
 RULES = Rules()

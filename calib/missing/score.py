@@ -18,8 +18,6 @@ from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.problem import Labelled
 
-NOISE_LEVEL = 0.01
-"""Family-wise probability at which `noise_limit` is exceeded by noise alone."""
 _NEVER = 1e-3
 """Chance that any sample reaches a score, below which none is drawn."""
 
@@ -203,7 +201,7 @@ def _reached(score: float, count: int, std_dof: np.ndarray) -> float:
 
 
 def noise_limit(scores: np.ndarray) -> float:
-    """Absolute score that noise alone exceeds anywhere with a probability of `NOISE_LEVEL`.
+    """Absolute score that noise alone exceeds anywhere with a probability of `Rules.noise_level`.
 
     Standard normal scores, Bonferroni over those that are known; as they are correlated, the limit is on the safe side.
 
@@ -212,7 +210,7 @@ def noise_limit(scores: np.ndarray) -> float:
     scores : ndarray (n,)
         NaN where the parameters absorb the candidate.
     """
-    return float(-ndtri(NOISE_LEVEL / (2 * max(int(np.isfinite(scores).sum()), 1))))
+    return float(-ndtri(RULES.noise_level / (2 * max(int(np.isfinite(scores).sum()), 1))))
 
 
 @lru_cache(maxsize=3)  # the candidates of one fit after another: effects, perturbations, faults of the measurement

@@ -15,8 +15,6 @@ from calib.missing.rules import RULES
 from calib.problem import Label, Labelled
 
 COLUMNS = ("what", "kind", "rows", "chi2", "dof", "p", "p_fit_without", "explains")
-LEVEL = 0.01
-"""Family-wise significance level, over all data that are left out in turn."""
 _SINGULAR = 1e-9
 """Smallest part of the variance of a combination of values left by the parameters; below it, prediction is rounding."""
 _AT_ONCE = 256
@@ -88,7 +86,7 @@ def data_of(rows: Sequence[Label]) -> tuple[Datum, ...]:
 def suspects(
     fit: Optimum,
     labelled: Labelled,
-    level: float = LEVEL,
+    level: float = RULES.suspect,
 ) -> pd.DataFrame:
     """Leave out every datum in turn, where the fit as a whole fails, and test which of them alone explains the misfit.
 

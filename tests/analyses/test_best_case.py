@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import pytest
 
 from calib.analyses.best_case import best_of, summed
-from calib.analyses.fit_statistics import EQUAL
 from calib.inference.agreement import agreement, agreement_sentences
 from calib.inference.cases import CaseResult
+from calib.inference.rules import RULES
 from calib.problem import Counts
 from calib.space import Parameter, ParameterSpace
 
@@ -22,12 +22,12 @@ def case(misfit, criterion, fitted=True):
     ("misfits", "best"), [(((2.0, 1.0),), 1), (((1.0, 1.2), (3.0, 0.1)), 1), (((1.0, 1.2), (0.1, 3.0)), 0)]
 )
 def test_of_equal_cases_the_lowest_misfit_over_all_tests_is_reported(misfits, best):
-    sums = (5.0, 5.0 + EQUAL / 2)
+    sums = (5.0, 5.0 + RULES.equal / 2)
     assert best_of([[case(*pair) for pair in zip(own, sums, strict=True)] for own in misfits]) == best
 
 
 def test_a_lower_sum_of_squares_outweighs_any_misfit():
-    assert best_of([[case(1.0, 5.0 + 2 * EQUAL), case(9.0, 5.0)]]) == 1
+    assert best_of([[case(1.0, 5.0 + 2 * RULES.equal), case(9.0, 5.0)]]) == 1
     assert best_of([[case(1.0, 1.0, fitted=False), case(9.0, 5.0)]]) == 1
 
 

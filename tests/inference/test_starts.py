@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calib.inference.integers import fit_mixed
-from calib.inference.starts import EQUAL, Optima, UntilAgreed
+from calib.inference.rules import RULES
+from calib.inference.starts import Optima, UntilAgreed
 from calib.space import Parameter, ParameterSpace
 
 
@@ -23,7 +24,12 @@ def ends(*misfits, unconverged=0, failed=0):
         (ends(1.0), 1, 1, 1.0),
         (ends(1.0, 1.0, 1.0, 1.0), 1, 4, 1 / 6),
         (ends(1.0, 9.0, 1.0, 9.0, 1.0), 2, 3, 6 / 20),
-        (ends(1.0, 1.0 + 0.6 * EQUAL, 1.0 + 1.2 * EQUAL), 1, 3, 1 / 3),  # neighbours within EQUAL are one optimum
+        (
+            ends(1.0, 1.0 + 0.6 * RULES.equal, 1.0 + 1.2 * RULES.equal),
+            1,
+            3,
+            1 / 3,
+        ),  # neighbours are one optimum
         (ends(1.0, 1.0, unconverged=2, failed=1), 4, 2, 1.0),
     ],
 )
@@ -49,8 +55,8 @@ def test_an_optimum_that_one_start_reached_is_no_agreement():
 
 def test_random_starts_above_a_known_one_do_not_agree():
     until = UntilAgreed(given=1)
-    assert until(ends(1.0 - 0.5 * EQUAL, *[1.0] * 5))
-    assert not until(ends(1.0 - 2 * EQUAL, *[1.0] * 5)) and until.optima.agree
+    assert until(ends(1.0 - 0.5 * RULES.equal, *[1.0] * 5))
+    assert not until(ends(1.0 - 2 * RULES.equal, *[1.0] * 5)) and until.optima.agree
 
 
 class Wave:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import scipy.linalg as la
 
-from calib.missing.discrepancy import SURE, discrepancy, parameter_intervals, sentence
+from calib.missing.discrepancy import discrepancy, parameter_intervals, sentence
 from calib.missing.linearised_fit import LinearisedFit
+from calib.missing.rules import RULES
 from calib.missing.score import scored
 
 P, N, M = 3, 60, 25
@@ -70,7 +71,7 @@ def test_what_the_parameters_absorb_wholly_is_left_out():
     one, two = discrepancy(fit, scores), discrepancy(fit, more)
     assert np.isfinite(two.covariance).all()
     # The prior leaves a little of the parameter itself, so that the signature counts by that part alone.
-    assert SURE < 1 and one.size == pytest.approx(two.size, rel=0.3)
+    assert RULES.unexplained_size < 1 and one.size == pytest.approx(two.size, rel=0.3)
 
 
 def test_the_table_tells_both_intervals_and_only_after_an_unexplained_misfit():

@@ -17,12 +17,12 @@ from calib.missing.recommendation import (
     COLUMNS,
     HELD_OUT,
     USED,
-    WORTHWHILE,
     ExperimentalDesign,
     Linearisation,
     recommend,
     recommendation,
 )
+from calib.missing.rules import RULES
 
 P, M, MORE = 3, 4, 6
 
@@ -328,14 +328,14 @@ def test_what_narrows_a_named_effect_is_told_first():
 
 
 def test_a_named_effect_that_no_measurement_narrows_is_said_to_need_none():
-    found = recommendation(table_of(("A", "E0", WORTHWHILE - 0.01), ("B", "E1", 9.0)), None, ["E0", "E1"], ["E0"])
+    found = recommendation(table_of(("A", "E0", RULES.worthwhile - 0.01), ("B", "E1", 9.0)), None, ["E0", "E1"], ["E0"])
     none = "E0 needs no further measurement: none looked at raises its score 1.2 times."
     assert found.short == "To see further effects, measure next: B." and none in found.sentence
     assert recommendation(table_of(("A", "E0", 1.0)), None, [], ["E0"]).short == none
 
 
 def test_a_measurement_of_little_gain_is_not_recommended():
-    table = table_of(("A", "E0", WORTHWHILE - 0.01), ("A", "E1", WORTHWHILE), ("A", "E2", math.nan))
+    table = table_of(("A", "E0", RULES.worthwhile - 0.01), ("A", "E1", RULES.worthwhile), ("A", "E2", math.nan))
     assert (
         _sentence(table, None, ["E0", "E1", "E2"])
         == f"To see further effects, measure next: A: 1.2 times the score of E1. {AVERAGED}"
@@ -361,7 +361,7 @@ def test_a_held_out_mode_is_recommended_with_the_best_new_measurement():
     assert sentence == (
         f"To see further effects, {USE_4BT}: 5 times the score of E0, or measure A: 2 times the score of E0.{VERIFIES}"
     )
-    alone = _sentence(table_of((held, "E0", 5.0), ("A", "E0", WORTHWHILE - 0.01)), None, ["E0"])
+    alone = _sentence(table_of((held, "E0", 5.0), ("A", "E0", RULES.worthwhile - 0.01)), None, ["E0"])
     assert alone == f"To see further effects, {USE_4BT}: 5 times the score of E0.{VERIFIES}"
     new = _sentence(table_of((held, "E0", 2.0), ("A", "E0", 5.0)), None, ["E0"])
     assert new == f"To see further effects, measure next: A: 5 times the score of E0. {AVERAGED}"

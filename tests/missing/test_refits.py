@@ -7,7 +7,6 @@ import pytest
 
 from calib.missing import pairs
 from calib.missing.explain import _Decision, explain
-from calib.missing.pairs import PAIRS_OF_BEST
 from calib.missing.refits import DEFAULT, Refits, Settings
 from calib.missing.rules import RULES
 from calib.missing.score import scores
@@ -62,7 +61,8 @@ def test_a_second_effect_is_found_although_integers_have_moved(astray, started, 
     beside = scores(single.fit, [e for e in one.effects if e.name != "E0"], {})
     magnitude = dict(zip(beside.owners, beside.magnitude, strict=True))
     assert (
-        magnitude["E2"] < RULES.detectable / 2 and sum(s > magnitude["E2"] for s in magnitude.values()) >= PAIRS_OF_BEST
+        magnitude["E2"] < RULES.detectable / 2
+        and sum(s > magnitude["E2"] for s in magnitude.values()) >= RULES.pairs_of_best
     )
     assert found.verdict == "two_effects" and set(found.credible) == {"E0", "E2"}
     values = found.chosen.fit.values

@@ -9,7 +9,8 @@ from scipy import stats
 from calib.missing import score
 from calib.missing.evidence import ln_evidence
 from calib.missing.linearised_fit import LinearisedFit
-from calib.missing.score import NOISE_LEVEL, Scores, _reached, correlation, family_p, noise_limit, scores
+from calib.missing.rules import RULES
+from calib.missing.score import Scores, _reached, correlation, family_p, noise_limit, scores
 from calib.problem import Rows
 
 
@@ -286,6 +287,6 @@ def test_the_p_value_is_that_of_any_machine(toy, monkeypatch):
 def test_noise_alone_exceeds_the_limit_as_often_as_stated():
     scores = np.random.default_rng(1).standard_normal((20000, 40))
     exceeded = (np.abs(scores).max(axis=1) > noise_limit(scores[0])).mean()
-    assert exceeded == pytest.approx(NOISE_LEVEL, abs=0.0025)
+    assert exceeded == pytest.approx(RULES.noise_level, abs=0.0025)
     known = np.append(scores[0], np.nan)
     assert noise_limit(known) == noise_limit(scores[0]) < noise_limit(scores[:2].ravel())

@@ -10,7 +10,6 @@ from scipy.stats import norm
 
 from calib.correlation import compare
 from calib.missing.rules import RULES
-from calib.missing.score import NOISE_LEVEL
 from calib.report.explanation import COLLINEAR, LEAST_BAYES_FACTOR
 from calib.report.html.limits import BEYOND, BY_CHANCE, CONTRADICTED, NONE, TESTS, WITHIN
 from calib.report.html.page import Picture, Table, Terms
@@ -77,7 +76,7 @@ def test_an_effect_below_the_limit_of_the_evidence_is_not_beyond_it(folder, bloc
 def test_the_levels_are_those_of_the_analyses():
     """The report reads tables only, so it holds these numbers itself."""
     assert (BEYOND, WITHIN) == (compare.BEYOND, compare.LEVEL)
-    assert RULES.pull == NOISE_LEVEL == BY_CHANCE and RULES.contradicted == CONTRADICTED
+    assert RULES.pull == RULES.noise_level == BY_CHANCE and RULES.contradicted == CONTRADICTED
     assert (RULES.credible, RULES.confounded) == (LEAST_BAYES_FACTOR, COLLINEAR)
 
 
