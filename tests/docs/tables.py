@@ -60,6 +60,7 @@ def stale(results: Path) -> dict[str, list[str]]:
     known, out = documented(), {}
     for file in (file for file in results.rglob("*.csv") if file.name in known):
         apart = OF_RESPONSES | OF_FRFS if file.name.startswith(("measured", "comparison")) else {"test"}
+        apart |= {"freq"} if file.name == "why.csv" else set()
         columns = {name for name in known[file.name] if "<" not in name} - apart - set(found(file))
         if columns:
             out[file.name] = sorted(columns)
