@@ -30,7 +30,7 @@ from calib.correlation.function_problem import FunctionProblem
 from calib.errors import EvaluationError, InputError
 from calib.loading import Model
 from calib.missing.collinear import Group
-from calib.missing.explanation import Explanation
+from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.proposal import Proposals, Search
 from calib.missing.recommendation import recommend, recommendation
 from calib.missing.refits import Refits, Settings
@@ -45,7 +45,7 @@ PROPOSED, FILE = "_proposed", "proposed_effects.py"
 """End of the name of the study with the proposals, and the file of its library."""
 RANKED = 5
 """Proposals that are told."""
-OPEN = ("none_explains", "partial", "misfit_unlocated", "unconfirmed")
+OPEN = (*UNEXPLAINED, "unconfirmed")
 """Verdicts after which something is proposed: a misfit that no effect of the library explains."""
 
 
@@ -79,7 +79,7 @@ class ProposalResult:
 
 
 @dataclass(frozen=True)
-class Explained:
+class Found:
     """What an explanation found, as far as proposals need it.
 
     Attributes
@@ -164,7 +164,7 @@ def composed(
     measured: Sequence[Measured],
     taken: Sequence[str],
     given: ExplainSettings,
-    explained: Explained,
+    explained: Found,
     count: int = RANKED,
     progress: Progress = unheard,
 ) -> ProposalResult:
@@ -225,7 +225,7 @@ def _advice(adapter: Adapter, hypotheses: Any, found: Proposals, progress: Progr
 # -- what was found before ---------------------------------------------------------------------------------------------
 
 
-def _explained(study: AnyStudy, results: Results) -> Explained:
+def _explained(study: AnyStudy, results: Results) -> Found:
     """The explanation in a folder; InputError without one of the study as it is."""
     remedy = f"run it first: calib explain {shell_argument(study.file)}"
     if not results.has("explanation.json"):
@@ -237,7 +237,7 @@ def _explained(study: AnyStudy, results: Results) -> Explained:
     named = [*stored["credible_set"], *(one["name"] for one in stored["blamed"])]
     beside = tuple(stored["chosen"]) if stored["verdict"] == "partial" else ()
     base, attempt = (explained_fit(study, results, names) for names in ((), beside))
-    return Explained(
+    return Found(
         stored["verdict"], tuple(named), stored["noise_scale"], base, attempt if beside else {}, beside
     )  # fmt: skip
 

@@ -6,7 +6,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 from calib.analyses.adapter import Adapter
+from calib.analyses.group_adapter import FRFAdapter
 from calib.analyses.mesh_term import mesh_words, with_mesh_error
+from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.uncertain import freed, uncertain_words
 from calib.errors import InputError
 from calib.front.test import Model, Test, under
@@ -73,9 +75,9 @@ class ModelError:
             return adapter
         finer = under(self.finer[model.name], test.name, test.condition)
         assert isinstance(finer, StructuralModel)
-        if not hasattr(adapter, "finer"):
+        if not isinstance(adapter, ModalAdapter | FRFAdapter):
             raise InputError(f"the test {test.name} of the model {model.name} has no mesh", place="explain, finer")
-        adapter = replace(adapter, finer=lambda: finer)  # type: ignore[type-var]
+        adapter = replace(adapter, finer=lambda: finer)
         return adapter if self.mesh_sd is None else with_mesh_error(adapter, finer, self.mesh_sd, several * test.name)
 
     def notes(self, models: Collection[Model], unselected: Collection[str]) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from calib.analyses.adapter import Adapter
 from calib.analyses.compositions import Measured
-from calib.analyses.propose import OPEN, Explained, ProposalResult, composed
+from calib.analyses.propose import OPEN, Found, ProposalResult, composed
 from calib.analyses.proposed_code import library_text
 from calib.analyses.proposed_words import COLUMNS, not_sought
 from calib.effect import Effect
@@ -85,7 +85,7 @@ def proposed(
         named = (*found.credible, *(fault.names[0] for fault in found.blamed))
         return Proposed(ProposalResult(None, not_sought(found.verdict, named, "STUDY"), _nothing()))
     ((model, tests),) = problem.by_model
-    explained = Explained(found.verdict, (), found.noise_scale, found.base.fit.values)
+    explained = Found(found.verdict, (), found.noise_scale, found.base.fit.values)
     if found.verdict == "partial" and found.chosen is not None:
         explained = replace(explained, attempt=found.chosen.fit.values, beside=found.chosen.names)
     given = ExplainSettings().model_copy(update={"seed": adapter.facts.seed})

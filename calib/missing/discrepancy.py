@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import scipy.linalg as la
 
-from calib.missing.explanation import Explanation
+from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.local import WIDE
 from calib.missing.rules import RULES
@@ -18,9 +18,8 @@ TABLE = "unexplained"
 COLUMNS = (
     "parameter", "unit", "value", "low", "high", "value_unexplained", "low_unexplained", "high_unexplained",
 )  # fmt: skip
-VERDICTS = ("partial", "none_explains", "misfit_unlocated")
-"""After which a misfit is left that nothing explains."""
 _LEAST, _POINTS = 1e-2, 80
+"""Smallest positive size on the grid of the likelihood, in units of a score, and number of sizes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +97,10 @@ def parameter_intervals(found: Explanation) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        `COLUMNS`; intervals end at the limits. Empty after any other verdict than `VERDICTS`.
+        `COLUMNS`; intervals end at the limits. Empty after any verdict that is not `UNEXPLAINED`.
     """
     fit, tests = found.base.fit, found.base_adequacy
-    if found.verdict not in VERDICTS:
+    if found.verdict not in UNEXPLAINED:
         return pd.DataFrame(columns=list(COLUMNS))
     wide, rows = discrepancy(fit, tests.perturbations, tests.named), []
     alone, together = (np.sqrt(np.diag(c)) for c in (fit.covariance, wide.covariance))

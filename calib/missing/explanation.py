@@ -16,6 +16,8 @@ SEVERAL = ("two_effects", "several_effects")
 """Verdicts that name several effects together."""
 NAMED = ("effect", *SEVERAL)
 """Verdicts that name effects, all of which the model lacks."""
+UNEXPLAINED = ("partial", "none_explains", "misfit_unlocated")
+"""Verdicts that leave a misfit which nothing explains fully."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +102,7 @@ class Explanation:
         ``local_perturbation`` (one fits better) or ``evidence`` (it is too weak).
         """
         candidate_fit, adequacy = self.chosen, self.chosen_adequacy
-        if (
-            candidate_fit is None
-            or adequacy is None
-            or self.verdict not in ("none_explains", "misfit_unlocated", "partial")
-        ):
+        if candidate_fit is None or adequacy is None or self.verdict not in UNEXPLAINED:
             return ""
         if candidate_fit.implausible:
             return "implausible"

@@ -9,7 +9,7 @@ import pandas as pd
 
 from calib.answer import Answer
 from calib.candidate import Candidate
-from calib.missing.explanation import Explanation
+from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import WIDE, fault_words, interval_words, local_perturbation, range_words, unit_words
 from calib.missing.measurement_verdict import on_measurement
@@ -121,7 +121,7 @@ def verdict(
     if recommendation is not None and found.verdict not in ("noise_underestimated", "misfit_unlocated"):
         support.append(recommendation.sentence)
         short = recommendation.short
-    if found.verdict in ("partial", "none_explains", "misfit_unlocated") and not found.begun_anew:
+    if found.verdict in UNEXPLAINED and not found.begun_anew:
         support.append(
             "All fits started from the base fit, in which no parameter is pulled; each may be a local minimum."
         )

@@ -6,27 +6,20 @@ there is a wrong name.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from other_methods import answers
 from rates_frame import FrameWorld
-from rates_outcome import Measured, outcome
-from rates_scenarios import ANY, OWN, Scenario
+from rates_outcome import Measured
+from rates_scenarios import ANY, Scenario
 from rates_world import World
 
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.correlation.fault_library import modal_faults
-from calib.correlation.residual import ModalResidual
 from calib.effect import Effect
-from calib.errors import EvaluationError, InputError
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.measurement.repeats import Repeat
-from calib.missing.explain import explain
 from calib.structure.modes import Modes
 
 FAULTS = ("gain", "place", "rotation", "cross-talk", "set-up factor", "odd repeat")
@@ -129,24 +122,6 @@ class FaultyWorld(World):
                 read = read + ODD_SHAPE * np.abs(read).max(axis=0) * rng.standard_normal(read.shape)
             out.append(replace(one, natural_freq=freq, shape_set=replace(shapes, shapes=read)))
         return super()._combined(out)
-
-    def run(self, scenario: Scenario, number: int) -> dict[str, Any]:
-        """Measure, explain with the faults of the test among the candidates, and tell what came out."""
-        started = time.perf_counter()
-        row: dict[str, Any] = {"code": self.code, "scenario": scenario.name, "number": number, "group": scenario.group}
-        try:
-            measured = self.measure(scenario, number)
-            row |= self._truth(scenario, measured)
-            problem = self.specimen.problem(measured.whole)
-            pair = ModalResidual(problem, faults=modal_faults(problem.model, problem.measured))
-            hypotheses = ModelHypotheses(pair, self.libraries[OWN], self.space)
-            found = explain(hypotheses)
-            row |= outcome(found, measured) | {"faults": [t.names[0] for t in found.blamed]}
-            row["seconds"] = round(time.perf_counter() - started, 2)
-            row |= answers(found, hypotheses, measured)
-        except (EvaluationError, InputError, np.linalg.LinAlgError) as fault:
-            row |= {"verdict": "failed", "outcome": "failed", "error": f"{type(fault).__name__}: {fault}"}
-        return {"seconds": round(time.perf_counter() - started, 2)} | row
 
 
 @dataclass(frozen=True, eq=False)

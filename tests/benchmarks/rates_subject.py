@@ -29,6 +29,8 @@ class Subject:
         Whether effects of the library are built into the twin's mesh, instead of added as the library's terms.
     reduced_twin : bool
         Whether the finer mesh is solved on a reduced basis of its own, for which full order would take too long.
+    suspects : bool
+        Whether faults of the measurement are candidates, as in a study.
     ways : tuple of str
         Names of the ways in which each structure is measured and explained, where there are several.
     """
@@ -41,6 +43,7 @@ class Subject:
     triples: tuple[tuple[str, str, str], ...] = ()
     really_built: bool = False
     reduced_twin: bool = False
+    suspects: bool = False
     ways: tuple[str, ...] = ()
 
     @property
@@ -67,6 +70,9 @@ BOGIE = Subject(
     ),
     really_built=True,
 )  # fmt: skip
+
+BOGIE_SUSPECTS = replace(BOGIE, name="bogie_suspects", suspects=True)
+"""The same tests again."""
 
 VEHICLE = Subject(
     "vehicle", "studies/hidden_none",
@@ -112,7 +118,9 @@ FRAME = Subject(
     ("soft_storey", "heavy_bay"), (), really_built=True,
 )  # fmt: skip
 
-FRAME_FAULT = replace(FRAME, name="frame_fault", sources=(*FRAME.sources, "tests/benchmarks/rates_faults.py"))
+FRAME_FAULT = replace(
+    FRAME, name="frame_fault", suspects=True, sources=(*FRAME.sources, "tests/benchmarks/rates_faults.py")
+)
 
 CHAIN = Subject(
     "chain", "studies/five_mass_chain",
@@ -120,5 +128,5 @@ CHAIN = Subject(
 )  # fmt: skip
 
 SUBJECTS = {
-    s.name: s for s in (BOGIE, BOGIE_FRF, BOGIE_FAULT, VEHICLE, PANEL, FRAME, FRAME_FAULT, CHAIN)
+    s.name: s for s in (BOGIE, BOGIE_SUSPECTS, BOGIE_FRF, BOGIE_FAULT, VEHICLE, PANEL, FRAME, FRAME_FAULT, CHAIN)
 }  # fmt: skip

@@ -24,6 +24,7 @@ from rates_subject import ROOT, Subject
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.library import effects_basis
 from calib.analyses.reduction import Wanted
+from calib.correlation.fault_library import modal_faults
 from calib.correlation.held_out import held_out_errors
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
@@ -247,8 +248,9 @@ class World:
             row |= self._truth(scenario, measured)
             removed = measured.hidden if scenario.removed else ()
             problem = self.specimen.problem(measured.whole)
+            faults = modal_faults(problem.model, problem.measured) if self.subject.suspects else ()
             hypotheses = ModelHypotheses(
-                ModalResidual(problem), self.libraries[scenario.library], self.space, without=removed
+                ModalResidual(problem, faults=faults), self.libraries[scenario.library], self.space, without=removed
             )
             found = explain(hypotheses)
             row |= outcome(found, measured)
