@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from calib.analyses.adapter import Adapter
-from calib.analyses.compositions import Measured
 from calib.analyses.propose import OPEN, Found, ProposalResult, composed
 from calib.analyses.proposed_code import library_text
 from calib.analyses.proposed_words import COLUMNS, not_sought
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.front.shown import Shown
-from calib.front.test import ResponseTest, Test
 from calib.given import integer
 from calib.missing.explanation import Explanation
 from calib.progress import in_python
@@ -90,11 +88,11 @@ def proposed(
         explained = replace(explained, attempt=found.chosen.fit.values, beside=found.chosen.names)
     given = ExplainSettings().model_copy(update={"seed": adapter.facts.seed})
     with in_python("propose", progress) as told:
-        return Proposed(composed(adapter, model, _measured(tests), taken, given, explained, count, told))
-
-
-def _measured(tests: Sequence[Test]) -> list[Measured]:
-    return [test.used for test in tests if not isinstance(test, ResponseTest)]
+        return Proposed(
+            composed(
+                adapter, model, [data for test in tests for data in test.sensed], taken, given, explained, count, told
+            )
+        )
 
 
 def _nothing() -> pd.DataFrame:

@@ -88,7 +88,7 @@ def test_frames(worlds, name, verdict, named):
 def test_a_gain_is_told_as_a_fault_of_the_test(worlds):
     _, world = worlds
     row = world.run(scenario(world, "fault/gain"), 0)
-    assert row["verdict"] == "measurement" and any("gain" in name for name in row["faults"])
+    assert row["verdict"] == "measurement" and any("gain" in name for name in row["blamed"])
     assert row["methods"]["BIC with faults"]["verdict"] == "measurement"
 
 

@@ -82,7 +82,7 @@ def outcome(found: Explanation, measured: Truth) -> dict[str, Any]:
         "p_family": base.p_family,
         "measured_scale": found.measured_scale,
         "noise_scale": found.noise_scale, "evaluations": found.evaluations,
-        "begun_anew": found.begun_anew,
+        "begun_anew": found.begun_anew, "blamed": [t.names[0] for t in found.blamed],
         "steps": [] if found.steps is None else [list(step.candidate_fit.names) for step in found.steps.steps],
         "stopped": "" if found.steps is None else found.steps.stopped,
         "base_misfit": round(found.base.fit.misfit, 1),

@@ -109,7 +109,7 @@ BOGIE_FRF = replace(
 )  # fmt: skip
 
 BOGIE_FAULT = replace(
-    BOGIE, name="bogie_fault",
+    BOGIE, name="bogie_fault", suspects=True,
     sources=(*BOGIE.sources, "tests/benchmarks/rates_faults.py", "calib/analyses/frf_start.py"),
 )  # fmt: skip
 
