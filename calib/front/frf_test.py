@@ -7,18 +7,15 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-import pandas as pd
-
 from calib.analyses.explanation_result import MeasurementFacts
-from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.group_adapter import FRFAdapter
-from calib.analyses.verify import errors_of
 from calib.correlation.frf_nuisance import NUISANCES, Nuisance, belonging_to, concerned, require_channels
 from calib.correlation.frf_problem import FRFProblem, assumed_frfs
 from calib.correlation.frf_residual import FRFResidual
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.forward import Unseen, unseen_frfs
+from calib.front.base_test import BaseTest
 from calib.front.checked import UNNAMED, Claimed, band, named, place_of
 from calib.front.hypotheses import basis_for
 from calib.given import names, objects
@@ -26,13 +23,12 @@ from calib.measurement.accuracy import frf_claim
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_parts import HeldOutFRFs
-from calib.space import ParameterSpace
 from calib.structure.model import Assumption, StructuralModel
 from calib.structure.perturbations import Perturbation
 
 
 @dataclass(frozen=True, eq=False)
-class FRFTest:
+class FRFTest(BaseTest):
     """Measured frequency response functions, compared with those of a model with matrices.
 
     Attributes
@@ -140,20 +136,9 @@ class FRFTest:
         """The test as one of several: parameters of its own bear its name."""
         return replace(self, nuisances=belonging_to(self.name, self.nuisances))
 
-    def space(self, model: Any) -> ParameterSpace:
-        """Parameters of a model, and those of the test itself."""
-        return self.problem(model).space
-
     def pair(self, model: Any) -> FRFResidual:
         """The whitened residual of a model, without held-out FRFs."""
         return FRFResidual(self.problem(model))
-
-    def errors(self, model: Any, values: Mapping[str, float], fit: FitStatistics) -> pd.DataFrame:
-        """Errors on fitted, left-one-out and held-out FRFs; see `calib.analyses.verify.errors_of`."""
-        problem = self.problem(model)
-        return errors_of(
-            problem, None, self.unseen, problem.space, values, joint=fit.parts.get(self.name), active=fit.active
-        )
 
     @property
     def sensed(self) -> tuple[MeasuredFRFs]:
@@ -168,19 +153,7 @@ class FRFTest:
         facts: MeasurementFacts,
         name: str,
     ) -> FRFAdapter:
-        """The adapter of this test to an explanation.
-
-        Parameters
-        ----------
-        model : StructuralModel
-            Under the condition of the test.
-        effects : tuple of Effect
-        local : tuple of Perturbation
-            Local perturbations that all tests of a model of matrices share.
-        facts : MeasurementFacts
-        name : str
-            Name of the test where there are several; what concerns this one alone bears it.
-        """
+        """See `BaseTest`."""
         pair = self.pair(model)
         basis, large = basis_for(model, pair.problem, effects, local, facts.seed)
         space = pair.space.without(self.condition)

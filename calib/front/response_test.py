@@ -7,12 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-import pandas as pd
-
 from calib.analyses.explanation_result import MeasurementFacts
-from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.group_adapter import ScalarAdapter
-from calib.analyses.verify import errors_of
 from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.modal_responses import ModalResponses
 from calib.correlation.response_residual import ResponseResidual
@@ -20,19 +16,19 @@ from calib.correlation.responses import assumed_responses
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.forward import Unseen, unseen_responses
+from calib.front.base_test import BaseTest
 from calib.front.checked import UNNAMED, Claimed, Model, named, place_of
 from calib.front.hypotheses import hypotheses
 from calib.function import FunctionModel
 from calib.given import by_name, number
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.responses import MeasuredResponses, response_kinds
-from calib.space import ParameterSpace
 from calib.structure.model import Assumption
 from calib.structure.perturbations import Perturbation
 
 
 @dataclass(frozen=True, eq=False)
-class ResponseTest:
+class ResponseTest(BaseTest):
     """Measured scalar responses, compared with those of a `calib.FunctionModel` or with numbers of modes.
 
     A model with modes has the responses ``freq_1``, ``freq_2``, ... (natural frequencies in ascending order, Hz) and
@@ -117,15 +113,6 @@ class ResponseTest:
         used = {n: t for n, t in measured.targets.items() if n not in self.held_out}
         return FunctionProblem(model.space, function, used, mark, measured.pooled_repeats, measured.shares)
 
-    @property
-    def beside(self) -> ResponseTest:
-        """The test as one of several: it has no parameters of its own that would bear its name."""
-        return self
-
-    def space(self, model: Model) -> ParameterSpace:
-        """Parameters of a model; the test has none of its own."""
-        return model.space
-
     def pair(self, model: Model) -> ResponseResidual:
         """The whitened residual of a model, without held-out responses."""
         return ResponseResidual(self.problem(model))
@@ -135,23 +122,6 @@ class ResponseTest:
         """Held-out responses, by their group."""
         return unseen_responses(self.measured.targets, self.held_out)
 
-    def errors(self, model: Model, values: Mapping[str, float], fit: FitStatistics) -> pd.DataFrame:
-        """Errors on fitted, left-one-out and held-out data; see `calib.analyses.verify.errors_of`."""
-        return errors_of(
-            self.problem(model),
-            None,
-            self.unseen,
-            model.space,
-            values,
-            joint=fit.parts.get(self.name),
-            active=fit.active,
-        )
-
-    @property
-    def sensed(self) -> tuple[()]:
-        """Nothing: plain numbers have no sensors."""
-        return ()
-
     def adapter(
         self,
         model: Model,
@@ -160,19 +130,7 @@ class ResponseTest:
         facts: MeasurementFacts,
         name: str,
     ) -> ScalarAdapter:
-        """The adapter of this test to an explanation.
-
-        Parameters
-        ----------
-        model : FunctionModel, or one with modes
-            Under the condition of the test.
-        effects : tuple of Effect
-        local : tuple of Perturbation
-            Local perturbations that all tests of a model of matrices share.
-        facts : MeasurementFacts
-        name : str
-            Name of the test where there are several; what concerns this one alone bears it.
-        """
+        """See `BaseTest`."""
         space = model.space.without(self.condition)
         found, own = hypotheses(model, self.pair(model), effects, local, space, name)
         return ScalarAdapter(found, own, facts, self.unseen)

@@ -6,18 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import pandas as pd
-
 from calib.analyses.explanation_result import MeasurementFacts
-from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.modal_adapter import ModalAdapter
-from calib.analyses.verify import errors_of
 from calib.correlation.fault_library import modal_faults
 from calib.correlation.problem import ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import assumptions
 from calib.effect import Effect
 from calib.errors import InputError
+from calib.front.base_test import BaseTest
 from calib.front.checked import UNNAMED, Claimed, Model, band, named, place_of
 from calib.front.frf_test import FRFTest
 from calib.front.hypotheses import basis_for, hypotheses
@@ -28,14 +25,13 @@ from calib.measurement.accuracy import Accuracy
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import read_responses
-from calib.space import ParameterSpace
 from calib.structure.model import Assumption
 from calib.structure.perturbations import Perturbation
 from calib.study import Study
 
 
 @dataclass(frozen=True, eq=False)
-class ModalTest:
+class ModalTest(BaseTest):
     """Measured modes, and how they are compared with a model.
 
     Attributes
@@ -151,15 +147,6 @@ class ModalTest:
             override={m: k for m, k in self.override.items() if m not in held_out},
         )
 
-    @property
-    def beside(self) -> ModalTest:
-        """The test as one of several: it has no parameters of its own that would bear its name."""
-        return self
-
-    def space(self, model: Model) -> ParameterSpace:
-        """Parameters of a model; the test has none of its own."""
-        return model.space
-
     def pair(self, model: Model) -> ModalResidual:
         """The whitened residual of a model, without held-out data."""
         return ModalResidual(self.problem(model))
@@ -169,18 +156,6 @@ class ModalTest:
         if not self.held_out:
             return None
         return self.problem(model).over(self.modes, self.clusters, self.override, self.mode_count)
-
-    def errors(self, model: Model, values: Mapping[str, float], fit: FitStatistics) -> pd.DataFrame:
-        """Errors on fitted, left-one-out and held-out data; see `calib.analyses.verify.errors_of`."""
-        return errors_of(
-            self.problem(model),
-            self.whole_problem(model),
-            {},
-            model.space,
-            values,
-            joint=fit.parts.get(self.name),
-            active=fit.active,
-        )
 
     @property
     def sensed(self) -> tuple[MeasuredModes]:
@@ -195,19 +170,7 @@ class ModalTest:
         facts: MeasurementFacts,
         name: str,
     ) -> ModalAdapter:
-        """The adapter of this test to an explanation.
-
-        Parameters
-        ----------
-        model : StructuralModel or ModalFunctionModel
-            Under the condition of the test.
-        effects : tuple of Effect
-        local : tuple of Perturbation
-            Local perturbations that all tests of a model of matrices share.
-        facts : MeasurementFacts
-        name : str
-            Name of the test where there are several; what concerns this one alone bears it.
-        """
+        """See `BaseTest`."""
         pair = self.pair(model)
         pair = replace(pair, faults=modal_faults(pair.problem.model, pair.problem.measured, test=name))
         basis, large = basis_for(model, pair.problem, effects, local, facts.seed)
