@@ -21,7 +21,7 @@ from calib.analyses.joint_adapter import JointAdapter, together
 from calib.analyses.mesh_term import mesh_words, with_mesh_error
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.richer import richer_members
-from calib.analyses.state import ADDED, PROPOSED
+from calib.analyses.state import ADDED, EXPLAINED, PROPOSED
 from calib.analyses.uncertain import uncertain_note, with_uncertain
 from calib.candidate import Candidate
 from calib.effect import Effect
@@ -35,7 +35,7 @@ from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.between_tests import BETWEEN, Differences, differences
 from calib.missing.by_test import BY_TEST, reduction_table
 from calib.missing.candidate_fit import CandidateFit
-from calib.missing.discrepancy import TABLE as UNEXPLAINED
+from calib.missing.discrepancy import TABLE as INTERVALS
 from calib.missing.discrepancy import parameter_intervals
 from calib.missing.discrepancy import sentence as unexplained_sentence
 from calib.missing.explanation import Explanation
@@ -171,9 +171,9 @@ def decided(adapter: Adapter, given: ExplainSettings, place: str | Path, progres
 
 
 def keep(study: AnyStudy, results: Results, answer: ExplanationResult) -> None:
-    """Write all tables of an explanation and ``explanation.json``."""
+    """Write all tables of an explanation and ``explanation.json``; those that only another verdict has go."""
     begin_analysis(results, "explain")
-    results.remove(*ADDED, *PROPOSED, f"{UNEXPLAINED}.csv")  # which not every verdict writes
+    results.remove(*ADDED, *PROPOSED, *(f"{name}.csv" for name in EXPLAINED if name != "versions"))
     results.write_table("effects", answer.effects)
     results.write_table("errors", answer.errors)
     for name, table in answer.tables.items():
@@ -259,7 +259,7 @@ def answered(
     tables = {
         **({BY_TEST: reduction_table(found, labels[TEST].tolist())} if TEST in labels else {}),
         **({} if differing is None else {BETWEEN: differing.table}),
-        **({} if unexplained.empty else {UNEXPLAINED: unexplained}),
+        **({} if unexplained.empty else {INTERVALS: unexplained}),
         **stepped,
         **(richer_tables(found, richer) if richer else {}),
         **({FOUND_PLACES: placed} if len(placed) else {}),

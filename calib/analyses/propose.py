@@ -22,7 +22,7 @@ from calib.analyses.explain import adapter_for, require_usable
 from calib.analyses.explained_fit import explained_fit
 from calib.analyses.extend import NAME, anywhere, draft_of, put_among, require_valid, unwritable
 from calib.analyses.proposed_code import FUNCTION, library_text
-from calib.analyses.proposed_words import COLUMNS, answer_of, not_sought, proposals_table
+from calib.analyses.proposed_words import answer_of, no_proposals, not_sought, proposals_table
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.stale import stale_answers
 from calib.answer import Answer
@@ -141,15 +141,15 @@ def propose(
         )  # fmt: skip
     begin_analysis(results, "propose")
     if explained.verdict not in OPEN:
-        found = ProposalResult(
-            None, not_sought(explained.verdict, explained.named, shell_argument(study.file)), _empty()
-        )
+        names = " ".join(explained.named)
+        remedy = f"add what was named: calib extend {shell_argument(study.file)} {names} --into FOLDER"
+        found = ProposalResult(None, not_sought(explained.verdict, explained.named, remedy), no_proposals())
         _keep(study, results, found)
         return found
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
     adapter = adapter_for(study, results, progress, homes)
     measured = [one.problem.measured for one in tests if not isinstance(one.problem, FunctionProblem)]
-    taken = [name for effect in study.library for name in effect.names]
+    taken = [name for effect in study.library for one in effect.family for name in one.names]
     model = tests[0].model
     found = composed(adapter, model, measured, taken, study.settings.explain, explained, count, progress)
     if found.proposals is not None and found.proposals.ranked and not found.proposals.measurement:
@@ -174,7 +174,7 @@ def composed(
     if not own.plain:
         words = "Nothing can be proposed: the model names no parts, and has no matrices from which to compose effects."
         then = "Give it parts that its function scales: calib.structure.scaled_part.ScaledPart."
-        return ProposalResult(None, Answer(words, "Nothing was tested.", then), _empty())
+        return ProposalResult(None, Answer(words, "Nothing was tested.", then), no_proposals())
     hypotheses = hypotheses_with(adapter, own.effects)
     settings = Settings(given.alpha, given.refits, given.merge, given.seed, math.inf)
     fits = Refits(hypotheses, settings, explained.scale, progress)
@@ -243,10 +243,6 @@ def _explained(study: AnyStudy, results: Results) -> Found:
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------
-
-
-def _empty() -> pd.DataFrame:
-    return pd.DataFrame(columns=list(COLUMNS))
 
 
 def _keep(study: AnyStudy, results: Results, found: ProposalResult) -> None:

@@ -49,8 +49,10 @@ def answer_of(found: Proposals) -> Answer:
     """What is proposed, how sure that is, and what to do next; of a search without a proposal why there is none."""
     tested = f"{found.tested} compositions of local perturbations were tested"
     if not found.ranked:
+        apart = found.p_family <= found.alpha
+        none = "a place stands out, but no composition explains it" if apart else "no place stands out"
         return Answer(
-            "Nothing can be proposed: no place stands out.",
+            f"Nothing can be proposed: {none}.",
             f"{tested}; the largest score of all has the family-wise {p_words(found.p_family)}.",
             "Measure with more sensors or more modes, or check the standard deviations; then explain again.",
         )
@@ -74,14 +76,19 @@ def answer_of(found: Proposals) -> Answer:
     beside = f" beside {' and '.join(found.base.names)}" if found.base.names else ""
     assert found.left is not None
     left = min(found.left.p_family, found.left.p_fit)
-    rest = "nothing systematic is left" if left > 0.01 else "a misfit is left, so it is not the whole truth"
+    rest = "nothing systematic is left" if left > found.alpha else "a misfit is left, so it is not the whole truth"
     doubt = f" It is implausible: {best.candidate_fit.implausible}." if best.candidate_fit.implausible else ""
     sure = f"{evidence[:1].upper()}{evidence[1:]}. With it{beside} {rest} ({p_words(left)}).{doubt}"
     return Answer(words, sure, "Look at that place; the proposals are no effects of your library until you test them.")
 
 
-def not_sought(verdict: str, named: Sequence[str], study: str) -> Answer:
-    """Why nothing was sought, after a verdict that leaves nothing open."""
+def no_proposals() -> pd.DataFrame:
+    """The table without a row."""
+    return pd.DataFrame(columns=list(COLUMNS))
+
+
+def not_sought(verdict: str, named: Sequence[str], remedy: str) -> Answer:
+    """Why nothing was sought, after a verdict that leaves nothing open; ``remedy`` adds what was named."""
     names = " and ".join(named)
     if verdict == "measurement":
         return Answer(
@@ -89,14 +96,22 @@ def not_sought(verdict: str, named: Sequence[str], study: str) -> Answer:
             "The explanation found that a fault of the measurement explains the data better than any effect.",
             "Correct the measurement, and explain again.",
         )
+    if verdict == "noise_underestimated":
+        return Answer(
+            "Nothing is proposed: the standard deviations seem understated.",
+            f"The verdict of the explanation is {verdict}.",
+            "Check the standard deviations, and explain again.",
+        )
     if not named:
         return Answer(
             "Nothing is proposed: nothing seems missing.",
             f"The verdict of the explanation is {verdict}.",
             "More sensors, modes or repeats would show smaller effects.",
         )
+    if verdict == "indistinguishable":
+        remedy = "measure what tells them apart: the explanation recommends it"
     return Answer(
         f"Nothing is proposed: effects of the library explain the data, {names}.",
         f"The verdict of the explanation is {verdict}.",
-        f"Add what was named: calib extend {study} {' '.join(named)} --into FOLDER.",
+        f"{remedy[:1].upper()}{remedy[1:]}.",
     )

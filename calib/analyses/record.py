@@ -274,8 +274,9 @@ def begin_analysis(results: Results, analysis: str) -> None:
 
 
 def earlier(results: Results, analysis: str) -> dict[str, dict[str, Any]]:
-    """Other analyses in the folder's record; ``extend`` is dropped with the analyses it rests on."""
-    gone = {analysis} if results.has("added.json") else {analysis, "extend"}
+    """Other analyses in the folder's record; those that rest on one are dropped with it, as their files are."""
+    resting = {"extend": "added.json", "propose": "proposals.json"}
+    gone = {analysis, *(name for name, file in resting.items() if not results.has(file))}
     return {name: entry for name, entry in analyses_of(results).items() if name not in gone}
 
 

@@ -49,11 +49,12 @@ _MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivi
 _CALIBRATED = ("parameters", "points", "suspects_calibrated", "verdicts", "posterior_correlation", "confounded",
                "unseen_directions", "predictions", "convergence", "modes", "responses", "data_errors",
                "versions")  # fmt: skip
-_EXPLAINED = ("effects", "why", "why_parameters", "why_places", "reduction_by_test", "test_differences",
+EXPLAINED = ("effects", "why", "why_parameters", "why_places", "reduction_by_test", "test_differences",
               "effect_places", "accuracy", "explained_fits", "suspects_explained", "faults", "perturbations",
               "confounding", "pulls", "candidate_fits", "misfit_kinds", "sensor_misfit", "response_misfit",
               "frf_misfit", "unpaired", "errors", "next_measurement", "discretisation",
-              "steps", "steps_errors", "steps_rejected", "unexplained", "versions")  # fmt: skip
+              "steps", "steps_errors", "steps_rejected", "unexplained", "richer", "richer_errors",
+              "found_places", "versions")  # fmt: skip
 WRITES: Mapping[str, tuple[str, ...]] = {
     "compare": (*RECORDED, *GEOMETRY, *_of_stages("before"), "sensor_check.csv"),
     "sensitivity": (*RECORDED, *(f"{name}.csv" for name in _MEASURES)),
@@ -64,7 +65,7 @@ WRITES: Mapping[str, tuple[str, ...]] = {
         for stage in ("initial", "before")), *(f"{name}.csv" for name in _CALIBRATED), "summary.json",
     ),
     "explain": (
-        *RECORDED, *GEOMETRY, *(f"{name}.csv" for name in _EXPLAINED), "explanation.json", "added.json",
+        *RECORDED, *GEOMETRY, *(f"{name}.csv" for name in EXPLAINED), "explanation.json", "added.json",
     ),
     "propose": (*RECORDED, *PROPOSED),
     "extend": (*RECORDED, *ADDED),

@@ -143,7 +143,8 @@ class Explained(Shown, Generic[P]):
             For a problem of several models.
         """
         adapter = together(_adapters(self.problem, self.effects, self.seed, self.error))
-        taken = [name for own in self.effects.values() for effect in own for name in effect.names]
+        family = [one for own in self.effects.values() for effect in own for one in effect.family]
+        taken = [name for one in family for name in one.names]
         return proposed(self.problem, adapter, self.explanation.explanation, taken, rank, progress)
 
     def __repr__(self) -> str:

@@ -15,6 +15,7 @@ from calib.missing.rules import RULES
 from calib.missing.score import Scores
 
 TABLE = "unexplained"
+"""Name of the table."""
 COLUMNS = (
     "parameter", "unit", "value", "low", "high", "value_unexplained", "low_unexplained", "high_unexplained",
 )  # fmt: skip

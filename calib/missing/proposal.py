@@ -136,6 +136,8 @@ class Proposals:
         The wrong datum that explains about as well, or better.
     scale : float
         Factor on the standard deviation.
+    alpha : float
+        Family-wise level of every test.
     evaluations : int
     """
 
@@ -147,6 +149,7 @@ class Proposals:
     fault: CandidateFit | None
     datum: WrongDatum | None
     scale: float
+    alpha: float
     evaluations: int
 
     @property
@@ -223,10 +226,11 @@ class Search:
         best = ranked[0].candidate_fit
         left = adequacy_of(fits, best, beside(fits, best, []))
         fault, datum = self._suspect(base, ranked[0])
-        return Proposals(base, tuple(ranked), p, tested, left, fault, datum, fits.scale, h.evaluations)
+        return Proposals(base, tuple(ranked), p, tested, left, fault, datum, fits.scale, alpha, h.evaluations)
 
     def _none(self, base: CandidateFit, p: float, tested: int) -> Proposals:
-        return Proposals(base, (), p, tested, None, None, None, self.fits.scale, self.hypotheses.evaluations)
+        scale, alpha = self.fits.scale, self.fits.settings.alpha
+        return Proposals(base, (), p, tested, None, None, None, scale, alpha, self.hypotheses.evaluations)
 
     def _problem(self, base: CandidateFit, composed: Composed) -> FitProblem:
         return self.fits.fit_problem((*base.names, composed.effect.name))

@@ -25,17 +25,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rates import lines
 from rates_outcome import Measured
 from rates_scenarios import Scenario, rounds
 from rates_subject import BOGIE, ROOT
+from rates_table import Rate, bound_of
 from rates_world import World, code_digest
-from scipy.stats import beta
 
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.correlation.residual import ModalResidual
 from calib.errors import EvaluationError, InputError
-from calib.missing.discrepancy import VERDICTS, parameter_intervals
+from calib.missing.discrepancy import parameter_intervals
 from calib.missing.explain import explain
+from calib.missing.explanation import UNEXPLAINED
 from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.missing.local import WIDE
 from calib.structure.variants import Variants
@@ -55,12 +57,16 @@ def main() -> None:
     given.folder.mkdir(parents=True, exist_ok=True)
     file = given.folder / "runs.jsonl"
     if given.what == "report":
-        report([json.loads(line) for line in file.read_text("utf-8").splitlines()])
+        rows = lines(file)
+        report([row for row in rows if row["code"] == rows[-1]["code"]])
         return
     world = World(BOGIE, given.folder, code_digest(BOGIE))
     world.settle()
+    made = {(row["scenario"], row["number"]) for row in lines(file) if row["code"] == world.code}
     with file.open("a", encoding="utf-8") as out:
         for scenario, number, measured, visible in islice(visible_runs(world), given.skip, given.skip + given.runs):
+            if (scenario.name, number) in made:
+                continue
             try:
                 row = run(world, scenario, measured)
             except (EvaluationError, InputError, np.linalg.LinAlgError) as fault:
@@ -114,17 +120,28 @@ def intervals(fit: LinearisedFit) -> dict[str, list[float]]:
 
 def report(rows: list[dict[str, Any]]) -> None:
     """Coverage and width of each kind of interval."""
-    left = [row for row in rows if row["verdict"] in VERDICTS]
-    print(f"{len(rows)} runs, {len(left)} with a misfit that nothing explains")
+    left = [row for row in rows if row["verdict"] in UNEXPLAINED]
+    failed = sum(row["verdict"] == "failed" for row in rows)
+    print(f"{len(rows)} runs, {failed} failed, {len(left)} with a misfit that nothing explains")
     every = [p for row in left for p in row["parameters"].values()]
     for kind in ("alone", "unexplained", "informed"):
         hit = sum(p[kind][0] <= p["true"] <= p[kind][1] for p in every)
         width = [np.diff(p[kind])[0] / np.diff(p["informed"])[0] for p in every if np.diff(p["informed"])[0] > 0]
-        low, high = beta.ppf(0.05, hit, len(every) - hit + 1), beta.ppf(0.95, hit + 1, len(every) - hit)
+        low, high = (bound_of(Rate("", "", 0.95, at_least, hit, len(every))) for at_least in (True, False))
         print(
             f"{kind:12s} {hit} of {len(every)} = {hit / len(every):.3f} [{low:.3f}, {high:.3f}], "
             f"{np.median(width):.2f} times as wide as informed in the median"
         )
+    whole = sum(all(_held(p) for p in row["parameters"].values()) for row in left)
+    print(f"with the unexplained misfit: all parameters hold in {whole} of {len(left)}; by parameter:")
+    for name in left[0]["parameters"] if left else ():
+        own = [row["parameters"][name] for row in left]
+        print(f"  {name:20s} {sum(map(_held, own))} of {len(own)}")
+
+
+def _held(parameter: dict[str, Any]) -> bool:
+    low, high = parameter["unexplained"]
+    return bool(low <= parameter["true"] <= high)
 
 
 if __name__ == "__main__":
