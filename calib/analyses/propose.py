@@ -30,7 +30,7 @@ from calib.correlation.function_problem import FunctionProblem
 from calib.errors import EvaluationError, InputError
 from calib.loading import Model
 from calib.missing.collinear import Group
-from calib.missing.explanation import UNEXPLAINED, Explanation
+from calib.missing.explanation import OPEN, Explanation
 from calib.missing.proposal import Proposals, Search
 from calib.missing.recommendation import recommend, recommendation
 from calib.missing.refits import Refits, Settings
@@ -45,8 +45,6 @@ PROPOSED, FILE = "_proposed", "proposed_effects.py"
 """End of the name of the study with the proposals, and the file of its library."""
 RANKED = 5
 """Proposals that are told."""
-OPEN = (*UNEXPLAINED, "unconfirmed")
-"""Verdicts after which something is proposed: a misfit that no effect of the library explains."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from calib.analyses.propose import FILE, OPEN, ProposalResult
+from calib.analyses.propose import FILE, ProposalResult
 from calib.console.told import Entry, Rows, Warned, Words
-from calib.missing.explanation import Explanation
+from calib.missing.explanation import OPEN, Explanation
 from calib.missing.local import unit_words
 from calib.results import RESULTS
 from calib.study_file import StudyFile, shell_argument

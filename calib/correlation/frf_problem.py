@@ -159,7 +159,8 @@ class FRFProblem:
         """Hash that changes whenever the responses at the same values could, which measured values enter."""
         channels = sorted((e.kind, e.sensor, e.side) for e in self._channels.errors)
         known = self.loaded_model.fingerprint, self.measured.fingerprint
-        return digest_of(DEFINITION, *known, channels, *self._rows.content)[:16]
+        mesh = [] if self.mesh is None else [self.mesh.fingerprint]
+        return digest_of(DEFINITION, *known, channels, *self._rows.content, *mesh)[:16]
 
     def functions(self, values: Mapping[str, float]) -> np.ndarray:
         """FRFs at named values, (n_freq, n_responses, n_references), complex; EvaluationError where it has none."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from calib.errors import EvaluationError, InputError
+from calib.fingerprint import digest_of
 from calib.space import Parameter
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
@@ -67,6 +68,12 @@ class MeshError:
     def name(self) -> str:
         """Of the multiple."""
         return f"{NAME} in test {self.test}" if self.test else NAME
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash that changes whenever the change of any prediction could."""
+        known = self.coarse.fingerprint, self.finer.fingerprint, sorted(self.values.items())
+        return digest_of(*known, self.sd, self.test)[:16]
 
     @property
     def parameter(self) -> Parameter:

@@ -92,7 +92,9 @@ class ModalResidual:
         std = (self.std.freq, self.std.damping, self.std.shape)
         layout = (self.rows, self._damped, self._parts, self.factor_sensors)
         faults = [(f.name, f.shares, f.damping) for f in self.faults]
-        return digest_of(_DEFINITION, self.problem.fingerprint, std, layout, *([faults] if faults else []))[:16]
+        mesh = [] if self.problem.mesh is None else [self.problem.mesh.fingerprint]
+        parts = [*([faults] if faults else []), *mesh]
+        return digest_of(_DEFINITION, self.problem.fingerprint, std, layout, *parts)[:16]
 
     @property
     def kinds(self) -> np.ndarray:

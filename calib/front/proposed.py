@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from calib.analyses.adapter import Adapter
-from calib.analyses.propose import OPEN, Found, ProposalResult, composed
+from calib.analyses.propose import Found, ProposalResult, composed
 from calib.analyses.proposed_code import library_text
 from calib.analyses.proposed_words import no_proposals, not_sought
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.front.shown import Shown
 from calib.given import integer
-from calib.missing.explanation import Explanation
+from calib.missing.explanation import OPEN, Explanation
 from calib.progress import in_python
 from calib.settings import ExplainSettings
 

@@ -18,6 +18,8 @@ NAMED = ("effect", *SEVERAL)
 """Verdicts that name effects, all of which the model lacks."""
 UNEXPLAINED = ("partial", "none_explains", "misfit_unlocated")
 """Verdicts that leave a misfit which nothing explains fully."""
+OPEN = (*UNEXPLAINED, "unconfirmed")
+"""Verdicts after which something that nobody listed may be missing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +106,10 @@ class Explanation:
         candidate_fit, adequacy = self.chosen, self.chosen_adequacy
         if candidate_fit is None or adequacy is None or self.verdict not in UNEXPLAINED:
             return ""
+        return self.against(candidate_fit, adequacy) or "evidence"
+
+    def against(self, candidate_fit: CandidateFit, adequacy: AdequacyTests) -> str:
+        """First reason beside its evidence why a fit is not believed, as in `refused`; empty without one."""
         if candidate_fit.implausible:
             return "implausible"
         if not adequacy.can_tell:
@@ -111,7 +117,7 @@ class Explanation:
         if not adequacy.adequate(self.alpha):
             return "misfit"
         better = self.perturbation is not None and self.perturbation.ln_evidence > candidate_fit.ln_evidence
-        return "local_perturbation" if better else "evidence"
+        return "local_perturbation" if better else ""
 
     @property
     def names_something(self) -> bool:

@@ -25,9 +25,31 @@ from calib.missing.suspect import suspects
 from calib.missing.wrong_datum import wrong_datum
 
 _DAMPED = 0.1
-"""Damping ratio of the hung masses whose signatures are derived from those of fixed ones."""
+"""Damping ratio of the hung masses whose signatures are derived from those of fixed ones: peaks at neighbouring natural
+frequencies overlap, so that none falls between them."""
 _FREQS = 15
 """Natural frequencies of these."""
+
+
+def hung_over_fixed(freqs: np.ndarray, natural: np.ndarray) -> np.ndarray:
+    """How a mass on a spring acts at given frequencies, over the same mass held fast.
+
+    ``Re 1/(1 - (f/f0)^2 + 2 i zeta f/f0)``: above 1 below its natural frequency, where it moves more than its carrier,
+    negative above it, where it moves against it, and towards 0 far above (Den Hartog 1956).
+
+    Parameters
+    ----------
+    freqs : ndarray (n,)
+        Hz.
+    natural : ndarray (m,)
+        Natural frequencies f0 of the mass on its spring, Hz.
+
+    Returns
+    -------
+    ndarray (n, m)
+    """
+    ratio = freqs[:, None] / natural
+    return np.real(1 / (1 - ratio**2 + 2j * _DAMPED * ratio))
 
 
 class Composed(Protocol):
@@ -268,8 +290,7 @@ class Search:
         if not self.hung or np.isnan(freqs).any():
             return []
         natural = np.geomspace(0.7 * freqs.min(), 1.4 * freqs.max(), _FREQS)
-        ratio = freqs[:, None] / natural
-        factor = np.real(1 / (1 - ratio**2 + 2j * _DAMPED * ratio))
+        factor = hung_over_fixed(freqs, natural)
         best: list[tuple[float, int]] = []
         for k, one in enumerate(self.hung):
             if one.fixed in local.owners:

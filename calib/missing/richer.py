@@ -141,9 +141,7 @@ def told_richer(
         ``group, stage, rows, rms, expected, p`` of its model.
     """
     fit, adequacy = fitted
-    refused = replace(found, verdict="partial", chosen=fit, chosen_adequacy=adequacy).refused
-    if refused == "evidence":  # the last of the reasons: none of the others holds
-        refused = ""
+    refused = found.against(fit, adequacy)
     stage = str(errors["stage"].iloc[0]) if len(errors) else ""
     if not refused and contradicting(errors, stage):
         refused = "held_out"

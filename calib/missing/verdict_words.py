@@ -44,8 +44,7 @@ def without_in_short(found: Explanation) -> str:
 def family_in_short(found: Explanation) -> str:
     """The tests of the base model, without what was tested."""
     adequacy = found.base_adequacy
-    kinds = (adequacy.named, adequacy.perturbations, *([] if adequacy.faults is None else [adequacy.faults]))
-    tested = sum(len(set(scores.owners)) for scores in kinds)
+    tested = sum(_counts(found))
     return f"{p_words(adequacy.p_family)} for the largest of {tested} scores, {p_words(adequacy.p_fit)} for {WORST}"
 
 
@@ -61,8 +60,8 @@ def with_in_short(found: Explanation, them: str = "it") -> str:
 def family(found: Explanation) -> str:
     """The tests of the base model, in words."""
     adequacy = found.base_adequacy
-    local = f"{len(set(adequacy.perturbations.owners))} local perturbations"
-    tested = sum(len(g.names) for g in found.groups)
+    tested, perturbations, _ = _counts(found)
+    local = f"{perturbations} local perturbations"
     parts = [*([f"{tested} effect{'s' * (tested != 1)}"] if tested else []), local]
     parts += [] if adequacy.faults is None else [counted_faults(found)]
     counts = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else local
@@ -144,5 +143,11 @@ def ended(words: str) -> str:
 
 def counted_faults(found: Explanation) -> str:
     """Number of faults of the measurement that were tested."""
-    faults = found.base_adequacy.faults
-    return f"{0 if faults is None else len(set(faults.owners))} faults of the measurement"
+    return f"{_counts(found)[2]} faults of the measurement"
+
+
+def _counts(found: Explanation) -> tuple[int, int, int]:
+    """Number of effects, of local perturbations and of faults of the measurement that were tested."""
+    tests = found.base_adequacy
+    faults = 0 if tests.faults is None else len(set(tests.faults.owners))
+    return sum(len(g.names) for g in found.groups), len(set(tests.perturbations.owners)), faults

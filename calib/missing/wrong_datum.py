@@ -28,7 +28,7 @@ def wrong_datum(fits: Refits, base: CandidateFit, accused: pd.DataFrame, best: C
     ----------
     fits : Refits
     base : CandidateFit
-        The model without effects.
+        The model that would fit without the datum.
     accused : DataFrame
         From `calib.missing.suspect.suspects`, of the base fit.
     best : CandidateFit
@@ -43,10 +43,10 @@ def wrong_datum(fits: Refits, base: CandidateFit, accused: pd.DataFrame, best: C
     h = fits.hypotheses
     gone = next(d.rows for d in data_of(h.rows) if (d.what, d.kind) == (first["what"], first["kind"]))
     kept = np.setdiff1d(np.arange(len(h.rows)), gone)
-    fit_problem = fits.fit_problem(())
+    fit_problem = fits.fit_problem(base.names)
     fits.tell(f"fitting without {first['what']}")
     try:
-        rest = fitted(Altered(fit_problem, kept=kept), (), base.fit.values, settings=fits.affordable(FINE))
+        rest = fitted(Altered(fit_problem, kept=kept), base.names, base.fit.values, settings=fits.affordable(FINE))
         difference = fit_problem.residual(rest.values)[gone]
         slope = fit_problem.jacobian(rest.values, rest.names)[gone]
     except EvaluationError:
@@ -55,5 +55,5 @@ def wrong_datum(fits: Refits, base: CandidateFit, accused: pd.DataFrame, best: C
     if p_fit <= fits.settings.alpha:
         return None
     covariance = np.eye(len(gone)) + slope @ rest.covariance @ slope.T
-    ln = ln_evidence(rest, ()) + ln_wrong(difference, covariance)
+    ln = ln_evidence(rest, base.effects) + ln_wrong(difference, covariance)
     return WrongDatum(str(first["what"]), str(first["kind"]), ln, p_fit)

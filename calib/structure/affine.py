@@ -50,6 +50,11 @@ class Monomial:
         """Parameters it depends on."""
         return frozenset(name for name, _ in self.powers)
 
+    @property
+    def roots(self) -> frozenset[str]:
+        """Parameters raised to a power below 1: the derivative is infinite where they are 0."""
+        return frozenset(name for name, power in self.powers if 0 < power < 1)
+
     def __call__(self, values: Mapping[str, float]) -> float:
         """Value at parameters in SI."""
         out = self.factor
@@ -283,8 +288,7 @@ class AffineMatrix:
     def roots(self) -> frozenset[str]:
         """Parameters raised to a power below 1: the derivative is infinite where they are 0."""
         coefficients = [*(t.coefficient for t in self.terms), *(t.coefficient for t in self.selected)]
-        powers = [p for c in coefficients if isinstance(c, Monomial) for p in c.powers]
-        return frozenset(name for name, power in powers if 0 < power < 1)
+        return frozenset(name for c in coefficients for name in getattr(c, "roots", ()))
 
     @property
     def is_zero(self) -> bool:

@@ -31,6 +31,11 @@ class Product:
         """Parameters it depends on."""
         return self.one.names | self.other.names
 
+    @property
+    def roots(self) -> frozenset[str]:
+        """Parameters raised to a power below 1 in one of them."""
+        return frozenset(name for c in (self.one, self.other) for name in getattr(c, "roots", ()))
+
     def __call__(self, values: Mapping[str, float]) -> float:
         """Value at parameters in SI."""
         return self.one(values) * self.other(values)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -108,7 +109,7 @@ def _carrier(model: StructuralModel, place: Place) -> np.ndarray:
 def _assuming(addition: Addition, place: Place, *more: Assumption) -> Addition:
     x, y, z = place[1]
     here = Assumption("brake unit: x, y, z", f"{x}, {y}, {z}", "m", "where such parts usually sit")
-    return Addition(addition.stiffness, addition.damping, addition.mass, (), addition.n_added, (here, *more))
+    return replace(addition, assumptions=(*addition.assumptions, here, *more))
 
 
 def _on_mounts(place: Place, name: str, freq: str, model: StructuralModel) -> Addition:
@@ -119,9 +120,9 @@ def _rocking(place: Place, name: str, freq: str, model: StructuralModel) -> Addi
     hung = mounted_body(
         _carrier(model, place), UY, UNIT_MOUNTS, name, freq, _SIDEWAYS, f"{name}_lower", f"{name}_radius", _RATIO
     )
-    return _assuming(
-        hung, place, Assumption("brake unit: mounts along and across", "0.2, 0.3", "m", "size of such units")
-    )
+    along, _, across = np.ptp(UNIT_MOUNTS, axis=0)
+    size = Assumption("brake unit: mounts along and across", f"{along:g}, {across:g}", "m", "size of such units")
+    return _assuming(hung, place, size)
 
 
 def _fixed(place: Place, name: str, model: StructuralModel) -> Addition:

@@ -45,15 +45,18 @@ def test_the_posterior_is_that_of_generalised_least_squares():
 
 @pytest.mark.parametrize("sparse", [False, True])
 def test_the_true_values_lie_inside_where_those_of_the_fit_alone_do_not(sparse):
-    """Of 300 parameters; 95 % of them, and 0.9 to 0.99 by three standard deviations of a count."""
+    """Of 300 parameters at least 95 % within three standard deviations of a count: the size is an upper limit."""
     alone = together = 0
+    width = []
     for seed in range(100):
         fit, scores, truth = world(seed, 6.0, sparse)
         found, values = discrepancy(fit, scores), np.array(list(fit.values.values()))
         alone += int(np.sum(np.abs(values - truth) < 1.96 * np.sqrt(np.diag(fit.covariance))))
         std = np.sqrt(np.diag(found.covariance))
         together += int(np.sum(np.abs(values + found.change - truth) < 1.96 * std))
-    assert alone < 0.75 * 300 and 0.9 * 300 < together
+        width += (std / np.sqrt(np.diag(fit.covariance))).tolist()
+    assert alone < 0.75 * 300 and 0.91 * 300 < together
+    assert 1.0 < np.median(width) < 4.0
 
 
 def test_the_size_follows_the_misfit_and_is_that_of_noise_without_one():

@@ -9,9 +9,13 @@ import pytest
 
 from calib.missing.evidence import ln_wrong
 from calib.missing.explain import Settings, explain
+from calib.missing.refits import Refits
 from calib.missing.rules import RULES
+from calib.missing.suspect import suspects
 from calib.missing.tables import effects_table
 from calib.missing.verdict import verdict
+from calib.missing.wrong_datum import wrong_datum
+from calib.stage import unheard
 
 PLACE = ("M3", "frequency")
 
@@ -55,6 +59,18 @@ def test_the_odds_of_a_datum_that_is_far_off_are_bounded(toy):
     assert found.verdict == "indistinguishable" and found.datum.ln_evidence - found.chosen.ln_evidence > 60
     answer = verdict(found, effects_table(found, {}, {}), pd.DataFrame(columns=["group", "stage"])).answer
     assert found.datum.what in answer.found and " over 10,000:1." in answer.sure
+
+
+def test_a_wrong_datum_is_weighed_beside_the_effects_that_a_model_has(toy):
+    """E0 is large and in the model; a frequency is off. Without E0 the other data would not fit."""
+    made = beside(toy(effects=4), 0.3)
+    true = spoilt(made, np.random.default_rng(2), 12.0)
+    true = replace(true, data=true.data + 6.0 * made.columns["E0"])
+    fits = Refits(true, Settings(), 1.0, unheard)
+    base = fits.candidate_fit(("E0",), {**true.base.values, "E0": 6.0})
+    accused = suspects(base.fit, true, 0.01)
+    found = wrong_datum(fits, base, accused, base)
+    assert found is not None and found.what == "frequency of M3" and found.ln_evidence > base.ln_evidence + 10
 
 
 def test_a_wrong_datum_is_fitted_although_the_budget_is_used_up(toy):

@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg as la
 
 from calib.errors import InputError
-from calib.structure.affine import Monomial, StretchPower, parameter
+from calib.structure.affine import AffineMatrix, Monomial, StretchPower, parameter
 from calib.structure.anywhere import Chosen, Product, at_one_of, sliding_mass
 from calib.structure.attach import hung_masses, outer_term
 from calib.structure.extend import Addition
@@ -23,6 +23,16 @@ def test_each_place_is_the_addition_there():
         for kind in ("stiffness", "damping", "mass"):
             found = matrix(getattr(anywhere, kind), {**values, "m_place": float(k)})
             np.testing.assert_array_equal(found, matrix(getattr(own, kind), values))
+
+
+def test_the_root_of_a_hung_mass_is_known_at_any_place():
+    """Its coupling goes with the root of the mass, whose derivative is infinite at 0."""
+    hung = [hung_masses([row], "m", "f", 0.02) for row in np.eye(3)]
+    alone, anywhere = (
+        frozenset(name for terms in (a.stiffness, a.damping, a.mass) for name in AffineMatrix(4, tuple(terms)).roots)
+        for a in (hung[0], at_one_of(hung, "m_place"))
+    )
+    assert alone == anywhere == {"m"}
 
 
 def test_places_of_different_kinds_are_refused():
