@@ -191,9 +191,10 @@ def _rates_table() -> Any:
 
 def methods(subject: str) -> str:
     """Counts of several methods on the same blind runs, with one-sided 95 % bounds."""
-    found, rows = _rates_table(), {}
-    for method, rate in found.read_methods(DOCS / f"rates_{subject}_methods.csv"):
+    found, rows, made = _rates_table(), {}, {}
+    for method, rate, code, date in found.read_methods(DOCS / f"rates_{subject}_methods.csv"):
         cell = f"{rate.count} of {rate.n} ({'≥' if rate.at_least else '≤'} {100 * found.bound_of(rate):.0f} %)"
+        made[f"{date}, code `{'`, `'.join(code.split())}`"] = None
         rows.setdefault(method, {})[f"{rate.hidden}: {rate.verdict}"] = cell
     header = list(dict.fromkeys(title for own in rows.values() for title in own))
     return table(
@@ -210,7 +211,7 @@ def rates(subject: str) -> str:
         share = f"{100 * rate.count / rate.n:.1f} %"
         rows.append([rate.hidden, rate.verdict, f"{rate.count} of {rate.n}", share,
                      f"{sign} {100 * found.bound_of(rate):.1f} %", f"{sign} {100 * rate.required:.0f} %"])  # fmt: skip
-        made[f"{date}, code `{code}`"] = None
+        made[f"{date}, code `{'`, `'.join(code.split())}`"] = None
     header = ("hidden", "the answer", "runs", "share", "95 % bound", "required")
     return f"Runs of {'; '.join(made)}.\n\n{table(header, rows)}"
 

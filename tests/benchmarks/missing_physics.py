@@ -17,14 +17,14 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_variable] = "1"
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 
 import tire_rates
 from rates import by_way, lines, make
 from rates_subject import ROOT, SUBJECTS
-from rates_table import DETECTABLE, Rate, Row, bound_of, methods_file, named, report_methods, score, write_rates, wrong
+from rates_table import DETECTABLE, Rate, Row, bound_of, codes, methods_file, rates, report_methods, write_rates
 
 PLAN = {
     "bogie": 393, "bogie_fault": 39, "bogie_frf": 100, "panel": 110, "tire": 60, "chain": 250, "frame": 250,
@@ -49,7 +49,7 @@ def main() -> None:
     if given.what == "run":
         run(plan, given.folder, given.workers)
     else:
-        report(found(given.folder), given.write)
+        report(found(given.folder, plan), given.write)
 
 
 def run(plan: Mapping[str, int], folder: Path, workers: int) -> None:
@@ -62,10 +62,10 @@ def run(plan: Mapping[str, int], folder: Path, workers: int) -> None:
             make(SUBJECTS[name], folder / name, count, workers)
 
 
-def found(folder: Path) -> dict[str, list[Row]]:
+def found(folder: Path, names: Iterable[str] = PLAN) -> dict[str, list[Row]]:
     """Rows of each subject's latest code, by subject and way; those that broke are among them."""
     out: dict[str, list[Row]] = {}
-    for name in PLAN:
+    for name in names:
         rows = list(lines(folder / name / "runs.jsonl"))
         rows = [row for row in rows if row["code"] == rows[-1]["code"]]
         if name == "tire":
@@ -77,39 +77,21 @@ def found(folder: Path) -> dict[str, list[Row]]:
     return {name: rows for name, rows in out.items() if rows}
 
 
+COUNTED = (
+    (f"one effect, expected score {DETECTABLE:g} or more", "names it rightly"),
+    ("one effect of any magnitude", "names a wrong effect"),
+    ("something that is not in the library", "names something"),
+    ("nothing", "says that something is missing"),
+    ("one effect, named", "its 95 % interval covers the truth"),
+    ("a fault of the measurement", "names a wrong effect"),
+)
+"""Criteria of `rates_table.rates` that count over all subjects."""
+
+
 def criteria(rows: Sequence[Row]) -> list[Rate]:
     """What is counted, with the value that is wanted."""
-
-    def rate(hidden: str, verdict: str, wanted: float, at_least: bool, some: list[Row], so: Callable) -> Rate:
-        return Rate(hidden, verdict, wanted, at_least, sum(map(so, some)), len(some))
-
-    single = [r for r in rows if r["group"] == "single"]
-    outside = [r for r in rows if r["group"] in ("outside", "removed")]
-    nothing = [r for r in rows if r["group"] == "nothing"]
-    faulty = [r for r in rows if r["group"] == "fault"]
-    covering = [r for r in single if "covers" in r]
-    seen = [r for r in single if score(r) >= DETECTABLE]
-    return [
-        rate("one effect, expected score 6 or more", "named rightly", 0.95, True, seen, _right),
-        rate("one effect of any magnitude", "a wrong effect is named", 0.01, False, single, wrong),
-        rate("something outside the library", "an effect is named", 0.02, False, outside, named),
-        rate("nothing", "something seems to be missing", 0.03, False, nothing, _alarm),
-        rate("one effect, named", "its interval covers the truth (at least)", 0.90, True, covering, _covers),
-        rate("one effect, named", "its interval covers the truth (at most)", 0.99, False, covering, _covers),
-        rate("a fault of the measurement", "a wrong effect is named", 0.01, False, faulty, wrong),
-    ]  # fmt: skip
-
-
-def _right(row: Row) -> bool:
-    return bool(row["outcome"] == "right")
-
-
-def _alarm(row: Row) -> bool:
-    return bool(row["verdict"] != "nothing_detectable")
-
-
-def _covers(row: Row) -> bool:
-    return bool(row["covers"])
+    by_title = {(rate.hidden, rate.verdict): rate for rate in rates(rows)}
+    return [by_title[title] for title in COUNTED]
 
 
 def report(found: Mapping[str, Sequence[Row]], write: Path | None = None) -> None:
@@ -135,7 +117,7 @@ def report(found: Mapping[str, Sequence[Row]], write: Path | None = None) -> Non
     made = [r for r in every if "methods" in r]
     today = date.today().isoformat()
     if write is not None:
-        write_rates(counted["all"], write, every[-1]["code"], today)
+        write_rates(counted["all"], write, codes(every), today)
     report_methods(made, methods_file(write), today)
 
 

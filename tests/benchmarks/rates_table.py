@@ -87,10 +87,10 @@ def read(file: Path) -> list[tuple[Rate, str, str]]:
         return [(_rate_of(row), row["code"], row["date"]) for row in csv.DictReader(text)]
 
 
-def read_methods(file: Path) -> list[tuple[str, Rate]]:
-    """Counts of several methods as written by `report_methods`: the method and every rate of it."""
+def read_methods(file: Path) -> list[tuple[str, Rate, str, str]]:
+    """Counts of several methods as written by `report_methods`: the method, a rate of it, the codes and the date."""
     with file.open(encoding="utf-8", newline="") as text:
-        return [(row["method"], _rate_of(row)) for row in csv.DictReader(text)]
+        return [(row["method"], _rate_of(row), row["code"], row["date"]) for row in csv.DictReader(text)]
 
 
 def _rate_of(row: Mapping[str, str]) -> Rate:
@@ -127,9 +127,14 @@ def report_methods(rows: Sequence[Row], counts: Path | None = None, made: str = 
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")
         table.writerow(METHODS)
-        code, own_code = rows[-1]["code"], rows[-1]["methods_code"]
+        code, own_code = codes(rows), rows[-1]["methods_code"]
         table.writerows([m, *rate, code, own_code, made] for m, own in found.items() for rate in own if rate.n)
         counts.write_text(text.getvalue(), "utf-8")
+
+
+def codes(rows: Sequence[Row]) -> str:
+    """Every code that some rows were made with."""
+    return " ".join(dict.fromkeys(str(row["code"]) for row in rows))
 
 
 def methods_file(counts: Path | None) -> Path | None:
@@ -145,14 +150,12 @@ def of_methods(rows: Sequence[Row]) -> dict[str, list[Rate]]:
         ("nothing", "says that something is missing"),
         ("nothing", "names something"),
         ("something that is not in the library", "names something"),
+        ("a fault of the measurement", "names a wrong effect"),
     }
     out = {}
     for method in dict.fromkeys(name for row in rows for name in row["methods"]):
         told = [row | row["methods"][method] for row in rows if method in row["methods"]]
         out[method] = [rate for rate in rates(told) if (rate.hidden, rate.verdict) in wanted]
-        faulty = [row for row in told if row["group"] == "fault"]
-        title = "a fault of the measurement", "names a wrong effect"
-        out[method].append(Rate(*title, 0.01, False, sum(map(wrong, faulty)), len(faulty)))
     return out
 
 
@@ -218,14 +221,14 @@ def rates(rows: Sequence[Row]) -> list[Rate]:
             f"{one}, expected score 4 or more, something named", "the truth is among the names", 0.98, True, told,
             lambda r: r["outcome"] != "wrong",
         ),
-        rate(f"{one} of any magnitude", "names a wrong effect", 0.02, False, single, wrong),
+        rate(f"{one} of any magnitude", "names a wrong effect", 0.01, False, single, wrong),
         rate(none_there, "says that something is missing", 0.03, False, nothing, some),
         rate(none_there, names, 0.01, False, nothing, named),
         rate(f"{none_there}, library of 50", "says that something is missing", 0.03, False, group("fifty"), some),
         rate(f"{none_there}, library of 50", names, 0.01, False, group("fifty"), named),
-        rate(outside_, names, 0.05, False, outside, named),
-        rate("a design that no effect describes", names, 0.05, False, group("outside"), named),
-        rate("an effect that was taken out of the library", names, 0.05, False, group("removed"), named),
+        rate(outside_, names, 0.02, False, outside, named),
+        rate("a design that no effect describes", names, 0.02, False, group("outside"), named),
+        rate("an effect that was taken out of the library", names, 0.02, False, group("removed"), named),
         rate(f"{outside_}, {detectable}", "says that no listed effect explains it", 0.85, True, seen, none),
         rate(
             f"{outside_}, {detectable}", "the same, or that one explains it in part", 0.85, True, seen,
@@ -241,7 +244,8 @@ def rates(rows: Sequence[Row]) -> list[Rate]:
         rate(f"{two} of any score", "names a wrong effect", 0.02, False, pairs, wrong),
         rate(f"{three}, each of {detectable}", "names all three", 0.80, True, all_three, right),
         rate(f"{three} of any score", "names a wrong effect", 0.02, False, triples, wrong),
-        rate(f"{one}, named", "its 95 % interval covers the truth", 0.88, True, covering, lambda r: bool(r["covers"])),
+        rate(f"{one}, named", "its 95 % interval covers the truth", 0.90, True, covering, lambda r: bool(r["covers"])),
+        rate("a fault of the measurement", "names a wrong effect", 0.01, False, group("fault"), wrong),
     ]  # fmt: skip
 
 
