@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from chain_rates import ChainWorld
+from rates_beside import report_alike, report_widths
 from rates_bogie_frf import BogieWorld
 from rates_faults import FaultyFrameWorld, FaultyWorld
 from rates_frame import FrameWorld
@@ -59,6 +60,7 @@ def main() -> None:
     arguments.add_argument("--folder", type=Path, help="where runs and bases are kept (default results/rates_...)")
     arguments.add_argument("--code", help="report only lines of this code, or 'all' (default: the latest)")
     arguments.add_argument("--write", type=Path, help="report: also write the counts as CSV, docs/rates_bogie.csv")
+    arguments.add_argument("--beside", type=Path, help="report: the runs.jsonl of another count of the same structures")
     given = arguments.parse_args()
     subject = SUBJECTS[given.of]
     folder = given.folder or ROOT / "results" / f"rates_{subject.name}"
@@ -66,6 +68,8 @@ def main() -> None:
         file = folder / "runs.jsonl"
         made = date.fromtimestamp(file.stat().st_mtime).isoformat() if file.exists() else ""
         report_of(subject, list(lines(file)), given.code, given.write, made)
+        if given.beside:
+            report_alike(lines(file), lines(given.beside))
         return
     make(subject, folder, given.runs, given.workers, given.skip, given.only or "")
 
@@ -110,6 +114,8 @@ def report_of(subject: Subject, found: list[dict[str, Any]], code: str | None, c
         print(f"\n== {way} ==")
         file = counts and counts.with_name(f"{counts.stem}_{way}{counts.suffix}")
         report([row[way] for row in apart], code, file, made)
+    if len(subject.ways) == 2:
+        report_widths({way: [row[way] for row in apart] for way in subject.ways})
 
 
 def by_way(row: dict[str, Any], ways: tuple[str, ...]) -> dict[str, dict[str, Any]]:
