@@ -126,7 +126,7 @@ def adapter_for(study: AnyStudy, results: Results, progress: Progress, homes: Ma
     """All tests of a study, with stated errors of its models; arguments as in `explain`."""
     local, mesh_sd = perturbations_of(study), study.settings.explain.mesh_sd
     adapters = {
-        s.test: adapter_of(with_uncertain(s), homes.get(s.test, results), progress, local.get(s.test), study.held_sd)
+        s.test: adapter_of(with_uncertain(s), homes.get(s.test, results), progress, local[s.test], study.held_sd)
         for s in study.studies
     }
     if mesh_sd is not None:

@@ -26,7 +26,6 @@ from calib.analyses.proposed_words import answer_of, no_proposals, not_sought, p
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.stale import stale_answers
 from calib.answer import Answer
-from calib.correlation.function_problem import FunctionProblem
 from calib.errors import EvaluationError, InputError
 from calib.loading import Model
 from calib.missing.collinear import Group
@@ -146,7 +145,7 @@ def propose(
         return found
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
     adapter = adapter_for(study, results, progress, homes)
-    measured = [one.problem.measured for one in tests if not isinstance(one.problem, FunctionProblem)]
+    measured = [data for one in tests for data in one.tested.sensed]
     taken = [name for effect in study.library for one in effect.family for name in one.names]
     model = tests[0].model
     found = composed(adapter, model, measured, taken, study.settings.explain, explained, count, progress)

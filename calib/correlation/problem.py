@@ -23,8 +23,8 @@ from calib.mac import mac
 from calib.measurement.modal import MeasuredModes
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
-from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.modal_model import ModalModel
+from calib.structure.mode_target import ModeTarget
 from calib.structure.model import Assumption, StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduced import ReducedModel
@@ -34,6 +34,9 @@ RESPONSES = ("natural_freq", "damped_freq", "damping_ratio", "mac", "emac", "mar
 
 _DEFINITION = "modal responses 2"
 """Part of the fingerprint; increment it whenever the same modes would give other responses."""
+
+DAMPING_MAX = 0.95
+"""Damping ratio from which a mode is exempt from the tolerance: a nearly critical eigenvalue is almost defective."""
 
 _LEAST_FREQ = 1e-12
 """Lower bound of model frequencies in Hz, which keeps their logarithm finite."""
@@ -148,13 +151,12 @@ class ModalProblem:
     @property
     def numbers_function(self) -> Callable[[Mapping[str, float]], Mapping[str, float]] | None:
         """The user's function of the numbers of modes; None for a model of matrices, which runs no user code."""
-        return self.model.numbers_function if isinstance(self.model, ModalFunctionModel) else None
+        return self.model.numbers_function
 
-    function = numbers_function
+    user_function = numbers_function
 
     def with_function(self, function: Callable[[Mapping[str, float]], Mapping[str, float]]) -> ModalProblem:
         """The same problem with another function of the numbers of modes."""
-        assert isinstance(self.model, ModalFunctionModel)
         return replace(self, model=self.model.with_function(function))
 
     @property
@@ -218,11 +220,26 @@ class ModalProblem:
             count = self.mode_count + max(0, whole.n_modes - mode_count)
         return replace(self, measured=whole, mode_clusters=clusters, override=override, mode_count=count)
 
+    @property
+    def reducible(self) -> StructuralModel | None:
+        """The model of matrices that a basis can reduce; None for a function and a reduced model."""
+        return self.model.reducible
+
+    @property
+    def basis_names(self) -> tuple[str, ...]:
+        """Parameters over which a basis must serve."""
+        return self.space.names
+
+    def basis_target(self, tolerance: float) -> ModeTarget:
+        """All modes up to the end of the frequency window; ``tolerance`` is the relative error of an eigenvalue."""
+        freq_max = self.freq_window[1] if self.freq_window else float(np.inf)
+        return ModeTarget(self.mode_count, freq_max, DAMPING_MAX, tolerance)
+
     def reduced(self, basis: Basis) -> ModalProblem:
         """The same problem with a reduced model; InputError when the basis belongs to another model."""
-        if not isinstance(self.model, StructuralModel):
+        if self.reducible is None:
             raise InputError("the model is reduced already", place=self.model.name)
-        return replace(self, model=ReducedModel(self.model, basis))
+        return replace(self, model=ReducedModel(self.reducible, basis))
 
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
         """Flat responses at named values, ordered by measured mode.
