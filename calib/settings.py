@@ -98,7 +98,7 @@ class MeasurementSettings(_Section):
     averages: int | None = Field(default=None, ge=1, le=1_000_000)
     """Averages behind each FRF of a single file, whose coherence then gives the standard deviations."""
     responses: PathText | None = None
-    """CSV table of scalar responses, for a model without modes; instead of ``files``."""
+    """CSV table of scalar responses, of a model with modes such as ``freq_1``, ``damping_1``; instead of ``files``."""
     mode_names: tuple[str, ...] | None = None
     """Names of the measured modes in the order of the files, where these give none."""
     repeats: int | None = Field(default=None, ge=1, le=1_000_000)

@@ -25,6 +25,11 @@ from calib.structure.model import StructuralModel
 
 Measured = MeasuredModes | MeasuredFRFs
 
+MODES = 10
+"""Modes of the model whose frequencies stand for measured ones."""
+RIGID = 1e-3
+"""Frequency, over the highest of these, below which a mode is one of a rigid body."""
+
 
 @dataclass(frozen=True, eq=False)
 class Compositions:
@@ -75,12 +80,11 @@ def compositions(
         return Compositions(tuple(of_function(model.parts, names)))
     values = {name: value for name, value in values.items() if name in model.space}
     sensors = _sensors(measured)
-    freqs = np.concatenate([one.natural_freq if isinstance(one, MeasuredModes) else one.freq for one in measured])
-    band = float(freqs[freqs > 0].min()), float(freqs.max())
+    band = _band(model, measured, values)
     middle = float(np.sqrt(band[0] * band[1]))
     plain = (*of_parts(model, names, middle), *of_sensors(model, sensors, values, names, middle))
     modal = [one for one in measured if isinstance(one, MeasuredModes)]
-    if len(modal) < len(measured) or len(modal) > 1:
+    if len(modal) != 1 or len(measured) != 1:
         return Compositions(plain)
     placed = {c.at for c in plain if c.kind == "added mass"}
     hung = tuple(
@@ -90,6 +94,15 @@ def compositions(
     )
     (one,) = modal
     return Compositions(plain, hung, dict(zip(one.names, one.natural_freq.tolist(), strict=True)))
+
+
+def _band(model: StructuralModel, measured: Sequence[Measured], values: Mapping[str, float]) -> tuple[float, float]:
+    """Lowest and highest measured frequency above 0, Hz; of the model's lowest modes where no sensor measured any."""
+    if measured:
+        freqs = np.concatenate([one.frequencies for one in measured])
+        return float(freqs[freqs > 0].min()), float(freqs.max())
+    freqs = model.modes(values, min(MODES, model.n_modes)).natural_freq
+    return float(freqs[freqs > RIGID * freqs.max()].min()), float(freqs.max())
 
 
 def _sensors(measured: Sequence[Measured]) -> list[Sensor]:
