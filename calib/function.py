@@ -61,6 +61,11 @@ class FunctionModel:
         object.__setattr__(self, "parts", scaled_parts(self.parts, f"model {self.name}, parts"))
 
     @property
+    def reducible(self) -> None:
+        """None: there are no matrices to reduce."""
+        return
+
+    @property
     def fingerprint(self) -> str:
         """Hash over the function: its file, its code and the objects it holds (closure, defaults)."""
         return self.identity or digest_of(self.name, self.function)[:16]

@@ -427,9 +427,19 @@ class StudySettings(_Section):
         return tuple(dict.fromkeys(name for name in named if name))
 
     @property
+    def listed(self) -> tuple[str, ...] | None:
+        """The parameters that the study selects by name; None where it names none."""
+        return self.selection if isinstance(self.selection, tuple) else None
+
+    @property
+    def selected_by_sensitivity(self) -> bool:
+        """Whether the selection is left to the sensitivity analysis."""
+        return self.selection is not None and self.listed is None
+
+    @property
     def mentioned(self) -> tuple[tuple[tuple[int | str, ...], str], ...]:
         """Every parameter that the file mentions, with its key."""
-        selected = self.selection if isinstance(self.selection, tuple) else ()
+        selected = self.listed or ()
         adopted = () if self.adopted is None else self.adopted.parameters
         constrained = [(k, name) for k, c in enumerate(self.constraints) for name in c.coefficients]
         return (

@@ -84,6 +84,11 @@ class Study(StudyFile):
         return change(self)
 
     @property
+    def space(self) -> ParameterSpace:
+        """All parameters, those of its test's nuisances included."""
+        return self.problem.space
+
+    @property
     def held_sd(self) -> dict[str, float]:
         """Standard deviations of the held parameters whose values are uncertain."""
         return {name: sd for name, sd in self.adopted_sd.items() if sd > 0}

@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.analyses.adapter import Adapter
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.joint_adapter import JointAdapter
-from calib.analyses.one_test import OneTest
 from calib.effect import Effect
 from calib.function import FunctionModel
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.missing.hypotheses import Hypotheses
-from calib.missing.joint import JointHypotheses
 from calib.missing.proposal import HungBy
 from calib.structure.compositions import Composition, Names, hung_at, of_function, of_parts, of_sensors
 from calib.structure.modal_function import ModalFunctionModel
@@ -107,17 +100,3 @@ def _band(model: StructuralModel, measured: Sequence[Measured], values: Mapping[
 
 def _sensors(measured: Sequence[Measured]) -> list[Sensor]:
     return list({s.name: s for one in measured for s in one.sensors if s.point is not None}.values())
-
-
-def hypotheses_with(adapter: Adapter, effects: Sequence[Effect]) -> Hypotheses:
-    """The hypotheses of an adapter with other effects beside those of its library."""
-    if isinstance(adapter, JointAdapter):
-        return JointHypotheses({test: hypotheses_with(own, effects) for test, own in adapter.adapters.items()})
-    assert isinstance(adapter, OneTest)
-    return with_more(adapter.hypotheses, effects)
-
-
-def with_more(hypotheses: ModelHypotheses[Any], effects: Sequence[Effect]) -> ModelHypotheses[Any]:
-    """The same hypotheses with further effects."""
-    variants: Any = hypotheses.variants
-    return replace(hypotheses, variants=replace(variants, effects=(*variants.effects, *effects)))

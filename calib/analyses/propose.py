@@ -17,7 +17,7 @@ import pandas as pd
 import tomlkit
 
 from calib.analyses.adapter import Adapter
-from calib.analyses.compositions import Measured, compositions, hypotheses_with
+from calib.analyses.compositions import Measured, compositions
 from calib.analyses.explain import adapter_for, require_usable
 from calib.analyses.explained_fit import explained_fit
 from calib.analyses.extend import NAME, anywhere, draft_of, put_among, require_valid, unwritable
@@ -172,7 +172,7 @@ def composed(
         words = "Nothing can be proposed: the model names no parts, and has no matrices from which to compose effects."
         then = "Give it parts that its function scales: calib.structure.scaled_part.ScaledPart."
         return ProposalResult(None, Answer(words, "Nothing was tested.", then), no_proposals())
-    hypotheses = hypotheses_with(adapter, own.effects)
+    hypotheses = adapter.with_effects(own.effects)
     settings = Settings(given.alpha, given.refits, given.merge, given.seed, math.inf)
     fits = Refits(hypotheses, settings, explained.scale, progress)
     search = Search(fits, own.plain, own.hung, own.freqs)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import pandas as pd
+
 from calib.correlation.frf_nuisance import Nuisance, belonging_to, concerned, of_every_channel
 from calib.correlation.frf_places import of_every_place
 from calib.correlation.frf_problem import FRFProblem
@@ -87,3 +89,16 @@ class TestedFRFs(Tested):
     def pair(self, problem: FRFProblem) -> FRFResidual:
         """See `Tested`."""
         return FRFResidual(problem)
+
+    def table(self) -> pd.DataFrame:
+        """``response, reference, held_out, quantity, lines, freq_min, freq_max, repeats``, one row per function.
+
+        Bands that are held out are in the record.
+        """
+        held, whole, rows = self.study.settings.held_out, self.given, []
+        for function in whole.functions:
+            response, reference, freq = function.response.name, function.reference.name, whole.freq[function.lines]
+            held_out = response in held.sensors or reference in held.references
+            rows.append((response, reference, held_out, whole.quantity, len(freq), freq[0], freq[-1], whole.n_repeats))
+        columns = ["response", "reference", "held_out", "quantity", "lines", "freq_min", "freq_max", "repeats"]
+        return pd.DataFrame(rows, columns=columns)

@@ -5,13 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+import pandas as pd
+
 from calib.correlation.problem import ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
+from calib.correlation.standard_deviations import std_for
 from calib.errors import InputError
 from calib.forward.misfit import misfit
 from calib.forward.tested import Tested
 from calib.measurement.modal import MeasuredModes
 from calib.structure.modal_model import ModalModel
+
+MODE_COLUMNS = (
+    "mode", "held_out", "natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std", "repeats",
+    "freq_std_used", "damping_std_used",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,3 +122,25 @@ class TestedModes(Tested):
     def pair(self, problem: ModalProblem) -> ModalResidual:
         """See `Tested`."""
         return ModalResidual(problem)
+
+    def table(self) -> pd.DataFrame:
+        """`MODE_COLUMNS`: frequencies in Hz, damping as a ratio, and the number of repeats of the frequency."""
+        held, whole = self.study.settings.held_out, self.given
+        freq_std, damping_std = self._std_used()
+        columns = {
+            "mode": list(whole.names),
+            "held_out": [name in held.modes for name in whole.names],
+            **{name: getattr(whole, name) for name in MODE_COLUMNS[2:-3]},
+            "repeats": whole.counts("freq"),
+            "freq_std_used": freq_std * whole.natural_freq,
+            "damping_std_used": damping_std * whole.damping_ratio,
+        }
+        return pd.DataFrame(columns, columns=list(MODE_COLUMNS))
+
+    def _std_used(self) -> tuple[np.ndarray, np.ndarray]:
+        """Relative standard deviations of frequency and damping, (n_modes,): of the fit, or of the held-out check."""
+        every, used = std_for(self.given), self.used_modes
+        freq, damping = every.freq.copy(), every.damping.copy()
+        fitted, rows = std_for(used), [self.given.names.index(name) for name in used.names]
+        freq[rows], damping[rows] = fitted.freq, fitted.damping
+        return freq, damping

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+import pandas as pd
+
 from calib.correlation.frf_nuisance import Nuisance
 from calib.correlation.function_problem import FunctionProblem, Targets
 from calib.correlation.modal_responses import response_problem
-from calib.correlation.response_residual import ResponseResidual
+from calib.correlation.response_residual import ResponseResidual, response_std
 from calib.errors import InputError
 from calib.forward.tested import Tested
 from calib.forward.unseen import UnseenResponses, unseen_responses
@@ -76,3 +79,12 @@ class TestedResponses(Tested):
     def pair(self, problem: FunctionProblem) -> ResponseResidual:
         """See `Tested`."""
         return ResponseResidual(problem)
+
+    def table(self) -> pd.DataFrame:
+        """``response, held_out, value, std, repeats, std_used``."""
+        held, whole = self.study.settings.held_out, self.given
+        rows = [
+            (name, name in held.responses, value, np.nan if std is None else std, whole.counts.get(name, np.nan), taken)
+            for (name, (value, std)), taken in zip(whole.targets.items(), response_std(whole.targets), strict=True)
+        ]
+        return pd.DataFrame(rows, columns=["response", "held_out", "value", "std", "repeats", "std_used"])

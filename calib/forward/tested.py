@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import pandas as pd
+
 from calib.correlation.frf_nuisance import Nuisance
 from calib.correlation.frf_problem import FRFProblem
 from calib.correlation.frf_residual import FRFResidual
@@ -52,6 +54,10 @@ class Tested(ABC):
     @abstractmethod
     def pair(self, problem: Any) -> AnyPair:
         """The whitened residual of a problem over such data."""
+
+    @abstractmethod
+    def table(self) -> pd.DataFrame:
+        """All data with their standard deviations, held-out data included and marked."""
 
     @property
     def modes(self) -> MeasuredModes | None:

@@ -129,13 +129,13 @@ class Study:
     def tests(self) -> tuple[Study, ...]:
         """Each test as a study of its own; a study with one test is its only element."""
         loaded = self.loaded
-        return tuple(replace(self, read=one) for one in loaded.studies) if isinstance(loaded, JointStudy) else (self,)
+        return tuple(replace(self, read=one) for one in loaded.studies) if loaded.settings.several else (self,)
 
     @property
     def one(self) -> Loaded:
         """The study with its only test."""
-        assert isinstance(self.loaded, Loaded)
-        return self.loaded
+        (only,) = self.loaded.studies
+        return only
 
     def _by(self, executor: Executor | Injected | None) -> Study:
         """A copy with an executor instead of worker processes; InputError for a setting that it does not support."""
@@ -326,7 +326,7 @@ class Study:
         calibration.chosen_cases(self.loaded, case)
         chosen = [sensitivity_analysis.selected_by_measures(study.one, study.folder) for study in self.tests]
         selected = tuple(dict.fromkeys(name for one in chosen for name in one.search_space.free_names))
-        left = isinstance(self.loaded.settings.selection, str)
+        left = self.loaded.settings.selected_by_sensitivity
         loaded = self.loaded.each(lambda one: one.selecting(selected)) if left else self.loaded
         self.listener.begins(loaded, "calibrate")
         folder = places.results_of(loaded, root, quick, case, method)
@@ -346,7 +346,7 @@ class Study:
 
     def _fit(self) -> Fitted:
         """Calibrate, after a sensitivity analysis where the study leaves the selection to it."""
-        if isinstance(self.loaded.settings.selection, str):
+        if self.loaded.settings.selected_by_sensitivity:
             for study in self.tests:
                 study._sensitivity()
         return self._calibrate()
@@ -405,5 +405,5 @@ class Study:
         for part in reversed(in_order(self.loaded.studies, folder)):
             own = places.results_of(part, self.results, self.quick, case, method)
             replace(self, read=part).draw(own, report)
-        if isinstance(self.loaded, JointStudy):
+        if self.loaded.settings.several:
             self.draw(folder)
