@@ -153,8 +153,8 @@ def measured_table(study: Study) -> pd.DataFrame:
 
     Columns are those of `calib.forward.modes.TestedModes.table`, and of the same for scalar responses and FRFs.
     Standard deviations are those of the mean over the repeats; for scalar responses they are pooled and include the
-    claimed accuracy. Those ``used`` are the weights of calibration and explanation: pooled, with accuracy and floors, and
-    assumed where nothing is known.
+    claimed accuracy. Those ``used`` are the weights of calibration and explanation: pooled, with accuracy and floors,
+    and assumed where nothing is known.
     """
     return study.tested.table()
 
