@@ -241,6 +241,6 @@ def toy() -> Callable[..., Toy]:
 
 
 @pytest.fixture
-def fewer_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+def fewer_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     """A quarter of the samples behind a p-value: enough for a level of 1 %; sampling takes longest over toys."""
     monkeypatch.setattr("calib.missing.score.RULES", replace(RULES, samples=RULES.samples // 4))

@@ -17,7 +17,7 @@ from calib.missing.tables import effects_table
 from calib.missing.verdict import MOST
 from calib.missing.verdict import verdict as verdict_of
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 
 WORST = "the worst kind of data or mode shape"
 UNITS = {"E0": "kg", "E1": "-", "E2": "kN/m", "E3": "-", "E4": "kg"}
