@@ -15,6 +15,7 @@ from calib.missing.explanation import Explanation
 from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.missing.rules import RULES
 from calib.space import Parameter, ParameterSpace
+from tests.missing.verdict_cases import every_verdict
 
 
 @dataclass(frozen=True)
@@ -238,6 +239,12 @@ def toy() -> Callable[..., Toy]:
         )
 
     return make
+
+
+@pytest.fixture(scope="session")
+def cases(toy: Callable[..., Toy]) -> dict[str, Explanation]:
+    """Explanations of every verdict."""
+    return every_verdict(toy)
 
 
 @pytest.fixture
