@@ -16,7 +16,7 @@ PAGE = ROOT / "ARCHITECTURE.md"
 # From the bottom up: a part may import itself and anything of a lower rank.
 RANKS = (
     {"place"},
-    {"excerpt", "own_code", "csv_entries", "toml_places"},
+    {"excerpt", "own_code", "csv_entries", "toml_places", "cell"},
     {"errors", "interrupt", "written", "neighbours", "version", "threads", "renamed", "stage", "answer"},
     {"given", "units", "on_limit", "mac", "degrees_of_freedom", "outcome", "table", "fingerprint", "tasks"},
     {"parameter"},

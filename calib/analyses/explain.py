@@ -113,10 +113,9 @@ def explain(
     answer = replace(answer, tables=tables, notes=notes, figures=figures)
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
     of_all = {name: table for name, table in answer.tables.items() if TEST not in table or name in (BY_TEST, BETWEEN)}
-    seen: list[tuple[AnyStudy, Results, ExplanationResult]] = [(study, results, replace(answer, tables=of_all))]
-    parts = adapter.by_test(answer)
-    seen += [(one, folders[one.test], parts[one.test]) for one in tests if one.test in parts]
-    for part, folder, own in seen:
+    parts, whole = adapter.by_test(answer), replace(answer, tables=of_all)
+    seen = [(one, folders[one.test], parts[one.test]) for one in tests if one.test in parts]
+    for part, folder, own in [(study, results, whole), *seen]:
         keep(part, folder, own)
         write_record(part, folder, "explain", seeds, answer=own.answer)
     return answer

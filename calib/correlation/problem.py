@@ -16,7 +16,7 @@ from calib.correlation.energy import emac
 from calib.correlation.mesh_error import MeshError
 from calib.correlation.mode_tracking import Point, follow
 from calib.correlation.order import Costs
-from calib.correlation.pairing import Pairing, check_override, in_window, pair_by_order, pair_by_shape
+from calib.correlation.pairing import Pairing, check_clusters, check_override, in_window, pair_by_order, pair_by_shape
 from calib.correlation.standard_deviations import assumptions, known_std
 from calib.errors import EvaluationError, InputError
 from calib.mac import mac
@@ -91,23 +91,7 @@ class ModalProblem:
     sensor_rows: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        known = ", ".join(self.model.clusters) or "none"
-        for mode, clusters in self.mode_clusters.items():
-            if mode not in self.measured.names:
-                raise InputError(
-                    f"clusters are given for mode {mode!r}, which was not measured",
-                    place="pairing",
-                    remedy=f"the measured modes are {', '.join(self.measured.names) or 'none'}",
-                )
-            if not clusters:
-                raise InputError(f"no cluster is named for mode {mode!r}", place="pairing", remedy="leave the mode out")
-            for cluster in clusters:
-                if cluster not in self.model.clusters:
-                    raise InputError(
-                        f"mode {mode!r} names cluster {cluster!r}, which the model {self.model.name} lacks",
-                        place="pairing",
-                        remedy=f"its clusters are {known}",
-                    )
+        check_clusters(self.mode_clusters, self.measured.names, self.model.clusters, self.model.name)
         if self.mode_count < max(1, self.measured.n_modes):
             raise InputError(
                 f"mode_count is {self.mode_count}",

@@ -9,31 +9,30 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-from calib.analyses import added, places, staged
 from calib.analyses import calibrate as calibration
 from calib.analyses import compare as comparison
 from calib.analyses import explain as explanation
 from calib.analyses import extend as extension
+from calib.analyses import places, staged
 from calib.analyses import propose as proposal
 from calib.analyses import sensitivity as sensitivity_analysis
 from calib.analyses.explanation_result import ExplanationResult
 from calib.analyses.joint_calibration import Fitted, calibrate_jointly
 from calib.analyses.reduction import fingerprints
 from calib.analyses.stored import modes_kept
-from calib.analyses.versions import write_versions
 from calib.errors import InputError
 from calib.executor import Injected
 from calib.front.adopting import loaded_after
 from calib.front.drawn import draw, draw_anew
 from calib.front.first_test import in_order
 from calib.front.listener import Listener, Showing
+from calib.front.named_added import with_named
 from calib.front.problem import Problem
 from calib.front.shown import AnalysisResult, Compared
 from calib.front.test import model_of, test_of
 from calib.given import integer
 from calib.given import path as path_of
 from calib.joint import said, stacked
-from calib.missing.explanation import Explanation
 from calib.report.html.write import NAME as REPORT
 from calib.report.style import Format, Width
 from calib.results import RESULTS, Results
@@ -266,7 +265,7 @@ class Study:
             study._sensitivity()
         before, extended = self._calibrate(), None
         if self.loaded.candidates:
-            extended = self._add(before, self._explain().explanation)
+            extended = with_named(self, before, self._explain().explanation)
             if extended is not None:
                 extended._draw_tests(report=True)
         self._draw_tests(report=True)
@@ -363,32 +362,6 @@ class Study:
             answer = explanation.explain(kept, self.folder, step, homes, {s.one.test: s.folder for s in self.tests})
         self.listener.explained(loaded, answer, self.folder)
         return answer
-
-    def _add(self, before: Fitted, found: Explanation) -> Study | None:
-        """The study extended by the named effects and calibrated; None when none is named."""
-        loaded, named = self.loaded, added.to_add(found)
-        if named is None:
-            self.listener.nothing_added(added.nothing_added(found))
-            for study in self.tests:
-                added.write_nothing_added(study.one, found, study.folder, self.quick)
-            return None
-        self.listener.begins(loaded, "extend")
-        fitted = {*loaded.search_space.free_names, *(name for e in named.effects for name in e.names)}
-        fitted &= set(named.fit.fit_problem.space.free_names)
-        begin_at = {name: value for name, value in named.fit.values.items() if name in fitted}
-        written = extension.extend_among(loaded, named.names, self.folder.path, begin_at)
-        self.listener.extended(written)
-        extended = replace(self, path=written.file, read=None)
-        after = extended._fit()
-        self.listener.begins(loaded, "before and after")
-        for own, other in zip(self.tests, extended.tests, strict=True):
-            test = own.one.test
-            was, now = before.seen(test), after.seen(test)
-            answer = added.write_added(own.one, was, named, other.one, now, own.folder, self.quick)
-            if not self.quick:
-                write_versions(other.one, self.results)
-            self.listener.added(answer, written, other.folder)
-        return extended
 
     # -- figures -------------------------------------------------------------------------------------------------------
 
