@@ -36,7 +36,7 @@ app = typer.Typer(
 
 
 def _possible(path: Path) -> Path:
-    from calib.settings import possible_path
+    from calib.section import possible_path
 
     try:
         return Path(possible_path(str(path)))

@@ -31,6 +31,8 @@ class FunctionModel:
     assumptions : tuple of Assumption
     parts : tuple of ScaledPart
         Parts that the function scales where it is asked to; an explanation asks whether one of them is wrong.
+    identity : str
+        Identifies the function where its code and the objects it holds are not enough.
 
     Examples
     --------
@@ -47,6 +49,7 @@ class FunctionModel:
     function: Callable[[Mapping[str, float]], Mapping[str, float]]
     assumptions: tuple[Assumption, ...] = ()
     parts: tuple[ScaledPart, ...] = ()
+    identity: str = ""
 
     def __post_init__(self) -> None:
         objects([self.space], ParameterSpace, f"model {self.name}, space")
@@ -58,9 +61,14 @@ class FunctionModel:
         object.__setattr__(self, "parts", scaled_parts(self.parts, f"model {self.name}, parts"))
 
     @property
+    def reducible(self) -> None:
+        """None: there are no matrices to reduce."""
+        return
+
+    @property
     def fingerprint(self) -> str:
         """Hash over the function: its file, its code and the objects it holds (closure, defaults)."""
-        return digest_of(self.name, self.function)[:16]
+        return self.identity or digest_of(self.name, self.function)[:16]
 
     def with_function(self, function: Callable[[Mapping[str, float]], Mapping[str, float]]) -> FunctionModel:
         """The model with another function."""

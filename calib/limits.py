@@ -172,12 +172,11 @@ def search_space(
     either, every free parameter is selected. ``elsewhere`` are parameters that other tests leave free: their keys are
     ignored here.
     """
-    if settings.selection is None:
-        names = space.free_names
-    elif isinstance(settings.selection, str):
-        names = space.free_names if selection is None else selection
+    if settings.listed is not None:
+        names = settings.listed
     else:
-        names = settings.selection
+        left = selection if settings.selected_by_sensitivity else None
+        names = space.free_names if left is None else left
     missing = {name for name in elsewhere if name not in space.free_names}
     names = tuple(name for name in names if name not in missing)
     if not names:
@@ -187,7 +186,7 @@ def search_space(
     try:
         chosen = space.widen(wide).keep(names)
     except InputError as fault:
-        given = settings.selection if isinstance(settings.selection, tuple) else ()
+        given = settings.listed or ()
         wrong = [k for k, name in enumerate(given) if name in names and _fails(partial(space.keep, [name]))]
         raise InputError(fault.problem, place=place("selection", *wrong[:1]), remedy=fault.remedy) from None
     for name, value in settings.calibration.begin_at.items():

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from calib.cell import shortened
 from calib.errors import InputError
-from calib.table import shortened
 
 ANY = None
 """Key that stands for every name that is not listed."""

@@ -116,7 +116,7 @@ class Results:
 
     def write_table(self, name: str, table: pd.DataFrame, index: bool = False) -> Path:
         """Write ``name.csv`` for `calib.table.read_table`; floats keep ten digits. InputError when it cannot be."""
-        from calib.table import guarded_table  # late: the command needs the constants of this module only
+        from calib.cell import guarded_table  # late: the command needs the constants of this module only
 
         return self._write(f"{name}.csv", guarded_table(table).to_csv(index=index, float_format="%.10g"))
 

@@ -2,204 +2,36 @@
 
 from __future__ import annotations
 
-import re
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
-    ValidationInfo,
     field_validator,
     model_validator,
 )
 
 from calib.errors import InputError
-from calib.measurement.accuracy import Accuracy, Claim, frf_claim
-
-Pair = tuple[float, float]
-Seed = Annotated[int, Field(ge=0, lt=2**31)]
-LONGEST_NAME = 255
-"""Bytes in the name of a file or folder that the common file systems allow."""
-
-
-def possible_path(text: str) -> str:
-    """A path that file systems accept; ValueError for any other."""
-    if "\0" in text:
-        raise ValueError("a path cannot hold a zero character")
-    longest = max((len(part.encode("utf-8", "replace")) for part in re.split(r"[/\\]", text)), default=0)
-    if longest > LONGEST_NAME or len(text) > 4000:
-        raise ValueError(f"a name of {longest} bytes in the path is too long: {LONGEST_NAME} are possible")
-    return text
-
-
-PathText = Annotated[str, AfterValidator(possible_path)]
-Share = Annotated[float, Field(ge=0, le=1)]
-FUNCTION = r"^[^:]+:[A-Za-z_]\w*$"
-"""Names a function: ``"file.py:function"`` in the study's folder, or ``"package.module:function"``."""
-FunctionText = Annotated[PathText, Field(pattern=FUNCTION)]
-NAME = r"^[A-Za-z0-9_-]+$"
-"""Name of a case or a test, which names files."""
+from calib.measurement.accuracy import Claim
+from calib.measurement_settings import (
+    HeldOutSettings,
+    MeasurementSettings,
+    PairingSettings,
+    TestSettings,
+)
+from calib.section import (
+    FUNCTION,
+    NAME,
+    FunctionText,
+    Pair,
+    PathText,
+    Section,
+    Seed,
+    Share,
+    WrongBelow,
+)
 
 
-class WrongBelow(ValueError):
-    """A wrong value below the section or list that is checked; ``keys`` lead there."""
-
-    def __init__(self, words: str, *keys: int | str):
-        super().__init__(words)
-        self.keys = keys
-
-
-class _Section(BaseModel):
-    # Text below a field is its description in the JSON schema, in editors and in the documents.
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
-
-
-class NuisanceSettings(_Section):
-    """``nuisances``: errors of a test of FRFs that a fit may find, each with its prior; none by default."""
-
-    gain: float | None = Field(default=None, gt=0, le=100)
-    """Standard deviation of the gain of every channel, %."""
-    phase: float | None = Field(default=None, gt=0, le=180)
-    """Standard deviation of the phase of every channel, degrees."""
-    delay: float | None = Field(default=None, gt=0, le=1)
-    """Standard deviation of the delay of every channel, s."""
-    place: float | None = Field(default=None, gt=0, le=1e3)
-    """Standard deviation of each coordinate of every transducer, mm; 0.45 of the radius within which they are right."""
-    accelerometer: float | None = Field(default=None, gt=0, le=1e3)
-    """Mass of the accelerometer at every node with a response, kg; its standard deviation is a tenth of it."""
-    stinger: float | None = Field(default=None, gt=0, le=1e12)
-    """Standard deviation of the stiffness of the exciter's stinger at every reference, N/m."""
-
-
-class MeasurementSettings(_Section):
-    """``[measurement]``: files, relative to the study's folder."""
-
-    kind: Literal["modes", "frf"] = "modes"
-    """What ``files`` hold: measured modes or frequency response functions."""
-    files: tuple[PathText, ...] = ()
-    """Measured modes or FRFs: universal files (``.uff``, ``.unv``) or CSV tables, one file a repeat."""
-    shapes: tuple[PathText, ...] = ()
-    """CSV tables of mode shapes beside ``files`` that are CSV; leave out when only frequencies were measured."""
-    sensors: PathText | None = None
-    """CSV table of the measured nodes: ``node, x, y, z`` in m, ``on``."""
-    quantity: Literal["receptance", "mobility", "accelerance"] | None = None
-    """What FRFs are, where their files do not state it."""
-    unit: str | None = None
-    """Unit of FRFs of translations under forces, such as ``"(m/s2)/N"`` or ``"g/N"``, where their files do not
-    state it."""
-    band: Pair | None = None
-    """Lines of FRFs that are used, from and to, Hz; by default all."""
-    lines: Literal["all", "resonances"] = "all"
-    """Whether all lines of FRFs are used, or those near resonances, which carry most of what they tell."""
-    nuisances: NuisanceSettings = NuisanceSettings()
-    """Errors of a test of FRFs that a fit may find."""
-    averages: int | None = Field(default=None, ge=1, le=1_000_000)
-    """Averages behind each FRF of a single file, whose coherence then gives the standard deviations."""
-    responses: PathText | None = None
-    """CSV table of scalar responses, for a model without modes; instead of ``files``."""
-    mode_names: tuple[str, ...] | None = None
-    """Names of the measured modes in the order of the files, where these give none."""
-    repeats: int | None = Field(default=None, ge=1, le=1_000_000)
-    """Number of repeats behind the standard deviations that a table states."""
-    std_of: Literal["mean", "repeat"] = "mean"
-    """Whether a stated standard deviation is that of the mean or of one repeat."""
-    pooling: Literal["robust", "plain"] = "robust"
-    """Whether outliers among the repeats are excluded (``"robust"``) or only reported (``"plain"``)."""
-    accuracy: str | float | dict[str, str | float] | None = None
-    """Claimed accuracy beside the repeatability: a share such as ``"1 %"``, or by kind or response a share or a
-    number in the unit of the value."""
-    set_ups: dict[str, tuple[str, ...]] = {}
-    """Sensors of measured modes that were scaled together, by the name of their set-up."""
-    corrected: dict[str, float] = {}
-    """Faults of measured modes that are taken out on reading, as an explanation names them, such as
-    ``{ "gain of sensor 12y" = -0.1 }``; the files stay as they are."""
-    synthetic: bool = False
-    """Whether the measurement is computed; every figure then says so."""
-
-    @field_validator("accuracy")
-    @classmethod
-    def _claim(
-        cls, given: str | float | dict[str, str | float] | None, info: ValidationInfo
-    ) -> str | float | dict[str, str | float] | None:
-        claims = given.values() if isinstance(given, dict) else () if given is None else (given,)
-        for claim in claims:
-            Claim.of(claim)
-        if info.data.get("kind") == "frf":
-            frf_claim(given)
-        elif info.data.get("files"):
-            Accuracy.of(given)
-        elif given is not None and not isinstance(given, dict | str):
-            raise ValueError("one accuracy for all responses is a share such as '1 %'; give numbers by response")
-        return given
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> MeasurementSettings:
-        if bool(self.files) == bool(self.responses) and self.model_fields_set:
-            raise ValueError("name either measured modes (files = [...]) or scalar responses (responses = '...')")
-        return self
-
-
-class HeldOutSettings(_Section):
-    """``[held_out]``: measured data that no fit uses."""
-
-    modes: tuple[str, ...] = ()
-    """Measured modes that no fit uses."""
-    sensors: tuple[str, ...] = ()
-    """Measured sensors, such as ``101y``, that no fit uses; of FRFs the responses."""
-    references: tuple[str, ...] = ()
-    """References of FRFs, such as ``12z``, that no fit uses."""
-    bands: tuple[Pair, ...] = ()
-    """Bands ``[low, high]`` of FRFs that no fit uses, Hz."""
-    responses: tuple[str, ...] = ()
-    """Scalar responses that no fit uses."""
-
-
-class PairingSettings(_Section):
-    """``[pairing]``: how measured and model modes are paired."""
-
-    mode_count: int | None = Field(default=None, ge=1, le=1_000_000)
-    """Model modes that are solved; by default twice as many as were measured."""
-    threshold: Share = 0.3
-    """Least EMAC of a pair."""
-    freq_window: Pair | None = None
-    """Model modes outside are never paired; Hz."""
-    clusters: dict[str, tuple[str, ...]] = {}
-    """For each measured mode the groups of degrees of freedom that carry its strain energy."""
-    override: dict[str, int] = {}
-    """Number of the model mode, from 1, that a measured mode is paired with whatever its EMAC."""
-
-    @field_validator("freq_window")
-    @classmethod
-    def _ordered(cls, window: Pair | None) -> Pair | None:
-        if window is not None and not 0 <= window[0] < window[1]:
-            raise ValueError(f"the window {list(window)} is not [lower, upper] in Hz")
-        return window
-
-
-class TestSettings(MeasurementSettings):
-    """``[[tests]]``: measurements under one condition; files as under ``[measurement]``."""
-
-    __test__ = False  # no test of pytest's
-
-    name: str = Field(pattern=NAME, max_length=100)
-    """Label of the results of this test; they go to ``<study>.<name>``."""
-    set: dict[str, float] = {}
-    """Values of parameters under this test only, each in its own unit."""
-    held_out: HeldOutSettings = HeldOutSettings()
-    """Data of this test that no fit uses."""
-    pairing: PairingSettings = PairingSettings()
-    """How its modes are paired."""
-    model: PathText | None = Field(default=None, pattern=FUNCTION)
-    """Another model for this test."""
-    model_options: dict[str, Any] | None = None
-    """Other options of the model."""
-    effects: PathText | None = Field(default=None, pattern=FUNCTION)
-    """Library of effects of that other model."""
-
-
-class ParameterSettings(_Section):
+class ParameterSettings(Section):
     """``[parameters.NAME]``: changes to one parameter of the model, in its own unit."""
 
     value: float | None = None
@@ -214,7 +46,7 @@ class ParameterSettings(_Section):
     """Whether the parameter keeps its value in every analysis."""
 
 
-class AdoptedSettings(_Section):
+class AdoptedSettings(Section):
     """``[adopted]``: parameters that are held at the fitted values of another study."""
 
     study: PathText
@@ -223,7 +55,7 @@ class AdoptedSettings(_Section):
     """Parameters that keep the values fitted there."""
 
 
-class ConstraintSettings(_Section):
+class ConstraintSettings(Section):
     """``[[constraints]]``: limits on a weighted sum of parameters."""
 
     name: str
@@ -236,7 +68,7 @@ class ConstraintSettings(_Section):
     """Unit of the sum."""
 
 
-class SensitivitySettings(_Section):
+class SensitivitySettings(Section):
     """``[sensitivity]``: samples of the sensitivity analysis."""
 
     samples: int = Field(default=500, ge=3, le=1_000_000)
@@ -245,7 +77,7 @@ class SensitivitySettings(_Section):
     """Seed of the samples."""
 
 
-class CaseSettings(_Section):
+class CaseSettings(Section):
     """``[[calibration.cases]]``: one run of the search from its own initial population."""
 
     name: str = Field(pattern=NAME, max_length=100)
@@ -254,7 +86,7 @@ class CaseSettings(_Section):
     """Seed of its initial population."""
 
 
-class ReductionSettings(_Section):
+class ReductionSettings(Section):
     """``[reduction]``: search on a reduced basis of the model; reported results are always solved at full order."""
 
     use: bool = True
@@ -266,7 +98,7 @@ class ReductionSettings(_Section):
     """Seed of the points that train the basis."""
 
 
-class CalibrationSettings(_Section):
+class CalibrationSettings(Section):
     """``[calibration]``: genetic searches from independent populations, and least squares after them."""
 
     method: Literal["auto", "genetic", "gauss-newton", "cmcf"] = "auto"
@@ -310,7 +142,7 @@ class CalibrationSettings(_Section):
         return cases
 
 
-class ExplainSettings(_Section):
+class ExplainSettings(Section):
     """``[explain]``: which physical effect is missing."""
 
     alpha: float = Field(default=0.01, gt=0, lt=0.5)
@@ -340,7 +172,7 @@ class ExplainSettings(_Section):
         return given
 
 
-class StudySettings(_Section):
+class StudySettings(Section):
     """The whole file: a model, and its measurement under ``[measurement]`` or test by test under ``[[tests]]``.
 
     Keys of ``base`` hold where this file does not override them, tables key by key and lists as a whole; paths there
@@ -427,9 +259,19 @@ class StudySettings(_Section):
         return tuple(dict.fromkeys(name for name in named if name))
 
     @property
+    def listed(self) -> tuple[str, ...] | None:
+        """The parameters that the study selects by name; None where it names none."""
+        return self.selection if isinstance(self.selection, tuple) else None
+
+    @property
+    def selected_by_sensitivity(self) -> bool:
+        """Whether the selection is left to the sensitivity analysis."""
+        return self.selection is not None and self.listed is None
+
+    @property
     def mentioned(self) -> tuple[tuple[tuple[int | str, ...], str], ...]:
         """Every parameter that the file mentions, with its key."""
-        selected = self.selection if isinstance(self.selection, tuple) else ()
+        selected = self.listed or ()
         adopted = () if self.adopted is None else self.adopted.parameters
         constrained = [(k, name) for k, c in enumerate(self.constraints) for name in c.coefficients]
         return (

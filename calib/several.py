@@ -72,6 +72,16 @@ class JointStudy(StudyFile):
         return joined({s.test: s.search_space.without(s.condition) for s in self.studies})
 
     @property
+    def space(self) -> ParameterSpace:
+        """All parameters, those of the tests' nuisances included; see `search_space`."""
+        return self.search_space
+
+    @property
+    def repeats(self) -> None:
+        """None: each test has its own number."""
+        return
+
+    @property
     def adopted(self) -> Mapping[str, float]:
         """Values adopted from an earlier study."""
         return {name: value for study in self.studies for name, value in study.adopted.items()}

@@ -7,32 +7,15 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from calib.correlation.frf_nuisance import Nuisance
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.function_problem import FunctionProblem
+from calib.correlation.function_problem import Targets
 from calib.correlation.problem import ModalProblem
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.fingerprint import digest_of, digest_of_files
-from calib.forward import (
-    ForwardProblem,
-    Targets,
-    Unseen,
-    frf_problem,
-    function_problem,
-    held_out_frfs,
-    measured_for,
-    misfit,
-    modal_problem,
-    nuisances_of,
-    require_own,
-    unseen_frfs,
-    unseen_responses,
-    used_modes,
-    used_targets,
-)
-from calib.function import FunctionModel
+from calib.forward import AnyPair, ForwardProblem, Tested, Unseen, tested_for
 from calib.given import path as path_of
 from calib.limits import parameter_hints, search_space, sensitivity_space
 from calib.loading import Model, Sources, fingerprint_of, lacking, with_effects
@@ -43,7 +26,6 @@ from calib.measurement.responses import MeasuredResponses
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
 from calib.structure.extend import extend
-from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import scaling_by_function
 from calib.study_file import Measured, StudyFile
@@ -59,8 +41,8 @@ class Study(StudyFile):
     ----------
     model : StructuralModel, ModalFunctionModel or FunctionModel
         With the study's effects, parameter values, limits and constraints.
-    given : MeasuredModes, MeasuredResponses or MeasuredFRFs
-        Everything that was measured, held-out data included. For verification only: never given to a fit.
+    tested : Tested
+        What was measured. All of it, held-out data included, is for verification only: never given to a fit.
     problem : ModalProblem, FunctionProblem or FRFProblem
         Named parameters in, named responses out; with the data in use.
     sensitivity_space, search_space : ParameterSpace
@@ -80,7 +62,7 @@ class Study(StudyFile):
     """
 
     model: Model
-    given: Measured
+    tested: Tested
     problem: ForwardProblem
     sensitivity_space: ParameterSpace
     search_space: ParameterSpace
@@ -102,6 +84,11 @@ class Study(StudyFile):
         return change(self)
 
     @property
+    def space(self) -> ParameterSpace:
+        """All parameters, those of its test's nuisances included."""
+        return self.problem.space
+
+    @property
     def held_sd(self) -> dict[str, float]:
         """Standard deviations of the held parameters whose values are uncertain."""
         return {name: sd for name, sd in self.adopted_sd.items() if sd > 0}
@@ -111,46 +98,54 @@ class Study(StudyFile):
         return self.given
 
     @property
+    def given(self) -> Measured:
+        """Everything that was measured."""
+        return self.tested.given
+
+    @property
     def whole(self) -> MeasuredModes | None:
         """All modes; None where scalar responses or FRFs were measured."""
-        return self.given if isinstance(self.given, MeasuredModes) else None
+        return self.tested.modes
 
     @property
     def responses(self) -> MeasuredResponses | None:
         """All scalar responses and their repeats; None where modes or FRFs were measured."""
-        return self.given if isinstance(self.given, MeasuredResponses) else None
+        return self.tested.responses
 
     @property
     def frfs(self) -> MeasuredFRFs | None:
         """All FRFs; None where modes or scalar responses were measured."""
-        return self.given if isinstance(self.given, MeasuredFRFs) else None
+        return self.tested.frfs
 
     @property
     def measured(self) -> MeasuredModes | None:
         """Modes in use; None where scalar responses or FRFs were measured."""
-        return self.problem.measured if isinstance(self.problem, ModalProblem) else None
+        return self.tested.used_modes
 
     @property
     def targets(self) -> Targets:
         """Scalar responses in use; empty where modes or FRFs were measured."""
-        return self.problem.targets if isinstance(self.problem, FunctionProblem) else {}
+        return self.tested.targets
+
+    @property
+    def pair(self) -> AnyPair:
+        """The whitened residual of the problem."""
+        return self.tested.pair(self.problem)
+
+    @property
+    def asked(self) -> Any:
+        """The model as the problem asks it, which may be behind a ledger."""
+        return getattr(self.problem, "model", self.model)  # a problem of a function holds no model
 
     @cached_property
     def nuisances(self) -> tuple[Nuisance, ...]:
         """Errors of the test of FRFs that a fit may find, those of held-out channels included."""
-        if self.frfs is None:
-            return ()
-        assert isinstance(self.model, StructuralModel)
-        return nuisances_of(self, self.model, self.frfs)
+        return self.tested.nuisances(self.model)
 
     @cached_property
     def unseen(self) -> Unseen:
         """Held-out scalar responses or FRFs, by group; empty where modes were measured. For verification only."""
-        if self.frfs is not None:
-            return unseen_frfs(held_out_frfs(self).split(self.frfs)[1], self.nuisances)
-        if self.responses is not None:
-            return unseen_responses(self.responses.targets, self.settings.held_out.responses)
-        return {}
+        return self.tested.unseen(self.nuisances)
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:
@@ -165,11 +160,7 @@ class Study(StudyFile):
     @property
     def repeats(self) -> int | None:
         """Repeats behind the measured values; None where a study of scalar responses does not state them."""
-        given = self.whole or self.frfs
-        if given is not None:
-            return given.n_repeats
-        counted = None if self.responses is None else self.responses.repeats
-        return self.settings.measurement.repeats if counted is None else counted
+        return self.tested.repeats
 
     @property
     def included(self) -> tuple[Effect, ...]:
@@ -183,22 +174,8 @@ class Study(StudyFile):
         return lacking(self.library, self.settings.with_effects)
 
     def whole_problem(self) -> ModalProblem | None:
-        """The modal problem over everything measured; None where no mode and no sensor is held out.
-
-        See `calib.correlation.problem.ModalProblem.over`.
-
-        Raises
-        ------
-        InputError
-            When a held-out sensor has no place on the model, or a held-out mode an impossible pair.
-        """
-        problem, whole, pairing, held = self.problem, self.whole, self.settings.pairing, self.settings.held_out
-        if not isinstance(problem, ModalProblem) or whole is None or not (held.modes or held.sensors):
-            return None
-        try:
-            return problem.over(whole, pairing.clusters, pairing.override, pairing.mode_count)
-        except InputError as fault:
-            raise misfit(self, problem.model, fault) from None
+        """The modal problem over everything measured; None where no mode and no sensor is held out; see `Tested`."""
+        return self.tested.whole_problem(self.problem)
 
     def finer_model(self) -> StructuralModel | None:
         """The model on a finer mesh, effects included; None when the study names no options for one."""
@@ -249,29 +226,16 @@ def _study(
     model = replace(model, space=space)
     for k, name in enumerate(file.settings.depends_on):
         file.path(name, "depends_on", k)
-    given = measured_for(file, model)
-    require_own(file, given)
-    problem: ForwardProblem
-    if isinstance(given, MeasuredResponses):
-        assert isinstance(base, FunctionModel) and isinstance(model, FunctionModel)
-        mark = _fingerprint(file, fingerprint_of(base, included, model))
-        problem = function_problem(file, model, mark, used_targets(file, given.targets), given)
-    elif isinstance(given, MeasuredFRFs):
-        assert isinstance(model, StructuralModel)
-        problem = frf_problem(file, model, given)
-    else:
-        assert not isinstance(base, FunctionModel) and not isinstance(model, FunctionModel)
-        used = used_modes(file, given)
-        if isinstance(model, ModalFunctionModel):
-            assert isinstance(base, ModalFunctionModel)
-            model = replace(model, identity=_fingerprint(file, fingerprint_of(base, included, model)))
-        problem = modal_problem(file, model, used, model.n_modes - base.n_modes)
+    tested = tested_for(file, model)
+    tested.require_own()
+    model = _identified(file, base, included, model)
+    problem = tested.problem(model, base)
     selected = with_nuisances(search_space(space, file.settings, file.place, elsewhere=elsewhere), problem)
     if not file.settings.calibration.weight_freq + file.settings.calibration.weight_mac > 0:
         place = file.place("calibration", "weight_freq")
         raise InputError("both weights are zero", place=place, remedy="give one of them weight")
     return Study(
-        file.name, file.file, file.settings, model, given, problem, space, selected, library, dict(adopted),
+        file.name, file.file, file.settings, model, tested, problem, space, selected, library, dict(adopted),
         {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial, hints, read, digest, part=file.part,
     )  # fmt: skip
 
@@ -282,10 +246,16 @@ def with_nuisances(space: ParameterSpace, problem: ForwardProblem) -> ParameterS
     return ParameterSpace(space.parameters + own, space.constraints) if own else space
 
 
-def _fingerprint(file: StudyFile, function: str) -> str:
-    """Hash over a function, its options, all code in the study's folder, and the files that it depends on."""
+def _identified(file: StudyFile, base: Any, included: tuple[Effect, ...], model: Model) -> Model:
+    """A function with a hash over it and its effects, its options, all code in the study's folder, and what it reads.
+
+    The files that it depends on are named in the study. Matrices identify themselves.
+    """
+    if isinstance(model, StructuralModel):
+        return model
     files = [*file.code_files, *(file.path(name, "depends_on") for name in file.settings.depends_on)]
-    return digest_of(function, file.settings.model_options, digest_of_files(files, file.folder))[:16]
+    function, code = fingerprint_of(base, included, model), digest_of_files(files, file.folder)
+    return replace(model, identity=digest_of(function, file.settings.model_options, code)[:16])
 
 
 @dataclass(frozen=True)
@@ -321,8 +291,8 @@ class EvaluationSource:
     def __call__(self) -> Callable[[Mapping[str, float]], Mapping[str, float]]:
         """The function from named values to named responses."""
         study = Study.load(Path(self.path), dict(self.adopted), test=self.test)
-        problem = study.problem
-        if self.basis and isinstance(problem, ModalProblem | FRFProblem):
+        problem: Any = study.problem
+        if self.basis:
             problem = problem.reduced(Basis.load(Path(self.basis)))
         if problem.fingerprint != self.fingerprint:
             raise InputError(
@@ -331,7 +301,8 @@ class EvaluationSource:
                 place=self.path,
                 remedy="start the command again, or create such things inside the function",
             )
-        return problem.evaluate if problem.function is None else _Extendable(study).evaluate
+        known: Callable[[Mapping[str, float]], Mapping[str, float]] = problem.evaluate
+        return known if problem.user_function is None else _Extendable(study).evaluate
 
 
 @dataclass(frozen=True, eq=False)
@@ -348,17 +319,14 @@ class _Extendable:
 
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
         """As `FunctionProblem.evaluate`; effects are added in the order of the values."""
-        parts = () if isinstance(self.study.model, StructuralModel) else self.study.model.parts
+        own: Any = self.study.model
         of_library = [one for effect in self.study.candidates for one in effect.family]
-        owner = {effect.name: effect for effect in (*of_library, *map(scaling_by_function, parts))}
+        owner = {effect.name: effect for effect in (*of_library, *map(scaling_by_function, own.parts))}
         effects = {owner[name].name: owner[name] for name in values if name in owner}
         key = tuple(effects)
         if key not in self._made:
             model = with_effects(self.study.model, tuple(effects.values()), str(self.study.file))
-            if isinstance(model, ModalFunctionModel):
-                self._made[key] = model.numbers
-            else:
-                problem = self.study.problem
-                assert isinstance(model, FunctionModel) and isinstance(problem, FunctionProblem)
-                self._made[key] = replace(problem, space=model.space, function=model.function).evaluate
+            problem: Any = self.study.problem
+            extended = problem.with_model(model)
+            self._made[key] = extended.numbers_function or extended.evaluate
         return self._made[key](values)

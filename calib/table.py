@@ -11,7 +11,7 @@ import csv
 import difflib
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 from pandas.api.extensions import ExtensionArray
 
+from calib.cell import COMMA_NUMBER, number_of, shortened, unguarded
 from calib.csv_entries import SEPARATORS, place_of_entry, separator_of
 from calib.errors import InputError
 from calib.place import Place
@@ -31,14 +32,8 @@ FLAGS: Mapping[str, bool] = {
 """Spellings of true and false, in lower case; spreadsheets translate them."""
 AGAIN = "run the study again to rewrite it"
 """Remedy for a damaged table that calib has written itself."""
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-_COMMA_NUMBER = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
-_INFINITE = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
 _INTEGER = re.compile(r"\d{1,10}", re.ASCII)
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
-_BREAKS = re.compile(r"[\x00-\x08\x0a-\x1f\x7f-\x9f\u2028\u2029]+")
-_RUN = re.compile(r"'*[=+\-@\t\r].", re.DOTALL)
-_GUARDED = re.compile(r"''*[=+\-@\t\r].", re.DOTALL)
 _HINT = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 
 
@@ -208,49 +203,6 @@ def read_table(
     return pd.DataFrame(out)
 
 
-def number_of(text: str, comma: bool = False) -> float | None:
-    """The number in a text, possibly infinite; None for anything else, such as ``1_000``, ``0x1`` or ``nan``."""
-    if comma:
-        if not (_COMMA_NUMBER.fullmatch(text) or (_NUMBER.fullmatch(text) and "." not in text)):
-            return float(text) if _INFINITE.fullmatch(text) else None
-        return float(text.replace(",", "."))
-    return float(text) if _NUMBER.fullmatch(text) or _INFINITE.fullmatch(text) else None
-
-
-def shortened(text: str) -> str:
-    """A text in quotes, of at most 60 characters."""
-    return repr(text if len(text) <= 60 else text[:57] + "...")
-
-
-# -- texts that a spreadsheet would run --------------------------------------------------------------------------------
-
-
-def guarded(text: str) -> str:
-    """A text as written to a table: on one line, prefixed by an apostrophe where a spreadsheet would run it."""
-    line = _BREAKS.sub(" ", text)
-    return f"'{line}" if _RUN.match(line) and number_of(line) is None else line
-
-
-def unguarded(cell: str) -> str:
-    """The text that `guarded` has written."""
-    return cell[1:] if _GUARDED.match(cell) else cell
-
-
-def guarded_table(table: pd.DataFrame) -> pd.DataFrame:
-    """A table whose texts, names of columns and rows included, are `guarded`; numbers stay numbers."""
-
-    def cell(value: object) -> object:
-        return guarded(value) if isinstance(value, str) else value
-
-    def runs(values: Iterable[object]) -> bool:
-        return any(isinstance(value, str) and guarded(value) != value for value in values)
-
-    # Hardly any table holds such a text: the others are not copied.
-    words = [c for c, kind in table.dtypes.items() if not pd.api.types.is_numeric_dtype(kind) and runs(table[c].array)]
-    out = table.assign(**{str(c): table[c].astype(object).map(cell) for c in words}) if words else table
-    return out.rename(columns=cell, index=cell) if runs(table.columns) or runs(table.index) else out
-
-
 # -- lines and cells ---------------------------------------------------------------------------------------------------
 
 
@@ -309,7 +261,7 @@ def _read(path: Path, required: Sequence[str], comments: bool, remedy: str | Non
         texts.append(line)
     if header is None:
         raise InputError("it is empty", place=path, remedy=remedy or f"start it with the header {', '.join(required)}")
-    comma = separator != "," and any(_COMMA_NUMBER.fullmatch(cell) for row in cells for cell in row)
+    comma = separator != "," and any(COMMA_NUMBER.fullmatch(cell) for row in cells for cell in row)
     return _Sheet(path, header, top, head, cells, numbers, texts, separator or ",", comma)
 
 

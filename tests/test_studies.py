@@ -175,7 +175,7 @@ def test_the_bogie_is_calibrated_to_the_accuracy_of_the_case_study(tmp_path):
     assert results["mean_mac_after"] >= min(0.98, results["noise_mac"] - 0.005)
     table = pd.read_csv(tmp_path / "bogie/parameters.csv")
     for _, case in table.groupby("case"):
-        identified = case[case["identified"] == True]  # noqa: E712  (NaN where not judged)
+        identified = case[case["identified"] == True]  # noqa: E712  (NaN where not known)
         assert len(identified) >= 4
         for row in identified.to_dict("records"):
             error = abs(row["value"] - TRUTH["parameters"][row["parameter"]])

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol, Self
 
 import pandas as pd
 
 from calib.analyses.discretisation_error import DiscretisationError
-from calib.analyses.explanation_result import MeasurementFacts
+from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
+from calib.effect import Effect
+from calib.missing.between_tests import Differences
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
@@ -35,6 +38,23 @@ class Adapter(Protocol):
     @property
     def budget_of_fits(self) -> float:
         """Model evaluations after which no further effect is fitted."""
+        ...
+
+    @property
+    def on_mesh(self) -> bool:
+        """Whether the error of a mesh shows in what was measured; of several tests each is asked by itself."""
+        ...
+
+    def with_effects(self, effects: Sequence[Effect]) -> Hypotheses:
+        """Its hypotheses with further effects beside those of its library."""
+        ...
+
+    def by_test(self, answer: ExplanationResult) -> dict[str, ExplanationResult]:
+        """The result as each of several tests sees it; empty for a single test."""
+        ...
+
+    def between(self, found: Explanation) -> Differences | None:
+        """Which shared parameter differs between tests, with the best explanation so far; None for a single test."""
         ...
 
     @property

@@ -294,8 +294,8 @@ def _with_interval(magnitude: Mapping[str, Any]) -> str:
 def conclusion(errors: pd.DataFrame) -> str:
     """Whether the extended model fits and predicts better, in words.
 
-    Predictions are judged by held-out data or, where nothing is held out, by leave-one-out errors. An error that noise
-    explains both before and after tells nothing, whether it falls or not.
+    Predictions are compared with held-out data or, where nothing is held out, left out one by one. An error that
+    noise explains both before and after tells nothing, whether it falls or not.
 
     Parameters
     ----------

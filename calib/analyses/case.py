@@ -309,7 +309,7 @@ class CaseFinder:
     def _searched(self, objective: Objective, search: CaseResult, statistics: FitStatistics) -> CaseFound:
         """A case that a search began, with both criteria at its end, at full order."""
         problem = self.study.problem
-        if problem.function is not None:
+        if problem.user_function is not None:
             key = key_of(search.values)
             confirm(self.study, self.ledger, self.ledger.lookup(problem.ledger_key, [key])[key])
         known = self.exact.pair.told_by_responses

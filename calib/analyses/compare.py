@@ -22,7 +22,6 @@ from calib.correlation.frf_problem import FRFProblem
 from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.mesh import geometry_tables
-from calib.correlation.problem import ModalProblem
 from calib.correlation.rigid import unpaired_sentence, unpaired_table
 from calib.correlation.sensors import suspicious_sensors
 from calib.correlation.units import frequency_hint, response_hints
@@ -32,7 +31,6 @@ from calib.measurement.check import SensorFinding
 from calib.measurement.modal import MeasuredModes
 from calib.outcome import answered, as_cause
 from calib.results import Results
-from calib.structure.model import StructuralModel
 from calib.study import Study
 
 
@@ -84,7 +82,7 @@ class ComparisonResult:
     def _orthogonality(self) -> Orthogonality | str:
         """The same, or why there is none; empty where it is not to be expected."""
         found = self.comparison
-        if found is None or not (found.measured.has_shapes and isinstance(found.model, StructuralModel)):
+        if found is None or not found.measured.has_shapes or found.model.reducible is None:
             return ""
         try:
             return orthogonality(found)
@@ -169,8 +167,7 @@ def comparison_at(study: Study, values: Mapping[str, float]) -> ComparisonResult
 
 def _undrawn(study: Study) -> tuple[str, ...]:
     """A note where no node or sensor has a location, so that modes cannot be drawn."""
-    problem = study.problem
-    if not isinstance(problem, ModalProblem) or problem.model.mesh.placed.any():
+    if study.whole is None or study.asked.mesh.placed.any():
         return ()
     return ("No location of the model's nodes or sensors is known: its modes are not drawn.",)
 

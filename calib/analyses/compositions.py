@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.analyses.adapter import Adapter
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.joint_adapter import JointAdapter
-from calib.analyses.one_test import OneTest
 from calib.effect import Effect
 from calib.function import FunctionModel
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.missing.hypotheses import Hypotheses
-from calib.missing.joint import JointHypotheses
 from calib.missing.proposal import HungBy
 from calib.structure.compositions import Composition, Names, hung_at, of_function, of_parts, of_sensors
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 
 Measured = MeasuredModes | MeasuredFRFs
+
+MODES = 10
+"""Modes of the model whose frequencies stand for measured ones."""
+RIGID = 1e-3
+"""Frequency, over the highest of these, below which a mode is one of a rigid body."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +73,11 @@ def compositions(
         return Compositions(tuple(of_function(model.parts, names)))
     values = {name: value for name, value in values.items() if name in model.space}
     sensors = _sensors(measured)
-    freqs = np.concatenate([one.natural_freq if isinstance(one, MeasuredModes) else one.freq for one in measured])
-    band = float(freqs[freqs > 0].min()), float(freqs.max())
+    band = _band(model, measured, values)
     middle = float(np.sqrt(band[0] * band[1]))
     plain = (*of_parts(model, names, middle), *of_sensors(model, sensors, values, names, middle))
     modal = [one for one in measured if isinstance(one, MeasuredModes)]
-    if len(modal) < len(measured) or len(modal) > 1:
+    if len(modal) != 1 or len(measured) != 1:
         return Compositions(plain)
     placed = {c.at for c in plain if c.kind == "added mass"}
     hung = tuple(
@@ -92,19 +89,14 @@ def compositions(
     return Compositions(plain, hung, dict(zip(one.names, one.natural_freq.tolist(), strict=True)))
 
 
+def _band(model: StructuralModel, measured: Sequence[Measured], values: Mapping[str, float]) -> tuple[float, float]:
+    """Lowest and highest measured frequency above 0, Hz; of the model's lowest modes where no sensor measured any."""
+    if measured:
+        freqs = np.concatenate([one.frequencies for one in measured])
+        return float(freqs[freqs > 0].min()), float(freqs.max())
+    freqs = model.modes(values, min(MODES, model.n_modes)).natural_freq
+    return float(freqs[freqs > RIGID * freqs.max()].min()), float(freqs.max())
+
+
 def _sensors(measured: Sequence[Measured]) -> list[Sensor]:
     return list({s.name: s for one in measured for s in one.sensors if s.point is not None}.values())
-
-
-def hypotheses_with(adapter: Adapter, effects: Sequence[Effect]) -> Hypotheses:
-    """The hypotheses of an adapter with other effects beside those of its library."""
-    if isinstance(adapter, JointAdapter):
-        return JointHypotheses({test: hypotheses_with(own, effects) for test, own in adapter.adapters.items()})
-    assert isinstance(adapter, OneTest)
-    return with_more(adapter.hypotheses, effects)
-
-
-def with_more(hypotheses: ModelHypotheses[Any], effects: Sequence[Effect]) -> ModelHypotheses[Any]:
-    """The same hypotheses with further effects."""
-    variants: Any = hypotheses.variants
-    return replace(hypotheses, variants=replace(variants, effects=(*variants.effects, *effects)))

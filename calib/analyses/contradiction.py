@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import pandas as pd
 
-from calib.correlation.function_problem import FunctionProblem
 from calib.missing.held_out import contradicting
 from calib.missing.verdict import GROUPS
 from calib.outcome import answered
@@ -72,9 +72,10 @@ def every_response(study: Study, before: Mapping[str, float], after: Mapping[str
     EvaluationError
         When the model cannot be evaluated at either point.
     """
-    assert isinstance(study.problem, FunctionProblem) and study.responses is not None
-    targets = study.responses.targets
-    whole = replace(study.problem, targets=targets)
+    given: Any = study.responses
+    problem: Any = study.problem
+    targets = given.targets
+    whole = replace(problem, targets=targets)
     measured = pd.Series({name: value for name, (value, _) in targets.items()})
     table = pd.DataFrame({"held_out": measured.index.isin(study.settings.held_out.responses), "measured": measured})
     for stage, values in {"before": before, "after": after}.items():

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import pandas as pd
 
 from calib.correlation.compare import Comparison
-from calib.correlation.problem import ModalProblem
 from calib.study import Study
 
 
@@ -37,8 +37,8 @@ def all_stages(study: Study, before: Comparison, after: Comparison) -> dict[str,
     """
     stages = {"before": before, "after": after}
     if study.settings.adopted is not None:
-        assert isinstance(study.problem, ModalProblem)
-        stages = {"initial": study.problem.compare(study.initial), **stages}
+        problem: Any = study.problem
+        stages = {"initial": problem.compare(study.initial), **stages}
     return {stage: with_held_out(study, used) for stage, used in stages.items()}
 
 

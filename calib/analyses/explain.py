@@ -17,7 +17,7 @@ from calib.analyses.adapters import adapter_of, perturbations_of
 from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.explanation_result import ExplanationResult, summary
 from calib.analyses.failures import SHOWN, reasons
-from calib.analyses.joint_adapter import JointAdapter, together
+from calib.analyses.joint_adapter import together
 from calib.analyses.mesh_term import mesh_words, with_mesh_error
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.richer import richer_members
@@ -32,7 +32,7 @@ from calib.measurement.corrections import correctable
 from calib.missing import explain as engine
 from calib.missing.accuracy import changing, less_accurate
 from calib.missing.accuracy import sentence as accuracy_sentence
-from calib.missing.between_tests import BETWEEN, Differences, differences
+from calib.missing.between_tests import BETWEEN
 from calib.missing.by_test import BY_TEST, reduction_table
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.discrepancy import TABLE as INTERVALS
@@ -113,10 +113,9 @@ def explain(
     answer = replace(answer, tables=tables, notes=notes, figures=figures)
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
     of_all = {name: table for name, table in answer.tables.items() if TEST not in table or name in (BY_TEST, BETWEEN)}
-    seen: list[tuple[AnyStudy, Results, ExplanationResult]] = [(study, results, replace(answer, tables=of_all))]
-    if isinstance(adapter, JointAdapter):
-        seen += [(one, folders[one.test], adapter.seen(one.test, answer)) for one in tests]
-    for part, folder, own in seen:
+    parts, whole = adapter.by_test(answer), replace(answer, tables=of_all)
+    seen = [(one, folders[one.test], parts[one.test]) for one in tests if one.test in parts]
+    for part, folder, own in [(study, results, whole), *seen]:
         keep(part, folder, own)
         write_record(part, folder, "explain", seeds, answer=own.answer)
     return answer
@@ -126,7 +125,7 @@ def adapter_for(study: AnyStudy, results: Results, progress: Progress, homes: Ma
     """All tests of a study, with stated errors of its models; arguments as in `explain`."""
     local, mesh_sd = perturbations_of(study), study.settings.explain.mesh_sd
     adapters = {
-        s.test: adapter_of(with_uncertain(s), homes.get(s.test, results), progress, local.get(s.test), study.held_sd)
+        s.test: adapter_of(with_uncertain(s), homes.get(s.test, results), progress, local[s.test], study.held_sd)
         for s in study.studies
     }
     if mesh_sd is not None:
@@ -227,7 +226,7 @@ def answered(
     notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *more_notes]
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
-    differing, unexplained = _between(adapter, found), parameter_intervals(found)
+    differing, unexplained = adapter.between(found), parameter_intervals(found)
     last = "explained" if found.names_something else "attempt"
     stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
     stages |= {"explained": found.blamed[0]} if found.blamed else {}
@@ -297,14 +296,6 @@ def _acting(found: Explanation, tables: Mapping[str, pd.DataFrame]) -> list[tupl
         return []
     own = table[table["effect"].isin(found.chosen.names)]
     return [(float(x), float(y), float(z)) for x, y, z in own[["x", "y", "z"]].itertuples(index=False)]
-
-
-def _between(adapter: Adapter, found: Explanation) -> Differences | None:
-    """Which shared parameter differs between several tests, with the best explanation so far; None for one test."""
-    if not isinstance(adapter, JointAdapter):
-        return None
-    best = next(iter(found.blamed), found.chosen or found.base)
-    return differences(best.fit, adapter.hypotheses, adapter.facts.seed)
 
 
 def correction_offered(found: Explanation) -> str:

@@ -161,8 +161,8 @@ def _written(
 ) -> Iterator[tuple[Path, Extension]]:
     """The new study as a checked draft beside its place; deleted afterwards unless it was moved there."""
     free = tuple(p.name for effect in effects for p in effect.parameters if p.distribution != "fixed")
-    listed = isinstance(study.settings.selection, tuple)
-    selected = () if isinstance(study.settings.selection, str) else free
+    listed = study.settings.listed is not None
+    selected = () if study.settings.selected_by_sensitivity else free
     text = _text(study, effects, selected if listed else (), new, leading, begin_at if selected else {})
     with draft_of(new, folder) as draft:
         target = draft / NAME
@@ -264,8 +264,7 @@ def _text(
     document["base"] = leading(source.parent if source.name == "study.toml" else source, new)
     document["with_effects"] = [*given.with_effects, *names]
     if selected:
-        assert isinstance(given.selection, tuple)
-        document["selection"] = [*given.selection, *selected]
+        document["selection"] = [*(given.listed or ()), *selected]
     if begin_at:
         known = tomlkit.inline_table()
         known.update(begin_at)

@@ -17,7 +17,7 @@ from calib.analyses.std_by_test import COLUMNS, std_by_test
 from calib.analyses.uncertainty import assumed_words, in_one
 from calib.degrees_of_freedom import effective_dof
 from calib.errors import EvaluationError
-from calib.forward import ForwardProblem, pair_of
+from calib.forward import ForwardProblem
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import CaseResult
 from calib.inference.gauss_newton import FitResult, Prior
@@ -53,8 +53,8 @@ def posed(
 
     ``problem`` replaces the study's own, for example a reduced one; ``counts`` counts every requested point.
     """
-    given = study.problem if problem is None else problem
-    return Problem(pair_of(given), study.search_space.without(study.condition), ledger, counts=counts or Counts())
+    pair = study.pair if problem is None else study.tested.pair(problem)
+    return Problem(pair, study.search_space.without(study.condition), ledger, counts=counts or Counts())
 
 
 @dataclass(frozen=True)

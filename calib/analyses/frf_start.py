@@ -23,7 +23,6 @@ from calib.problem import Problem
 from calib.space import ParameterSpace
 from calib.structure.frf import motion_factor
 from calib.structure.model import StructuralModel
-from calib.structure.reduced import ReducedModel
 from calib.structure.static_reduction import static_reduction
 
 EQUATION_ERROR = 0.05
@@ -58,7 +57,7 @@ def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[s
     """
     problem = residual.problem
     own, measured = problem.loaded_model, _near_resonances(problem.measured)
-    model = own.model if isinstance(own, ReducedModel) else own
+    model = own.whole
     names = [p.name for p in space.free if not p.integer and p.name in model.space]
     if not names:
         return None

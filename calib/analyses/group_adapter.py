@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,7 +19,7 @@ from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.mesh import geometry_tables
 from calib.correlation.response_residual import ResponseResidual
 from calib.effect import Effect
-from calib.forward import Unseen, UnseenFRFs
+from calib.forward import Unseen
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.recommendation import ExperimentalDesign
@@ -100,6 +101,11 @@ class FRFAdapter(GroupAdapter):
     hypotheses: ModelHypotheses[FRFResidual]
     finer: Callable[[], StructuralModel | None] = field(default=_no_finer, kw_only=True)
 
+    @property
+    def on_mesh(self) -> bool:
+        """Yes: a finer mesh has other FRFs."""
+        return True
+
     @staticmethod
     def of(
         pair: FRFResidual,
@@ -118,8 +124,8 @@ class FRFAdapter(GroupAdapter):
         in `OneTest`, ``finer`` as in the class.
         """
         model = pair.problem.model
-        assert isinstance(model, StructuralModel)
-        variants = Variants(model, effects, tuple(perturbation.effect for perturbation in local), basis)
+        assert model.reducible is not None
+        variants = Variants(model.reducible, effects, tuple(perturbation.effect for perturbation in local), basis)
         hypotheses = ModelHypotheses(pair, variants, space)
         return FRFAdapter(hypotheses, local, facts, held_out, reduced=reduced, finer=finer)
 
@@ -130,7 +136,8 @@ class FRFAdapter(GroupAdapter):
         """Candidate measurements, from the credible models."""
         if (doubted := self.doubted(found)) is None:
             return None
-        held_out = {group: own.measured for group, own in self.held_out.items() if isinstance(own, UnseenFRFs)}
+        unseen: Mapping[str, Any] = self.held_out
+        held_out = {group: own.measured for group, own in unseen.items()}
         return frf_design(
             self.hypotheses, found.believed, *doubted, found.noise_scale, held_out, self.facts.samples,
             self.facts.seed, progress,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
@@ -210,6 +210,11 @@ class ModelHypotheses(Generic[P]):
         """
         own: tuple[Candidate, ...] = tuple(self.pair.faults)
         return (*own, *(e for e in self.variants.perturbations if e.of_measurement)) if own else ()
+
+    def with_more(self, effects: Sequence[Effect]) -> ModelHypotheses[P]:
+        """The same with further effects."""
+        variants: Any = self.variants
+        return replace(self, variants=replace(variants, effects=(*variants.effects, *effects)))
 
     @property
     def evaluations(self) -> int:

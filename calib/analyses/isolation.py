@@ -10,7 +10,6 @@ from calib.effect import Effect
 from calib.evaluate import Evaluator
 from calib.forward import ForwardProblem
 from calib.outcome import failure
-from calib.structure.model import StructuralModel
 from calib.study import EvaluationSource, Study
 
 
@@ -41,7 +40,7 @@ def evaluator_of(problem: ForwardProblem) -> Evaluator:
 
     For a model of matrices it evaluates responses.
     """
-    function = problem.function
+    function = problem.user_function
     if isinstance(function, ChildFunction):
         return function.evaluator
     evaluated = problem.numbers_function or problem.evaluate
@@ -53,8 +52,9 @@ def isolated(study: Study) -> Study:
 
     The study's effects are built here, so that errors in them are reported, and evaluated there.
     """
-    problem, model = study.problem, study.model
-    if isinstance(model, StructuralModel):
+    problem: Any = study.problem
+    model: Any = study.model
+    if problem.user_function is None:
         return study
     source = EvaluationSource.of(study, problem)
     child = ChildFunction(Evaluator(source, 1, study.settings.calibration.time_limit, isolated=True))

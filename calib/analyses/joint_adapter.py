@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,9 @@ from calib.analyses.adapter import Adapter
 from calib.analyses.discretisation_error import DiscretisationError
 from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
 from calib.degrees_of_freedom import behind, chance, matched
+from calib.effect import Effect
 from calib.joint import TEST, of_test, said, stacked
+from calib.missing.between_tests import Differences, differences
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.joint import JointHypotheses
@@ -119,6 +121,24 @@ class JointAdapter:
         if not any(found.values()):
             return None
         return JointAdapter.of({test: found[test] or adapter for test, adapter in self.adapters.items()})
+
+    @property
+    def on_mesh(self) -> bool:
+        """No: each test has the error of the mesh of its own model."""
+        return False
+
+    def with_effects(self, effects: Sequence[Effect]) -> JointHypotheses:
+        """The hypotheses of all tests with further effects."""
+        return JointHypotheses({test: adapter.with_effects(effects) for test, adapter in self.adapters.items()})
+
+    def by_test(self, answer: ExplanationResult) -> dict[str, ExplanationResult]:
+        """The result for each test; see `seen`."""
+        return {test: self.seen(test, answer) for test in self.adapters}
+
+    def between(self, found: Explanation) -> Differences:
+        """Which shared parameter differs between the tests, with the best explanation so far."""
+        best = next(iter(found.blamed), found.chosen or found.base)
+        return differences(best.fit, self.hypotheses, self.facts.seed)
 
     def failing(self) -> set[str]:
         """Effects with which a model of any test failed somewhere."""

@@ -5,16 +5,19 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from calib.analyses.basis_cache import kept_basis, key_of
 from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.reduction import Reducible, Wanted, parameter_key, reduction_of, training, worthwhile
+from calib.analyses.model_hypotheses import hypotheses
+from calib.analyses.reduction import Wanted, parameter_key, reduction_of, training, worthwhile
 from calib.correlation.fault_library import modal_faults
 from calib.correlation.modal_faults import ModalFault
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.effect import Effect
 from calib.errors import ToleranceError
+from calib.loading import Model
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.results import Results
@@ -26,24 +29,24 @@ from calib.structure.effect_basis import weight_key
 from calib.structure.extend import extend
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation, perturbations
-from calib.structure.variants import Variants
 from calib.study import Study
 from calib.written import is_own
 
 
 def local_perturbations(
-    model: StructuralModel,
+    model: Model,
     measured: Sequence[MeasuredModes | MeasuredFRFs],
     values: Mapping[str, float],
     of: str = "",
 ) -> tuple[Perturbation, ...]:
-    """Local perturbations of a model of matrices: of its parts, and at every sensor of its tests.
+    """Local perturbations that all tests of a model share: of its parts, and at every sensor of its tests.
 
-    The last one is a fault of the tests, the mass of their accelerometers.
+    The last one is a fault of the tests, the mass of their accelerometers. A function shares none: its own depend on
+    what a test measures, see `calib.analyses.function_hypotheses`.
 
     Parameters
     ----------
-    model : StructuralModel
+    model : StructuralModel, ModalFunctionModel or FunctionModel
     measured : sequence of MeasuredModes or MeasuredFRFs
         The fitted data of each test with sensors.
     values : mapping
@@ -51,6 +54,8 @@ def local_perturbations(
     of : str
         Name of the model, where other models have perturbations of the same names.
     """
+    if not isinstance(model, StructuralModel):
+        return ()
     placed = {s.name: s for one in measured for s in one.sensors if s.point is not None}
     values = {name: value for name, value in values.items() if name in model.space}
     sensors, lowest = list(placed.values()), min((one.lowest_freq for one in measured), default=0.0)
@@ -63,19 +68,17 @@ def modal_hypotheses(
     progress: Progress = unheard,
     local: tuple[Perturbation, ...] | None = None,
 ) -> tuple[ModelHypotheses[ModalResidual], tuple[Perturbation, ...]]:
-    """Hypotheses of a study with modes, and its local perturbations, by default those of its own test.
+    """Hypotheses of a study with modes, and its local perturbations; those of matrices are by default of its own test.
 
     A basis trained earlier is read from the results folder, or from the cache.
     """
     problem = study.problem
-    assert isinstance(problem, ModalProblem) and isinstance(problem.model, StructuralModel)
-    model = problem.model
+    assert isinstance(problem, ModalProblem)
     if local is None:
-        local = local_perturbations(model, [problem.measured], study.search_space.values)
-    effects, perturbed = study.candidates, tuple(a.effect for a in local)
-    variants = Variants(model, effects, perturbed, basis_of(study, results, local, progress))
-    pair = ModalResidual(problem, faults=faults_of(study))
-    return ModelHypotheses(pair, variants, study.search_space.without(study.condition)), local
+        local = local_perturbations(study.model, [problem.measured], study.search_space.values)
+    basis, pair = basis_of(study, results, local, progress), ModalResidual(problem, faults=faults_of(study))
+    space = study.search_space.without(study.condition)
+    return hypotheses(problem.model, pair, study.candidates, local, space, study.test, basis)  # perhaps behind a ledger
 
 
 def faults_of(study: Study) -> tuple[ModalFault, ...]:
@@ -92,10 +95,10 @@ def basis_of(
 
     None where none is worthwhile, or none reaches its tolerance: then the full model is used, and the adapter notes it.
     """
-    problem = study.problem
-    if not worthwhile(study):
+    problem: Any = study.problem
+    model = study.problem.reducible
+    if model is None or not worthwhile(study):
         return None
-    assert isinstance(problem, Reducible) and isinstance(problem.model, StructuralModel)
     progress("reduced basis for the effects")
 
     def search_basis() -> Basis:
@@ -107,7 +110,7 @@ def basis_of(
     space, wanted = study.search_space, Wanted.of(problem, settings.tolerance, settings.seed)
     with training(study), contextlib.suppress(ToleranceError):
         return effects_basis(
-            problem.model, space, study.candidates, local, wanted, results.path, search_basis, progress
+            model, space, study.candidates, local, wanted, results.path, search_basis, progress
         )  # fmt: skip
     return None
 

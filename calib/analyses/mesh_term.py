@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 from calib.analyses.adapter import Adapter
-from calib.analyses.group_adapter import FRFAdapter
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.modal_adapter import ModalAdapter
 from calib.correlation.mesh_error import MeshError
-from calib.correlation.modal_mesh import both_meshes
 from calib.errors import InputError
 from calib.missing.linearised_fit import fitted, nearest_whole
-from calib.space import ParameterSpace
 from calib.structure.model import StructuralModel
 
 ROUNDS = 2
@@ -44,39 +38,25 @@ def with_mesh_error(adapter: Adapter, finer: StructuralModel | None, sd: float, 
     EvaluationError
         When the base model cannot be fitted.
     """
-    if finer is None or not isinstance(adapter, ModalAdapter | FRFAdapter):
+    if finer is None or not adapter.on_mesh:
         raise InputError(
             "mesh_sd states an error of the mesh, but no finer mesh is known", place="explain, mesh_sd",
             remedy="name its model options in finer_options, or leave mesh_sd out",
         )  # fmt: skip
-    fit_problem = adapter.hypotheses.fit_problem(())
+    given: Any = adapter  # of one test
+    fit_problem = given.hypotheses.fit_problem(())
     begin = nearest_whole(fit_problem, fit_problem.space.values)
-    linear = adapter.hypotheses.linear_start((), begin)
+    linear = given.hypotheses.linear_start((), begin)
     fits = [fitted(fit_problem, (), start, 1) for start in (begin, linear) if start is not None]
-    values, out = min(fits, key=lambda fit: fit.misfit).values, adapter
+    values, out = min(fits, key=lambda fit: fit.misfit).values, given
     for k in range(ROUNDS):
-        mesh = MeshError(adapter.hypotheses.variants.model, finer, fit_problem.pair.space.complete(values), sd, test)
-        out = _within(adapter, mesh)
+        mesh = MeshError(given.hypotheses.variants.model, finer, fit_problem.pair.space.complete(values), sd, test)
+        out = given.with_mesh(mesh)
         if k < ROUNDS - 1:
             again = fitted(out.hypotheses.fit_problem(()), (), values, 1)
             values = mesh.without(again.values)
-    return out
-
-
-def _within(adapter: ModalAdapter | FRFAdapter, mesh: MeshError) -> ModalAdapter | FRFAdapter:
-    hypotheses: ModelHypotheses[Any] = adapter.hypotheses
-    space = ParameterSpace((*hypotheses.space.parameters, mesh.parameter), hypotheses.space.constraints)
-    pair = replace(hypotheses.pair, problem=replace(hypotheses.pair.problem, mesh=mesh))
-    own = replace(hypotheses, pair=pair, space=space)
-    if isinstance(adapter, FRFAdapter):
-        return replace(adapter, hypotheses=own)
-    whole, lost = adapter.whole, both_meshes(pair.problem).lost
-    if lost:
-        raise InputError(
-            f"the finer model does not have the modes {', '.join(sorted(lost))} that were measured",
-            place="finer mesh", remedy="change the size of the elements alone",
-        )  # fmt: skip
-    return replace(adapter, hypotheses=own, whole=None if whole is None else replace(whole, mesh=mesh))
+    found: Adapter = out
+    return found
 
 
 def mesh_words(sd: float | None) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -14,10 +14,13 @@ from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.one_test import OneTest
 from calib.analyses.verify import modal_errors
 from calib.correlation.mesh import geometry_tables
+from calib.correlation.mesh_error import MeshError
+from calib.correlation.modal_mesh import both_meshes
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.rigid import COLUMNS as UNPAIRED_COLUMNS
 from calib.correlation.rigid import unpaired_sentence, unpaired_table
+from calib.errors import InputError
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.recommendation import ExperimentalDesign
@@ -45,6 +48,21 @@ class ModalAdapter(OneTest):
     def problem(self) -> ModalProblem:
         """The problem with the used data, at full order."""
         return self.hypotheses.pair.problem
+
+    @property
+    def on_mesh(self) -> bool:
+        """Yes: a finer mesh has other modes."""
+        return True
+
+    def with_mesh(self, mesh: MeshError) -> ModalAdapter:
+        """As for any test; InputError where the finer mesh lacks a mode that was measured."""
+        out = super().with_mesh(mesh)
+        if lost := both_meshes(out.problem).lost:
+            raise InputError(
+                f"the finer model does not have the modes {', '.join(sorted(lost))} that were measured",
+                place="finer mesh", remedy="change the size of the elements alone",
+            )  # fmt: skip
+        return out if self.whole is None else replace(out, whole=replace(self.whole, mesh=mesh))
 
     @property
     def left_out_std(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
@@ -12,10 +12,13 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.discretisation_error import DiscretisationError
-from calib.analyses.explanation_result import MeasurementFacts
+from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
 from calib.analyses.hypotheses import Failure, ModelHypotheses
 from calib.analyses.reduction import Wanted
 from calib.candidate import Candidate
+from calib.correlation.mesh_error import MeshError
+from calib.effect import Effect
+from calib.missing.between_tests import Differences
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.recommendation import ExperimentalDesign
@@ -23,9 +26,9 @@ from calib.missing.refits import DEFAULT
 from calib.missing.score import Scores
 from calib.outcome import Outcome
 from calib.problem import label_table
+from calib.space import ParameterSpace
 from calib.stage import Progress, unheard
 from calib.structure.effect_places import effect_places
-from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
 
 BASIS_ERROR = 0.05
@@ -96,14 +99,38 @@ class OneTest(ABC):
         if failures:
             points = f"{len(failures)} point{'s' * (len(failures) > 1)} failed"
             notes = [f"{points}; the first{_with(failures[0])}: {failures[0].outcome.error}."]
-        if not isinstance(self.hypotheses.variants.model, StructuralModel):
-            return table, notes, {} if self.hypotheses.variants.calls is None else {"failed": len(failures)}
+        if self.hypotheses.variants.calls is not None:  # a user's function, which has no basis
+            return table, notes, {"failed": len(failures)}
         worst = self.basis_error(stages.values(), scale)
         if worst > BASIS_ERROR:
             notes.append(
                 f"The reduced basis is off by {worst:.2g} standard deviations; set use = false in [reduction]."
             )
         return table, notes, {"basis_error": worst}
+
+    @property
+    def on_mesh(self) -> bool:
+        """Whether the error of a mesh shows in what was measured."""
+        return False
+
+    def with_mesh(self, mesh: MeshError) -> Self:
+        """The same with an uncertain multiple of the error of the mesh among its parameters."""
+        hypotheses = self.hypotheses
+        space = ParameterSpace((*hypotheses.space.parameters, mesh.parameter), hypotheses.space.constraints)
+        pair = replace(hypotheses.pair, problem=replace(hypotheses.pair.problem, mesh=mesh))
+        return replace(self, hypotheses=replace(hypotheses, pair=pair, space=space))
+
+    def with_effects(self, effects: Sequence[Effect]) -> ModelHypotheses[Any]:
+        """Its hypotheses with further effects."""
+        return self.hypotheses.with_more(effects)
+
+    def by_test(self, answer: ExplanationResult) -> dict[str, ExplanationResult]:
+        """Empty: there are no other tests, of which it would be a part."""
+        return {}
+
+    def between(self, found: Explanation) -> Differences | None:
+        """None: there is no other test to differ from."""
+        return None
 
     @abstractmethod
     def errors_of(self, candidate_fit: CandidateFit, scale: float) -> pd.DataFrame:
@@ -120,9 +147,8 @@ class OneTest(ABC):
 
     def effect_places(self) -> pd.DataFrame:
         """Where each effect of the library acts on a model of matrices, m: ``effect, x, y, z``; empty for others."""
-        model = self.hypotheses.variants.model
-        rows: list[tuple[object, ...]] = []
-        if isinstance(model, StructuralModel):
+        model, rows = self.hypotheses.variants.model, list[tuple[object, ...]]()
+        if self.hypotheses.variants.calls is None:
             rows = [(e.name, *place) for e in self.hypotheses.effects for place in effect_places(model, e)]
         return pd.DataFrame(rows, columns=["effect", "x", "y", "z"])
 

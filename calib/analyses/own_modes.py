@@ -9,8 +9,8 @@ import pandas as pd
 
 from calib.correlation.compare import Comparison
 from calib.effect import Effect
+from calib.loading import Model
 from calib.structure.extend import addition_of
-from calib.structure.model import StructuralModel
 
 OWN = 0.5
 """Share of the kinetic energy above which a mode is an effect's own.
@@ -21,12 +21,12 @@ mass-normalised shapes, so that it has at most one such mode; a massless one has
 COLUMNS = ("effect", "model_mode", "natural_freq", "share", "paired")
 
 
-def own_modes(base: object, effects: Sequence[Effect], found: Comparison) -> pd.DataFrame:
+def own_modes(base: Model, effects: Sequence[Effect], found: Comparison) -> pd.DataFrame:
     """Modes of the extended model that are the effects' own.
 
     Parameters
     ----------
-    base : StructuralModel or other
+    base : StructuralModel, ModalFunctionModel or FunctionModel
         Without the effects.
     effects : sequence of Effect
         In the order in which the extended model has them, after all others.
@@ -40,15 +40,15 @@ def own_modes(base: object, effects: Sequence[Effect], found: Comparison) -> pd.
         degrees of freedom that the effect adds, and ``paired``: name of the measured mode, empty without one. Empty for
         models without matrices.
     """
-    model, rows = found.model, []
-    if not isinstance(base, StructuralModel) or not isinstance(model, StructuralModel):
+    model, own, rows = found.model.reducible, base.reducible, []
+    if own is None or model is None:
         return pd.DataFrame(columns=list(COLUMNS))
     shapes = found.modes.shapes
     energy = np.real(np.conj(shapes) * (model.matrices(found.values)[2] @ shapes))
     paired = {int(found.pairing.model_index[i]): found.measured.names[i] for i in found.pairing.paired}
-    first = base.n_dof
+    first = own.n_dof
     for effect in effects:
-        last = first + addition_of(base, effect).n_added
+        last = first + addition_of(own, effect).n_added
         share = energy[first:last].sum(axis=0) / energy.sum(axis=0)
         rows += [
             (effect.name, j + 1, float(found.modes.natural_freq[j]), float(share[j]), paired.get(j, ""))

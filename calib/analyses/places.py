@@ -152,7 +152,7 @@ def open_evaluator(
         if seconds is None:
             seconds = reevaluated(bare, study.model.space.values).seconds
         chosen = available_cores() if seconds * count > _WORTHWHILE else 1
-    function = bare.function
+    function = bare.user_function
     if chosen == 1 and isinstance(function, ChildFunction):
         return nullcontext(_answering(given, function.evaluator))
     return _opened_for(given, Evaluator(source, chosen, study.settings.calibration.time_limit))

@@ -17,7 +17,7 @@ import pandas as pd
 import tomlkit
 
 from calib.analyses.adapter import Adapter
-from calib.analyses.compositions import Measured, compositions, hypotheses_with
+from calib.analyses.compositions import Measured, compositions
 from calib.analyses.explain import adapter_for, require_usable
 from calib.analyses.explained_fit import explained_fit
 from calib.analyses.extend import NAME, anywhere, draft_of, put_among, require_valid, unwritable
@@ -26,7 +26,6 @@ from calib.analyses.proposed_words import answer_of, no_proposals, not_sought, p
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.stale import stale_answers
 from calib.answer import Answer
-from calib.correlation.function_problem import FunctionProblem
 from calib.errors import EvaluationError, InputError
 from calib.loading import Model
 from calib.missing.collinear import Group
@@ -146,7 +145,7 @@ def propose(
         return found
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
     adapter = adapter_for(study, results, progress, homes)
-    measured = [one.problem.measured for one in tests if not isinstance(one.problem, FunctionProblem)]
+    measured = [data for one in tests for data in one.tested.sensed]
     taken = [name for effect in study.library for one in effect.family for name in one.names]
     model = tests[0].model
     found = composed(adapter, model, measured, taken, study.settings.explain, explained, count, progress)
@@ -173,7 +172,7 @@ def composed(
         words = "Nothing can be proposed: the model names no parts, and has no matrices from which to compose effects."
         then = "Give it parts that its function scales: calib.structure.scaled_part.ScaledPart."
         return ProposalResult(None, Answer(words, "Nothing was tested.", then), no_proposals())
-    hypotheses = hypotheses_with(adapter, own.effects)
+    hypotheses = adapter.with_effects(own.effects)
     settings = Settings(given.alpha, given.refits, given.merge, given.seed, math.inf)
     fits = Refits(hypotheses, settings, explained.scale, progress)
     search = Search(fits, own.plain, own.hung, own.freqs)

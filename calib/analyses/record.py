@@ -18,21 +18,15 @@ from calib import on_limit
 from calib.analyses.state import made_from
 from calib.analyses.uncertainty import accuracy_words, assumed_std, assumed_words, in_one, std_notes
 from calib.answer import Answer
-from calib.correlation.response_residual import response_std
-from calib.correlation.standard_deviations import std_for
 from calib.errors import InputError
 from calib.inference import rules as inference
 from calib.joint import said, stacked
 from calib.loading import Model
 from calib.measurement.disagreements import COLUMNS, Disagreement
-from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.modal import MeasuredModes
-from calib.measurement.responses import MeasuredResponses
 from calib.missing import rules as missing
 from calib.named_values import ANY, read_json
 from calib.results import Results
-from calib.settings import HeldOutSettings
-from calib.several import AnyStudy, JointStudy
+from calib.several import AnyStudy
 from calib.structure.model import Assumption
 from calib.study import Study
 from calib.study_file import Measured
@@ -41,10 +35,6 @@ from calib.version import __version__
 PACKAGES = ("numpy", "scipy", "pandas", "pymoo", "SALib", "pyuff", "matplotlib")
 """Packages whose versions may change a digit or a figure."""
 
-MODE_COLUMNS = (
-    "mode", "held_out", "natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std", "repeats",
-    "freq_std_used", "damping_std_used",
-)  # fmt: skip
 SENSOR_COLUMNS = ("sensor", "node", "direction", "x", "y", "z", "part", "held_out", "shape_std")
 
 
@@ -104,8 +94,7 @@ def write_record(
     for name, own in tables.items():
         if own:
             results.write_table(name, stacked(own) if len(tests) > 1 else own[study.test])
-    space = study.search_space if isinstance(study, JointStudy) else study.problem.space
-    results.write_table("parameter_space", space.frame())
+    results.write_table("parameter_space", study.space.frame())
     given, measured = study.settings, [one.settings.measurement for one in tests]
     notes = said({one.test: (*one.measurement_notes, *std_notes(one)) for one in tests})
     record = {
@@ -120,7 +109,7 @@ def write_record(
         "axes": in_one(study, _axes),
         "tests": [one.test for one in tests if one.test],
         "files": list(dict.fromkeys(f for m in measured for f in (*m.files, *m.shapes, m.responses) if f)),
-        "repeats": study.repeats if isinstance(study, Study) else None,
+        "repeats": study.repeats,
         "accuracy": in_one(study, accuracy_words) or "none",
         "std_assumed": in_one(study, assumed_words),
         "notes": [note.removesuffix(".") for note in notes],
@@ -162,53 +151,12 @@ RULES: Mapping[str, Any] = {"limits": on_limit.RULES, "inference": inference.RUL
 def measured_table(study: Study) -> pd.DataFrame:
     """All measured data with their standard deviations, held-out data included and marked.
 
-    Modes have `MODE_COLUMNS`: frequencies and their standard deviations in Hz, damping as a ratio, and the number of
-    repeats of the frequency. Scalar responses have ``response, held_out, value, std, repeats, std_used``, FRFs
-    ``response, reference, held_out, quantity, lines, freq_min, freq_max, repeats``. Standard
-    deviations are those of the mean over the repeats; for scalar responses they are pooled and include the claimed
-    accuracy. Those ``used`` are the weights of calibration and explanation: pooled, with accuracy and floors, and
-    assumed where nothing is known.
+    Columns are those of `calib.forward.modes.TestedModes.table`, and of the same for scalar responses and FRFs.
+    Standard deviations are those of the mean over the repeats; for scalar responses they are pooled and include the
+    claimed accuracy. Those ``used`` are the weights of calibration and explanation: pooled, with accuracy and floors,
+    and assumed where nothing is known.
     """
-    held, whole = study.settings.held_out, study.given
-    if isinstance(whole, MeasuredFRFs):
-        return _frf_table(whole, held)
-    if isinstance(whole, MeasuredResponses):
-        rows = [
-            (name, name in held.responses, value, np.nan if std is None else std, whole.counts.get(name, np.nan), taken)
-            for (name, (value, std)), taken in zip(whole.targets.items(), response_std(whole.targets), strict=True)
-        ]
-        return pd.DataFrame(rows, columns=["response", "held_out", "value", "std", "repeats", "std_used"])
-    freq_std, damping_std = _std_used(study, whole)
-    columns = {
-        "mode": list(whole.names),
-        "held_out": [name in held.modes for name in whole.names],
-        **{name: getattr(whole, name) for name in MODE_COLUMNS[2:-3]},
-        "repeats": whole.counts("freq"),
-        "freq_std_used": freq_std * whole.natural_freq,
-        "damping_std_used": damping_std * whole.damping_ratio,
-    }
-    return pd.DataFrame(columns, columns=list(MODE_COLUMNS))
-
-
-def _frf_table(whole: MeasuredFRFs, held: HeldOutSettings) -> pd.DataFrame:
-    """One row per function; bands that are held out are in the record."""
-    rows = []
-    for function in whole.functions:
-        response, reference, freq = function.response.name, function.reference.name, whole.freq[function.lines]
-        held_out = response in held.sensors or reference in held.references
-        rows.append((response, reference, held_out, whole.quantity, len(freq), freq[0], freq[-1], whole.n_repeats))
-    columns = ["response", "reference", "held_out", "quantity", "lines", "freq_min", "freq_max", "repeats"]
-    return pd.DataFrame(rows, columns=columns)
-
-
-def _std_used(study: Study, whole: MeasuredModes) -> tuple[np.ndarray, np.ndarray]:
-    """Relative standard deviations of frequency and damping, (n_modes,): those of the fit, or of the held-out check."""
-    every = std_for(whole)
-    freq, damping = every.freq.copy(), every.damping.copy()
-    if study.measured is not None:
-        fitted, rows = std_for(study.measured), [whole.names.index(name) for name in study.measured.names]
-        freq[rows], damping[rows] = fitted.freq, fitted.damping
-    return freq, damping
+    return study.tested.table()
 
 
 def check_repeats(of: HasRepeats) -> list[str]:

@@ -53,7 +53,7 @@ class RecordedFunction:
 
 def recorded_problem(problem: ForwardProblem, ledger: Ledger, library: str = "") -> ForwardProblem:
     """The same problem with its function behind a ledger; unchanged for matrices, or if it is behind one already."""
-    function = problem.function
+    function = problem.user_function
     if function is None or isinstance(function, RecordedFunction):
         return problem
     names = frozenset(problem.space.names)
@@ -69,7 +69,7 @@ def recorded(study: Study, ledger: Ledger) -> Study:
 
 def unrecorded(problem: ForwardProblem) -> ForwardProblem:
     """The same problem without its ledger, so that points are evaluated again."""
-    function = problem.function
+    function = problem.user_function
     return problem.with_function(function.asked) if isinstance(function, RecordedFunction) else problem
 
 
@@ -80,14 +80,15 @@ def reevaluated_numbers(problem: ForwardProblem, values: Mapping[str, float]) ->
 
 def reevaluated(problem: ForwardProblem, values: Mapping[str, float]) -> Outcome:
     """One point, evaluated again even if stored; its duration excludes the start of a process."""
-    if problem.function is None:
+    if problem.user_function is None:
         return attempt(problem.evaluate, values)
     return outcome_of(problem, reevaluated_numbers(problem, values))
 
 
 def traced(problem: ForwardProblem, values: Mapping[str, float], fault: EvaluationError) -> EvaluationError:
     """A failure with the traceback of the user's code, which no ledger stores: the point is evaluated again."""
-    if not isinstance(problem.function, RecordedFunction) or Outcome(dict(values), "failed", {}, str(fault)).transient:
+    kept = isinstance(problem.user_function, RecordedFunction)
+    if not kept or Outcome(dict(values), "failed", {}, str(fault)).transient:
         return fault
     again = reevaluated(problem, values)
     return failure(again) if again.status == "failed" else fault
@@ -121,7 +122,7 @@ class ModesEvaluator:
             found[key_of(numbers.values)] = outcome = outcome_of(self.problem, numbers)
             arrived(outcome)
 
-        function = self.problem.function
+        function = self.problem.user_function
         evaluator = _WithListener(self.numbers, came)
         if isinstance(function, RecordedFunction):
             numbers = function.ledger.evaluate(function.fingerprint, points, evaluator)

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from calib.analyses.basis_cache import kept_basis, key_of
 from calib.analyses.user_function import ledger_keys_of_modes
 from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.problem import ModalProblem
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError, ToleranceError
@@ -27,7 +28,6 @@ from calib.structure.basis import Basis
 from calib.structure.effect_basis import effect_basis, frf_effect_basis
 from calib.structure.frf_target import FRFTarget
 from calib.structure.growth import Target
-from calib.structure.mode_target import ModeTarget
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
 from calib.structure.reduced import ReducedModel
@@ -44,9 +44,6 @@ FIRST_ORDER = 10.0
 
 Reducible = ModalProblem | FRFProblem
 """Problems that a reduced basis serves."""
-
-DAMPING_MAX = 0.95
-"""Damping ratio from which a mode is exempt from the tolerance: a nearly critical eigenvalue is almost defective."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +70,7 @@ class Wanted:
         Of modes all, up to the end of the frequency window, with ``tolerance`` as the relative error of an eigenvalue;
         of FRFs all that are in use, with `calib.structure.frf_target.TOLERANCE`.
         """
-        if isinstance(problem, FRFProblem):
-            return cls(FRFResidual(problem).target, problem.loaded_model.space.names, seed)
-        freq_max = problem.freq_window[1] if problem.freq_window else float(np.inf)
-        target = ModeTarget(problem.mode_count, freq_max, DAMPING_MAX, tolerance)
-        return cls(target, problem.model.space.names, seed)
+        return cls(problem.basis_target(tolerance), problem.basis_names, seed)
 
     def key(self, model: StructuralModel, space: ParameterSpace) -> str:
         """Hash of everything that a basis depends on: model, target, limits, constraints and seed.
@@ -118,29 +111,36 @@ def parameter_key(p: Parameter) -> tuple[object, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Reduction:
+class Reduction(ABC):
     """The reduced problem of a study during a search.
 
     Attributes
     ----------
     full, problem : ModalProblem or FRFProblem
         The problem at full order, and on the basis.
+    whole : StructuralModel
+        The model at full order.
     target : Target
         What the basis represents.
+    basis : Basis
+        Frozen.
     path : Path
         File of the basis, for worker processes.
     """
 
-    full: Reducible
-    problem: Reducible
+    full: Any
+    problem: Any
+    whole: StructuralModel
     target: Target
+    basis: Basis
     path: Path
 
-    @property
-    def basis(self) -> Basis:
-        """The frozen basis."""
-        assert isinstance(self.problem.model, ReducedModel)
-        return self.problem.model.basis
+    @staticmethod
+    def on(problem: Reducible, target: Target, basis: Basis, path: Path) -> Reduction:
+        """The reduction of a problem to a basis in a file, of the kind of the problem."""
+        whole = problem.reducible
+        assert whole is not None
+        return _OF_PROBLEM[type(problem)](problem, problem.reduced(basis), whole, target, basis, path)
 
     def certifier(self, ledger: Ledger) -> Callable[[Outcome], Outcome]:
         """Callback of `calib.inference.cases.run_case` that checks every would-be best point.
@@ -156,31 +156,53 @@ class Reduction:
 
         return certify
 
+    @abstractmethod
     def error_at(self, values: Mapping[str, float]) -> float:
-        """Largest error indicator of the paired modes, or largest estimated error of an FRF."""
-        if isinstance(self.problem, FRFProblem):
-            loaded = self.problem.loaded_model
-            assert isinstance(loaded, ReducedModel)
-            return self.target.estimate(loaded, values)
-        model = self.problem.model
-        assert isinstance(model, ReducedModel)
+        """Estimated error of the reduced responses at a point, in the unit of the basis's tolerance."""
+
+    @abstractmethod
+    def misses_at(self, values: Mapping[str, float]) -> bool:
+        """Whether reduced and full responses at a point differ by more than the tolerance."""
+
+    def after_case(self, values: Mapping[str, float], home: Results) -> Reduction:
+        """The same reduction, or one with an enriched basis when this one misses its tolerance at a case's optimum."""
+        if not self.misses_at(values):
+            return self
+        basis = enrich_basis(self.whole, self.basis, [values], self.target)
+        path = _file(home, basis.version)
+        basis.save(path)
+        return Reduction.on(self.full, self.target, basis, path)
+
+
+@dataclass(frozen=True, eq=False)
+class ModalReduction(Reduction):
+    """The same against measured modes.
+
+    Attributes
+    ----------
+    full, problem : ModalProblem
+    """
+
+    full: ModalProblem
+    problem: ModalProblem
+
+    @property
+    def _reduced(self) -> ReducedModel:
+        reduced: Any = self.problem.model
+        return reduced
+
+    def error_at(self, values: Mapping[str, float]) -> float:
+        """Largest error indicator of the paired modes."""
         found = self.problem.compare(values)
         chosen = found.pairing.model_index[found.pairing.paired]
-        return float(np.max(model.indicator(found.values, found.modes)[chosen], initial=0.0))
+        return float(np.max(self._reduced.indicator(found.values, found.modes)[chosen], initial=0.0))
 
     def misses_at(self, values: Mapping[str, float]) -> bool:
-        """Whether reduced and full responses at a point differ by more than the tolerance.
+        """See `Reduction`; by `FIRST_ORDER` times as much, relative in frequency, absolute in MAC.
 
-        Of modes by `FIRST_ORDER` times as much, relative in frequency, absolute in MAC; full ones are refined where a
-        count confirms their number.
+        Full modes are refined where a count confirms their number.
         """
-        if isinstance(self.problem, FRFProblem):
-            loaded = self.problem.loaded_model
-            assert isinstance(loaded, ReducedModel)
-            return self.target.error(loaded, values) > self.basis.tolerance
-        assert isinstance(self.full, ModalProblem) and isinstance(self.problem, ModalProblem)
-        assert isinstance(self.problem.model, ReducedModel)
-        refined = modes_near(self.problem.model, values, self.full.mode_count, 0.1 * self.basis.tolerance)
+        refined = modes_near(self._reduced, values, self.full.mode_count, 0.1 * self.basis.tolerance)
         mine, truth = self.problem.evaluate(values), self.full.responses(self.full.compare(values, refined))
         parts = [0.0]
         for mode in self.problem.measured.names:
@@ -190,13 +212,34 @@ class Reduction:
             parts += [abs(mine[freq] / truth[freq] - 1), abs(mine[mac] - truth[mac])]
         return float(np.nanmax(parts)) > FIRST_ORDER * self.basis.tolerance
 
-    def after_case(self, values: Mapping[str, float], home: Results) -> Reduction:
-        """The same reduction, or one with an enriched basis when this one misses its tolerance at a case's optimum."""
-        if not self.misses_at(values):
-            return self
-        model = self.full.model
-        assert isinstance(model, StructuralModel)
-        return _on(self.full, self.target, enrich_basis(model, self.basis, [values], self.target), home)
+
+@dataclass(frozen=True, eq=False)
+class FRFReduction(Reduction):
+    """The same against measured FRFs, with what loads the model in their test.
+
+    Attributes
+    ----------
+    full, problem : FRFProblem
+    """
+
+    full: FRFProblem
+    problem: FRFProblem
+
+    def error_at(self, values: Mapping[str, float]) -> float:
+        """Largest estimated error of an FRF."""
+        return self.target.estimate(self._loaded, values)
+
+    def misses_at(self, values: Mapping[str, float]) -> bool:
+        """See `Reduction`."""
+        return self.target.error(self._loaded, values) > self.basis.tolerance
+
+    @property
+    def _loaded(self) -> ReducedModel:
+        loaded: Any = self.problem.loaded_model
+        return loaded
+
+
+_OF_PROBLEM: Mapping[type, type[Reduction]] = {ModalProblem: ModalReduction, FRFProblem: FRFReduction}
 
 
 def reduction_of(study: Study, home: Results, progress: Progress = unheard) -> Reduction | None:
@@ -209,11 +252,11 @@ def reduction_of(study: Study, home: Results, progress: Progress = unheard) -> R
     InputError
         When the model cannot be solved at some training point.
     """
-    problem, settings = study.problem, study.settings.reduction
-    if not worthwhile(study):
+    problem: Any = study.problem
+    model, settings = study.problem.reducible, study.settings.reduction
+    if model is None or not worthwhile(study):
         return None
-    assert isinstance(problem, Reducible) and isinstance(problem.model, StructuralModel)
-    model, path = problem.model, _file(home, 1)
+    path = _file(home, 1)
     wanted = Wanted.of(problem, settings.tolerance, settings.seed)
     key = wanted.key(model, study.search_space)
     _raise_known(home, key)
@@ -223,7 +266,7 @@ def reduction_of(study: Study, home: Results, progress: Progress = unheard) -> R
         except ToleranceError as fault:
             home.write_json(_UNREACHED, {"asked": key, "problem": fault.problem})
             raise
-    return Reduction(problem, problem.reduced(basis), wanted.target, path)
+    return Reduction.on(problem, wanted.target, basis, path)
 
 
 _UNREACHED = "basis_unreached"
@@ -255,8 +298,8 @@ def training(study: Study) -> Iterator[None]:
 
 def worthwhile(study: Study) -> bool:
     """Whether a study is solved on a reduced basis: requested, and the model is large enough."""
-    model = study.problem.model if isinstance(study.problem, Reducible) else None
-    return study.settings.reduction.use and isinstance(model, StructuralModel) and model.n_dof >= WORTHWHILE_DOFS
+    model = study.problem.reducible
+    return study.settings.reduction.use and model is not None and model.n_dof >= WORTHWHILE_DOFS
 
 
 def fingerprints(study: Study, home: Results) -> tuple[str, ...]:
@@ -265,18 +308,13 @@ def fingerprints(study: Study, home: Results) -> tuple[str, ...]:
     For responses its own, and those of its reduced problems on the stored bases; for a function of modes also those of
     the modes.
     """
-    problem, own = study.problem, [study.problem.fingerprint]
-    if isinstance(problem, Reducible) and isinstance(problem.model, StructuralModel):
+    problem: Any = study.problem
+    own, model = [study.problem.fingerprint], study.problem.reducible
+    if model is not None:
         kept = [_loaded(path) for path in sorted(home.path.glob(_file(home, "*").name))]
-        fitting = [b for b in kept if b is not None and b.model_fingerprint == problem.model.fingerprint]
+        fitting = [b for b in kept if b is not None and b.model_fingerprint == model.fingerprint]
         own += [problem.reduced(basis).fingerprint for basis in fitting]
     return (*own, *ledger_keys_of_modes(problem, study.library_digest))
-
-
-def _on(problem: Reducible, target: Target, basis: Basis, home: Results) -> Reduction:
-    path = _file(home, basis.version)
-    basis.save(path)
-    return Reduction(problem, problem.reduced(basis), target, path)
 
 
 def _file(home: Results, version: int | str) -> Path:

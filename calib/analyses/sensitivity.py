@@ -111,7 +111,7 @@ def sensitivity(
     count = min(settings.samples, QUICK_SAMPLES) if quick else settings.samples
     drawn = sample(space, count, settings.seed)
     outcomes = _evaluate(study, ledger, [space.complete(x) for x in drawn.points], workers, progress)
-    forced = None if isinstance(study.settings.selection, str) else study.settings.selection
+    forced = study.settings.listed
     answer = measured(space, drawn, outcomes, {name: name for name in study.problem.sensitivity_responses}, forced)
     assessment = answer.assessment
     begin_analysis(results, "sensitivity")
@@ -174,7 +174,7 @@ def selected_by_measures(study: Study, home: Results) -> Study:
 
 def outdated_selection(study: Study, home: Results) -> str:
     """Why a selection by the sensitivity analysis is outdated; empty where it is valid, or made by the user."""
-    if not isinstance(study.settings.selection, str):
+    if not study.settings.selected_by_sensitivity:
         return ""
     entry = analyses_of(home).get("sensitivity")
     if entry is None:  # `begin_analysis` removed it from the record, and the analysis did not end
@@ -185,7 +185,7 @@ def outdated_selection(study: Study, home: Results) -> str:
 
 def selecting(study: Study, home: Results) -> Study:
     """As `selected_by_measures`, even with an outdated selection."""
-    if not isinstance(study.settings.selection, str):
+    if not study.settings.selected_by_sensitivity:
         return study
     path: Path = home.path / "selection.csv"
     if not path.is_file():

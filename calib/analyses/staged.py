@@ -85,7 +85,7 @@ def _values(study: Study, folder: Results) -> Found | None:
     """
     if not (folder.has("summary.json") and folder.has("parameters.csv")):
         return None
-    if isinstance(study.settings.selection, str) and not folder.has("selection.csv"):
+    if study.settings.selected_by_sensitivity and not folder.has("selection.csv"):
         return None
     if outdated_selection(study, folder):
         return None

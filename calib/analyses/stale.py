@@ -119,7 +119,7 @@ def _selecting(study: Study, results: Results, entry: Mapping[str, Any]) -> Stud
 def _selected(study: StudyFile, results: Results, entry: Mapping[str, Any]) -> tuple[str, ...] | None:
     """The parameters that the sensitivity analysis selects; None where the study names them, or it was not run."""
     place = _selection_in(results, entry)
-    if place is not None and isinstance(study.settings.selection, str):
+    if place is not None and study.settings.selected_by_sensitivity:
         with suppress(InputError):
             return selected_in(place.path / "selection.csv")[0]
     return None

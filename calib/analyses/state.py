@@ -10,7 +10,6 @@ from typing import Any
 
 from calib import on_limit
 from calib.inference import rules as inference
-from calib.measurement.responses import MeasuredResponses
 from calib.missing import rules as missing
 from calib.several import AnyStudy
 from calib.study import Study
@@ -166,8 +165,7 @@ def measurement_digest(study: StudyFile) -> str:
         return _digest(*(measurement_digest(part) for part in study.parts))
     whole = study.measurement()
     data = {k: v for k, v in study.settings.measurement.model_dump().items() if k not in _NAMES_OF_FILES}
-    measured = sorted(whole.targets.items()) if isinstance(whole, MeasuredResponses) else whole.fingerprint
-    return _digest(measured, data, study.settings.held_out.model_dump())
+    return _digest(whole.content, data, study.settings.held_out.model_dump())
 
 
 def _measured(study: StudyFile, analysis: str) -> str:

@@ -42,7 +42,7 @@ def confirmed(study: Study, ledger: Ledger) -> float | None:
     problem = study.problem
     kept = problem.ledger_key
     stored = ledger.stored(kept)
-    is_function = problem.function is not None
+    is_function = problem.user_function is not None
     if stored is None:
         if not is_function:
             return None

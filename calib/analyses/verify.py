@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Mapping, Sequence
-from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -17,7 +16,7 @@ from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
 from calib.degrees_of_freedom import KNOWN, behind, chance, matched
-from calib.forward import ForwardProblem, Unseen, pair_of
+from calib.forward import AnyPair, Unseen
 from calib.inference.identify import posterior, with_held
 from calib.inference.leave_one_out import leave_one_out
 from calib.inference.other_rows import OtherRows, none_beside
@@ -36,11 +35,11 @@ def errors_at(
 ) -> pd.DataFrame:
     """Errors of a study's model by group of data, at fitted values of the selected parameters; see `errors_of`."""
     space, held_sd = study.search_space, study.held_sd
-    return errors_of(study.problem, study.whole_problem(), study.unseen, space, values, held_sd, joint, active)
+    return errors_of(study.pair, study.whole_problem(), study.unseen, space, values, held_sd, joint, active)
 
 
 def errors_of(
-    problem: ForwardProblem,
+    pair: AnyPair,
     whole: ModalProblem | None,
     unseen: Unseen,
     space: ParameterSpace,
@@ -53,8 +52,8 @@ def errors_of(
 
     Parameters
     ----------
-    problem : ModalProblem, FunctionProblem or FRFProblem
-        The problem with the fitted data.
+    pair : ModalResidual, ResponseResidual or FRFResidual
+        The model and the fitted data.
     whole : ModalProblem or None
         The same model with all modes and sensors; None where nothing is held out.
     unseen : mapping from group to UnseenData
@@ -75,15 +74,13 @@ def errors_of(
     others: OtherRows | None = None
     if joint is not None:
         names, prior_sd, others, held_sd = joint
-    if isinstance(problem, ModalProblem):
-        dof = ModalResidual(problem).std_dof
+    if isinstance(pair, ModalResidual):  # whose modes are paired, and whose held-out ones are paired with what is left
         return modal_errors(
-            problem, whole, values, names, prior_sd, Floors(), dof, held_sd=held_sd, others=others, active=active
-        )
-    if isinstance(problem, FunctionProblem):
-        problem = replace(problem, space=space)
-    held_out = held_out_rows(problem, unseen, values, names, held_sd)
-    pair = pair_of(problem)
+            pair.problem, whole, values, names, prior_sd, Floors(), pair.std_dof, held_sd=held_sd, others=others,
+            active=active,
+        )  # fmt: skip
+    pair = pair.within(space)
+    held_out = held_out_rows(pair.problem, unseen, values, names, held_sd)
     e, g = whitened(pair, values, names, held_sd)
     labels = [row.sensor for row in pair.rows]
     return group_errors(e, g, names, prior_sd, labels, held_out, std_behind(pair), others, active)

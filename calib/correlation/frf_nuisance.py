@@ -7,9 +7,10 @@ of its motions is asked for (see `calib.correlation.frf_rows`). At zero nothing 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from calib.correlation.frf_cross_talk import CrossTalkError
 from calib.correlation.frf_parameter import LIMIT, Side, in_test, require_positive
 from calib.correlation.frf_places import PlaceError
 from calib.correlation.frf_rotation import RotationError
+from calib.correlation.frf_rows import RowError
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, Sensor
@@ -93,6 +95,29 @@ class ChannelError:
         return channel_names(measured, self.side)
 
     @property
+    def of_channel(self) -> tuple[ChannelError, ...]:
+        """Itself: it is a factor of measured functions."""
+        return (self,)
+
+    @property
+    def of_rows(self) -> tuple[RowError, ...]:
+        """None: it changes no motion of a transducer."""
+        return ()
+
+    def loads(self, model: StructuralModel) -> tuple[Load, ...]:
+        """None: it changes no matrix."""
+        return ()
+
+    def concerns(self, measured: MeasuredFRFs) -> bool:
+        """Whether its channel is among those measured."""
+        return self.name in self.among(measured)
+
+    @property
+    def side_words(self) -> str:
+        """Its side, as a message names it before the channel."""
+        return f"{self.side} "
+
+    @property
     def parameter(self) -> Parameter:
         """Such as ``gain_12z``, ``gain_force_3z`` of a reference, or of one of several tests ``gain_12z in test A``."""
         sd = CHANNEL_SD[self.kind] if self.prior_sd is None else self.prior_sd
@@ -118,8 +143,27 @@ class ChannelError:
         return own if self.side == "response" else -own
 
 
+class Loading(ABC):
+    """What changes the matrices of the model during the whole test, whichever functions were measured."""
+
+    of_channel: ClassVar[tuple[ChannelError, ...]] = ()
+    of_rows: ClassVar[tuple[RowError, ...]] = ()
+
+    @abstractmethod
+    def load(self, model: StructuralModel) -> Load:
+        """Its term in the model."""
+
+    def loads(self, model: StructuralModel) -> tuple[Load, ...]:
+        """Its only term."""
+        return (self.load(model),)
+
+    def concerns(self, measured: MeasuredFRFs) -> bool:
+        """True: it is there whatever is measured."""
+        return True
+
+
 @dataclass(frozen=True)
-class AddedMass:
+class AddedMass(Loading):
     """Mass of an accelerometer at its place, in all three translations; it is there during the whole test.
 
     Attributes
@@ -168,7 +212,7 @@ class AddedMass:
 
 
 @dataclass(frozen=True)
-class Stinger:
+class Stinger(Loading):
     """Stiffness of an exciter's stinger, to the ground at a reference.
 
     Attributes
@@ -224,10 +268,6 @@ class Stinger:
 Nuisance = ChannelError | PlaceError | RotationError | CrossTalkError | AddedMass | Stinger
 NUISANCES = get_args(Nuisance)
 """All kinds."""
-LOADING = (AddedMass, Stinger)
-"""Those that change the matrices."""
-OF_ROWS = (PlaceError, RotationError, CrossTalkError)
-"""Those that change the motions of transducers."""
 
 
 def of_every_channel(
@@ -274,16 +314,17 @@ def belonging_to(test: str, nuisances: Sequence[Nuisance]) -> tuple[Nuisance, ..
 
 def concerned(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> tuple[Nuisance, ...]:
     """Those that concern some of the data: of channels and transducers of its functions, and all that load a model."""
-    return tuple(n for n in nuisances if isinstance(n, LOADING) or n.name in n.among(measured))
+    return tuple(n for n in nuisances if n.concerns(measured))
 
 
 def require_channels(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> None:
     """InputError for the error of a channel, or of a transducer, that was not measured."""
-    for error in nuisances:
-        if not isinstance(error, LOADING) and error.name not in (names := error.among(measured)):
-            what = f"{error.side} " if isinstance(error, ChannelError | RotationError) else ""
+    found: list[Any] = [own for n in nuisances for own in (*n.of_channel, *n.of_rows)]
+    for error in found:
+        if not error.concerns(measured):
+            names = error.among(measured)
             raise InputError(
-                f"{what}{error.name!r} was not measured", place=error.place,
+                f"{error.side_words}{error.name!r} was not measured", place=error.place,
                 remedy=f"there {'are' if len(names) > 1 else 'is'} {', '.join(names)}",
             )  # fmt: skip
 

@@ -91,7 +91,7 @@ class PlaceError(RowError):
         Where the model ends on one side, it starts at the stated place; InputError where it ends on both. Of a model
         that finds nodes only, the gradient between the nodes before and after it along the mesh.
         """
-        whole = model.model if isinstance(model, ReducedModel) else model
+        whole = model.whole
         if at_nodes(whole.locator):
             return self._between_nodes(model, whole.mesh)
         reach = self.parameter.si_factor * self.prior_sd

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.correlation.frf_channels import Channels
 from calib.correlation.frf_comparison import frac_and_amplitude
-from calib.correlation.frf_nuisance import LOADING, OF_ROWS, ChannelError, Nuisance, require_channels
+from calib.correlation.frf_nuisance import Nuisance, require_channels
 from calib.correlation.frf_rows import Rows
 from calib.correlation.mesh_error import MeshError
 from calib.errors import InputError
@@ -76,10 +76,9 @@ class FRFProblem:
             if names.count(name) > 1 or name in self.model.space:
                 raise InputError(f"{name!r} is a parameter twice", place="nuisances of FRFs", remedy="keep one")
         require_channels(self.nuisances, self.measured)
-        whole = self.model.model if isinstance(self.model, ReducedModel) else self.model
-        loads = [n.load(whole) for n in self.nuisances if isinstance(n, LOADING)]
-        errors = tuple(n for n in self.nuisances if isinstance(n, ChannelError))
-        rows = Rows.of([n for n in self.nuisances if isinstance(n, OF_ROWS)], self.measured, self.model)
+        loads = [load for n in self.nuisances for load in n.loads(self.model.whole)]
+        errors = tuple(error for n in self.nuisances for error in n.of_channel)
+        rows = Rows.of([error for n in self.nuisances for error in n.of_rows], self.measured, self.model)
         model, own = loaded(self.model, loads), self.model.space
         parameters = (*model.space.parameters, *(e.parameter for e in errors), *(e.parameter for e in rows.errors))
         parameters += () if self.mesh is None else (self.mesh.parameter,)
@@ -89,7 +88,7 @@ class FRFProblem:
         object.__setattr__(self, "_rows", rows)
 
     @property
-    def function(self) -> None:
+    def user_function(self) -> None:
         """None: a model of matrices runs no user code."""
         return
 
@@ -132,19 +131,38 @@ class FRFProblem:
         """Responses that a search compares, each 1 for a right model."""
         return dict.fromkeys(self.response_names, 1.0)
 
+    @property
+    def reducible(self) -> StructuralModel | None:
+        """The model at full order, which a basis can reduce; None for a reduced model."""
+        return self.model.reducible
+
+    @property
+    def basis_names(self) -> tuple[str, ...]:
+        """Parameters over which a basis must serve: those of the model and of what loads it."""
+        return self.loaded_model.space.names
+
+    @cached_property
+    def entry_std(self) -> np.ndarray:
+        """Standard deviation of every entry, (n_freq, n_responses, n_references), in the unit of the quantity."""
+        total = self.measured.total_std
+        return np.where(np.isfinite(total), total, UNKNOWN_STD * np.abs(self.measured.values))
+
+    def basis_target(self, tolerance: float) -> FRFTarget:
+        """All FRFs in use, with `calib.structure.frf_target.TOLERANCE` whatever the one of eigenvalues."""
+        return self.target(self.entry_std)
+
     def reduced(self, basis: Basis) -> FRFProblem:
         """The same problem with a reduced model; InputError when the basis belongs to another model."""
-        if not isinstance(self.model, StructuralModel):
+        if self.reducible is None:
             raise InputError("the model is reduced already", place=self.model.name)
-        return replace(self, model=ReducedModel(self.model, basis))
+        return replace(self, model=ReducedModel(self.reducible, basis))
 
     def target(self, std: np.ndarray) -> FRFTarget:
         """What a basis for these FRFs must represent, of a model at full order.
 
         ``std`` is the standard deviation of every entry, (n_freq, n_responses, n_references).
         """
-        assert isinstance(self.model, StructuralModel)
-        loads = tuple(n.load(self.model) for n in self.nuisances if isinstance(n, LOADING))
+        loads = tuple(load for n in self.nuisances for load in n.loads(self.model.whole))
         unit = np.where(np.isfinite(self.measured.values), std, np.inf)
         rows, quantity = self._rows, self.measured.quantity
         return FRFTarget(self.measured.freq, rows.responses, rows.references, unit, quantity, loads, moved=rows.moved)

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.correlation.frf_comparison import FRFComparison
 from calib.correlation.frf_faults import FRFFault, frf_faults
-from calib.correlation.frf_problem import DEFINITION, UNKNOWN_STD, FRFProblem
+from calib.correlation.frf_problem import DEFINITION, FRFProblem
 from calib.degrees_of_freedom import KNOWN, beside_known
 from calib.errors import InputError
 from calib.fingerprint import digest_of
@@ -74,8 +74,7 @@ class FRFResidual:
     def __post_init__(self) -> None:
         measured = self.problem.measured
         known = np.isfinite(measured.values)
-        total = measured.total_std
-        std = np.where(np.isfinite(total), total, UNKNOWN_STD * np.abs(measured.values))
+        std = self.problem.entry_std
         if not known.any():
             raise InputError("no FRF was measured", place=measured.source or "FRFs", remedy="give at least one")
         if not np.all(std[known] > 0):
@@ -170,6 +169,10 @@ class FRFResidual:
         faults = frf_faults(self.problem.model, self.problem.measured, self.problem.nuisances, test)
         errors = (*self.problem.nuisances, *(fault.error for fault in faults))
         return replace(self, problem=replace(self.problem, nuisances=errors), faults=faults)
+
+    def within(self, space: ParameterSpace) -> FRFResidual:
+        """The same: derivatives of matrices keep to no limits."""
+        return self
 
     def with_model(self, model: StructuralModel | ReducedModel, added: int | None = None) -> FRFResidual:
         """The same measured FRFs and nuisances with another model; ``added`` concerns modes and is ignored."""

@@ -64,6 +64,11 @@ class RotationError(RowError):
         require_positive(self.prior_sd, self.place)
 
     @property
+    def side_words(self) -> str:
+        """Such as ``response``, before the name of the transducer."""
+        return f"{self.side} "
+
+    @property
     def place(self) -> str:
         """As messages name it."""
         return f"rotation of {self.name}"

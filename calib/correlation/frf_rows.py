@@ -52,6 +52,29 @@ class RowError(ABC):
     def parameter(self) -> Parameter:
         """Its value."""
 
+    @property
+    def of_channel(self) -> tuple[()]:
+        """None: it is no factor of measured functions."""
+        return ()
+
+    @property
+    def of_rows(self) -> tuple[RowError, ...]:
+        """Itself."""
+        return (self,)
+
+    def loads(self, model: StructuralModel) -> tuple[()]:
+        """None: it changes no matrix."""
+        return ()
+
+    @property
+    def side_words(self) -> str:
+        """Its side, as a message names it before the transducer; empty where it has none."""
+        return ""
+
+    def concerns(self, measured: MeasuredFRFs) -> bool:
+        """Whether its transducer is among those that may have it."""
+        return self.name in self.among(measured)
+
     @abstractmethod
     def changed(self, measured: MeasuredFRFs) -> tuple[tuple[Sensor, ...], tuple[Sensor, ...]]:
         """Responses and references among which its transducer is sought."""

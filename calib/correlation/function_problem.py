@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
 
-from calib.correlation.modal_responses import as_responses
 from calib.correlation.responses import assumed_responses, response_dof
 from calib.errors import EvaluationError, InputError
-from calib.function import FunctionModel, responses_of
+from calib.function import responses_of
 from calib.own_code import defined_at
 from calib.space import ParameterSpace
-from calib.structure.modal_model import ModalModel
 from calib.structure.model import Assumption
+
+Targets = Mapping[str, tuple[float, float | None]]
+"""Measured value of each scalar response and its standard deviation, None where it is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +42,7 @@ class FunctionProblem:
 
     space: ParameterSpace
     function: Callable[[Mapping[str, float]], Mapping[str, float]]
-    targets: Mapping[str, tuple[float, float | None]]
+    targets: Targets
     fingerprint: str
     repeats: float | None = None
     shares: Mapping[str, float] = field(default_factory=dict)
@@ -58,17 +60,27 @@ class FunctionProblem:
                     remedy="give a positive one or none",
                 )
 
-    def with_model(self, model: FunctionModel | ModalModel) -> FunctionProblem:
-        """The same targets for another model: a function, or one with modes where they are responses of modes."""
-        return replace(self, space=model.space, function=as_responses(self.function, model))
+    def with_model(self, model: Any) -> Self:
+        """The same targets for another function; see `calib.correlation.modal_responses.ModalResponseProblem`."""
+        return replace(self, space=model.space, function=model.function)
 
-    def with_function(self, function: Callable[[Mapping[str, float]], Mapping[str, float]]) -> FunctionProblem:
-        """The same targets for another form of the function."""
+    @property
+    def user_function(self) -> Callable[[Mapping[str, float]], Mapping[str, float]] | None:
+        """The user's function; None where no user code is run."""
+        return self.function
+
+    def with_function(self, function: Callable[[Mapping[str, float]], Mapping[str, float]]) -> Self:
+        """The same targets for another form of the user's function."""
         return replace(self, function=function)
 
     @property
-    def numbers_function(self) -> None:
-        """None: the function returns the responses themselves, not modes."""
+    def numbers_function(self) -> Callable[[Mapping[str, float]], Mapping[str, float]] | None:
+        """The user's function of the numbers of modes; None: this one returns the responses themselves."""
+        return None
+
+    @property
+    def reducible(self) -> None:
+        """None: no basis serves scalar responses; a model of matrices is solved at full order."""
         return
 
     @property

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Self
 
 import numpy as np
 
+from calib.correlation.function_problem import FunctionProblem, Targets
 from calib.errors import InputError
-from calib.function import slope_entry
-from calib.structure.derivatives import Analytic, beside_roots
+from calib.function import FunctionModel, slope_entry
+from calib.measurement.responses import MeasuredResponses
+from calib.place import Place
+from calib.structure.derivatives import beside_roots
 from calib.structure.modal_model import ModalModel
 from calib.structure.modes import Modes
 
@@ -36,7 +39,7 @@ class ModalResponses:
     count: int
 
     @classmethod
-    def of(cls, model: ModalModel, names: Iterable[str], place: str) -> ModalResponses:
+    def of(cls, model: ModalModel, names: Iterable[str], place: Place | str) -> ModalResponses:
         """The named responses of a model; InputError for one that it does not have."""
         numbers = [_number(model, name, place) for name in names]
         return cls(model, max(numbers))
@@ -48,7 +51,7 @@ class ModalResponses:
     @property
     def derives(self) -> bool:
         """Whether it tells derivatives; see `calib.function.DERIVES`."""
-        return isinstance(self.model, Analytic)
+        return self.model.numbers_function is None
 
     def __call__(self, values: Mapping[str, float]) -> dict[str, float]:
         """The responses; EvaluationError where the model cannot be solved."""
@@ -74,7 +77,7 @@ class ModalResponses:
         return {f"{kind}_{k}": float(x) for kind, own in kinds for k, x in enumerate(own, 1)}
 
 
-def _number(model: ModalModel, name: str, place: str) -> int:
+def _number(model: ModalModel, name: str, place: Place | str) -> int:
     """Number of the mode of a response."""
     match = _NAME.fullmatch(name)
     if match is None:
@@ -96,6 +99,76 @@ def _number(model: ModalModel, name: str, place: str) -> int:
     return number
 
 
-def as_responses(function: Any, model: Any) -> Any:
-    """The function of another model: its modes where ``function`` is one of modes, else its own function."""
-    return function.with_model(model) if isinstance(function, ModalResponses) else model.function
+@dataclass(frozen=True, eq=False)
+class ModalResponseProblem(FunctionProblem):
+    """Targets for the natural frequencies and damping ratios of a model with modes.
+
+    What the user's function of modes returns is kept by the model alone; a model of matrices runs no user code.
+
+    Attributes
+    ----------
+    function : ModalResponses
+    """
+
+    function: ModalResponses
+
+    @property
+    def model(self) -> ModalModel:
+        """The model whose modes are the responses."""
+        return self.function.model
+
+    def with_model(self, model: ModalModel) -> Self:
+        """The same targets for the modes of another model."""
+        return replace(self, space=model.space, function=self.function.with_model(model))
+
+    @property
+    def user_function(self) -> Callable[[Mapping[str, float]], Mapping[str, float]] | None:
+        """That of the model's modes."""
+        return self.numbers_function
+
+    @property
+    def numbers_function(self) -> Callable[[Mapping[str, float]], Mapping[str, float]] | None:
+        """That of the model; None for a model of matrices."""
+        return self.model.numbers_function
+
+    def with_function(self, function: Callable[[Mapping[str, float]], Mapping[str, float]]) -> Self:
+        """The same with another function of the numbers of modes."""
+        return replace(self, function=self.function.with_model(self.model.with_function(function)))
+
+    @property
+    def ledger_key(self) -> str:
+        """Fingerprint of the numbers in the ledger; that of a function's modes does not depend on the measurement."""
+        return self.fingerprint if self.numbers_function is None else self.model.fingerprint
+
+
+def response_problem(
+    model: FunctionModel | ModalModel,
+    measured: MeasuredResponses,
+    used: Targets,
+    repeats: float | None,
+    place: Place | str,
+) -> FunctionProblem:
+    """The problem of a model against scalar responses: its function's, or frequencies and damping ratios of its modes.
+
+    Parameters
+    ----------
+    model : FunctionModel, ModalFunctionModel or StructuralModel
+    measured : MeasuredResponses
+        All of them, so that as many modes are solved whatever is held out.
+    used : mapping from str to (value, std or None)
+        Those to fit.
+    repeats : float or None
+        Equivalent number of repeats behind the standard deviations.
+    place : Place or str
+        Where they are given.
+
+    Raises
+    ------
+    InputError
+        For a response that a model with modes does not have.
+    """
+    if isinstance(model, FunctionModel):
+        return FunctionProblem(model.space, model.function, used, model.fingerprint, repeats, measured.shares)
+    function = ModalResponses.of(model, measured.targets, place)
+    mark = f"{model.fingerprint} {function.count} modes"
+    return ModalResponseProblem(model.space, function, used, mark, repeats, measured.shares)

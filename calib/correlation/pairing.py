@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -187,6 +187,29 @@ def in_window(freq: np.ndarray, window: tuple[float, float] | None) -> np.ndarra
     """Which frequencies lie inside a window (both ends included), shape of ``freq``, bool; all without a window."""
     freq = np.asarray(freq, dtype=float)
     return np.ones(freq.shape, dtype=bool) if window is None else (freq >= window[0]) & (freq <= window[1])
+
+
+def check_clusters(
+    mode_clusters: Mapping[str, Sequence[str]], measured: Sequence[str], known: Collection[str], name: str
+) -> None:
+    """InputError for clusters of a mode that was not measured, or that are none of a model of that name."""
+    listed = ", ".join(known) or "none"
+    for mode, clusters in mode_clusters.items():
+        if mode not in measured:
+            raise InputError(
+                f"clusters are given for mode {mode!r}, which was not measured",
+                place="pairing",
+                remedy=f"the measured modes are {', '.join(measured) or 'none'}",
+            )
+        if not clusters:
+            raise InputError(f"no cluster is named for mode {mode!r}", place="pairing", remedy="leave the mode out")
+        for cluster in clusters:
+            if cluster not in known:
+                raise InputError(
+                    f"mode {mode!r} names cluster {cluster!r}, which the model {name} lacks",
+                    place="pairing",
+                    remedy=f"its clusters are {listed}",
+                )
 
 
 def check_override(override: Mapping[str, int], names: Sequence[str], n_model: int) -> None:

@@ -16,15 +16,15 @@ from calib.correlation.energy import emac
 from calib.correlation.mesh_error import MeshError
 from calib.correlation.mode_tracking import Point, follow
 from calib.correlation.order import Costs
-from calib.correlation.pairing import Pairing, check_override, in_window, pair_by_order, pair_by_shape
+from calib.correlation.pairing import Pairing, check_clusters, check_override, in_window, pair_by_order, pair_by_shape
 from calib.correlation.standard_deviations import assumptions, known_std
 from calib.errors import EvaluationError, InputError
 from calib.mac import mac
 from calib.measurement.modal import MeasuredModes
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
-from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.modal_model import ModalModel
+from calib.structure.mode_target import ModeTarget
 from calib.structure.model import Assumption, StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduced import ReducedModel
@@ -34,6 +34,9 @@ RESPONSES = ("natural_freq", "damped_freq", "damping_ratio", "mac", "emac", "mar
 
 _DEFINITION = "modal responses 2"
 """Part of the fingerprint; increment it whenever the same modes would give other responses."""
+
+DAMPING_MAX = 0.95
+"""Damping ratio from which a mode is exempt from the tolerance: a nearly critical eigenvalue is almost defective."""
 
 _LEAST_FREQ = 1e-12
 """Lower bound of model frequencies in Hz, which keeps their logarithm finite."""
@@ -88,23 +91,7 @@ class ModalProblem:
     sensor_rows: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        known = ", ".join(self.model.clusters) or "none"
-        for mode, clusters in self.mode_clusters.items():
-            if mode not in self.measured.names:
-                raise InputError(
-                    f"clusters are given for mode {mode!r}, which was not measured",
-                    place="pairing",
-                    remedy=f"the measured modes are {', '.join(self.measured.names) or 'none'}",
-                )
-            if not clusters:
-                raise InputError(f"no cluster is named for mode {mode!r}", place="pairing", remedy="leave the mode out")
-            for cluster in clusters:
-                if cluster not in self.model.clusters:
-                    raise InputError(
-                        f"mode {mode!r} names cluster {cluster!r}, which the model {self.model.name} lacks",
-                        place="pairing",
-                        remedy=f"its clusters are {known}",
-                    )
+        check_clusters(self.mode_clusters, self.measured.names, self.model.clusters, self.model.name)
         if self.mode_count < max(1, self.measured.n_modes):
             raise InputError(
                 f"mode_count is {self.mode_count}",
@@ -148,13 +135,12 @@ class ModalProblem:
     @property
     def numbers_function(self) -> Callable[[Mapping[str, float]], Mapping[str, float]] | None:
         """The user's function of the numbers of modes; None for a model of matrices, which runs no user code."""
-        return self.model.numbers_function if isinstance(self.model, ModalFunctionModel) else None
+        return self.model.numbers_function
 
-    function = numbers_function
+    user_function = numbers_function
 
     def with_function(self, function: Callable[[Mapping[str, float]], Mapping[str, float]]) -> ModalProblem:
         """The same problem with another function of the numbers of modes."""
-        assert isinstance(self.model, ModalFunctionModel)
         return replace(self, model=self.model.with_function(function))
 
     @property
@@ -218,11 +204,26 @@ class ModalProblem:
             count = self.mode_count + max(0, whole.n_modes - mode_count)
         return replace(self, measured=whole, mode_clusters=clusters, override=override, mode_count=count)
 
+    @property
+    def reducible(self) -> StructuralModel | None:
+        """The model of matrices that a basis can reduce; None for a function and a reduced model."""
+        return self.model.reducible
+
+    @property
+    def basis_names(self) -> tuple[str, ...]:
+        """Parameters over which a basis must serve."""
+        return self.space.names
+
+    def basis_target(self, tolerance: float) -> ModeTarget:
+        """All modes up to the end of the frequency window; ``tolerance`` is the relative error of an eigenvalue."""
+        freq_max = self.freq_window[1] if self.freq_window else float(np.inf)
+        return ModeTarget(self.mode_count, freq_max, DAMPING_MAX, tolerance)
+
     def reduced(self, basis: Basis) -> ModalProblem:
         """The same problem with a reduced model; InputError when the basis belongs to another model."""
-        if not isinstance(self.model, StructuralModel):
+        if self.reducible is None:
             raise InputError("the model is reduced already", place=self.model.name)
-        return replace(self, model=ReducedModel(self.model, basis))
+        return replace(self, model=ReducedModel(self.reducible, basis))
 
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
         """Flat responses at named values, ordered by measured mode.

@@ -311,7 +311,7 @@ class ModalResidual:
         place = {int(i): k for k, i in enumerate(found.pairing.paired)}
         freq, damping = np.zeros((measured.n_modes, n)), np.zeros((measured.n_modes, n))
         for i, k in place.items():
-            freq[i] = slopes.natural_freq[:, k] / found.modes.natural_freq[self._partner(found, i)]
+            freq[i] = slopes.natural_freq[:, k] / found.modes.natural_freq[int(found.pairing.model_index[i])]
             damping[i] = slopes.damping_ratio[:, k]
 
         def turned(i: int) -> np.ndarray | None:
@@ -327,7 +327,7 @@ class ModalResidual:
         readings = self._faulty.readings
 
         def turned(i: int) -> np.ndarray | None:
-            j = self._partner(found, i)
+            j = int(found.pairing.model_index[i])
             if j < 0:
                 return None
             if readings.turns_to_modulus(name):
@@ -386,12 +386,8 @@ class ModalResidual:
         ratio = found.paired(found.modes.damping_ratio) + self._faulty.added_damping(found)
         return np.asarray(np.maximum(ratio, _LEAST_RATIO))
 
-    @staticmethod
-    def _partner(found: Comparison, i: int) -> int:
-        return int(found.pairing.model_index[i])
-
     def _fit(self, found: Comparison, i: int) -> FittedShape:
-        measured, j = self.problem.measured, self._partner(found, i)
+        measured, j = self.problem.measured, int(found.pairing.model_index[i])
         known = np.isfinite(measured.shapes[:, i])
         target, std = measured.shapes[known, i], self.std.shape[known, i]
         shape = np.zeros(len(target)) if j < 0 else self._faulty.reading(found, i, j)[known]

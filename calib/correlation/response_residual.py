@@ -99,6 +99,10 @@ class ResponseResidual:
         """None."""
         return ()
 
+    def within(self, space: ParameterSpace) -> ResponseResidual:
+        """The same with differences that stay within the limits of a space."""
+        return replace(self, problem=replace(self.problem, space=space))
+
     def with_model(self, model: FunctionModel | ModalModel, added: int | None = None) -> ResponseResidual:
         """The same measured responses with another model; ``added`` concerns modes and is ignored."""
         return replace(self, problem=self.problem.with_model(model))

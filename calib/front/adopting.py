@@ -8,7 +8,7 @@ from pathlib import Path
 from calib.analyses import staged
 from calib.analyses.isolation import isolated
 from calib.errors import InputError
-from calib.several import AnyStudy, JointStudy, load
+from calib.several import AnyStudy, load
 from calib.study import Study
 
 
@@ -27,15 +27,17 @@ def loaded_after(path: Path, calibrated: Callable[[Study, Path], staged.Found | 
         For anything wrong in one of the studies, and where an earlier one has several tests.
     """
     *earlier, last = staged.in_order(path)
-    taken, before = staged.Found({}, {}), None
+    taken: staged.Found = staged.Found({}, {})
+    before: Study | None = None
     for file in earlier:
         study = _taking_over(file, taken, before)
-        if isinstance(study, JointStudy):
+        if study.settings.several:
             raise InputError(
                 "values can be adopted from a study with one test only, and this one has several", place=file,
                 remedy="fit all tests together in one study",
             )  # fmt: skip
-        taken, before = calibrated(study, file) or staged.Found({}, {}), study
+        (before,) = study.studies
+        taken = calibrated(before, file) or staged.Found({}, {})
     return _taking_over(last, taken, before)
 
 

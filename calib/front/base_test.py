@@ -58,9 +58,10 @@ class BaseTest(ABC):
 
     def errors(self, model: Any, values: Mapping[str, float], fit: FitStatistics) -> pd.DataFrame:
         """Errors on fitted, left-one-out and held-out data; see `calib.analyses.verify.errors_of`."""
-        problem, joint = self.problem(model), fit.parts.get(self.name)
-        whole = self.whole_problem(model)
-        return errors_of(problem, whole, self.unseen, self.space(model), values, joint=joint, active=fit.active)
+        joint, whole = fit.parts.get(self.name), self.whole_problem(model)
+        return errors_of(
+            self.pair(model), whole, self.unseen, self.space(model), values, joint=joint, active=fit.active
+        )
 
     @abstractmethod
     def adapter(

@@ -29,8 +29,6 @@ from calib.given import integer, objects
 from calib.loading import require_distinct
 from calib.progress import in_python
 from calib.settings import ExplainSettings
-from calib.structure.model import StructuralModel
-from calib.structure.perturbations import Perturbation
 
 Library: TypeAlias = Mapping[str, tuple[Effect, ...]]
 """Effects by the name of the model that may lack them."""
@@ -191,10 +189,8 @@ def _adapters(problem: PosedProblem, effects: Library, seed: int, error: ModelEr
     for given, tests in groups:
         model = error.of(given, problem.unselected)
         own, several = effects.get(model.name, ()), len(tests) > 1 or len(groups) > 1
-        local: tuple[Perturbation, ...] = ()
-        if isinstance(model, StructuralModel):
-            measured = [data for test in tests for data in test.sensed]
-            local = local_perturbations(model, measured, model.space.values, model.name if len(groups) > 1 else "")
+        measured = [data for test in tests for data in test.sensed]
+        local = local_perturbations(model, measured, model.space.values, model.name if len(groups) > 1 else "")
         for test in tests:
             held, facts = under(model, test.name, test.condition), _facts(test, seed)
             adapter = test.adapter(held, own, local, facts, test.name if several else "")

@@ -16,8 +16,8 @@ from calib.effect import Effect
 from calib.errors import InputError
 from calib.forward import Unseen, unseen_frfs
 from calib.front.base_test import BaseTest
+from calib.front.basis_of_test import basis_for
 from calib.front.checked import UNNAMED, Claimed, band, named, place_of
-from calib.front.hypotheses import basis_for
 from calib.given import names, objects
 from calib.measurement.accuracy import frf_claim
 from calib.measurement.disagreements import Disagreement

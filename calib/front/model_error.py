@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from calib.analyses.adapter import Adapter
-from calib.analyses.group_adapter import FRFAdapter
 from calib.analyses.mesh_term import mesh_words, with_mesh_error
-from calib.analyses.modal_adapter import ModalAdapter
 from calib.analyses.uncertain import freed, uncertain_words
 from calib.errors import InputError
 from calib.front.test import Model, Test, under
@@ -73,11 +72,11 @@ class ModelError:
         """The adapter of a test of a model with the error of its mesh, and with the scores that are due to it."""
         if model.name not in self.finer:
             return adapter
-        finer = under(self.finer[model.name], test.name, test.condition)
-        assert isinstance(finer, StructuralModel)
-        if not isinstance(adapter, ModalAdapter | FRFAdapter):
+        finer: Any = under(self.finer[model.name], test.name, test.condition)
+        if not adapter.on_mesh:
             raise InputError(f"the test {test.name} of the model {model.name} has no mesh", place="explain, finer")
-        adapter = replace(adapter, finer=lambda: finer)
+        own: Any = adapter
+        adapter = replace(own, finer=lambda: finer)
         return adapter if self.mesh_sd is None else with_mesh_error(adapter, finer, self.mesh_sd, several * test.name)
 
     def notes(self, models: Collection[Model], unselected: Collection[str]) -> tuple[str, ...]:

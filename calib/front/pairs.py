@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import Any, TypeAlias
+from dataclasses import replace
+from typing import Any, Protocol, TypeAlias, TypeVar, cast
 
+from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.excerpt import excerpt
 from calib.front.test import Model, Test
 from calib.given import path as path_of
 from calib.joint import JointProblem
 from calib.ledger import Ledger
+from calib.loading import extended
 from calib.problem import Counts
 from calib.problem import Problem as Posed
 from calib.progress import in_python
@@ -61,8 +64,42 @@ def require_within(space: ParameterSpace) -> None:
             )  # fmt: skip
 
 
-def posed(pairs: Pairs, ledger: Ledger | None) -> Posed[Any] | JointProblem:
-    """Rows, responses, residual and Jacobian of all tests; the space of each has its own parameters too."""
+class Paired(Protocol):
+    """A model, and problems of other models beside it; see `calib.front.problem.Problem`."""
+
+    @property
+    def model(self) -> Any:
+        """Its model."""
+        ...
+
+    @property
+    def beside(self) -> Sequence[Any]:
+        """Problems of other models."""
+        ...
+
+
+P = TypeVar("P", bound=Paired)
+
+
+def holding(problem: P, values: Mapping[str, float]) -> P:
+    """A problem whose models hold parameters at values, each those that it has."""
+    space = problem.model.space.freeze({name: v for name, v in values.items() if name in problem.model.space})
+    beside, given = tuple(holding(p, values) for p in problem.beside), cast(Any, problem)
+    return cast(P, replace(given, model=replace(problem.model, space=space), beside=beside))
+
+
+def including(problem: P, effects: Mapping[str, tuple[Effect, ...]]) -> P:
+    """A problem whose models have effects, given by the name of the model."""
+    own = effects.get(problem.model.name, ())
+    model, given = extended(problem.model, own) if own else problem.model, cast(Any, problem)
+    return cast(P, replace(given, model=model, beside=tuple(including(p, effects) for p in problem.beside)))
+
+
+def posed(pairs: Pairs, ledger: Any) -> Posed[Any] | JointProblem:
+    """Rows, responses, residual and Jacobian of all tests; the space of each has its own parameters too.
+
+    ``ledger`` is an opened one, or None.
+    """
     counts, made = Counts(), dict[str, Posed[Any]]()
     for model, test in pairs:
         pair = test.pair(model)

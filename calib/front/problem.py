@@ -14,9 +14,9 @@ from calib.analyses.fit_statistics import Terms, fitted, statistics_at
 from calib.analyses.frf_start import linear_starts
 from calib.analyses.uncertainty import in_words
 from calib.executor import Injected
-from calib.front.explained import Explained, Library, explained, library_of
+from calib.front.explained import Explained, explained, library_of
 from calib.front.fit import Fit
-from calib.front.pairs import by_model, opened, posed, require_names, require_within, told
+from calib.front.pairs import by_model, holding, including, opened, posed, require_names, require_within, told
 from calib.front.posed import Effects, Finer
 from calib.front.responses import own
 from calib.front.search import refined, searched
@@ -30,7 +30,6 @@ from calib.given import values as values_of
 from calib.inference.genetic import GeneticSettings
 from calib.joint import JointProblem
 from calib.ledger import Ledger
-from calib.loading import extended
 from calib.problem import Problem as Posed
 from calib.sampling import sample
 from calib.space import ParameterSpace
@@ -134,15 +133,10 @@ class Problem:
         """All parameters except those that a test's condition sets; free are those that a fit may move."""
         return self.posed.space
 
-    @property
-    def _store(self) -> Ledger | None:
-        assert self.ledger is None or isinstance(self.ledger, Ledger)  # opened at the start
-        return self.ledger
-
     @cached_property
     def posed(self) -> Posed[Any] | JointProblem:
         """Rows, responses, residual and Jacobian, as fits use them."""
-        return posed(self.pairs, self._store)
+        return posed(self.pairs, self.ledger)
 
     def __repr__(self) -> str:
         pairs = ", ".join(f"{model.name} against {test.name}" for model, test in self.pairs)
@@ -151,26 +145,16 @@ class Problem:
     def keep(self, names: Sequence[str]) -> Problem:
         """A copy with only the named parameters free; the others keep their nominal values."""
         kept = self.space.keep(names_of(names, "parameters"))
-        held = self._holding({p.name: p.value for p in kept.parameters if p.distribution == "fixed"})
+        held = holding(self, {p.name: p.value for p in kept.parameters if p.distribution == "fixed"})
         left_out = (name for name in self.space.free_names if name not in kept.free_names)
         return replace(held, unselected=(*self.unselected, *left_out))
-
-    def _holding(self, values: Mapping[str, float]) -> Problem:
-        space = self.model.space.freeze({name: v for name, v in values.items() if name in self.model.space})
-        beside = tuple(p._holding(values) for p in self.beside)
-        return replace(self, model=replace(self.model, space=space), beside=beside)
 
     def with_effects(self, effects: Effects) -> Problem:
         """A copy with effects in its model, their magnitudes free.
 
         Models of joined problems are unchanged, unless effects are given by the name of the model.
         """
-        return self._with(library_of(self, effects))
-
-    def _with(self, effects: Library) -> Problem:
-        own = effects.get(self.model.name, ())
-        model = extended(self.model, own) if own else self.model
-        return replace(self, model=model, beside=tuple(p._with(effects) for p in self.beside))
+        return including(self, library_of(self, effects))
 
     # -- analyses ------------------------------------------------------------------------------------------------------
 

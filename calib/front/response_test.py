@@ -9,8 +9,9 @@ from functools import cached_property
 
 from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.group_adapter import ScalarAdapter
+from calib.analyses.model_hypotheses import hypotheses
 from calib.correlation.function_problem import FunctionProblem
-from calib.correlation.modal_responses import ModalResponses
+from calib.correlation.modal_responses import response_problem
 from calib.correlation.response_residual import ResponseResidual
 from calib.correlation.responses import assumed_responses
 from calib.effect import Effect
@@ -18,8 +19,6 @@ from calib.errors import InputError
 from calib.forward import Unseen, unseen_responses
 from calib.front.base_test import BaseTest
 from calib.front.checked import UNNAMED, Claimed, Model, named, place_of
-from calib.front.hypotheses import hypotheses
-from calib.function import FunctionModel
 from calib.given import by_name, number
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.responses import MeasuredResponses, response_kinds
@@ -104,14 +103,9 @@ class ResponseTest(BaseTest):
 
     def problem(self, model: Model) -> FunctionProblem:
         """The forward problem of a model, without held-out responses."""
-        measured, mark = self.measured, model.fingerprint
-        if isinstance(model, FunctionModel):
-            function = model.function
-        else:
-            function = ModalResponses.of(model, measured.targets, place_of(self))
-            mark = f"{mark} {function.count} modes"
+        measured = self.measured
         used = {n: t for n, t in measured.targets.items() if n not in self.held_out}
-        return FunctionProblem(model.space, function, used, mark, measured.pooled_repeats, measured.shares)
+        return response_problem(model, measured, used, measured.pooled_repeats, place_of(self))
 
     def pair(self, model: Model) -> ResponseResidual:
         """The whitened residual of a model, without held-out responses."""

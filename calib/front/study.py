@@ -9,31 +9,30 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-from calib.analyses import added, places, staged
 from calib.analyses import calibrate as calibration
 from calib.analyses import compare as comparison
 from calib.analyses import explain as explanation
 from calib.analyses import extend as extension
+from calib.analyses import places, staged
 from calib.analyses import propose as proposal
 from calib.analyses import sensitivity as sensitivity_analysis
 from calib.analyses.explanation_result import ExplanationResult
 from calib.analyses.joint_calibration import Fitted, calibrate_jointly
 from calib.analyses.reduction import fingerprints
 from calib.analyses.stored import modes_kept
-from calib.analyses.versions import write_versions
 from calib.errors import InputError
 from calib.executor import Injected
 from calib.front.adopting import loaded_after
 from calib.front.drawn import draw, draw_anew
 from calib.front.first_test import in_order
 from calib.front.listener import Listener, Showing
+from calib.front.named_added import with_named
 from calib.front.problem import Problem
 from calib.front.shown import AnalysisResult, Compared
 from calib.front.test import model_of, test_of
 from calib.given import integer
 from calib.given import path as path_of
 from calib.joint import said, stacked
-from calib.missing.explanation import Explanation
 from calib.report.html.write import NAME as REPORT
 from calib.report.style import Format, Width
 from calib.results import RESULTS, Results
@@ -129,13 +128,13 @@ class Study:
     def tests(self) -> tuple[Study, ...]:
         """Each test as a study of its own; a study with one test is its only element."""
         loaded = self.loaded
-        return tuple(replace(self, read=one) for one in loaded.studies) if isinstance(loaded, JointStudy) else (self,)
+        return tuple(replace(self, read=one) for one in loaded.studies) if loaded.settings.several else (self,)
 
     @property
     def one(self) -> Loaded:
         """The study with its only test."""
-        assert isinstance(self.loaded, Loaded)
-        return self.loaded
+        (only,) = self.loaded.studies
+        return only
 
     def _by(self, executor: Executor | Injected | None) -> Study:
         """A copy with an executor instead of worker processes; InputError for a setting that it does not support."""
@@ -266,7 +265,7 @@ class Study:
             study._sensitivity()
         before, extended = self._calibrate(), None
         if self.loaded.candidates:
-            extended = self._add(before, self._explain().explanation)
+            extended = with_named(self, before, self._explain().explanation)
             if extended is not None:
                 extended._draw_tests(report=True)
         self._draw_tests(report=True)
@@ -326,7 +325,7 @@ class Study:
         calibration.chosen_cases(self.loaded, case)
         chosen = [sensitivity_analysis.selected_by_measures(study.one, study.folder) for study in self.tests]
         selected = tuple(dict.fromkeys(name for one in chosen for name in one.search_space.free_names))
-        left = isinstance(self.loaded.settings.selection, str)
+        left = self.loaded.settings.selected_by_sensitivity
         loaded = self.loaded.each(lambda one: one.selecting(selected)) if left else self.loaded
         self.listener.begins(loaded, "calibrate")
         folder = places.results_of(loaded, root, quick, case, method)
@@ -346,7 +345,7 @@ class Study:
 
     def _fit(self) -> Fitted:
         """Calibrate, after a sensitivity analysis where the study leaves the selection to it."""
-        if isinstance(self.loaded.settings.selection, str):
+        if self.loaded.settings.selected_by_sensitivity:
             for study in self.tests:
                 study._sensitivity()
         return self._calibrate()
@@ -364,32 +363,6 @@ class Study:
         self.listener.explained(loaded, answer, self.folder)
         return answer
 
-    def _add(self, before: Fitted, found: Explanation) -> Study | None:
-        """The study extended by the named effects and calibrated; None when none is named."""
-        loaded, named = self.loaded, added.to_add(found)
-        if named is None:
-            self.listener.nothing_added(added.nothing_added(found))
-            for study in self.tests:
-                added.write_nothing_added(study.one, found, study.folder, self.quick)
-            return None
-        self.listener.begins(loaded, "extend")
-        fitted = {*loaded.search_space.free_names, *(name for e in named.effects for name in e.names)}
-        fitted &= set(named.fit.fit_problem.space.free_names)
-        begin_at = {name: value for name, value in named.fit.values.items() if name in fitted}
-        written = extension.extend_among(loaded, named.names, self.folder.path, begin_at)
-        self.listener.extended(written)
-        extended = replace(self, path=written.file, read=None)
-        after = extended._fit()
-        self.listener.begins(loaded, "before and after")
-        for own, other in zip(self.tests, extended.tests, strict=True):
-            test = own.one.test
-            was, now = before.seen(test), after.seen(test)
-            answer = added.write_added(own.one, was, named, other.one, now, own.folder, self.quick)
-            if not self.quick:
-                write_versions(other.one, self.results)
-            self.listener.added(answer, written, other.folder)
-        return extended
-
     # -- figures -------------------------------------------------------------------------------------------------------
 
     def draw(self, folder: Results | None = None, report: bool = False) -> None:
@@ -405,5 +378,5 @@ class Study:
         for part in reversed(in_order(self.loaded.studies, folder)):
             own = places.results_of(part, self.results, self.quick, case, method)
             replace(self, read=part).draw(own, report)
-        if isinstance(self.loaded, JointStudy):
+        if self.loaded.settings.several:
             self.draw(folder)

@@ -8,6 +8,7 @@ from functools import cached_property
 
 from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.modal_adapter import ModalAdapter
+from calib.analyses.model_hypotheses import hypotheses
 from calib.correlation.fault_library import modal_faults
 from calib.correlation.problem import ModalProblem, usual_mode_count
 from calib.correlation.residual import ModalResidual
@@ -15,9 +16,9 @@ from calib.correlation.standard_deviations import assumptions
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.front.base_test import BaseTest
+from calib.front.basis_of_test import basis_for
 from calib.front.checked import UNNAMED, Claimed, Model, band, named, place_of
 from calib.front.frf_test import FRFTest
-from calib.front.hypotheses import basis_for, hypotheses
 from calib.front.response_test import ResponseTest
 from calib.function import FunctionModel
 from calib.given import by_name, integer, names, number, objects

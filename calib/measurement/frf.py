@@ -162,6 +162,16 @@ class MeasuredFRFs:
         return np.full(len(self.sensors), np.nan)
 
     @property
+    def content(self) -> str:
+        """The fingerprint, as a digest of the measurement takes it."""
+        return self.fingerprint
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """Lines, Hz, (n_freq,)."""
+        return self.freq
+
+    @property
     def lowest_freq(self) -> float:
         """Lowest line above zero, Hz."""
         return float(self.freq[self.freq > 0][0])

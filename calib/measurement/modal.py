@@ -159,6 +159,16 @@ class MeasuredModes:
         return len(self.names)
 
     @property
+    def content(self) -> str:
+        """The fingerprint, as a digest of the measurement takes it."""
+        return self.fingerprint
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """Natural frequencies, Hz, (n_modes,)."""
+        return self.natural_freq
+
+    @property
     def lowest_freq(self) -> float:
         """Lowest natural frequency, Hz."""
         return float(self.natural_freq.min())

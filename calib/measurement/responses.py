@@ -55,6 +55,11 @@ class MeasuredResponses:
         return np.zeros(0)
 
     @property
+    def content(self) -> list[tuple[str, tuple[float, float | None]]]:
+        """All values with their standard deviations, as a digest of the measurement takes them."""
+        return sorted(self.targets.items())
+
+    @property
     def repeats(self) -> int | None:
         """Fewest repeats of any response that has at least two; None where repeats are unknown."""
         return min((n for n in self.counts.values() if n > 1), default=None)

@@ -55,7 +55,7 @@ class Rules:
     hopeless : float
         A rough fit with a sum of squares so many times that of another is not refined.
     continued : int
-        Fits that continue one which has not converged, before it is judged as it is; a bound on their cost.
+        Fits that continue one which has not converged, before it is scored as it is; a bound on their cost.
     walk : int
         Steps of integers to better ones nearby: from one end of the bogie's seven places to the other.
     beyond : float

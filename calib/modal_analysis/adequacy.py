@@ -12,7 +12,7 @@ from calib.modal_analysis.model import ModalModel, refined_again
 from calib.modal_analysis.stabilisation import DAMPING_CHANGE, FREQ_CHANGE
 
 LINES_LEAST = 5
-"""Fewest lines by which a mode is judged; the nearest, where its half-power width holds fewer."""
+"""Fewest lines by which a mode is checked; the nearest, where its half-power width holds fewer."""
 EXCESS_MOST = 0.1
 """Largest error beyond noise around a mode, over the FRF: the FRAC is then about 0.99."""
 SURE = 5.0
@@ -43,7 +43,7 @@ class Adequacy:
 
 
 def adequacy(frfs: MeasuredFRFs, model: ModalModel, n_modes: int) -> tuple[Adequacy, ...]:
-    """Judge each of the first ``n_modes`` poles of a model.
+    """Check each of the first ``n_modes`` poles of a model.
 
     A mode is refused when its excess is above `EXCESS_MOST`. Where the fit is worst beyond noise, a further pole is
     tried; if it pays for its parameters by the Bayesian information criterion (Schwarz 1978), every mode is refused
@@ -51,13 +51,13 @@ def adequacy(frfs: MeasuredFRFs, model: ModalModel, n_modes: int) -> tuple[Adequ
     cannot be told apart.
     """
     windows = [_window(frfs, pole) for pole in model.poles[:n_modes]]
-    judged = fits(frfs, model, n_modes)
+    found = fits(frfs, model, n_modes)
     doubted: dict[int, str] = {}
     surplus = [_surplus(frfs, model, own) for own in windows]
     if surplus and max(surplus) > SURE:
         doubted = _moved(frfs, model, n_modes, int(np.argmax(surplus)))
     out = []
-    for k, one in enumerate(judged):
+    for k, one in enumerate(found):
         why = doubted.get(k, "")
         if one.excess > EXCESS_MOST:
             why = f"the fit around it misses {100 * one.excess:.0f} % of the FRFs beyond noise"

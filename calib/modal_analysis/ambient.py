@@ -97,13 +97,13 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     spectra = replace(spectra, values=spectra.values * np.outer(scale, scale), std=spectra.std * np.outer(scale, scale))
     moved = np.array([c.pole for c in chains]) - window_rate(table.rate)
     model = fit_residues(spectra, moved)
-    judged = fits(spectra, model, len(chains))
+    adequacies = fits(spectra, model, len(chains))
     one_shape = [rank_one(own)[2] for own in model.residues]
     slowest = PERIODS_LEAST * table.rate / (2 * table.rows)
     why = [
         f"slower than {slowest:.3g} Hz, which the sampling rate is too fast for: give a band that ends closer above it"
         if _freq(c) < slowest
-        else _refused(c, k, judged[k], one_shape[k], spread, lacking, len(records))
+        else _refused(c, k, adequacies[k], one_shape[k], spread, lacking, len(records))
         for k, c in enumerate(chains)
     ]
     kept = [k for k, own in enumerate(why) if not own]
@@ -111,8 +111,8 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     fit = pd.DataFrame([
         {
             "mode": names.get(k, ""), "freq": _freq(c), "freq_std": spread.freq[k], "damping": _ratio(c),
-            "damping_std": spread.damping[k], "orders": len(c.orders), "frac": judged[k].frac,
-            "residual_std": judged[k].residual_std, "excess": judged[k].excess,
+            "damping_std": spread.damping[k], "orders": len(c.orders), "frac": adequacies[k].frac,
+            "residual_std": adequacies[k].residual_std, "excess": adequacies[k].excess,
             "rank_one": one_shape[k], "refused": why[k],
         }
         for k, c in enumerate(chains)
@@ -227,7 +227,7 @@ def _nearest(
 
 
 def _refused(
-    chain: Chain, k: int, judged: Adequacy, one_shape: float, spread: Spread, lacking: set[int], n_records: int
+    chain: Chain, k: int, adequacy: Adequacy, one_shape: float, spread: Spread, lacking: set[int], n_records: int
 ) -> str:
     """Why a mode does not count; empty where it does."""
     if k in lacking:
@@ -238,8 +238,8 @@ def _refused(
         return f"its damping ratio is uncertain by {100 * spread.damping[k] / _ratio(chain):.0f} % of it"
     if one_shape < ONE_SHAPE_LEAST:
         return f"one shape describes only {100 * one_shape:.0f} % of the correlations around it"
-    if judged.excess > EXCESS_MOST:
-        return f"the modes miss {100 * judged.excess:.0f} % of the correlations around it beyond noise"
+    if adequacy.excess > EXCESS_MOST:
+        return f"the modes miss {100 * adequacy.excess:.0f} % of the correlations around it beyond noise"
     return ""
 
 

@@ -1,4 +1,4 @@
-"""Half-spectra of ambient records: what modes are judged by, as FRFs are by their synthesis."""
+"""Half-spectra of ambient records: what modes are checked by, as FRFs are by their synthesis."""
 
 from __future__ import annotations
 

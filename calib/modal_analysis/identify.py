@@ -118,8 +118,8 @@ def modes_from_frfs(frfs: MeasuredFRFs, repeats: Sequence[MeasuredFRFs] = ()) ->
     whole = _identified(frfs)
     if not whole.chains:
         raise InputError("no pole is stable over the model orders", place=frfs.source or "FRFs", remedy=INSTEAD)
-    judged = adequacy(frfs, whole.model, len(whole.chains))
-    why = [one.refused for one in judged]
+    checked = adequacy(frfs, whole.model, len(whole.chains))
+    why = [one.refused for one in checked]
     if len(repeats) > 1:
         spread, lacking = _jackknife(frfs, whole, [_in_order(one, frfs) for one in repeats])
         why = [
@@ -128,11 +128,11 @@ def modes_from_frfs(frfs: MeasuredFRFs, repeats: Sequence[MeasuredFRFs] = ()) ->
         ]
     else:
         spread = _over_orders(frfs, whole)
-    wider = np.array([max(1.0, one.residual_std) if np.isfinite(one.residual_std) else 1.0 for one in judged])
+    wider = np.array([max(1.0, one.residual_std) if np.isfinite(one.residual_std) else 1.0 for one in checked])
     spread = Spread(spread.freq * wider, spread.damping * wider, spread.shapes * wider)
     kept = [k for k, own in enumerate(why) if not own]
     names = {k: str(n) for n, k in enumerate(kept, start=1)}
-    fit = _fit_table(whole, judged, spread, names, why)
+    fit = _fit_table(whole, checked, spread, names, why)
     if not kept:
         raise InputError(
             f"the {len(why)} stable poles do not describe it ({fit['refused'].iloc[0]})", place=frfs.source or "FRFs",
@@ -254,7 +254,7 @@ def _over_orders(frfs: MeasuredFRFs, whole: _Identified) -> Spread:
 
 
 def _fit_table(
-    whole: _Identified, judged: Sequence[Adequacy], spread: Spread, names: dict[int, str], why: Sequence[str]
+    whole: _Identified, checked: Sequence[Adequacy], spread: Spread, names: dict[int, str], why: Sequence[str]
 ) -> pd.DataFrame:
     return pd.DataFrame([
         {
@@ -263,7 +263,7 @@ def _fit_table(
             "frac": one.frac, "residual_std": one.residual_std, "excess": one.excess, "rank_one": whole.rank_one[k],
             "refused": why[k],
         }
-        for k, one in enumerate(judged)
+        for k, one in enumerate(checked)
     ])  # fmt: skip
 
 

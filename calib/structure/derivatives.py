@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 import scipy.linalg as la
@@ -95,6 +95,15 @@ class Analytic:
         # Derivatives are evaluated only where needed: some matrices have none at 0.
         slopes = (self.matrix_derivatives(values, name) for name in self.space.names)
         return _has_entries(self.matrices(values)[1]) or any(_has_entries(damping) for _, damping, _ in slopes)
+
+    @property
+    def numbers_function(self) -> None:
+        """None: a model of matrices runs no user code."""
+        return
+
+    def with_function(self, numbers: object) -> Self:
+        """The model itself, which has no function."""
+        return self
 
     def derivatives(
         self: DifferentiableModel,

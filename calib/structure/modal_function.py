@@ -197,6 +197,11 @@ class ModalFunctionModel:
     # -- protocol of `calib.structure.modal_model.ModalModel` ----------------------------------------------------------
 
     @property
+    def reducible(self) -> None:
+        """None: there are no matrices to reduce."""
+        return
+
+    @property
     def clusters(self) -> tuple[str, ...]:
         """Empty: a function has no strain energy."""
         return ()

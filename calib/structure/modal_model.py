@@ -11,7 +11,7 @@ from calib.measurement.modal import Sensor
 from calib.space import ParameterSpace
 from calib.structure.derivatives import ModeDerivatives
 from calib.structure.geometry import Mesh
-from calib.structure.model import Assumption
+from calib.structure.model import Assumption, StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.places import ModelPlace
 
@@ -72,6 +72,20 @@ class ModalModel(Protocol):
     @property
     def roots(self) -> frozenset[str]:
         """Parameters whose derivatives do not exist at 0."""
+        ...
+
+    @property
+    def reducible(self) -> StructuralModel | None:
+        """The model itself where it has matrices that a basis can reduce; None for a function and a reduced model."""
+        ...
+
+    @property
+    def numbers_function(self) -> Callable[[Mapping[str, float]], Mapping[str, float]] | None:
+        """The user's function of the numbers of modes; None for a model of matrices, which runs no user code."""
+        ...
+
+    def with_function(self, numbers: Callable[[Mapping[str, float]], Mapping[str, float]]) -> ModalModel:
+        """The model with another such function; a model of matrices has none and stays as it is."""
         ...
 
     def modes(self, values: Mapping[str, float], count: int) -> Modes:

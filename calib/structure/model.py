@@ -205,6 +205,16 @@ class StructuralModel(Analytic):
         return self.dofs.n_dof
 
     @property
+    def reducible(self) -> StructuralModel:
+        """The model itself, which a basis can reduce."""
+        return self
+
+    @property
+    def whole(self) -> StructuralModel:
+        """The model itself, at full order."""
+        return self
+
+    @property
     def n_modes(self) -> int:
         """Largest number of modes: one for each degree of freedom."""
         return self.n_dof

@@ -120,6 +120,16 @@ class ReducedModel(Analytic):
         return self.model.assumptions
 
     @property
+    def reducible(self) -> None:
+        """None: it is reduced already."""
+        return
+
+    @property
+    def whole(self) -> StructuralModel:
+        """The full model."""
+        return self.model
+
+    @property
     def n_modes(self) -> int:
         """Modes that the basis was trained for."""
         return self.basis.count

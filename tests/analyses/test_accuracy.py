@@ -154,9 +154,8 @@ def test_the_measured_table_has_the_standard_deviations_that_fits_weight_by(mast
     used = whole.without((whole.names[-1],), ())
     held = study.settings.held_out.model_copy(update={"modes": (whole.names[-1],)})
     settings = study.settings.model_copy(update={"held_out": held})
-    own = replace(
-        study, given=whole, problem=replace(study.problem, measured=used, mode_clusters={}), settings=settings
-    )
+    tested = replace(study.tested, study=replace(study, settings=settings), given=whole)
+    own = replace(study, tested=tested, problem=replace(study.problem, measured=used, mode_clusters={}))
     table = measured_table(own).set_index("mode")
     np.testing.assert_allclose(table.loc[list(used.names), "freq_std_used"], std_for(used).freq * used.natural_freq)
     assert table.loc[whole.names[-1], "freq_std_used"] > 2 * std_for(used).freq[-1] * whole.natural_freq[-1]

@@ -50,7 +50,7 @@ def errors(**groups):
         ({"fit": (4, 4), "left_out": (5, 5), "held_out_modes": (3, 3)}, "the model fits no better, predicts no better"),
     ],
 )  # fmt: skip
-def test_predictions_are_judged_by_held_out_data(groups, words):
+def test_predictions_are_compared_with_held_out_data(groups, words):
     assert conclusion(errors(**groups)) == words
 
 

@@ -1,6 +1,5 @@
 """Experimental design: predicted gains against problems in which the candidate measurement has been made."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,90 +10,33 @@ from calib.analyses import imagined_measurement
 from calib.analyses.experimental_design import BENCH, modal_design
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.imagined_measurement import MORE_MODES
-from calib.analyses.library import modal_hypotheses
 from calib.correlation.residual import ModalResidual
 from calib.errors import EvaluationError
-from calib.measurement.modal import Sensor
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.candidate_measurement import at_effect
-from calib.missing.evidence import ln_evidence
-from calib.missing.linearised_fit import LinearisedFit, fitted
+from calib.missing.linearised_fit import fitted
 from calib.missing.recommendation import recommend
 from calib.missing.score import scores
 from calib.problem import Problem
-from calib.results import Results
 from calib.structure.effect_places import effect_places
-from calib.study import Study
-
-EXACT = 1e-3
-CLOSE = 0.02
-"""Scale and phase of a shape are fitted at the existing sensors; a further sensor would slightly change them."""
-HELD = ("1x", "1z", "3x", "3z", "5x", "5z")
+from tests.analyses.mast_designs import (
+    CLOSE,
+    EXACT,
+    HELD,
+    candidates_of,
+    design_of,
+    measured_again,
+    measured_mast,
+    model_modes,
+    pair_of,
+    sensors_in,
+    sizes,
+)
 
 
 @pytest.fixture(scope="module")
 def world(mast, tmp_path_factory):
-    """A mast without a missing effect, measured with half of the sensors and without the third bending along x."""
-    folder = tmp_path_factory.mktemp("design")
-    study = Study.load(mast.write_study(folder / "mast"))
-    hypotheses, _ = modal_hypotheses(study, Results.at(folder / "results", "mast"))
-    used = study.measured.without(("B3x",), HELD)
-    clusters = {m: c for m, c in hypotheses.pair.problem.mode_clusters.items() if m in used.names}
-    problem = replace(hypotheses.pair.problem, measured=used, mode_clusters=clusters)
-    hypotheses = ModelHypotheses(ModalResidual(problem), hypotheses.variants, hypotheses.space)
-    fit_problem = hypotheses.fit_problem(())
-    return study, hypotheses, fitted(fit_problem, (), fit_problem.space.values)
-
-
-def design_of(hypotheses, fit, held_out=None, scale=1.0, samples=1, certain=True, held_sensors=()):
-    """Design linearised at the fit alone: its posterior is shrunk to a point."""
-    found = scores(fit, hypotheses.effects, {})
-    sharp = replace(fit, slope=1e7 * fit.slope) if certain else fit
-    candidate_fit = CandidateFit((), sharp, 0.0, "")
-    return modal_design(
-        hypotheses, [candidate_fit], hypotheses.effects, found, scale, held_out, samples, held_sensors=held_sensors
-    )
-
-
-def measured_again(hypotheses, fit, extra=(), more_modes=(), scale=1.0, prior=None):
-    """Sizes of the scores on a noise-free measurement of the fitted model with more sensors or modes."""
-    fit_problem = hypotheses.fit_problem(())
-    found, known = fit_problem.at(fit.values), hypotheses.pair.problem.measured
-    index = [int(j) for j in found.pairing.model_index] + list(more_modes)
-    names = (*known.names, *(f"more {j}" for j in more_modes))
-    sensors = (*known.sensors, *extra)
-    rows = hypotheses.variants.model.sensor_rows(sensors)
-    moved = model_modes(hypotheses, fit).shapes[:, index]
-    shapes = rows @ moved
-    # Measured modes in the scale of their measured shapes, further ones in that of their largest motion.
-    points = hypotheses.variants.model.mesh.points
-    anywhere = hypotheses.variants.model.sensor_rows(
-        [Sensor(2000 + k, d, tuple(map(float, p)), "mast") for k, p in enumerate(points) for d in "xz" if p[1] > 0]
-    )
-    scale_of = np.abs(known.shapes).max(axis=0) / np.abs(shapes[: len(known.sensors), : known.n_modes]).max(axis=0)
-    largest = np.abs(anywhere @ moved).max(axis=0)
-    shapes = shapes * np.append(scale_of, 1 / largest[known.n_modes :])
-    std = fit_problem.pair.std
-    freq = found.modes.natural_freq[index]
-    measured = replace(
-        known, names=names, natural_freq=freq, damped_freq=freq, sensors=sensors, shapes=shapes.astype(complex),
-        freq_std=scale * np.sqrt(np.mean(std.freq**2)) * freq,
-        shape_std=scale * np.sqrt(np.mean(std.shape**2)) * np.maximum(np.abs(shapes), 1.0),
-        damping_ratio=np.full(len(names), np.nan), damping_std=np.full(len(names), np.nan),
-    )  # fmt: skip
-    problem = replace(hypotheses.pair.problem, measured=measured)
-    floors = replace(hypotheses.pair.floors, freq=0.0, shape=0.0)
-    space = hypotheses.space
-    for name, sd in (prior or {}).items():
-        space = space.replace(name, prior_sd=sd)
-    other = ModelHypotheses(ModalResidual(problem, floors), hypotheses.variants, space)
-    again = other.fit_problem(())
-    there = LinearisedFit(
-        (), again, fit.names, fit.values, again.residual(fit.values), -again.jacobian(fit.values, fit.names),
-        np.array([space[n].prior_width for n in fit.names]), np.zeros(len(fit.names)),
-    )  # fmt: skip
-    assert np.abs(there.residual).max() < 1e-6
-    return scores(there, other.effects, {}).size
+    return measured_mast(mast, tmp_path_factory.mktemp("design"))
 
 
 def test_repeats_with_missing_values_do_not_prevent_a_recommendation(world):
@@ -111,24 +53,6 @@ def test_repeats_with_missing_values_do_not_prevent_a_recommendation(world):
     fit_problem = other.fit_problem(())
     found = design_of(other, fitted(fit_problem, (), fit_problem.space.values))
     assert found is not None and all(np.isfinite(sizes(found, o)).all() for o in found.measurements)
-
-
-def model_modes(hypotheses, fit):
-    return hypotheses.fit_problem(()).at(fit.values).modes
-
-
-def candidates_of(design, kind):
-    return [o for o in design.measurements if o.kind == kind]
-
-
-def sizes(design, measurement=None):
-    return design.sizes(measurement)[0]
-
-
-def sensors_in(measurement, first=900):
-    places = re.findall(r"\(([-\d.]+), ([-\d.]+), ([-\d.]+)\) (\w+)", measurement.name)
-    assert measurement.name.startswith(f"{len(places)} more sensors at ") and places
-    return tuple(Sensor(first + k, d, (float(x), float(y), float(z)), "mast") for k, (x, y, z, d) in enumerate(places))
 
 
 def test_present_signatures_are_those_of_the_measured_problem(world):
@@ -369,91 +293,3 @@ def test_a_further_mode_outside_the_window_at_some_samples_gains_nothing_there(w
     whole = wide.sizes(same) / wide.sizes(None)
     np.testing.assert_allclose(gains[~lost], whole[~lost], rtol=1e-6)
     assert (whole[lost].max(axis=1) > 1 + 1e-6).all()
-
-
-# -- two models --------------------------------------------------------------------------------------------------------
-
-
-def pair_of(hypotheses, names=("platform", "lamp")):
-    candidate_fits = []
-    for name in names:
-        fit_problem = hypotheses.fit_problem((name,))
-        fit = fitted(fit_problem, (name,), fit_problem.space.values)
-        (own,) = [e for e in hypotheses.effects if e.name == name]
-        candidate_fits.append(CandidateFit((own,), fit, ln_evidence(fit, [own]), ""))
-    return candidate_fits
-
-
-def test_two_models_are_linearised_at_samples_of_both_weighted_by_their_probability(world):
-    _, hypotheses, fit = world
-    pair, found = pair_of(hypotheses), scores(fit, hypotheses.effects, {})
-    design = modal_design(hypotheses, pair, hypotheses.effects, found, 1.0, samples=3)
-    assert [linearisation.names[3] for linearisation in design.linearisations] == ["platform"] * 3 + ["lamp"] * 3
-    assert design.competing.names == ("platform", "lamp")
-    assert {linearisation.weight for linearisation in design.linearisations} == set(design.competing.weights)
-    for competitor, candidate_fit in zip(design.competing.pair, pair, strict=True):
-        assert (
-            len({p[competitor.name] for p in competitor.points}) == 3
-            and competitor.seen.all()
-            and competitor.there.all()
-        )
-        k = candidate_fit.fit.names.index(competitor.name)
-        step = candidate_fit.fit.covariance[k, k] ** 0.5
-        moved = competitor.drawn - competitor.predicted
-        linear = np.array(
-            [[p[n] - candidate_fit.fit.values[n] for n in candidate_fit.fit.names] for p in competitor.points]
-        ) @ competitor.slope.T  # fmt: skip
-        assert step > 0 and np.linalg.norm(moved - linear) < 0.2 * np.linalg.norm(moved)
-
-
-@pytest.mark.slow
-def test_the_bayes_factors_predicted_for_twice_the_repeats_are_realised(mast, tmp_path):
-    """Two masses near each other, hardly distinguished by one test; each is the truth in turn."""
-    predicted, realised, inside = [], [], 0
-    for number in range(12):
-        hidden = ("platform", "lamp")[number % 2]
-        tests = []
-        for again in (0, 1000):
-            folder = tmp_path / f"{number}_{again}" / "mast"
-            tests.append(Study.load(near_lamp(mast, folder, hidden, number + again)))
-        first, _ = modal_hypotheses(tests[0], Results.at(tmp_path / f"r{number}", "mast"))
-        one, other = (t.measured for t in tests)
-        both = replace(
-            one, natural_freq=(one.natural_freq + other.natural_freq) / 2, shapes=(one.shapes + other.shapes) / 2,
-            damped_freq=(one.damped_freq + other.damped_freq) / 2, freq_std=one.freq_std / np.sqrt(2),
-            shape_std=one.shape_std / np.sqrt(2),
-        )  # fmt: skip
-        more = ModelHypotheses(ModalResidual(replace(first.pair.problem, measured=both)), first.variants, first.space)
-        pair, after = pair_of(first), pair_of(more)
-        fit_problem = first.fit_problem(())
-        base = fitted(fit_problem, (), fit_problem.space.values)
-        design = modal_design(first, pair, pair[0].effects, scores(base, first.effects, {}), 1.0, samples=6)
-        (measurement,) = candidates_of(design, "repeats")
-        bayes_factor = design.competing.bayes_factor(measurement)
-        sign = 1 if hidden == "platform" else -1
-        predicted.append(bayes_factor.mean)
-        realised.append(sign * (after[0].ln_evidence - after[1].ln_evidence))
-        inside += bayes_factor.low <= realised[-1] <= bayes_factor.high
-    error = np.std(realised, ddof=1) / np.sqrt(len(realised))
-    assert np.mean(realised) == pytest.approx(np.mean(predicted), abs=2.5 * error)
-    assert error < 1.5 and inside >= 7 and np.mean(np.array(realised) > 0) >= 0.75
-
-
-def near_lamp(mast, folder, hidden, seed):
-    """A study whose lamp hangs just above the platform."""
-    lamp = '"Lamp near the top", 4.5', '"Lamp near the platform", 3.5'
-    library = mast.library
-    mast.library = lambda: tuple(
-        mast._one("lamp", "Lamp near the platform", 3.5, (0, 1, 2), "mass", "kg", 10.0, 100.0)
-        if e.name == "lamp"
-        else e
-        for e in library()
-    )
-    try:
-        mast.write_study(folder, {hidden: 3.0}, seed)
-    finally:
-        mast.library = library
-    text = (folder / "effects.py").read_text()
-    assert lamp[0] in text
-    (folder / "effects.py").write_text(text.replace(*lamp))
-    return folder

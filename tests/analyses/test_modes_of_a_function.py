@@ -238,7 +238,7 @@ def test_changed_code_is_another_model_and_a_changed_pairing_is_not(own):
 
 def test_models_of_matrices_have_no_user_function(folders):
     study = Study.load(folders["matrices"])
-    assert study.problem.function is None and isolated(study) is study
+    assert study.problem.user_function is None and isolated(study) is study
 
 
 # -- what needs matrices -----------------------------------------------------------------------------------------------

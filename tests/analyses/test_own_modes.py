@@ -119,4 +119,5 @@ def test_what_has_no_mass_brings_no_mode():
 
 
 def test_models_without_matrices_have_none():
-    assert own_modes(object(), [unit("brake", 1)], SimpleNamespace(model=object())).empty
+    function = SimpleNamespace(reducible=None)
+    assert own_modes(function, [unit("brake", 1)], SimpleNamespace(model=function)).empty

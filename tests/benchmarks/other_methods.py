@@ -1,4 +1,4 @@
-"""What other methods answer on a blind measurement, judged like the search for a missing effect.
+"""What other methods answer on a blind measurement, scored like the search for a missing effect.
 
 All see the same measurement, standard deviations as stated, base model and candidates; standard deviations count as
 known, so that ``-2 ln L`` is the sum of squares. Parameters keep their priors, whose rows are part of it but not of the
@@ -38,7 +38,7 @@ import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
-from rates_outcome import Truth, judged
+from rates_outcome import Truth, outcome_of
 
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.candidate import Candidate
@@ -116,11 +116,11 @@ class _Told:
         self.verdict, self.best, self.credible = verdict, list(best), list(credible)
 
     def row(self, stands: dict[str, str], true: set[str]) -> dict[str, Any]:
-        """With the outcome by the rule of `rates_outcome.judged`; a collinear effect stands for its group."""
+        """With the outcome by the rule of `rates_outcome.outcome_of`; a collinear effect stands for its group."""
         own = {"verdict": self.verdict, "best": self.best, "credible": self.credible, "outcome": self.verdict}
         if self.verdict in ("effect", "indistinguishable", "two_effects", "several_effects"):
             named, best = {stands[n] for n in self.credible}, [stands[n] for n in self.best]
-            own["outcome"] = judged(self.verdict, named, best, true)
+            own["outcome"] = outcome_of(self.verdict, named, best, true)
         return own
 
 

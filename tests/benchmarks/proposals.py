@@ -33,7 +33,7 @@ from rates_subject import ROOT, SUBJECTS
 from rates_world import World, code_digest
 from scipy.stats import beta
 
-from calib.analyses.compositions import compositions, with_more
+from calib.analyses.compositions import compositions
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.correlation.residual import ModalResidual
 from calib.missing.proposal import Composed, Search
@@ -137,7 +137,7 @@ def _case(world: World, scenario: Scenario, number: int) -> dict[str, Any] | Non
     base = ModelHypotheses(ModalResidual(problem), library, world.space, without=tuple(e.name for e in world.library))
     taken = [name for effect in world.effects.values() for name in effect.names]
     own = compositions(world.model, [problem.measured], world.space.values, taken)
-    hypotheses = with_more(base, own.effects)
+    hypotheses = base.with_more(own.effects)
     fits = Refits(hypotheses, Settings(budget=math.inf), 1.0, unheard)
     found = Search(fits, own.plain, own.hung, own.freqs).proposals((), base.space.values)
     truth, (hidden,) = TRUTH[measured.hidden[0]], measured.hidden

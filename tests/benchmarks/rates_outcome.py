@@ -75,7 +75,7 @@ def outcome(found: Explanation, measured: Truth) -> dict[str, Any]:
     base = found.base_adequacy
     row: dict[str, Any] = {
         "verdict": found.verdict, "credible": list(found.credible), "best": best,
-        "outcome": judged(found.verdict, set(found.credible), best, true) if named else found.verdict,
+        "outcome": outcome_of(found.verdict, set(found.credible), best, true) if named else found.verdict,
         "z": _expected_score(found, measured, stands),
         "groups": {g.effect.name: list(g.names[1:]) for g in found.groups if g.others},
         "p_named": base.p_named, "p_perturbations": base.p_perturbations, "p_fit": base.p_fit,
@@ -128,7 +128,7 @@ def magnitude(found: Explanation, measured: Truth) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def judged(verdict: str, credible: set[str], best: list[str], true: set[str]) -> str:
+def outcome_of(verdict: str, credible: set[str], best: list[str], true: set[str]) -> str:
     """Outcome of named effects, see `outcome`."""
     if verdict in SEVERAL:
         if credible == true:

@@ -108,7 +108,7 @@ def report_methods(rows: Sequence[Row], counts: Path | None = None, made: str = 
     """Print what other methods answered to the same measurements, beside the search; ``counts`` is a CSV of it.
 
     Rows have an entry ``methods`` of `other_methods.answers`; those of the latest code of the methods count, and all
-    methods are judged by the same rule.
+    methods are scored by the same rule.
     """
     rows = [row for row in rows if "methods" in row]
     rows = [row for row in rows if row["methods_code"] == rows[-1]["methods_code"]]

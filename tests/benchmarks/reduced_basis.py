@@ -2,7 +2,7 @@
 
     python tests/benchmarks/reduced_basis.py [--study vehicle] [--spaces search] [--points 200] [--tolerance 1e-4]
 
-Points are drawn with another seed than training uses, every one solved at full order as well. Judged are modes below
+Points are drawn with another seed than training uses, every one solved at full order as well. Checked are modes below
 the frequency and damping ratio that training heeds; those nearer to critical damping are counted apart.
 """
 
@@ -58,7 +58,7 @@ def main() -> None:
     page.say(
         f"{study.model.n_dof} degrees of freedom, basis of {basis.size} vectors from {len(basis.samples)} points for "
         f"{', '.join(spaces)}, trained in {short(took.wall)} s ({short(took.cpu)} s of processor time), tolerance "
-        f"{basis.tolerance:.0e} of eigenvalues; {count} modes, judged below {basis.freq_max:g} Hz and a damping ratio "
+        f"{basis.tolerance:.0e} of eigenvalues; {count} modes, checked below {basis.freq_max:g} Hz and a damping ratio "
         f"of {basis.damping_max:g}."
     )
     rng = np.random.default_rng(FRESH_SEED)
@@ -69,7 +69,7 @@ def main() -> None:
 def on_fresh_points(page: Page, reduced: ReducedModel, name: str, points: list[Point], count: int) -> None:
     """Errors, near-critical modes, the indicator against the truth, and times."""
     table, errors = certificate(reduced, points, count)
-    page.say(f"{name} space, {len(points)} fresh points, {sum(len(e.mode) for e in errors)} modes judged:")
+    page.say(f"{name} space, {len(points)} fresh points, {sum(len(e.mode) for e in errors)} modes checked:")
     page.table(table.columns, [[f"{v:.1e}" if isinstance(v, float) else v for v in row] for row in table.to_numpy()])
     found = [reduced.modes(point, count) for point in points]
     critical = [
@@ -78,7 +78,7 @@ def on_fresh_points(page: Page, reduced: ReducedModel, name: str, points: list[P
     ]
     overdamped = [sum(root.kind == "overdamped" for root in m.excluded) for m in found]
     page.say(
-        f"Near critical damping and so not judged: {sum(critical)} modes at {np.count_nonzero(critical)} points; the "
+        f"Near critical damping and so not checked: {sum(critical)} modes at {np.count_nonzero(critical)} points; the "
         f"highest damping ratio of the {count} modes is {max(m.damping_ratio.max() for m in found):.3f}; "
         f"{min(overdamped)} to {max(overdamped)} overdamped roots lie among them."
     )

@@ -74,7 +74,7 @@ WRONG = {
     "negative seed": lambda: PROBLEM.calibrate(starts=2, seed=-1),
     "values without names": lambda: PROBLEM.compare(np.ones(2)),
     "value of a point is text": lambda: PROBLEM.compare({"k": "3x"}),
-    "nothing judged": lambda: PROBLEM.statistics_at(None),
+    "nothing at which statistics are asked for": lambda: PROBLEM.statistics_at(None),
     "effect by name": lambda: PROBLEM.explain(["wear"]),
     "no effects added": lambda: PROBLEM.with_effects(None),
     "files instead of modes": lambda: calib.ModalTest("a.uff"),

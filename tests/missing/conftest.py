@@ -15,6 +15,7 @@ from calib.missing.explanation import Explanation
 from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.missing.rules import RULES
 from calib.space import Parameter, ParameterSpace
+from tests.missing.verdict_cases import every_verdict
 
 
 @dataclass(frozen=True)
@@ -240,7 +241,13 @@ def toy() -> Callable[..., Toy]:
     return make
 
 
+@pytest.fixture(scope="session")
+def cases(toy: Callable[..., Toy]) -> dict[str, Explanation]:
+    """Explanations of every verdict."""
+    return every_verdict(toy)
+
+
 @pytest.fixture
-def fewer_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+def fewer_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     """A quarter of the samples behind a p-value: enough for a level of 1 %; sampling takes longest over toys."""
     monkeypatch.setattr("calib.missing.score.RULES", replace(RULES, samples=RULES.samples // 4))

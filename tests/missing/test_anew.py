@@ -13,7 +13,7 @@ from calib.missing.plausible import pulls
 from calib.missing.rules import RULES
 from calib.space import Parameter, ParameterSpace
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 
 TRUTH = {"P0": 0.1, "P1": 0.2, "P2": 0.1, "E0": 1.0}
 

@@ -9,7 +9,7 @@ from calib.missing.explain import explain
 from calib.missing.goodness import common_scale, goodness, lone_sensor, noise_scale
 from calib.missing.rules import RULES
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 
 BAD = "S3"
 

@@ -12,7 +12,7 @@ from calib.missing.explain import DEFAULT, explain
 from calib.missing.refits import Refits
 from calib.stage import unheard
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 
 
 def error(toy, candidate_fit):

@@ -11,7 +11,7 @@ from calib.errors import InputError
 from calib.missing.explain import Settings, explain
 from calib.missing.refits import DEFAULT
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 
 
 def without(toy, *names):

@@ -13,7 +13,7 @@ from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.stage import unheard
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 
 
 def test_integers_move_back_once_the_effect_is_added(toy):
@@ -167,7 +167,7 @@ SHORT = replace(FINE, iterations=1)
 """As many parameters need more iterations than there are."""
 
 
-def test_fits_that_do_not_converge_at_once_are_continued_before_they_are_judged(toy):
+def test_fits_that_do_not_converge_at_once_are_continued_before_they_are_compared(toy):
     made = toy(curvature=0.3).correlated("E1", "E0", 0.97).drawn(np.random.default_rng(5), {"E0": 1.5})
     fits = Refits(made, Settings(budget=1), 1.0, unheard)
     start = fits.candidate_fit(("E0",), {**made.base.values, "E0": 0.2}, settings=SHORT)
@@ -179,7 +179,7 @@ def test_fits_that_do_not_converge_at_once_are_continued_before_they_are_judged(
 
 
 def test_near_rivals_are_fitted_as_far_as_the_leader(toy):
-    """Whichever is ahead at first, both are judged where they converge."""
+    """Whichever is ahead at first, both are compared where they converge."""
     made = toy(curvature=0.3).correlated("E1", "E0", 0.97).drawn(np.random.default_rng(5), {"E0": 1.5})
     exact = {t.names: t.ln_evidence for t in explain(made).singles}
     fits = Refits(made, Settings(), 1.0, unheard)

@@ -11,7 +11,7 @@ from calib.missing.goodness import goodness, noise_scale
 from calib.missing.refits import Refits, Settings
 from calib.missing.rules import RULES
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 
 REPEATED = "repeating with it"
 

@@ -10,7 +10,7 @@ from calib.missing.explain import explain
 from calib.missing.left import left_of
 from calib.missing.nearly import is_nearly
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 
 
 def nearly(toy, of, seed=3):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from calib.missing.explain import Settings, explain
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 
 
 def masses(toy, share, truth, seed=1, size=8.0):

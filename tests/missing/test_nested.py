@@ -10,7 +10,7 @@ from calib.missing.linearised_fit import fitted
 from calib.missing.refits import DEFAULT, Refits
 from calib.stage import unheard
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 
 
 def crossing(toy, edge, lure=""):

@@ -1,4 +1,4 @@
-"""Other methods of the benchmark: what they answer on toys whose truth is known, and how that is judged."""
+"""Other methods of the benchmark: what they answer on toys whose truth is known, and how that is scored."""
 
 import csv
 import importlib
@@ -21,7 +21,7 @@ from calib.structure.extend import Addition, extend
 from calib.structure.perturbations import perturbations
 from calib.structure.variants import Variants
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 BENCH = Path(__file__).resolve().parents[1] / "benchmarks"
 ALL = {"this search", "AICc", "BIC", "OMP", "LASSO"}
 
@@ -102,7 +102,7 @@ def test_two_effects_are_named_by_sparse_regression_and_in_part_by_criteria(benc
 
 
 def test_a_larger_standard_deviation_is_kept_from_other_methods(bench, toy):
-    """The search repeats its decision with it; the others judge by the one that is stated."""
+    """The search repeats its decision with it; the others decide by the one that is stated."""
     found, told = answers(bench, toy(effects=12, modes=10), {}, seed=3, noise=2.0)
     assert found.noise_scale > 1.5 and found.verdict == "noise_underestimated"
     assert told["AICc"]["verdict"] != "nothing_detectable" and told["OMP"]["verdict"] != "nothing_detectable"

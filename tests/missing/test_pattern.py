@@ -10,7 +10,7 @@ from calib.missing.explain import explain
 from calib.missing.pattern import PLACE_COLUMNS, PRIOR, explaining, parameter_table, pattern_table, place_table
 from calib.missing.tables import effects_table
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 
 
 def found_in(toy, truth, seed=1):

@@ -12,7 +12,7 @@ from calib.missing.rules import RULES
 from calib.missing.score import scores
 from calib.stage import unheard
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 
 VERDICTS = {
     "nothing_detectable",

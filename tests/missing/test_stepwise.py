@@ -15,7 +15,7 @@ from calib.missing.stepwise import Stepwise, further_price
 from calib.missing.tables import effects_table
 from calib.stage import unheard
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 THREE = {"E0": 1.5, "E1": 1.2, "E2": 1.3}
 
 

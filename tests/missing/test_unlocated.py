@@ -13,7 +13,7 @@ from calib.missing.tables import effects_table
 from calib.missing.verdict import verdict
 from calib.missing.worst_misfit import misfit_at
 
-pytestmark = pytest.mark.usefixtures("fewer_draws")
+pytestmark = pytest.mark.usefixtures("fewer_samples")
 
 
 @pytest.fixture(scope="module")

@@ -1,17 +1,12 @@
-"""Hypotheses of a test in memory: its model with effects and local perturbations, on a reduced basis if it is large."""
+"""Hypotheses of a test of a model, be it of matrices or a function: effects and local perturbations."""
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import Any, TypeVar
 
 from calib.analyses.function_hypotheses import function_hypotheses
 from calib.analyses.hypotheses import ModelHypotheses, VariantPair
-from calib.analyses.library import effects_basis
-from calib.analyses.reduction import WORTHWHILE_DOFS, Reducible, Wanted
 from calib.effect import Effect
-from calib.errors import ToleranceError
-from calib.settings import ReductionSettings
 from calib.space import ParameterSpace
 from calib.structure.basis import Basis
 from calib.structure.model import StructuralModel
@@ -38,18 +33,3 @@ def hypotheses(
     if not isinstance(model, StructuralModel):
         return function_hypotheses(model, pair, effects, space, name)
     return ModelHypotheses(pair, Variants(model, effects, tuple(a.effect for a in local), basis), space), local
-
-
-def basis_for(
-    model: Any, used: Reducible, effects: tuple[Effect, ...], local: tuple[Perturbation, ...], seed: int
-) -> tuple[Basis | None, bool]:
-    """A reduced basis of a large model with all effects and perturbations, and whether the model is large.
-
-    None where it is not, or the tolerance is not reached.
-    """
-    if not isinstance(model, StructuralModel) or model.n_dof < WORTHWHILE_DOFS:
-        return None, False
-    wanted = Wanted.of(used, ReductionSettings().tolerance, seed)
-    with suppress(ToleranceError):
-        return effects_basis(model, used.space, effects, local, wanted), True
-    return None, True

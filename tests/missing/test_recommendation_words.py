@@ -1,0 +1,149 @@
+"""The recommended measurement in words, for effects that are invisible or named, and for held-out modes."""
+
+import math
+from dataclasses import replace
+
+import pandas as pd
+
+from calib.analyses.imagined_measurement import _modes_in_words
+from calib.missing.candidate_measurement import at_effect
+from calib.missing.competing import BayesFactor
+from calib.missing.recommendation import (
+    AVERAGED,
+    COLUMNS,
+    HELD_OUT,
+    USED,
+    recommend,
+    recommendation,
+)
+from calib.missing.rules import RULES
+from tests.missing.measurement_designs import (
+    SENSOR,
+    TWICE,
+    Told,
+    design,
+    sentence_of,
+)
+
+# -- seeing more -------------------------------------------------------------------------------------------------------
+
+
+def table_of(*rows):
+    full = [
+        (
+            measurement,
+            "sensor",
+            effect,
+            gain,
+            gain,
+            gain,
+            1.0,
+            *[math.nan] * 4,
+            f"{measurement}: {gain:.2g} times the score of {effect}",
+        )
+        for measurement, effect, gain in rows
+    ]
+    return pd.DataFrame(full, columns=list(COLUMNS)).sort_values("gain", ascending=False, ignore_index=True)
+
+
+def test_the_best_measurement_is_named_for_every_invisible_effect():
+    table = table_of(("A", "E0", 1.5), ("B", "E0", 4.0), ("A", "E1", 3.0), ("B", "E1", 2.0), ("A", "E2", 9.0))
+    sentence = sentence_of(table, None, ["E1", "E0"])
+    words = "B: 4 times the score of E0; A: 3 times the score of E1"
+    assert sentence == f"To see further effects, measure next: {words}. {AVERAGED}"
+
+
+def test_measurements_are_told_by_gain_whatever_the_order_of_effects_and_kinds():
+    held = f"mode 9BT{HELD_OUT}"
+    table = table_of(("twice the repeats", "E0", 1.4), (held, "E1", 7.9), ("A", "E2", 3.0), ("A", "E3", 1.3))
+    found = recommendation(table, None, ["E0", "E3", "E2", "E1"])
+    in_order = (held.removesuffix(HELD_OUT), "A", "twice the repeats")
+    for words in (found.short, found.sentence):
+        places = [words.index(name) for name in in_order]
+        assert places == sorted(places) and "E3" not in words  # three are told: the largest
+    assert found.short.count("measure ") == 1  # neighbours of one kind share their verb
+
+
+def test_what_narrows_a_named_effect_is_told_first():
+    at = f"{at_effect('E0')}, (1.00, 0.00, 0.00)"
+    table = table_of(("A", "E0", 1.7), (at, "E0", 1.02), ("B", "E1", 9.0), ("A", "E1", 3.0))
+    found = recommendation(table, None, ["E1"], ["E0"])
+    assert found.short == "To narrow the magnitude of E0, measure A." and "To see further effects" in found.sentence
+    words = "measure A: 1.7 times the score of E0. Sensors where E0 acts are not needed: 1.02 times its score."
+    assert found.sentence.startswith(f"To narrow the magnitude of E0, {words} To see further effects, measure next: B")
+    held = table_of((f"mode 4BT{HELD_OUT}", "E0", 5.0), ("A", "E0", 2.0))
+    assert recommendation(held, None, [], ["E0"]).short == f"To narrow the magnitude of E0, {USE_4BT}."
+
+
+def test_a_named_effect_that_no_measurement_narrows_is_said_to_need_none():
+    found = recommendation(table_of(("A", "E0", RULES.worthwhile - 0.01), ("B", "E1", 9.0)), None, ["E0", "E1"], ["E0"])
+    none = "E0 needs no further measurement: none looked at raises its score 1.2 times."
+    assert found.short == "To see further effects, measure next: B." and none in found.sentence
+    assert recommendation(table_of(("A", "E0", 1.0)), None, [], ["E0"]).short == none
+
+
+def test_a_measurement_of_little_gain_is_not_recommended():
+    table = table_of(("A", "E0", RULES.worthwhile - 0.01), ("A", "E1", RULES.worthwhile), ("A", "E2", math.nan))
+    assert (
+        sentence_of(table, None, ["E0", "E1", "E2"])
+        == f"To see further effects, measure next: A: 1.2 times the score of E1. {AVERAGED}"
+    )
+    assert sentence_of(table, None, ["E0", "E2"]) == ""
+    assert sentence_of(table, None, []) == ""
+    assert sentence_of(table.head(0), ("E0", "E1"), ["E0"]) == ""
+
+
+def test_at_most_three_measurements_are_recommended():
+    table = table_of(*[("A", f"E{k}", 5.0) for k in range(6)])
+    assert sentence_of(table, None, [f"E{k}" for k in range(6)]).count("times the score") == 3
+
+
+USE_4BT = "let the fit use mode 4BT, measured and held out so far"
+VERIFIES = f" {AVERAGED} {USED}"
+
+
+def test_a_held_out_mode_is_recommended_with_the_best_new_measurement():
+    held = f"mode 4BT{HELD_OUT}"
+    table = table_of((held, "E0", 5.0), ("mode 9BT, held out so far", "E0", 4.0), ("A", "E0", 2.0), ("B", "E0", 1.9))
+    sentence = sentence_of(table, None, ["E0"])
+    assert sentence == (
+        f"To see further effects, {USE_4BT}: 5 times the score of E0, or measure A: 2 times the score of E0.{VERIFIES}"
+    )
+    alone = sentence_of(table_of((held, "E0", 5.0), ("A", "E0", RULES.worthwhile - 0.01)), None, ["E0"])
+    assert alone == f"To see further effects, {USE_4BT}: 5 times the score of E0.{VERIFIES}"
+    new = sentence_of(table_of((held, "E0", 2.0), ("A", "E0", 5.0)), None, ["E0"])
+    assert new == f"To see further effects, measure next: A: 5 times the score of E0. {AVERAGED}"
+    both = sentence_of(table_of((held, "E0", 5.0), ("A", "E1", 2.0)), None, ["E0", "E1"])
+    told = f"{USE_4BT}: 5 times the score of E0; measure A: 2 times the score of E1"
+    assert both == f"To see further effects, {told}.{VERIFIES}"
+
+
+def test_in_short_a_held_out_mode_is_not_to_be_measured_but_used():
+    held = f"mode 4BT{HELD_OUT}"
+    table = table_of((held, "E0", 5.0), ("A", "E1", 2.0), ("B", "E2", 1.9))
+    short = recommendation(table, None, ["E0", "E1", "E2"]).short
+    assert short == f"To see further effects, {USE_4BT}; or measure A or B."
+    alone = recommendation(table, None, ["E0"]).short
+    assert alone == "To see further effects, let the fit use mode 4BT, measured and held out so far."
+
+
+def test_a_held_out_mode_for_a_pair_is_recommended_with_the_best_new_measurement():
+    held = replace(SENSOR, name=f"mode 4BT{HELD_OUT}", kind="mode")
+    bayes_factor = {held.name: BayesFactor(5.0, 3.0, 7.0, 0.9), TWICE.name: BayesFactor(0.0, -1.0, 1.0, 0.1)}
+    p = replace(design(measurements=(TWICE, held)), competing=Told(bayes_factor))
+    sentence = sentence_of(recommend(p), ("E0", "E1"), [])
+    assert sentence.startswith(f"To tell them apart, {USE_4BT}: odds of ") and sentence.endswith(VERIFIES)
+    assert ", or measure twice the repeats: odds of 1:1 for the true one of E0 and E1 " in sentence
+
+
+def test_held_out_modes_are_recognised_by_their_suffix():
+    assert _modes_in_words([10.1], {"4BT": 10.0}) == [f"mode 4BT{HELD_OUT}"]
+    assert HELD_OUT not in _modes_in_words([20.0], {"4BT": 10.0})[0]
+
+
+def test_mode_names_are_unique():
+    computed = "a further mode, computed at"
+    assert _modes_in_words([9.8, 10.1], {"4BT": 10.0}) == [f"{computed} 9.8 Hz", f"mode 4BT{HELD_OUT}"]
+    same = [f"{computed} 22 Hz (1 of 2)", f"{computed} 22 Hz (2 of 2)"]
+    assert _modes_in_words([22.01, 22.02, 30.0], {}) == [*same, f"{computed} 30 Hz"]
+    assert _modes_in_words([], {"4BT": 10.0}) == []
