@@ -15,6 +15,7 @@ from calib.analyses.discretisation_error import DiscretisationError
 from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.hypotheses import Failure, ModelHypotheses
 from calib.analyses.reduction import Wanted
+from calib.analyses.rules import RULES
 from calib.candidate import Candidate
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
@@ -28,8 +29,6 @@ from calib.structure.effect_places import effect_places
 from calib.structure.model import StructuralModel
 from calib.structure.perturbations import Perturbation
 
-BASIS_ERROR = 0.05
-"""Largest difference of whitened residuals on the reduced basis from full order, in standard deviations."""
 LABELS = ("kind", "mode", "sensor", "part")
 """Columns of the labels of every kind of test; ``part`` is ``re`` or ``im``, empty where there are no parts."""
 
@@ -99,7 +98,7 @@ class OneTest(ABC):
         if not isinstance(self.hypotheses.variants.model, StructuralModel):
             return table, notes, {} if self.hypotheses.variants.calls is None else {"failed": len(failures)}
         worst = self.basis_error(stages.values(), scale)
-        if worst > BASIS_ERROR:
+        if worst > RULES.basis_error:
             notes.append(
                 f"The reduced basis is off by {worst:.2g} standard deviations; set use = false in [reduction]."
             )

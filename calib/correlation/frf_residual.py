@@ -11,7 +11,8 @@ import numpy as np
 
 from calib.correlation.frf_comparison import FRFComparison
 from calib.correlation.frf_faults import FRFFault, frf_faults
-from calib.correlation.frf_problem import DEFINITION, UNKNOWN_STD, FRFProblem
+from calib.correlation.frf_problem import DEFINITION, FRFProblem
+from calib.correlation.rules import RULES
 from calib.degrees_of_freedom import KNOWN, beside_known
 from calib.errors import InputError
 from calib.fingerprint import digest_of
@@ -52,7 +53,7 @@ class FRFResidual:
 
     Rows are (measured - model)/std of the real, then of the imaginary part of every measured entry: reference by
     reference, response by response, line by line. The standard deviation joins repeatability and claimed accuracy, or
-    is `UNKNOWN_STD` of the modulus where neither is known; rows count as independent.
+    is `RULES.unknown_frf_std` of the modulus where neither is known; rows count as independent.
 
     Attributes
     ----------
@@ -75,7 +76,7 @@ class FRFResidual:
         measured = self.problem.measured
         known = np.isfinite(measured.values)
         total = measured.total_std
-        std = np.where(np.isfinite(total), total, UNKNOWN_STD * np.abs(measured.values))
+        std = np.where(np.isfinite(total), total, RULES.unknown_frf_std * np.abs(measured.values))
         if not known.any():
             raise InputError("no FRF was measured", place=measured.source or "FRFs", remedy="give at least one")
         if not np.all(std[known] > 0):

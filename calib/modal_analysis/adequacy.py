@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.measurement import rules as reading
 from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.frf_lines import PROMINENCE, WIDTHS, resonances
+from calib.measurement.frf_lines import resonances
 from calib.modal_analysis.model import ModalModel, refined_again
 from calib.modal_analysis.stabilisation import DAMPING_CHANGE, FREQ_CHANGE
 
@@ -22,7 +23,7 @@ one in three million by chance, while a search looks at a few dozen modes."""
 
 @dataclass(frozen=True)
 class Adequacy:
-    """How well the modal model fits the FRFs around one mode, over a window of `frf_lines.WIDTHS` half-power widths.
+    """How well the modal model fits the FRFs around one mode, over `ReadRules.resonance_widths` half-power widths.
 
     Attributes
     ----------
@@ -73,7 +74,7 @@ def fits(frfs: MeasuredFRFs, model: ModalModel, n_modes: int) -> tuple[Adequacy,
 def resonances_without_mode(frfs: MeasuredFRFs, poles: np.ndarray) -> tuple[float, ...]:
     """Resonances in the power of the FRFs with no pole (rad/s) within a half-power width or two lines, Hz."""
     noise = 2 * np.nansum(np.where(np.isfinite(frfs.values), frfs.std, 0.0) ** 2, axis=(1, 2))
-    found = resonances(frfs.freq, frfs.power, PROMINENCE, noise)
+    found = resonances(frfs.freq, frfs.power, reading.RULES.prominence, noise)
     own, lines = np.abs(poles) / (2 * np.pi), 2 * float(np.max(np.diff(frfs.freq)))
     return tuple(one.freq for one in found if not np.any(np.abs(own - one.freq) <= max(one.width, lines)))
 
@@ -83,7 +84,8 @@ def _window(frfs: MeasuredFRFs, pole: complex) -> np.ndarray:
     own = abs(pole) / (2 * np.pi)
     away = np.abs(frfs.freq - own)
     reach = max(
-        0.5 * WIDTHS * 2 * (-pole.real / abs(pole)) * own, float(np.sort(away)[min(LINES_LEAST, len(away)) - 1])
+        0.5 * reading.RULES.resonance_widths * 2 * (-pole.real / abs(pole)) * own,
+        float(np.sort(away)[min(LINES_LEAST, len(away)) - 1]),
     )
     return np.asarray(away <= reach)
 
