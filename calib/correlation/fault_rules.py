@@ -13,8 +13,10 @@ class FaultRules:
     ----------
     gain : float
         Plausible gain error of a sensor in a modal test: a swapped sign is twice, a dead channel once as much.
-    gain_lower, gain_upper : float
-        Limits of such an error, and of the factor of a set-up: beyond a swapped sign, and to ten times the motion.
+    gain_lower : float
+        Smallest such error, and error of the factor of a set-up: beyond a swapped sign, which is -2.
+    gain_upper : float
+        The largest: ten times the motion.
     set_up : float
         Plausible error of the common factor of a group of sensors.
     phase : float
@@ -24,9 +26,9 @@ class FaultRules:
     rotation_most : float
         Largest misalignment, deg: beyond it another axis was taken.
     shift : float
-        Plausible error of a sensor's place along the structure, mm,
+        Plausible error of a sensor's place along the structure, mm, but no more than `shift_part` allows.
     shift_part : float
-        but no more than this part of the way to the next nodes.
+        Largest plausible error of a place, as a part of the way to the next nodes.
     shift_most : float
         Largest error of a place, over the plausible one.
     cross_talk : float

@@ -30,8 +30,12 @@ class Floors:
         The same for damping ratios, relative.
     shape : float
         The same for shapes, relative to the largest entry; of real and imaginary part each.
-    unknown_freq, unknown_damping, unknown_shape : float
-        Standard deviations, in the same units, where the measurement states none.
+    unknown_freq : float
+        Standard deviation of natural frequencies, relative, where the measurement states none.
+    unknown_damping : float
+        The same of damping ratios.
+    unknown_shape : float
+        The same of shapes, relative to the largest entry.
     """
 
     freq: float = 2e-4

@@ -86,9 +86,9 @@ class ReadRules:
     check_residual : float
         Floor of 1 - MAC (2 % of the motion), so that exact data do not make a negligible change significant.
     dead_measured : float
-        A sensor is dead below this share of the largest motion in every mode,
+        Share of the largest motion below which a sensor is dead in every mode, while the model moves there.
     dead_model : float
-        while the motion of the model there exceeds this one.
+        Share of the largest motion from which the model moves there.
     """
 
     farthest_freq: float = 0.1

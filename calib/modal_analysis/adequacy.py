@@ -10,15 +10,7 @@ from calib.measurement import rules as reading
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_lines import resonances
 from calib.modal_analysis.model import ModalModel, refined_again
-from calib.modal_analysis.stabilisation import DAMPING_CHANGE, FREQ_CHANGE
-
-LINES_LEAST = 5
-"""Fewest lines by which a mode is judged; the nearest, where its half-power width holds fewer."""
-EXCESS_MOST = 0.1
-"""Largest error beyond noise around a mode, over the FRF: the FRAC is then about 0.99."""
-SURE = 5.0
-"""Standard deviations by which the sum of squared errors around a mode must exceed its expectation to count as misfit:
-one in three million by chance, while a search looks at a few dozen modes."""
+from calib.modal_analysis.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -46,8 +38,8 @@ class Adequacy:
 def adequacy(frfs: MeasuredFRFs, model: ModalModel, n_modes: int) -> tuple[Adequacy, ...]:
     """Judge each of the first ``n_modes`` poles of a model.
 
-    A mode is refused when its excess is above `EXCESS_MOST`. Where the fit is worst beyond noise, a further pole is
-    tried; if it pays for its parameters by the Bayesian information criterion (Schwarz 1978), every mode is refused
+    A mode is refused when its excess is above `RULES.excess_most`. Where the fit is worst beyond noise, a further pole
+    is tried; if it pays for its parameters by the Bayesian information criterion (Schwarz 1978), every mode is refused
     that it moves by more than poles may move from one order to the next. Such a pole is not stable: the modes there
     cannot be told apart.
     """
@@ -55,12 +47,12 @@ def adequacy(frfs: MeasuredFRFs, model: ModalModel, n_modes: int) -> tuple[Adequ
     judged = fits(frfs, model, n_modes)
     doubted: dict[int, str] = {}
     surplus = [_surplus(frfs, model, own) for own in windows]
-    if surplus and max(surplus) > SURE:
+    if surplus and max(surplus) > RULES.excess_sure:
         doubted = _moved(frfs, model, n_modes, int(np.argmax(surplus)))
     out = []
     for k, one in enumerate(judged):
         why = doubted.get(k, "")
-        if one.excess > EXCESS_MOST:
+        if one.excess > RULES.excess_most:
             why = f"the fit around it misses {100 * one.excess:.0f} % of the FRFs beyond noise"
         out.append(replace(one, refused=why))
     return tuple(out)
@@ -85,7 +77,7 @@ def _window(frfs: MeasuredFRFs, pole: complex) -> np.ndarray:
     away = np.abs(frfs.freq - own)
     reach = max(
         0.5 * reading.RULES.resonance_widths * 2 * (-pole.real / abs(pole)) * own,
-        float(np.sort(away)[min(LINES_LEAST, len(away)) - 1]),
+        float(np.sort(away)[min(RULES.judged_lines, len(away)) - 1]),
     )
     return np.asarray(away <= reach)
 
@@ -124,8 +116,8 @@ def _moved(frfs: MeasuredFRFs, model: ModalModel, n_modes: int, worst: int) -> d
         return {}
     before, after = model.poles[:n_modes], best.poles[1 : n_modes + 1]
     ratio = [-p.real / np.abs(p) for p in (before, after)]
-    moved = np.abs(np.abs(after) / np.abs(before) - 1) > FREQ_CHANGE
-    moved |= np.abs(ratio[1] / ratio[0] - 1) > DAMPING_CHANGE
+    moved = np.abs(np.abs(after) / np.abs(before) - 1) > RULES.freq_change
+    moved |= np.abs(ratio[1] / ratio[0] - 1) > RULES.damping_change
     where = abs(best.poles[0]) / (2 * np.pi)
     return {
         int(k): f"a further pole near {where:.4g} Hz, which is not stable, would move it" for k in np.flatnonzero(moved)

@@ -13,8 +13,10 @@ class ModelRules:
     ----------
     relative : float
         Plausible relative change of a part.
-    less, more : float
-        Smallest and largest relative change of a part: to a tenth, and to ten times.
+    less : float
+        Smallest relative change of a part: to a tenth.
+    more : float
+        The largest: to ten times.
     damper_less : float
         Smallest relative change of a damper: it may fail, but the model needs its springs and masses.
     local : float
