@@ -17,15 +17,15 @@ from calib.sensitivity import rules as sensitivity
 from calib.structure import rules as models
 
 _COMPARED = ("reading", "degrees_of_freedom", "floors", "comparison")
-_CALIBRATED = (*_COMPARED, "faults", "models", "limits", "inference", "analyses")
-_EXPLAINED = (*_CALIBRATED, "missing")
+# A calibration judges its fit, single data and held-out data as an explanation does.
+_FITTED = (*_COMPARED, "faults", "models", "limits", "inference", "missing", "analyses")
 _USED: Mapping[str, tuple[str, ...]] = {
     "compare": (*_COMPARED, "analyses"),
     "sensitivity": (*_COMPARED, "sensitivity"),
-    "calibrate": _CALIBRATED,
-    "explain": _EXPLAINED,
-    "propose": _EXPLAINED,
-    "extend": _EXPLAINED,
+    "calibrate": _FITTED,
+    "explain": _FITTED,
+    "propose": _FITTED,
+    "extend": _FITTED,
 }
 
 
