@@ -122,12 +122,8 @@ class Rules:
         Posterior probability that the common size of unexplained candidates is not larger than assumed.
     unexplained_seen : float
         Unabsorbed part of a signature below which the data cannot tell its size.
-    proposed : int
-        Compositions that are fitted, by predicted evidence.
-    proposed_of_a_kind : int
-        Those of one kind among them.
-    proposed_hung : int
-        Places of a hung mass among them.
+    proposed, proposed_of_a_kind, proposed_hung : int
+        Compositions that are fitted, by predicted evidence; of one kind among them; places of a hung mass.
     """
 
     credible: float = 3.0
