@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
@@ -11,16 +12,30 @@ from scipy import special
 KNOWN = 1e9
 """Degrees of freedom of a standard deviation that is known exactly."""
 
-POOL_BELOW = 10
-"""With fewer repeats a single standard deviation is too uncertain (34 % with five) and is pooled."""
-
-LEAST_DOF = 2 - 1e-6
-"""Effective degrees of freedom below which data cannot reject a fit; priors may leave slightly less than one."""
-
-ABSORBED = 0.01
-"""Degrees of freedom below which the residual of a fit tells only how far the search converged."""
-
 _ZERO = 1e-13
+
+
+@dataclass(frozen=True)
+class DofRules:
+    """Degrees of freedom that a test needs; `record.json` holds those of a result.
+
+    Attributes
+    ----------
+    pool_below : int
+        With fewer repeats a single standard deviation is too uncertain (34 % with five) and is pooled.
+    least : float
+        Effective degrees of freedom below which data cannot reject a fit: two, of which priors may leave slightly less.
+    absorbed : float
+        Degrees of freedom below which the residual of a fit tells only how far the search converged.
+    """
+
+    pool_below: int = 10
+    least: float = 2 - 1e-6
+    absorbed: float = 0.01
+
+
+RULES = DofRules()
+"""Numbers in force."""
 
 
 def row_dof(slope: np.ndarray, prior_sd: np.ndarray) -> np.ndarray:
@@ -89,7 +104,7 @@ def matched(
     inner = root.T @ root
     first = len(slope) - fitted_factors - float(np.trace(inner))
     second = len(slope) - fitted_factors - 2.0 * float(np.trace(inner)) + float(np.sum(inner**2))
-    if first < ABSORBED:
+    if first < RULES.absorbed:
         return 1.0, max(first, 0.0)
     return second / first, first**2 / second
 

@@ -17,6 +17,7 @@ from calib.analyses.own_modes import COLUMNS as OWN_COLUMNS
 from calib.analyses.own_modes import own_modes
 from calib.analyses.own_modes import sentence as own_sentence
 from calib.analyses.record import begin_analysis, write_record
+from calib.analyses.rules import RULES
 from calib.candidate import Candidate
 from calib.errors import EvaluationError
 from calib.missing.candidate_fit import CandidateFit
@@ -30,12 +31,6 @@ from calib.study import Study
 
 WORDS = {"fit": "used data", **GROUPS}
 COLUMNS = ("group", "stage", "rows", "rms", "expected", "p", "unpaired")
-FALLEN = 0.98
-"""Ratio of two errors below which the second counts as reduced: less hardly shows in the two printed decimals."""
-UNSETTLED = 2.0
-"""Difference between calibrated and explained magnitude, in standard deviations, above which one has not converged."""
-WITHIN = 0.05
-"""p-value of a correctly specified model above which an error counts as noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +270,7 @@ def _unsettled(magnitudes: Sequence[Mapping[str, Any]], found: CandidateFit) -> 
     out = []
     for s in magnitudes:
         name = fitted[s["name"]]
-        if abs(s["value"] - fit.values[name]) > UNSETTLED * std.get(name, math.inf):
+        if abs(s["value"] - fit.values[name]) > RULES.unsettled * std.get(name, math.inf):
             there = _with_interval({**s, "value": fit.values[name], "low": math.nan})
             out.append(
                 f"The explanation fitted {s['name']} = {there}; this calibration ended elsewhere: give its search more "
@@ -303,8 +298,8 @@ def conclusion(errors: pd.DataFrame) -> str:
         ``group, stage, rms, expected, p`` of the stages ``before`` and ``after``.
     """
     table = by_group(errors).set_index("group")
-    fell = table["rms_after"] < FALLEN * table["rms_before"]
-    quiet = (table["p_before"] > WITHIN) & (table["p_after"] > WITHIN)
+    fell = table["rms_after"] < RULES.fallen * table["rms_before"]
+    quiet = (table["p_before"] > RULES.within) & (table["p_after"] > RULES.within)
     unseen = [group for group in UNSEEN if group in table.index] or ["left_out"]
     better = [WORDS[g] for g in unseen if fell[g] and not quiet[g]]
     same = [WORDS[g] for g in unseen if not fell[g] and not quiet[g]]

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.fit_statistics import FitStatistics
+from calib.analyses.rules import RULES
 from calib.answer import Answer
 from calib.correlation.compare import BEYOND, Comparison
 from calib.correlation.frf_comparison import FRFComparison
@@ -20,8 +21,6 @@ from calib.joint import of_test
 NAMED = 6
 """Largest number of parameters or sensors named in a sentence."""
 UNTRIED = "Not all neighbours of these integers were tried: another combination may fit better."
-_WIDE = 2.0
-"""Standard deviations beyond which a scalar response is counted as off."""
 _FIT = "Fit the parameters that matter: calib sensitivity, then calib calibrate."
 _FINE = "Nothing calls for a calibration."
 
@@ -74,8 +73,8 @@ def _of_responses(result: _Compared) -> Answer:
     if in_std.empty:
         tested, off = "The standard deviation of the measurement is unknown, so deviations cannot be tested.", 1
     else:
-        off = int((in_std > _WIDE).sum())
-        tested = f"{off} of {_count(len(in_std), 'response')} are off by more than {_WIDE:g} standard deviations."
+        off = int((in_std > RULES.off).sum())
+        tested = f"{off} of {_count(len(in_std), 'response')} are off by more than {RULES.off:g} standard deviations."
     return Answer(f"{words}.", tested, _FIT if off else _FINE)
 
 
@@ -91,7 +90,7 @@ def _of_frfs(found: FRFComparison) -> Answer:
         f"The error is {in_std:.3g} standard deviations in root mean square (1 for a right model), "
         f"largest at {line['freq']:.4g} Hz ({line['in_std']:.3g})."
     )
-    return Answer(words, tested, _FIT if in_std > _WIDE else _FINE)
+    return Answer(words, tested, _FIT if in_std > RULES.off else _FINE)
 
 
 def of_sensitivity(table: pd.DataFrame, tested: str) -> Answer:

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from calib.analyses.rules import RULES
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.measurement.modal import DIRECTIONS, Sensor
@@ -14,9 +15,6 @@ from calib.missing.candidate_measurement import at_effect
 from calib.structure.effect_places import effect_places
 from calib.structure.geometry import Mesh
 from calib.structure.model import StructuralModel
-
-TOGETHER = 4
-"""Sensors in one candidate measurement."""
 
 
 class _Placed(Protocol):
@@ -58,7 +56,7 @@ def where_acting(model: _Placed, effects: Sequence[Effect], label: int) -> dict[
         own: list[Sensor] = []
         assert isinstance(model, StructuralModel)
         points = np.where(model.mesh.placed[:, None], model.mesh.points, np.inf)
-        for place in effect_places(model, effect)[:TOGETHER]:
+        for place in effect_places(model, effect)[: RULES.together]:
             node = points[np.argmin(np.linalg.norm(points - np.array(place), axis=1))]
             x, y, z = (round(float(c), 4) for c in node)
             own += [s for d in DIRECTIONS[:3] if moves(model, s := Sensor(label, d, (x, y, z)))]

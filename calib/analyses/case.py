@@ -13,7 +13,6 @@ from typing import TypeAlias
 import pandas as pd
 
 from calib.analyses.case_starts import (
-    REFINE_REFITS,
     Starts,
     Steps,
     evaluable,
@@ -50,6 +49,7 @@ from calib.forward import ForwardProblem
 from calib.inference.cases import Case, CaseResult, run_case
 from calib.inference.genetic import GeneticSettings
 from calib.inference.objective import FrequencyMacObjective, ResponseObjective
+from calib.inference.rules import RULES
 from calib.inference.starts import Enough, UntilAgreed, never
 from calib.ledger import Ledger
 from calib.outcome import Outcome, answered, key_of
@@ -236,7 +236,7 @@ class CaseFinder:
                     )  # fmt: skip
                     if study.settings.calibration.refine:
                         statistics = self.refined(
-                            reduction, [search.values, *also], REFINE_REFITS, shared=True, told=told
+                            reduction, [search.values, *also], RULES.refits_after_search, shared=True, told=told
                         )
                     else:
                         statistics = statistics_at(self.exact, Terms.of(study), search.values)

@@ -26,9 +26,6 @@ Starts: TypeAlias = Sequence[Mapping[str, float]]
 Fit: TypeAlias = Callable[[Starts, int, FitProgress, Counts], FitStatistics]
 """Takes starts, the number of integer combinations, a callback after every fit, and the counts of requested points."""
 
-REFITS, REFINE_REFITS = 25, 12
-"""Integer combinations fitted from each start, and after a search (its own and the nearest neighbours)."""
-
 
 def known_starts(study: AnyStudy, *others: Mapping[str, float]) -> tuple[dict[str, float], ...]:
     """Further starting points of least squares: those of the study, and other points known to fit."""
@@ -62,7 +59,7 @@ def until_agreed(
 def from_starts(case: Case, starts: Starts, fit: Fit) -> tuple[CaseResult, FitStatistics]:
     """One case by least squares from given points."""
     started, steps, counts = time.perf_counter(), Steps(), Counts()
-    statistics = fit(starts, REFITS, steps, counts)
+    statistics = fit(starts, RULES.refits, steps, counts)
     seconds = time.perf_counter() - started
     return CaseResult.fitted(case.name, statistics.values, counts, steps.table(), seconds), statistics
 

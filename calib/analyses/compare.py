@@ -15,7 +15,7 @@ from calib.analyses.recorded import traced
 from calib.analyses.state import GEOMETRY, ORTHOGONALITY
 from calib.analyses.uncertainty import std_notes
 from calib.answer import Answer
-from calib.correlation.compare import FAR_ERROR, Comparison
+from calib.correlation.compare import Comparison
 from calib.correlation.expansion import ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
 from calib.correlation.frf_comparison import FRFComparison
 from calib.correlation.frf_problem import FRFProblem
@@ -23,6 +23,7 @@ from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.mesh import geometry_tables
 from calib.correlation.rigid import unpaired_sentence, unpaired_table
+from calib.correlation.rules import RULES
 from calib.correlation.sensors import suspicious_sensors
 from calib.correlation.units import frequency_hint, response_hints
 from calib.errors import EvaluationError, InputError
@@ -155,7 +156,7 @@ class ComparisonResult:
             error = dict(zip(found.measured.names, found.freq_error, strict=True))
             listed = ", ".join(f"{name} ({100 * error[name]:+.0f} %)" for name in found.far)
             out.append(
-                f"More than {100 * FAR_ERROR:.0f} % off in frequency: {listed}. Check the pairing and the units."
+                f"More than {100 * RULES.far_error:.0f} % off in frequency: {listed}. Check the pairing and the units."
             )
         return tuple(out)
 

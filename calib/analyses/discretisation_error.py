@@ -11,8 +11,9 @@ from scipy.optimize import linear_sum_assignment
 
 from calib.analyses.hypotheses import ModelHypotheses, VariantPair
 from calib.analyses.imagined_measurement import imagined_measurement
+from calib.analyses.rules import RULES
+from calib.correlation import rules as comparison
 from calib.correlation.frf_residual import FRFResidual
-from calib.correlation.mesh_error import LEAST_MAC
 from calib.correlation.residual import ModalResidual
 from calib.errors import EvaluationError, InputError
 from calib.mac import mac
@@ -23,9 +24,6 @@ from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 
 P = TypeVar("P", bound=VariantPair)
-
-ALLOWED = 1.0
-"""Largest score that the discretisation error may cause."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +53,9 @@ class DiscretisationError:
         found = (
             f"A finer mesh of the same model gives scores of up to {self.largest:.2f} ({first['candidate']}) by itself"
         )
-        if self.largest <= ALLOWED:
+        if self.largest <= RULES.mesh_score:
             return f"{found}: the discretisation error neither hides nor mimics an effect."
-        return f"{found}, more than {ALLOWED:g}: refine the mesh before relying on a verdict."
+        return f"{found}, more than {RULES.mesh_score:g}: refine the mesh before relying on a verdict."
 
 
 def discretisation_error(
@@ -96,7 +94,7 @@ def discretisation_error_of(
     names = tuple(measured.names[i] for i in paired)
     similar = mac(found.sensor_shapes[:, found.pairing.model_index[paired]], sensor_shapes)
     which = linear_sum_assignment(-similar)[1]
-    if float(similar[np.arange(len(names)), which].min()) < LEAST_MAC:
+    if float(similar[np.arange(len(names)), which].min()) < comparison.RULES.mesh_mac:
         raise InputError("the finer model does not have the modes that were measured", place="finer_options")
     shapes = sensor_shapes[:, which] / np.abs(sensor_shapes[:, which]).max(axis=0)
     twin = imagined_measurement(measured, fit_problem.pair.std, names, modes, which.tolist(), measured.sensors, shapes)

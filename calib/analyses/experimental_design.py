@@ -7,10 +7,10 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from calib.analyses.candidate_places import TOGETHER
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.imagined import linearised
 from calib.analyses.imagined_measurement import ImaginedMeasurement
+from calib.analyses.rules import RULES
 from calib.candidate import Candidate
 from calib.correlation.modal_rows import Row
 from calib.correlation.residual import ModalResidual
@@ -23,9 +23,6 @@ from calib.missing.recommendation import ExperimentalDesign, Linearisation
 from calib.missing.score import Scores
 from calib.space import ParameterSpace
 from calib.stage import Progress, unheard
-
-BENCH = 0.03
-"""Relative standard deviation of a parameter after a bench test of its part."""
 
 
 def modal_design(
@@ -110,7 +107,7 @@ def best_sensors(
     linearisations: Sequence[Linearisation],
     competing: CompetingModels | None,
 ) -> list[CandidateMeasurement]:
-    """Groups of `TOGETHER` further sensors: the best for every effect, and for the difference of competing models.
+    """Groups of further sensors: the best for every effect, and for the difference of competing models.
 
     Parameters
     ----------
@@ -144,13 +141,13 @@ def best_sensors(
 
 
 def bench_tests(space: ParameterSpace, fit: LinearisedFit) -> list[CandidateMeasurement]:
-    """A test of each part by itself, to `BENCH`, where that says more than its prior."""
+    """A test of each part by itself, to `RULES.bench`, where that says more than its prior."""
     out = []
     for name in fit.names:
         p = space[name] if name in space else None
-        if p is not None and abs(p.value) > 0 and BENCH * abs(p.value) < p.prior_width:
-            label = f"{p.description or name} ({name}) tested by itself to {100 * BENCH:.0f} %"
-            out.append(CandidateMeasurement(label, "bench", prior_sd={name: BENCH * abs(p.value)}))
+        if p is not None and abs(p.value) > 0 and RULES.bench * abs(p.value) < p.prior_width:
+            label = f"{p.description or name} ({name}) tested by itself to {100 * RULES.bench:.0f} %"
+            out.append(CandidateMeasurement(label, "bench", prior_sd={name: RULES.bench * abs(p.value)}))
     return out
 
 
@@ -160,7 +157,7 @@ def _rows_of(labels: Sequence[Row], modes: Collection[str], sensors: Collection[
 
 
 def _largest(gains: Mapping[str, float]) -> tuple[str, ...]:
-    return tuple(sorted(sorted(gains, key=lambda n: -gains[n])[:TOGETHER]))
+    return tuple(sorted(sorted(gains, key=lambda n: -gains[n])[: RULES.together]))
 
 
 def _gains_of_sensors(

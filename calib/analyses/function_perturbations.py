@@ -9,19 +9,18 @@ from typing import Any
 
 import numpy as np
 
+from calib.analyses.rules import RULES
 from calib.effect import Effect
 from calib.function import DERIVES, FunctionModel, response_of, responses_of, slope_entry
 from calib.measurement.responses import response_kinds
 from calib.space import Parameter, ParameterSpace
+from calib.structure import rules as changes
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.modal_result import modes_of
 from calib.structure.mode_tracking import successors
 from calib.structure.modes import Modes
-from calib.structure.perturbations import LESS, MORE, RELATIVE, Perturbation, scaling_by_function
+from calib.structure.perturbations import Perturbation, scaling_by_function
 from calib.structure.scaled_part import ScaledPart
-
-FAULT = 0.1
-"""Plausible measurement error of a part of the results: of its scale, or of its offset over its mean size."""
 
 _NOWHERE = (math.nan, math.nan, math.nan)
 
@@ -144,7 +143,9 @@ def _change(p: Parameter, name: str, read: Read, mix: Mix | None = None) -> Pert
     A change in all results returns those of the function unchecked.
     """
     span = 0.0 if p.value != 0 else p.upper - p.lower
-    magnitude = Parameter(name, 0.0, -1.0 if span else LESS, 1.0 if span else MORE, "-", prior_sd=RELATIVE)
+    rules = changes.RULES
+    lower, upper = (-1.0, 1.0) if span else (rules.less, rules.more)
+    magnitude = Parameter(name, 0.0, lower, upper, "-", prior_sd=rules.relative)
 
     def build(model: Model) -> Callable[[Mapping[str, float]], Any]:
         def changed(values: Mapping[str, float]) -> Any:
@@ -174,7 +175,7 @@ def _misread(
     Frequencies and damping ratios stay positive: they read no less than half.
     """
     lacks, look_for = f"The measured {what} has no such error.", f"How {what} was measured."
-    magnitude = Parameter(name, 0.0, lower, 1.0, "-", prior_sd=FAULT)
+    magnitude = Parameter(name, 0.0, lower, 1.0, "-", prior_sd=RULES.misread)
     return Perturbation(
         _fault(f"{name}, in parts of {size}", lacks, look_for, magnitude, read, alter), "response", _NOWHERE
     )

@@ -11,7 +11,8 @@ from scipy.optimize import nnls
 
 from calib.analyses.candidate_places import in_words, spread, where_acting
 from calib.analyses.hypotheses import ModelHypotheses
-from calib.correlation.frf_problem import UNKNOWN_STD
+from calib.analyses.rules import RULES
+from calib.correlation import rules as comparison
 from calib.correlation.frf_residual import FRFResidual, FRFRow
 from calib.effect import Effect
 from calib.measurement.accuracy import NOTHING
@@ -21,11 +22,6 @@ from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.recommendation import HELD_OUT
 from calib.problem import Problem
-
-PLACES = 12
-"""Candidate locations of a further response sensor, in three directions each."""
-FORCES = 6
-"""Candidate further references, each at a response sensor that is there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +66,9 @@ class ImaginedFRFs:
     @cached_property
     def further(self) -> tuple[Sensor, ...]:
         """Responses spread over the structure."""
-        return spread(self.hypotheses.variants.model, (*self.used.sensors, *self.held[0], *self.held[1]), PLACES)
+        return spread(
+            self.hypotheses.variants.model, (*self.used.sensors, *self.held[0], *self.held[1]), RULES.frf_places
+        )
 
     @cached_property
     def at_effects(self) -> dict[str, tuple[Sensor, ...]]:
@@ -84,7 +82,7 @@ class ImaginedFRFs:
         known = {s.name for s in (*self.used.references, *self.held[1])}
         free = [s for s in self.used.responses if s.name not in known and s.direction in DIRECTIONS[:3]]
         chosen: list[Sensor] = []
-        while free and len(chosen) < FORCES:
+        while free and len(chosen) < RULES.frf_forces:
             there = [s.point for s in (*self.used.references, *chosen) if s.point is not None]
             chosen.append(free.pop(int(np.argmax([_distance(s, there) for s in free]))))
         return tuple(chosen)
@@ -213,7 +211,7 @@ def _noise(frfs: MeasuredFRFs) -> tuple[float, float]:
 def _std_of(frfs: MeasuredFRFs) -> np.ndarray:
     """Standard deviations by which a fit weighs, (n_freq, n_responses, n_references)."""
     total = frfs.total_std
-    return np.where(np.isfinite(total), total, UNKNOWN_STD * np.abs(frfs.values))
+    return np.where(np.isfinite(total), total, comparison.RULES.unknown_frf_std * np.abs(frfs.values))
 
 
 def _distance(sensor: Sensor, there: Sequence[tuple[float, float, float]]) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.analyses.candidate_places import in_words, spread, where_acting
 from calib.analyses.hypotheses import ModelHypotheses
+from calib.analyses.rules import RULES
 from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import StandardDeviations
@@ -19,22 +20,6 @@ from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.recommendation import HELD_OUT
 from calib.problem import Problem
 from calib.structure.modes import Modes
-
-PLACES = 40
-"""Candidate locations of a further sensor, in three directions each."""
-MORE_MODES = 3
-"""Candidate modes beyond those measured."""
-NEAR = 0.1
-"""Relative distance in frequency within which a model mode is identified with a held-out one."""
-OVERDAMPED = 0.9
-"""Damping ratio above which a test does not identify a mode."""
-ALIKE = 0.6
-"""MAC with the mode of the fit above which a mode counts as the same.
-
-Two modes that mix in equal parts have a MAC of 0.5, and a test could name neither. The blind measurements of
-``studies/blind_twin.py`` identify modes by the same threshold (``LEAST_MAC``), so the recommendation relies on no mode
-that such a test would miss.
-"""
 
 
 def imagined_measurement(
@@ -108,12 +93,12 @@ class ImaginedMeasurement:
         self.columns = [int(index[i]) for i in self.paired]
         freq, window = self.found.modes.natural_freq, problem.freq_window or (0.0, np.inf)
         free = [j for j in range(len(freq)) if j not in self.columns and window[0] <= freq[j] <= window[1]]
-        more = [j for j in free if self.found.modes.damping_ratio[j] < OVERDAMPED][:MORE_MODES]
+        more = [j for j in free if self.found.modes.damping_ratio[j] < RULES.overdamped][: RULES.more_modes]
         self.more = _modes_in_words(freq[more].tolist(), held_out)
         self.columns += more
         self.held = held_sensors if measured.has_shapes else ()
         model = hypotheses.variants.model
-        further = spread(model, (*self.sensors, *self.held), PLACES) if measured.has_shapes else ()
+        further = spread(model, (*self.sensors, *self.held), RULES.sensor_places) if measured.has_shapes else ()
         self.extra = {s.name: in_words(s) for s in further}
         label = 1 + max((s.node for s in (*self.sensors, *self.held, *further)), default=0)
         at = where_acting(model, acting, label) if measured.has_shapes else {}
@@ -165,8 +150,8 @@ class ImaginedMeasurement:
         """Mask of the rows of modes that a test at these values would identify as modes of the fit, (n_rows,)."""
         found = fit_problem.at(values)
         damping = found.paired(found.modes.damping_ratio)  # NaN where there is no such mode
-        similar = np.isnan(found.pairing.mac) | (found.pairing.mac >= ALIKE)
-        there = (damping < OVERDAMPED) & similar
+        similar = np.isnan(found.pairing.mac) | (found.pairing.mac >= RULES.alike)
+        there = (damping < RULES.overdamped) & similar
         names = {name for name, one in zip(self.measurement.names, there, strict=True) if one}
         return np.array([row.mode in names for row in fit_problem.pair.rows])
 
@@ -183,7 +168,7 @@ def _modes_in_words(freqs: Sequence[float], held_out: Mapping[str, float]) -> li
     }
     words = []
     for k, freq in enumerate(freqs):
-        near = [name for name, own in held_out.items() if abs(own / freq - 1) < NEAR]
+        near = [name for name, own in held_out.items() if abs(own / freq - 1) < RULES.held_out_near]
         known = len(near) == 1 and closest[near[0]] == k
         words.append(f"mode {near[0]}{HELD_OUT}" if known else f"a further mode, computed at {freq:.3g} Hz")
     same = {w: words.count(w) for w in words}

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from calib.analyses.adapter import Adapter
+from calib.analyses.rules import RULES
 from calib.correlation.mesh_error import MeshError
 from calib.errors import InputError
 from calib.missing.linearised_fit import fitted, nearest_whole
 from calib.structure.model import StructuralModel
-
-ROUNDS = 2
-"""Fits after each of which both meshes are compared; the first has no error of the mesh, which biases it."""
 
 
 def with_mesh_error(adapter: Adapter, finer: StructuralModel | None, sd: float, test: str = "") -> Adapter:
@@ -49,10 +47,10 @@ def with_mesh_error(adapter: Adapter, finer: StructuralModel | None, sd: float, 
     linear = given.hypotheses.linear_start((), begin)
     fits = [fitted(fit_problem, (), start, 1) for start in (begin, linear) if start is not None]
     values, out = min(fits, key=lambda fit: fit.misfit).values, given
-    for k in range(ROUNDS):
+    for k in range(RULES.mesh_fits):
         mesh = MeshError(given.hypotheses.variants.model, finer, fit_problem.pair.space.complete(values), sd, test)
         out = given.with_mesh(mesh)
-        if k < ROUNDS - 1:
+        if k < RULES.mesh_fits - 1:
             again = fitted(out.hypotheses.fit_problem(()), (), values, 1)
             values = mesh.without(again.values)
     found: Adapter = out

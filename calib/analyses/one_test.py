@@ -15,6 +15,7 @@ from calib.analyses.discretisation_error import DiscretisationError
 from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
 from calib.analyses.hypotheses import Failure, ModelHypotheses
 from calib.analyses.reduction import Wanted
+from calib.analyses.rules import RULES
 from calib.candidate import Candidate
 from calib.correlation.mesh_error import MeshError
 from calib.effect import Effect
@@ -31,8 +32,6 @@ from calib.stage import Progress, unheard
 from calib.structure.effect_places import effect_places
 from calib.structure.perturbations import Perturbation
 
-BASIS_ERROR = 0.05
-"""Largest difference of whitened residuals on the reduced basis from full order, in standard deviations."""
 LABELS = ("kind", "mode", "sensor", "part")
 """Columns of the labels of every kind of test; ``part`` is ``re`` or ``im``, empty where there are no parts."""
 
@@ -102,7 +101,7 @@ class OneTest(ABC):
         if self.hypotheses.variants.calls is not None:  # a user's function, which has no basis
             return table, notes, {"failed": len(failures)}
         worst = self.basis_error(stages.values(), scale)
-        if worst > BASIS_ERROR:
+        if worst > RULES.basis_error:
             notes.append(
                 f"The reduced basis is off by {worst:.2g} standard deviations; set use = false in [reduction]."
             )

@@ -7,17 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
+from calib.analyses.rules import RULES
 from calib.correlation.compare import Comparison
 from calib.effect import Effect
 from calib.loading import Model
 from calib.structure.extend import addition_of
 
-OWN = 0.5
-"""Share of the kinetic energy above which a mode is an effect's own.
-
-The shares of one degree of freedom in all modes of an undamped model add up to 1, ``(Phi Phi^T M)_aa`` with
-mass-normalised shapes, so that it has at most one such mode; a massless one has none.
-"""
 COLUMNS = ("effect", "model_mode", "natural_freq", "share", "paired")
 
 
@@ -52,7 +47,7 @@ def own_modes(base: Model, effects: Sequence[Effect], found: Comparison) -> pd.D
         share = energy[first:last].sum(axis=0) / energy.sum(axis=0)
         rows += [
             (effect.name, j + 1, float(found.modes.natural_freq[j]), float(share[j]), paired.get(j, ""))
-            for j in np.flatnonzero(share > OWN).tolist()
+            for j in np.flatnonzero(share > RULES.own_mode).tolist()
         ]
         first = last
     return pd.DataFrame(rows, columns=list(COLUMNS))

@@ -14,16 +14,14 @@ from typing import Any, Protocol
 import numpy as np
 import pandas as pd
 
-from calib import on_limit
+from calib.analyses.recorded_rules import rules_of
 from calib.analyses.state import made_from
 from calib.analyses.uncertainty import accuracy_words, assumed_std, assumed_words, in_one, std_notes
 from calib.answer import Answer
 from calib.errors import InputError
-from calib.inference import rules as inference
 from calib.joint import said, stacked
 from calib.loading import Model
 from calib.measurement.disagreements import COLUMNS, Disagreement
-from calib.missing import rules as missing
 from calib.named_values import ANY, read_json
 from calib.results import Results
 from calib.several import AnyStudy
@@ -116,7 +114,7 @@ def write_record(
         "analyses": {
             **earlier(results, analysis),
             analysis: {
-                **made_with(),
+                **made_with(analysis),
                 "quick": quick,
                 "options": list(options),
                 "seeds": dict(seeds),
@@ -135,17 +133,13 @@ def _axes(study: Study) -> str:
     return "" if mesh is None else mesh.axes
 
 
-def made_with() -> dict[str, Any]:
+def made_with(analysis: str) -> dict[str, Any]:
     """Time, versions and rules of an analysis made now."""
     return {
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {"calib": __version__, "Python": platform.python_version(), **_installed()},
-        "rules": {name: asdict(rules) for name, rules in RULES.items()},
+        "rules": {name: asdict(rules) for name, rules in rules_of(analysis).items()},
     }
-
-
-RULES: Mapping[str, Any] = {"limits": on_limit.RULES, "inference": inference.RULES, "missing": missing.RULES}
-"""Rules that determine the verdicts."""
 
 
 def measured_table(study: Study) -> pd.DataFrame:

@@ -8,15 +8,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from calib import on_limit
-from calib.inference import rules as inference
-from calib.missing import rules as missing
+from calib.analyses.recorded_rules import rules_of
 from calib.several import AnyStudy
 from calib.study import Study
 from calib.study_file import StudyFile
 from calib.version import __version__
 
-PARTS = ("measurement", "model", "settings", "code")
+PARTS = ("measurement", "model", "settings", "rules", "code")
 """Parts of the state of an analysis; ``files`` beside them names what changed in the first two."""
 
 _NAMES_OF_FILES = {"files", "shapes", "sensors", "responses"}
@@ -100,6 +98,7 @@ def made_from(study: AnyStudy, analysis: str) -> dict[str, Any]:
         "measurement": _measured(study, analysis),
         "model": models[0] if len(models) == 1 else _digest(*models),
         "settings": settings[0] if len(settings) == 1 else _digest(*settings),
+        "rules": _digest(rules_of(analysis)),
         "code": __version__,
         "files": {name: digest for one in study.studies for name, digest in one.read_files.items()},
         "stated": _stated(study, analysis),
@@ -148,6 +147,7 @@ def made_from_on_paper(
         "measurement": _measured(study, analysis),
         "model": then.get("model") if same_model else "changed",
         "settings": then.get("settings") if same_settings else "changed",
+        "rules": _digest(rules_of(analysis)),
         "code": __version__,
         "files": files,
         "taken": taken if same_values else {**taken, **found[0]},
@@ -193,6 +193,7 @@ def changed(then: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     if {"measurement", "model"} & set(parts) and not out:
         out.append("the measurement" if "measurement" in parts else "the model or its parameters")
     out += ["the settings in the study file"] * ("settings" in parts)
+    out += ["the rules of calib"] * ("rules" in parts)
     return out + [f"calib itself ({then.get('code', 'unknown')}, now {now['code']})"] * ("code" in parts)
 
 
@@ -207,15 +208,13 @@ def _of_calibration(study: Study) -> tuple[Any, ...]:
     given = study.settings
     return (
         study.search_space, given.calibration.model_dump(), given.reduction.model_dump(), study.adopted_sd,
-        inference.RULES, on_limit.RULES,
     )  # fmt: skip
 
 
 def _of_explanation(study: Study) -> tuple[Any, ...]:
     effects = [(e.name, e.parameters, e.grid) for e in study.library]
     own = [digest for name, digest in study.read_files.items() if name.endswith(".py")]
-    return (*_of_calibration(study), study.settings.explain.model_dump(), effects, study.library_digest, own,
-            missing.RULES)  # fmt: skip
+    return (*_of_calibration(study), study.settings.explain.model_dump(), effects, study.library_digest, own)
 
 
 _SETTINGS: Mapping[str, Callable[[Study], tuple[Any, ...]]] = {

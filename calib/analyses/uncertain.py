@@ -5,14 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
+from calib.analyses.rules import RULES
 from calib.measurement.accuracy import Claim
 from calib.space import Parameter, ParameterSpace
 from calib.study import Study
-
-REACH = 5.0
-"""Half-width of their limits, in standard deviations."""
-LEAST = 0.1
-"""Part of the nominal value below which they cannot fall: they keep their sign."""
 
 
 def with_uncertain(study: Study) -> Study:
@@ -33,7 +29,7 @@ def freed(space: ParameterSpace, parameters: Iterable[Parameter], given: str) ->
     share = Claim.of(given).share
     for p in parameters:
         sd = share * abs(p.value)
-        reach = min(REACH * sd, (1 - LEAST) * abs(p.value))
+        reach = min(RULES.freed_reach * sd, (1 - RULES.freed_least) * abs(p.value))
         space = space.replace(
             p.name, lower=p.value - reach, upper=p.value + reach, prior_sd=sd, distribution="uniform"
         )  # fmt: skip

@@ -13,17 +13,12 @@ import pandas as pd
 from scipy import special
 
 from calib.correlation.pairing import Pairing
+from calib.correlation.rules import RULES
 from calib.correlation.standard_deviations import StandardDeviations, dof_behind, known_std
 from calib.mac import align, comac, is_real, most_real, noise_mac, relative_motion
 from calib.measurement.modal import MeasuredModes
 from calib.structure.modal_model import ModalModel
 from calib.structure.modes import Modes
-
-LEVEL = 0.95
-"""Probability that a correctly specified model passes a single comparison."""
-
-FAR_ERROR = 0.3
-"""Frequency error of a pair that raises a warning, as a fraction."""
 
 _MOTION = ["u", "v", "w"]
 
@@ -90,8 +85,8 @@ class Comparison:
 
     @property
     def far(self) -> tuple[str, ...]:
-        """Measured modes with a frequency error above `FAR_ERROR`: wrong pairs, wrong units or a poor model."""
-        return tuple(self._names(np.flatnonzero(np.abs(np.nan_to_num(self.freq_error)) > FAR_ERROR)))
+        """Measured modes with a large frequency error (`RULES.far_error`): wrong pairs or units, or a poor model."""
+        return tuple(self._names(np.flatnonzero(np.abs(np.nan_to_num(self.freq_error)) > RULES.far_error)))
 
     @property
     def lost(self) -> tuple[str, ...]:
@@ -308,7 +303,7 @@ class Comparison:
             unknown = "The standard deviation of the measurement is unknown, so deviations cannot be tested."
             return " ".join(words), unknown
         count = int((tested["verdict"] == BEYOND).sum())
-        chance = (1 - LEVEL) * len(tested)
+        chance = (1 - RULES.level) * len(tested)
         beyond = (
             f"{count} of {len(tested)} comparisons exceed their measurement uncertainty; "
             f"{chance:.1f} are expected by chance."
@@ -318,10 +313,10 @@ class Comparison:
         return " ".join(words), f"{beyond} The worst is the {worst['kind']} of {worst['what']}, {size}."
 
     def _limit(self, kind: str, dof: np.ndarray | float) -> np.ndarray:
-        """Quantile `LEVEL` of ``in_std`` for a correctly specified model."""
+        """Quantile `RULES.level` of ``in_std`` for a correctly specified model."""
         dof = np.maximum(dof, 1e-9)
         behind = dof_behind(self.measured, "shape" if kind == "sensor" else kind, dof)
-        return np.sqrt(special.fdtri(dof, np.minimum(behind, 1e9), LEVEL))
+        return np.sqrt(special.fdtri(dof, np.minimum(behind, 1e9), RULES.level))
 
     def _rows(
         self, kind: str, what: list[str], value: np.ndarray, in_std: np.ndarray, dof: np.ndarray | float = 1.0

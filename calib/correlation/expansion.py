@@ -2,7 +2,8 @@
 
 Cross-orthogonality ``|psi^T M_TAM phi|`` of a measured shape psi and a model shape phi at the sensors, both scaled to
 unit modal mass, weighs every sensor by the mass that moves with it, where the MAC counts sensors alike. The usual
-reading (NASA-STD-5002): at least `KEPT` for pairs, at most `LEAK` for all others, also among the measured shapes.
+reading (NASA-STD-5002): at least `RULES.orthogonal_kept` for pairs, at most `RULES.orthogonal_leak` for all others,
+also among the measured shapes.
 
 Mass-orthogonality holds for undamped modes. So shapes are turned to the phase with the largest real part, which alone
 is used: damping that is not proportional changes it in second order only.
@@ -19,13 +20,11 @@ import pandas as pd
 import scipy.sparse as sp
 
 from calib.correlation.compare import Comparison
+from calib.correlation.rules import RULES
 from calib.errors import EvaluationError, InputError
 from calib.mac import is_real, most_real
 from calib.structure.expansion import Expansion, serep_expansion, static_expansion
 from calib.structure.model import StructuralModel
-
-KEPT, LEAK = 0.9, 0.1
-"""Cross-orthogonality that a pair should reach, and that other shapes should not exceed; with two decimals."""
 
 By = Literal["static", "SEREP"]
 WAYS: tuple[By, ...] = ("static", "SEREP")
@@ -159,16 +158,17 @@ class Orthogonality:
         cross, own = np.round(self.cross, 2), np.round(self.own, 2)
         pairs, others = paired & np.isfinite(cross), ~paired & np.isfinite(cross)
         upper = np.triu(np.isfinite(own), 1)
+        kept, leak = RULES.orthogonal_kept, RULES.orthogonal_leak
         words = (
-            f"Cross-orthogonality ({self.by} reduction): {np.sum(cross[pairs] >= KEPT)} of {pairs.sum()} pairs "
-            f"reach {KEPT}, and {np.sum(cross[others] > LEAK)} of {others.sum()} other entries exceed {LEAK}."
+            f"Cross-orthogonality ({self.by} reduction): {np.sum(cross[pairs] >= kept)} of {pairs.sum()} pairs "
+            f"reach {kept}, and {np.sum(cross[others] > leak)} of {others.sum()} other entries exceed {leak}."
         )
         if not upper.any():
             return words
         i, j = np.unravel_index(np.argmax(np.where(upper, self.own, -1.0)), self.own.shape)
         return (
-            f"{words} Among the measured shapes {np.sum(own[upper] > LEAK)} of {upper.sum()} entries exceed "
-            f"{LEAK}; the largest is {self.own[i, j]:.2f} ({self.names[i]}, {self.names[j]})."
+            f"{words} Among the measured shapes {np.sum(own[upper] > leak)} of {upper.sum()} entries exceed "
+            f"{leak}; the largest is {self.own[i, j]:.2f} ({self.names[i]}, {self.names[j]})."
         )
 
 

@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from calib.correlation.fault_rules import RULES
 from calib.correlation.modal_faults import ModalFault, Share
 from calib.errors import InputError
 from calib.fault import NOWHERE
@@ -18,21 +19,6 @@ from calib.structure.along_mesh import along_mesh
 from calib.structure.geometry import Mesh
 from calib.structure.modal_model import ModalModel
 
-GAIN = 1.0
-"""Plausible gain error: a swapped sign is twice, a dead channel once as much."""
-SET_UP = 0.5
-"""Plausible error of the common factor of a group of sensors."""
-PHASE = 0.3
-"""Plausible phase of a delay at the highest measured frequency, rad."""
-ROTATION = 15.0
-"""Plausible misalignment of a sensor's axis, deg; an axis taken for another one is a check of its own."""
-SHIFT = 100.0
-"""Plausible error of a sensor's place along the structure, mm, but no more than `FAR` of the way to the next nodes."""
-FAR = 0.5
-CROSS_TALK = 0.1
-"""Plausible share of a neighbouring channel."""
-DAMPING = 0.01
-"""Plausible damping ratio that the analysis adds at the middle of the measured frequencies."""
 At = tuple[str, tuple[float, float, float]]
 """Name of a sensor and its place."""
 NEGLIGIBLE = 1e-9
@@ -135,13 +121,13 @@ def ways(model: ModalModel, sensor: Sensor) -> list[tuple[str, np.ndarray, np.nd
 
 def shift_size(before: np.ndarray, after: np.ndarray) -> float:
     """Plausible error of a place between two points, m, in mm."""
-    return min(SHIFT, 1e3 * FAR * float(np.linalg.norm(after - before)))
+    return min(RULES.shift, 1e3 * RULES.shift_part * float(np.linalg.norm(after - before)))
 
 
 def _gain(k: int, sensor: Sensor, at: At) -> ModalFault:
     name = f"gain of sensor {sensor.name}"
     return ModalFault(
-        _sized(name, GAIN, -3.0, 9.0), name, LACKS["gain"], LOOK_FOR["gain"],
+        _sized(name, RULES.gain, RULES.gain_lower, RULES.gain_upper), name, LACKS["gain"], LOOK_FOR["gain"],
         lambda by: gain_words(f"sensor {sensor.name}", by), "gain", *at, shares=(Share(k, sensor),),
     )  # fmt: skip
 
@@ -158,9 +144,10 @@ def gain_words(what: str, by: float) -> str:
 
 def _delay(k: int, sensor: Sensor, highest: float, at: At) -> ModalFault:
     name = f"delay of sensor {sensor.name}"
-    size = 1e3 * PHASE / (2 * np.pi * highest)
+    size = 1e3 * RULES.phase / (2 * np.pi * highest)
+    reach = RULES.limit * size
     return ModalFault(
-        _sized(name, size, -10 * size, 10 * size, "ms"), name, LACKS["delay"], LOOK_FOR["delay"],
+        _sized(name, size, -reach, reach, "ms"), name, LACKS["delay"], LOOK_FOR["delay"],
         lambda by: delay_words(f"sensor {sensor.name}", by), "delay", *at, shares=(Share(k, sensor, "delay"),),
     )  # fmt: skip
 
@@ -168,8 +155,9 @@ def _delay(k: int, sensor: Sensor, highest: float, at: At) -> ModalFault:
 def _rotation(k: int, sensor: Sensor, source: Sensor, at: At) -> ModalFault:
     name = f"rotation of sensor {sensor.name} towards {source.direction}"
     shares = (Share(k, sensor, "cosine"), Share(k, source, "sine"))
+    most = RULES.rotation_most
     return ModalFault(
-        _sized(name, ROTATION, -60.0, 60.0, "deg"), name, f"The sensor's axis is {sensor.direction}.",
+        _sized(name, RULES.rotation, -most, most, "deg"), name, f"The sensor's axis is {sensor.direction}.",
         LOOK_FOR["rotation"], lambda by: rotation_words(f"sensor {sensor.name}", source.direction, by),
         "rotation", *at, shares=shares,
     )  # fmt: skip
@@ -188,9 +176,10 @@ def _shifts(model: ModalModel, k: int, sensor: Sensor, at: At) -> Iterator[Modal
             continue
         name = f"place of sensor {sensor.name} along {axis}"
         size = shift_size(before, after)
+        reach = RULES.shift_most * size
         shares = (Share(k, last, factor=1 / length), Share(k, first, factor=-1 / length))
         yield ModalFault(
-            _sized(name, size, -5 * size, 5 * size, "mm"), name, LACKS["place"], LOOK_FOR["place"],
+            _sized(name, size, -reach, reach, "mm"), name, LACKS["place"], LOOK_FOR["place"],
             partial(place_words, f"sensor {sensor.name}", axis), "place", *at, shares=shares,
         )  # fmt: skip
 
@@ -231,7 +220,7 @@ def _moves(model: ModalModel, source: Sensor, own: np.ndarray) -> bool:
 def _cross_talk(k: int, sensor: Sensor, source: Sensor, at: At) -> ModalFault:
     name = f"cross-talk of sensor {source.name} into {sensor.name}"
     return ModalFault(
-        _sized(name, CROSS_TALK, -1.0, 1.0), name, LACKS["cross-talk"], LOOK_FOR["cross-talk"],
+        _sized(name, RULES.cross_talk, -1.0, 1.0), name, LACKS["cross-talk"], LOOK_FOR["cross-talk"],
         lambda by: cross_talk_words(sensor.name, source.name, by), "cross-talk", *at, shares=(Share(k, source),),
     )  # fmt: skip
 
@@ -248,7 +237,7 @@ def _of_set_ups(measured: MeasuredModes, set_ups: Mapping[str, Sequence[str]]) -
             continue
         name = f"factor of set-up {label}"
         yield ModalFault(
-            _sized(name, SET_UP, -3.0, 9.0), name, "All set-ups are scaled alike.",
+            _sized(name, RULES.set_up, RULES.gain_lower, RULES.gain_upper), name, "All set-ups are scaled alike.",
             "Check how the set-ups were joined, and the reference sensors.",
             partial(gain_words, f"set-up {label}"),
             "set-up", shares=tuple(Share(k, measured.sensors[k]) for k in own),
@@ -269,7 +258,8 @@ def _of_analysis(model: ModalModel, measured: MeasuredModes) -> Iterator[ModalFa
         }
         for name, (pattern, words) in patterns.items():
             yield ModalFault(
-                _sized(name, DAMPING, 0.0, 20 * DAMPING), name, "The analysis adds no damping of its own.",
+                _sized(name, RULES.damping, 0.0, RULES.damping_most * RULES.damping), name,
+                "The analysis adds no damping of its own.",
                 "Check the window, the frequency resolution and what else dissipated in the test.",
                 partial(_damping_words, words, middle),
                 "damping", damping=tuple(pattern.tolist()),

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.correlation.frf_parameter import LIMIT, in_test, require_positive
+from calib.correlation.fault_rules import RULES
+from calib.correlation.frf_parameter import in_test, require_positive
 from calib.correlation.frf_rows import RowError
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
@@ -58,7 +59,7 @@ class CrossTalkError(RowError):
     @property
     def parameter(self) -> Parameter:
         """Such as ``cross_talk_11z_12z``, of 11z into 12z."""
-        reach, end = min(LIMIT * self.prior_sd, 1.0), in_test(self.test)
+        reach, end = min(RULES.limit * self.prior_sd, 1.0), in_test(self.test)
         return Parameter(
             f"cross_talk_{self.source.name}_{self.name}{end}", 0.0, -reach, reach, "-", prior_sd=self.prior_sd,
             description=f"share of the motion at {self.source.name} that the channel of {self.name} reads{end}",

@@ -9,11 +9,8 @@ from functools import partial
 import numpy as np
 
 from calib.correlation.fault_library import (
-    CROSS_TALK,
     LACKS,
     LOOK_FOR,
-    PHASE,
-    ROTATION,
     cross_talk_words,
     delay_words,
     gain_words,
@@ -24,6 +21,7 @@ from calib.correlation.fault_library import (
     turned,
     ways,
 )
+from calib.correlation.fault_rules import RULES
 from calib.correlation.frf_cross_talk import CrossTalkError
 from calib.correlation.frf_nuisance import ChannelError, ChannelKind, Nuisance
 from calib.correlation.frf_parameter import Side
@@ -37,12 +35,6 @@ from calib.space import Parameter
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
 
-GAIN, TURN = 100.0, 60.0
-"""Plausible gain (%) and phase (deg) of a fault; a swapped sign is a gain of -200 %."""
-_SWAPPED = -300.0
-"""Smallest gain error, %: at -200 the sign is swapped."""
-_FARTHEST = 5.0
-"""Largest error of a place, over the plausible one."""
 _LOOK: Mapping[str, str] = {**LOOK_FOR, "phase": "Check its filter and its conditioning."}
 
 Model = StructuralModel | ReducedModel
@@ -133,14 +125,16 @@ def _fault(
 
 def _of_channels(measured: MeasuredFRFs) -> Iterator[FRFFault]:
     sizes: dict[ChannelKind, float] = {
-        "gain": GAIN, "phase": TURN, "delay": PHASE / (2 * np.pi * float(measured.freq.max()))
-    }  # fmt: skip
+        "gain": RULES.frf_gain,
+        "phase": RULES.frf_phase,
+        "delay": RULES.phase / (2 * np.pi * float(measured.freq.max())),
+    }
     words = {"gain": _gain, "phase": _phase, "delay": _delay}
     for side, sensor in _transducers(measured):
         what = _what(side, sensor)
         for kind, size in sizes.items():
             error = ChannelError(kind, sensor.name, side, size)
-            magnitude = replace(error.parameter, lower=_SWAPPED) if kind == "gain" else None
+            magnitude = replace(error.parameter, lower=RULES.frf_gain_lower) if kind == "gain" else None
             lacks = "Every channel reads as it is calibrated."
             yield _fault(error, kind, what, lacks, partial(words[kind], what), sensor, magnitude)
 
@@ -177,7 +171,7 @@ def _of_transducers(model: Model, measured: MeasuredFRFs) -> Iterator[FRFFault]:
     for k, sensor in enumerate(measured.responses):
         for source in neighbours(measured.responses, k):
             told = partial(cross_talk_words, sensor.name, source.name)
-            error = CrossTalkError(sensor, source, CROSS_TALK)
+            error = CrossTalkError(sensor, source, RULES.cross_talk)
             of = f"sensor {source.name} into {sensor.name}"
             yield _fault(error, "cross-talk", of, LACKS["cross-talk"], told, sensor)
 
@@ -187,7 +181,7 @@ def _rotations(model: Model, side: Side, sensor: Sensor) -> Iterator[FRFFault]:
     what = _what(side, sensor)
     for source in turned(model, sensor, row):
         axis = source.direction
-        error, told = RotationError(sensor, axis, ROTATION, side), partial(rotation_words, what, axis)
+        error, told = RotationError(sensor, axis, RULES.rotation, side), partial(rotation_words, what, axis)
         lacks = f"The {'force' if side == 'reference' else 'sensor'}'s axis is {sensor.direction}."
         yield _fault(error, "rotation", f"{what} towards {axis}", lacks, told, sensor)
 
@@ -202,7 +196,7 @@ def _places(model: Model, sensor: Sensor, what: str) -> Iterator[FRFFault]:
         error, told = PlaceError(sensor, axis, size), partial(place_words, of, axis)
         if not _matters(error, model):
             continue
-        reach = _FARTHEST * size
+        reach = RULES.shift_most * size
         magnitude = replace(error.parameter, lower=-reach, upper=reach)
         yield _fault(error, "place", f"{of} along {axis}", LACKS["place"], told, sensor, magnitude)
 

@@ -14,8 +14,9 @@ from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 
+from calib.correlation.fault_rules import RULES
 from calib.correlation.frf_cross_talk import CrossTalkError
-from calib.correlation.frf_parameter import LIMIT, Side, in_test, require_positive
+from calib.correlation.frf_parameter import Side, in_test, require_positive
 from calib.correlation.frf_places import PlaceError
 from calib.correlation.frf_rotation import RotationError
 from calib.correlation.frf_rows import RowError
@@ -26,15 +27,10 @@ from calib.space import Parameter
 from calib.structure.loaded import Load
 from calib.structure.model import StructuralModel
 
-CHANNEL_SD: Mapping[str, float] = {"gain": 1.0, "phase": 0.5}
-"""Default prior standard deviations, in % and degrees: assumed, the order of a comparison calibration in mid band. A
-calibration sheet states more; its expanded uncertainty is two standard deviations."""
+CHANNEL_SD: Mapping[str, float] = {"gain": RULES.gain_sd, "phase": RULES.phase_sd}
+"""Default prior standard deviations, in % and degrees."""
 
-MASS_SD = 0.1
-"""Default prior standard deviation of an added mass, over that of the data sheet: assumed, cable and stud included."""
 
-_WEAKEST = -90.0
-"""Lower limit of a gain, %: at -100 the channel is dead."""
 _UNITS = {"gain": "%", "phase": "deg", "delay": "s"}
 
 ChannelKind = Literal["gain", "phase", "delay"]
@@ -121,10 +117,11 @@ class ChannelError:
     def parameter(self) -> Parameter:
         """Such as ``gain_12z``, ``gain_force_3z`` of a reference, or of one of several tests ``gain_12z in test A``."""
         sd = CHANNEL_SD[self.kind] if self.prior_sd is None else self.prior_sd
-        force, lower = "force_" if self.side == "reference" else "", -LIMIT * sd
+        force, lower = "force_" if self.side == "reference" else "", -RULES.limit * sd
         return Parameter(
             f"{self.kind}_{force}{self.sensor}{in_test(self.test)}", 0.0,
-            max(lower, _WEAKEST) if self.kind == "gain" else lower, LIMIT * sd, _UNITS[self.kind], prior_sd=sd,
+            max(lower, RULES.gain_weakest) if self.kind == "gain" else lower, RULES.limit * sd, _UNITS[self.kind],
+            prior_sd=sd,
             description=f"{self.kind} of the channel of {self.side} {self.sensor}{in_test(self.test)}",
         )  # fmt: skip
 
@@ -173,7 +170,7 @@ class AddedMass(Loading):
     mass : float
         kg, of the data sheet: the nominal value.
     prior_sd : float, optional
-        kg; `MASS_SD` of the mass by default.
+        kg; `RULES.mass_sd` of the mass by default.
     test : str
         As of `ChannelError`.
 
@@ -199,10 +196,10 @@ class AddedMass(Loading):
     @property
     def parameter(self) -> Parameter:
         """Such as ``mass_12``."""
-        sd = MASS_SD * self.mass if self.prior_sd is None else self.prior_sd
+        sd = RULES.mass_sd * self.mass if self.prior_sd is None else self.prior_sd
         return Parameter(
             f"mass_{self.sensor.node}{in_test(self.test)}", self.mass,
-            max(0.0, self.mass - LIMIT * sd), self.mass + LIMIT * sd, "kg", prior_sd=sd,
+            max(0.0, self.mass - RULES.limit * sd), self.mass + RULES.limit * sd, "kg", prior_sd=sd,
             description=f"mass of the accelerometer at node {self.sensor.node}{in_test(self.test)}",
         )  # fmt: skip
 
@@ -248,7 +245,7 @@ class Stinger(Loading):
     def parameter(self) -> Parameter:
         """Such as ``stinger_3z``."""
         return Parameter(
-            f"stinger_{self.sensor.name}{in_test(self.test)}", 0.0, 0.0, LIMIT * self.prior_sd, "N/m",
+            f"stinger_{self.sensor.name}{in_test(self.test)}", 0.0, 0.0, RULES.limit * self.prior_sd, "N/m",
             prior_sd=self.prior_sd,
             description=f"stiffness of the stinger at {self.sensor.name}{in_test(self.test)}",
         )  # fmt: skip

@@ -11,9 +11,6 @@ from calib.errors import InputError
 Side = Literal["response", "reference"]
 """Channels of a test of FRFs: those of its responses, and those of the forces."""
 
-LIMIT = 10.0
-"""Distance of limits in prior standard deviations: they exclude nothing that the prior allows."""
-
 
 def in_test(test: str) -> str:
     """End of the name of a parameter that belongs to one of several tests."""

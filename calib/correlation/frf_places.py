@@ -11,7 +11,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.correlation.frf_parameter import LIMIT, in_test, require_positive
+from calib.correlation.fault_rules import RULES
+from calib.correlation.frf_parameter import in_test, require_positive
 from calib.correlation.frf_rows import RowError
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
@@ -69,7 +70,7 @@ class PlaceError(RowError):
     @property
     def parameter(self) -> Parameter:
         """Such as ``place_x_12z``."""
-        reach, end = LIMIT * self.prior_sd, in_test(self.test)
+        reach, end = RULES.limit * self.prior_sd, in_test(self.test)
         return Parameter(
             f"place_{self.along}_{self.name}{end}", 0.0, -reach, reach, "mm", prior_sd=self.prior_sd,
             description=f"distance of {self.name} from its place along {self.along}{end}",

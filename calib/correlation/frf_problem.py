@@ -13,6 +13,7 @@ from calib.correlation.frf_comparison import frac_and_amplitude
 from calib.correlation.frf_nuisance import Nuisance, require_channels
 from calib.correlation.frf_rows import Rows
 from calib.correlation.mesh_error import MeshError
+from calib.correlation.rules import RULES
 from calib.errors import InputError
 from calib.fingerprint import digest_of
 from calib.measurement.frf import MeasuredFRFs
@@ -25,10 +26,6 @@ from calib.structure.loaded import loaded
 from calib.structure.model import Assumption, StructuralModel
 from calib.structure.reduced import ReducedModel
 
-UNKNOWN_STD = 0.02
-"""Assumed standard deviation of real and imaginary part each, relative to the modulus, where none is known: that of 12
-averages at a coherence of 0.99 (Bendat and Piersol 2010)."""
-
 DEFINITION = "FRF residual 2"
 """Part of the fingerprint; increment it whenever the same FRFs would give another residual or derivative."""
 
@@ -38,7 +35,7 @@ def assumed_frfs(frfs: MeasuredFRFs) -> tuple[Assumption, ...]:
     if not (np.isfinite(frfs.values) & ~np.isfinite(frfs.total_std)).any():
         return ()
     reason = "neither repeats nor coherence are given"
-    return (Assumption("standard deviation of FRFs", f"{100 * UNKNOWN_STD:g}", "% of each modulus", reason),)
+    return (Assumption("standard deviation of FRFs", f"{100 * RULES.unknown_frf_std:g}", "% of each modulus", reason),)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +142,7 @@ class FRFProblem:
     def entry_std(self) -> np.ndarray:
         """Standard deviation of every entry, (n_freq, n_responses, n_references), in the unit of the quantity."""
         total = self.measured.total_std
-        return np.where(np.isfinite(total), total, UNKNOWN_STD * np.abs(self.measured.values))
+        return np.where(np.isfinite(total), total, RULES.unknown_frf_std * np.abs(self.measured.values))
 
     def basis_target(self, tolerance: float) -> FRFTarget:
         """All FRFs in use, with `calib.structure.frf_target.TOLERANCE` whatever the one of eigenvalues."""

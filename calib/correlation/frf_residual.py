@@ -52,7 +52,7 @@ class FRFResidual:
 
     Rows are (measured - model)/std of the real, then of the imaginary part of every measured entry: reference by
     reference, response by response, line by line. The standard deviation joins repeatability and claimed accuracy, or
-    is `UNKNOWN_STD` of the modulus where neither is known; rows count as independent.
+    is `RULES.unknown_frf_std` of the modulus where neither is known; rows count as independent.
 
     Attributes
     ----------

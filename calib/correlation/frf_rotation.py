@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.correlation.frf_parameter import LIMIT, Side, in_test, require_positive
+from calib.correlation.fault_rules import RULES
+from calib.correlation.frf_parameter import Side, in_test, require_positive
 from calib.correlation.frf_rows import RowError
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
@@ -18,9 +19,6 @@ from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.space import Parameter
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
-
-LARGEST = 60.0
-"""Largest misalignment, deg: beyond it another axis was taken."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +74,10 @@ class RotationError(RowError):
     @property
     def parameter(self) -> Parameter:
         """Such as ``rotation_12z_x``, or ``rotation_force_3z_x`` of a reference."""
-        force, reach, end = "force_" if self.side == "reference" else "", LIMIT * self.prior_sd, in_test(self.test)
+        force, end = "force_" if self.side == "reference" else "", in_test(self.test)
+        reach = min(RULES.limit * self.prior_sd, RULES.rotation_most)
         return Parameter(
-            f"rotation_{force}{self.name}_{self.towards}{end}", 0.0, -min(reach, LARGEST), min(reach, LARGEST), "deg",
+            f"rotation_{force}{self.name}_{self.towards}{end}", 0.0, -reach, reach, "deg",
             prior_sd=self.prior_sd,
             description=f"rotation of {self.side} {self.name} towards {self.towards}{end}",
         )  # fmt: skip

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.correlation.rules import RULES
 from calib.errors import EvaluationError, InputError
 from calib.fingerprint import digest_of
 from calib.space import Parameter
@@ -16,10 +17,6 @@ from calib.structure.modes import Modes
 
 NAME = "mesh_error"
 """Name of the multiple; that of one of several tests bears the name of the test."""
-REACH = 10.0
-"""Half-width of its limits, in standard deviations."""
-LEAST_MAC = 0.5
-"""MAC below which a mode of the finer mesh is not the same one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +76,7 @@ class MeshError:
     def parameter(self) -> Parameter:
         """The multiple, 0 for the mesh as it is, about 1 for the finer one."""
         words = "Error of the mesh, over the change to the finer one"
-        reach = REACH * self.sd
+        reach = RULES.mesh_reach * self.sd
         return Parameter(self.name, 0.0, -reach, reach, "-", prior_sd=self.sd, description=words)
 
     def at(self, values: Mapping[str, float]) -> float:

@@ -9,12 +9,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from calib.correlation.compare import Comparison
-from calib.correlation.mesh_error import LEAST_MAC
 from calib.correlation.problem import ModalProblem
+from calib.correlation.rules import RULES
 from calib.mac import mac
-
-NEAR = 3e-3
-"""Relative difference of frequencies up to which modes may be turned into each other by another mesh."""
 
 
 class BothMeshes(NamedTuple):
@@ -59,13 +56,13 @@ def _matched(here: Comparison, there: Comparison) -> BothMeshes:
     similar = mac(coarse, shapes)
     whole, parts = similar.copy(), np.repeat(shapes[None], len(similar), axis=0)
     for j, f in enumerate(freq):
-        group = np.flatnonzero(np.abs(freq - f) <= NEAR * f)
+        group = np.flatnonzero(np.abs(freq - f) <= RULES.mesh_near * f)
         if len(group) > 1:
             part = shapes[:, group] @ np.linalg.lstsq(shapes[:, group], coarse, rcond=None)[0]
             parts[:, :, j], whole[:, j] = part.T, np.diag(mac(coarse, part))
     own, which = linear_sum_assignment(-(whole + similar))  # of equal ones the mode that is less turned
     names = [here.measured.names[i] for i in pairs.paired[own]]
-    lost = frozenset(n for n, i, j in zip(names, own, which, strict=True) if whole[i, j] < LEAST_MAC)
+    lost = frozenset(n for n, i, j in zip(names, own, which, strict=True) if whole[i, j] < RULES.mesh_mac)
     index, turned = np.full(len(pairs.model_index), -1), shapes.copy()
     index[pairs.paired[own]] = which
     turned[:, which] = parts[own, :, which].T

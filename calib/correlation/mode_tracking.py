@@ -8,19 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from calib.correlation.rules import RULES
 from calib.errors import EvaluationError
 from calib.structure.modal_model import ModalModel
 from calib.structure.modes import Modes
 
-HALVINGS = 5
-"""Number of times a path with apparent crossings is halved."""
-SUCCESSOR = 0.3
-"""Least MAC of a mode with its successor on the shortest step; below it the mode has left the solved modes.
-
-Where two modes veer, the MAC over a step is at least a half.
-"""
-_CROSSED = 0.25
-"""Largest 1 - MAC of a crossing accepted at once, over that of the weakest coupling the shortest step resolves."""
 _SAME_PLACE = 1e-6
 """Bonus for a mode that keeps its number, so that arbitrarily rotated shapes of repeated modes are not exchanged."""
 
@@ -32,14 +24,16 @@ class Point(NamedTuple):
     modes: Modes
 
 
-def follow(model: ModalModel, start: Point, end: Point, columns: np.ndarray, halvings: int = HALVINGS) -> np.ndarray:
+def follow(
+    model: ModalModel, start: Point, end: Point, columns: np.ndarray, halvings: int = RULES.halvings
+) -> np.ndarray:
     """Indices at the end point of modes at the start point.
 
     Modes are matched one to one so that the sum of their MAC, in the weight of the start (the mass matrix, where there
     is one), is largest. Where all keep their numbers and similar shapes, the matching is accepted. Where some seem to
     change numbers, the straight line between the two points is halved repeatedly: two modes that veer exchange their
     shapes but not their numbers, as shorter steps show; two that cross still change numbers on the shortest step. A
-    mode without a similar one there (`SUCCESSOR`) has left the solved modes and is no longer tracked.
+    mode without a similar one there (`RULES.successor`) has left the solved modes and is no longer tracked.
 
     Two modes that veer with the coupling k, over a path on which they move apart by d on both sides, end with a MAC of
     ``1 - (k/d)^2``; a step resolves them while it is no longer than k. Modes that change numbers with shapes so similar
@@ -63,9 +57,9 @@ def follow(model: ModalModel, start: Point, end: Point, columns: np.ndarray, hal
     live = np.flatnonzero(columns >= 0)
     reached = np.full(len(columns), -1)
     found, similarity = _matched(model, start, end, columns[live])
-    reached[live] = np.where(similarity >= SUCCESSOR, found, -1)
+    reached[live] = np.where(similarity >= RULES.successor, found, -1)
     moved = found != columns[live]
-    if not halvings or np.all(similarity >= np.where(moved, 1 - _CROSSED * 4.0**-halvings, SUCCESSOR)):
+    if not halvings or np.all(similarity >= np.where(moved, 1 - RULES.crossed * 4.0**-halvings, RULES.successor)):
         return reached
     integers = {p.name for p in model.space.parameters if p.integer}
     values = {n: v if n in integers else 0.5 * (start.values[n] + v) for n, v in end.values.items()}

@@ -8,18 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-SCALES = (0.02, 0.05, 0.1, 0.2)
-"""Candidate mean absolute deviations of ln frequency from the common ratio."""
-COMMON = 0.15
-"""Mean absolute ln of the common ratio (prior scale)."""
-COMMON_MOST = 8.0
-"""Largest cost of the common ratio: a model in other units is off by an arbitrary common factor."""
-SKIP_MEASURED = 6.0
-"""Cost of a measured mode without a partner, as a negative logarithm of its probability."""
-SKIP_MODEL, SKIP_MODEL_MORE = 3.0, 0.25
-"""Cost of unmeasured model modes: of the first of a run, and of each further one."""
-NEAR_ZERO = 5.0
-"""Model modes below the lowest measured one by more than this factor count as rigid-body modes."""
+from calib.correlation.rules import RULES
 
 _STEP = 0.002
 """Resolution of the common ratio."""
@@ -50,13 +39,13 @@ class Alignment:
 def align_in_order(freq_measured: np.ndarray, freq_model: np.ndarray, costs: Costs | None = None) -> Alignment:
     """Pair two lists of frequencies so that the order is kept and the total cost is least.
 
-    With d = ln(model/measured), a pair costs ``ln(2 b) + |d - c|/b``, an unpaired measured mode `SKIP_MEASURED`, a run
-    of unpaired model modes below or between the pairs `SKIP_MODEL` and `SKIP_MODEL_MORE` for each further one; model
-    modes above the last pair, and those near 0 Hz (see `NEAR_ZERO`), cost nothing. These are negative logarithms of
-    probabilities: Laplace deviations of mean size b from a common ratio c, which costs ``|c|/0.15``. The sum is
-    minimised over b (in `SCALES`), c and the pairs, by dynamic programming with affine gap costs (Gotoh 1982). A model
-    that is too stiff by 10 % overall is therefore not shifted by one mode, and one unmeasured mode does not shift the
-    others.
+    With d = ln(model/measured), a pair costs ``ln(2 b) + |d - c|/b``, an unpaired measured mode `RULES.skip_measured`,
+    a run of unpaired model modes below or between the pairs `RULES.skip_model` and `RULES.skip_model_more` for each
+    further one; model modes above the last pair, and those near 0 Hz (see `RULES.near_zero`), cost nothing. These are
+    negative logarithms of probabilities: Laplace deviations of mean size b from a common ratio c, which costs
+    ``|c|/0.15``. The sum is minimised over b (in `RULES.order_scales`), c and the pairs, by dynamic programming with
+    affine gap costs (Gotoh 1982). A model that is too stiff by 10 % overall is therefore not shifted by one mode, and
+    one unmeasured mode does not shift the others.
 
     Parameters
     ----------
@@ -68,12 +57,12 @@ def align_in_order(freq_measured: np.ndarray, freq_model: np.ndarray, costs: Cos
     rows, columns = np.argsort(freq_measured, kind="stable"), np.argsort(freq_model, kind="stable")
     partners = np.full(len(rows), -1)
     if not (len(rows) and len(columns)):
-        return Alignment(partners, costs or Costs(0.0, SCALES[-1]))
+        return Alignment(partners, costs or Costs(0.0, RULES.order_scales[-1]))
     with np.errstate(divide="ignore"):
         d = np.log(np.asarray(freq_model, dtype=float)[columns]) - np.log(np.asarray(freq_measured)[rows])[:, None]
     if costs is None:
         ratios = _STEP * np.unique([0.0, *np.round(d[np.isfinite(d)] / _STEP)])
-        tried = [(float(c), b) for c in ratios for b in SCALES]
+        tried = [(float(c), b) for c in ratios for b in RULES.order_scales]
         total = _Grid.of(d, np.array(tried)).least()
         costs = Costs(*tried[int(np.argmin(total))])
     pairs = _Grid.of(d, np.array([costs])).pairs()
@@ -97,8 +86,8 @@ class _Grid:
     @classmethod
     def of(cls, d: np.ndarray, tried: np.ndarray) -> _Grid:
         common, scale = tried[:, 0], tried[:, 1]
-        counted = np.cumsum(d[0][:, None] - common > -math.log(NEAR_ZERO), axis=0)
-        skipped = np.where(counted > 0, SKIP_MODEL + SKIP_MODEL_MORE * (counted - 1), 0.0)
+        counted = np.cumsum(d[0][:, None] - common > -math.log(RULES.near_zero), axis=0)
+        skipped = np.where(counted > 0, RULES.skip_model + RULES.skip_model_more * (counted - 1), 0.0)
         leading = np.vstack([np.zeros((1, len(tried))), skipped])
         return cls(d, common, scale, leading)
 
@@ -110,12 +99,12 @@ class _Grid:
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Least costs after i measured and j model modes, ending otherwise or in a run of skipped model modes."""
         never = np.full(len(self.common), np.inf)
-        closed, gap = [np.minimum(before[0], gap_before[0]) + SKIP_MEASURED], [never]
+        closed, gap = [np.minimum(before[0], gap_before[0]) + RULES.skip_measured], [never]
         for j in range(self.d.shape[1]):
             paired = np.minimum(before[j], gap_before[j]) + self._pair(i, j)
-            skipped = np.minimum(before[j + 1], gap_before[j + 1]) + SKIP_MEASURED
+            skipped = np.minimum(before[j + 1], gap_before[j + 1]) + RULES.skip_measured
             closed.append(np.minimum(paired, skipped))
-            gap.append(np.minimum(closed[j] + SKIP_MODEL, gap[j] + SKIP_MODEL_MORE))
+            gap.append(np.minimum(closed[j] + RULES.skip_model, gap[j] + RULES.skip_model_more))
         return closed, gap
 
     def _start(self) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -128,7 +117,7 @@ class _Grid:
         closed, gap = self._start()
         for i in range(len(self.d)):
             closed, gap = self._row(i, closed, gap)
-        return np.min(closed, axis=0) + np.minimum(np.abs(self.common) / COMMON, COMMON_MOST)
+        return np.min(closed, axis=0) + np.minimum(np.abs(self.common) / RULES.order_common, RULES.order_common_most)
 
     def pairs(self) -> list[tuple[int, int]]:
         """Pairs of the single candidate."""
@@ -141,7 +130,7 @@ class _Grid:
         while i > 0:
             closed, gap = rows[i]
             if in_gap:
-                in_gap = bool(gap[j - 1][0] + SKIP_MODEL_MORE < closed[j - 1][0] + SKIP_MODEL)
+                in_gap = bool(gap[j - 1][0] + RULES.skip_model_more < closed[j - 1][0] + RULES.skip_model)
                 j -= 1
                 continue
             before, gap_before = rows[i - 1]

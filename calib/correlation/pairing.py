@@ -10,10 +10,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from calib.correlation.order import Costs, align_in_order
+from calib.correlation.rules import RULES
 from calib.errors import InputError
-
-NEAR, FAR, AGREE = 2.0, 10.0, 1.3
-"""Frequency ratios of a pair: full weight up to the first, none from the second on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,22 +163,25 @@ def by_order(index: np.ndarray) -> Pairing:
 
 
 def frequency_weight(log_ratio: np.ndarray, of_pairs: np.ndarray) -> np.ndarray:
-    """Weight of a pair by its frequencies: 1 up to a factor of `NEAR`, then falling with its logarithm to 0 at `FAR`.
+    """Weight of a pair by its frequencies: 1 up to a factor near 1, then falling with its logarithm to 0.
+
+    The factors are `RULES.pair_near` and `RULES.pair_far`.
 
     Parameters
     ----------
     log_ratio : ndarray
         ln(model/measured).
     of_pairs : ndarray (n_pairs,)
-        Those of the pairs found by shape alone. Where more than half of at least three agree within `AGREE` on a factor
-        beyond `NEAR`, units differ or the whole model is far off, and ratios are taken relative to that factor.
+        Those of the pairs found by shape alone. Where more than half of at least three agree within `RULES.pair_agree`
+        on a factor that is not near 1, units differ or the whole model is far off, and ratios are taken relative to
+        that factor.
     """
     common = float(np.median(of_pairs)) if len(of_pairs) >= 3 else 0.0
-    agreeing = np.sum(np.abs(of_pairs - common) <= math.log(AGREE))
-    if abs(common) <= math.log(NEAR) or 2 * agreeing <= len(of_pairs):
+    agreeing = np.sum(np.abs(of_pairs - common) <= math.log(RULES.pair_agree))
+    if abs(common) <= math.log(RULES.pair_near) or 2 * agreeing <= len(of_pairs):
         common = 0.0
-    off = np.abs(log_ratio - common)
-    return np.clip((math.log(FAR) - off) / math.log(FAR / NEAR), 0.0, 1.0)
+    off, far = np.abs(log_ratio - common), RULES.pair_far
+    return np.clip((math.log(far) - off) / math.log(far / RULES.pair_near), 0.0, 1.0)
 
 
 def in_window(freq: np.ndarray, window: tuple[float, float] | None) -> np.ndarray:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from calib.correlation.function_problem import FunctionProblem
-from calib.correlation.responses import UNKNOWN_STD, ResponseRow, response_rows
+from calib.correlation.responses import ResponseRow, response_rows
+from calib.correlation.rules import RULES
 from calib.differences import STEP, central_jacobian
 from calib.errors import EvaluationError, InputError
 from calib.fault import Fault
@@ -25,7 +26,7 @@ _DEFINITION = "response residual 1"
 
 def response_std(targets: Mapping[str, tuple[float, float | None]]) -> np.ndarray:
     """Standard deviation of every target, (n_rows,); the assumed relative one where none is known."""
-    return np.array([std or UNKNOWN_STD * abs(value) for value, std in targets.values()])
+    return np.array([std or RULES.unknown_response_std * abs(value) for value, std in targets.values()])
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+from calib.correlation.rules import RULES
 from calib.degrees_of_freedom import repeats_dof
 from calib.measurement.responses import response_kinds
 from calib.structure.model import Assumption
-
-UNKNOWN_STD = 0.01
-"""Assumed standard deviation where none is known, relative to the value."""
 
 _LISTED = 4
 """Responses that are listed by name."""
@@ -59,7 +57,7 @@ def assumed_responses(targets: Mapping[str, tuple[float, float | None]]) -> tupl
     unknown = [name for name, (_, std) in targets.items() if not std]
     if not unknown:
         return ()
-    value = f"{100 * UNKNOWN_STD:g}"
+    value = f"{100 * RULES.unknown_response_std:g}"
     reason = "no standard deviation and no accuracy is stated"
     listed = ", ".join(unknown) if len(unknown) <= _LISTED else f"{unknown[0]} and {len(unknown) - 1} more responses"
     return (Assumption(f"standard deviation of {listed}", value, "% of each", reason),)

@@ -9,12 +9,8 @@ import numpy as np
 import pandas as pd
 
 from calib.correlation.compare import Comparison
+from calib.correlation.rules import RULES
 from calib.measurement.modal import DIRECTIONS, Sensor
-
-LEFT = 0.1
-"""Largest residual power of a rigid-body shape, per remaining degree of freedom."""
-SPARE = 3
-"""Least number of sensors beyond the number of distinguishable rigid-body motions."""
 
 COLUMNS = ("mode", "natural_freq", "rigid_share", "sensors", "looks_rigid")
 
@@ -44,7 +40,8 @@ def rigid_share(shapes: np.ndarray, sensors: Sequence[Sensor]) -> tuple[np.ndarr
     """Share of each measured shape's power that rigid-body motion explains, and whether the shape is rigid.
 
     Least squares on the six motions, over measured sensors with coordinates. With p distinguishable motions at n
-    sensors, a shape counts as rigid when ``(1 - share) n/(n - p)`` is at most `LEFT`: a random shape gives about 1.
+    sensors, a shape counts as rigid when ``(1 - share) n/(n - p)`` is at most `RULES.rigid_left`: a random
+    shape gives about 1.
 
     Parameters
     ----------
@@ -69,7 +66,7 @@ def rigid_share(shapes: np.ndarray, sensors: Sequence[Sensor]) -> tuple[np.ndarr
         basis = u[:, s > 1e-6 * s[0]]
         share[i] = float(np.sum(np.abs(basis.T @ shape[known]) ** 2)) / total
         n, p = basis.shape
-        looks[i] = n - p >= SPARE and (1 - share[i]) * n / (n - p) <= LEFT
+        looks[i] = n - p >= RULES.rigid_spare and (1 - share[i]) * n / (n - p) <= RULES.rigid_left
     return share, looks
 
 

@@ -10,8 +10,9 @@ import numpy as np
 from calib.correlation.compare import Comparison
 from calib.correlation.pairing import Pairing
 from calib.correlation.problem import ModalProblem
+from calib.correlation.rules import RULES
+from calib.measurement import rules as reading
 from calib.measurement.check import (
-    GAIN_LEAST,
     Operation,
     SensorFinding,
     check_sensors,
@@ -20,9 +21,6 @@ from calib.measurement.check import (
     log_likelihood_ratio,
     silent_rows,
 )
-
-_TRIED = 12
-"""Corrections of a round that are tested by pairing: those with the largest EMAC at the best partners."""
 
 
 def suspicious_sensors(problem: ModalProblem, found: Comparison) -> tuple[SensorFinding, ...]:
@@ -84,7 +82,7 @@ class _Search:
             tried = [[*chosen, one] for one in self._promising(corrected(shapes, chosen), chosen)]
             pairs = [self._pair(corrected(shapes, operations)) for operations in tried]
             best = max(range(len(pairs)), key=lambda k: _score(pairs[k]), default=None)
-            if best is None or _score(pairs[best]) <= _score(pairing) + GAIN_LEAST * n:
+            if best is None or _score(pairs[best]) <= _score(pairing) + reading.RULES.check_gain * n:
                 break
             chosen, pairing = tried[best], pairs[best]
         out = pairing.model_index.copy()
@@ -117,7 +115,7 @@ class _Search:
         free = np.array([k for k in range(len(shapes)) if k not in busy and np.isfinite(shapes[k]).any()], dtype=int)
         bounds = list(self._bounds(shapes, free))
         bounds.sort(key=lambda pair: -pair[1])
-        return [one for one, _ in bounds[:_TRIED]]
+        return [one for one, _ in bounds[: RULES.corrections_tried]]
 
     def _bounds(self, shapes: np.ndarray, free: np.ndarray) -> Iterator[tuple[Operation, float]]:
         seen, model = np.isfinite(shapes), self.found.sensor_shapes

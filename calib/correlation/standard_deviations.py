@@ -8,15 +8,14 @@ from typing import Literal
 
 import numpy as np
 
-from calib.degrees_of_freedom import POOL_BELOW, beside_known, dof_each, widened_by
+from calib import degrees_of_freedom
+from calib.correlation.rules import RULES
+from calib.degrees_of_freedom import beside_known, dof_each, widened_by
 from calib.errors import InputError
 from calib.mac import is_real
 from calib.measurement.accuracy import KINDS
 from calib.measurement.modal import MeasuredModes
 from calib.structure.model import Assumption
-
-OWN_FROM = 4
-"""Least number of repeats for an individual standard deviation: with fewer, its t variate has no finite variance."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +30,12 @@ class Floors:
         The same for damping ratios, relative.
     shape : float
         The same for shapes, relative to the largest entry; of real and imaginary part each.
-    unknown_freq, unknown_damping, unknown_shape : float
-        Standard deviations, in the same units, where the measurement states none.
+    unknown_freq : float
+        Standard deviation of natural frequencies, relative, where the measurement states none.
+    unknown_damping : float
+        The same of damping ratios.
+    unknown_shape : float
+        The same of shapes, relative to the largest entry.
     """
 
     freq: float = 2e-4
@@ -117,9 +120,9 @@ def std_for(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | None =
     repeat). Values are weighted by their degrees of freedom, and the pooled standard deviation is scaled to the number
     of repeats of each value. Standard deviations from a file with a single repeat, and those of ten or more repeats,
     are used individually, the latter widened by `calib.degrees_of_freedom.widened_by`. Unknown ones, and those of
-    values with fewer than `OWN_FROM` repeats, take the pooled value if there is one, else ``unknown_*`` of the floors;
-    see `assumptions`. The claimed accuracy of the measurement is added in quadrature, and stands alone where the
-    standard deviation is unknown.
+    values with fewer than `RULES.own_from` repeats, take the pooled value if there is one, else ``unknown_*`` of the
+    floors; see `assumptions`. The claimed accuracy of the measurement is added in quadrature, and stands alone where
+    the standard deviation is unknown.
 
     Parameters
     ----------
@@ -235,7 +238,7 @@ def _relative(std: np.ndarray, value: np.ndarray) -> np.ndarray:
 
 
 def _pooled(measured: MeasuredModes, pool: bool | None) -> bool:
-    return 1 < measured.n_repeats < POOL_BELOW if pool is None else pool
+    return 1 < measured.n_repeats < degrees_of_freedom.RULES.pool_below if pool is None else pool
 
 
 def _unknown(measured: MeasuredModes, floors: Floors) -> dict[str, float]:
@@ -277,7 +280,7 @@ def _taken(std: np.ndarray, counts: np.ndarray, unknown: float, pooled: bool, lo
         return common
     if not np.any(n[known] > 1):
         return np.where(known, std, common)
-    return np.where(known & (n >= OWN_FROM), std * widened_by(n - 1.0), common)
+    return np.where(known & (n >= RULES.own_from), std * widened_by(n - 1.0), common)
 
 
 def _beside(std: np.ndarray, floor: float, unknown: float) -> np.ndarray:

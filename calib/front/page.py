@@ -138,10 +138,11 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
         "model": f"{model.name} ({test.pair(model).fingerprint})",
         "analyses": {
             "compare": {
-                **made_with(), "quick": False, "sentences": list(before.sentences), "answer": before.answer.plain,
+                **made_with("compare"), "quick": False, "sentences": list(before.sentences),
+                "answer": before.answer.plain,
             },
             "calibrate": {
-                **made_with(), "quick": False, "sentences": list(fit.sentences), "answer": answer.plain,
+                **made_with("calibrate"), "quick": False, "sentences": list(fit.sentences), "answer": answer.plain,
             },
         },
     })  # fmt: skip

@@ -28,6 +28,7 @@ from calib.given import integer, objects
 from calib.given import names as names_of
 from calib.given import values as values_of
 from calib.inference.genetic import GeneticSettings
+from calib.inference.rules import RULES
 from calib.joint import JointProblem
 from calib.ledger import Ledger
 from calib.problem import Problem as Posed
@@ -35,9 +36,6 @@ from calib.sampling import sample
 from calib.space import ParameterSpace
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
-
-REFITS = 40
-"""Combinations of integer parameters that a fit tries from every start."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -202,7 +200,7 @@ class Problem:
         linear = linear_starts(problem.posed, space.values)
         points = [*linear, space.values, *(space.complete(point) for point in sampled)]
         with told("calibrate", progress) as heard:
-            return Fit(problem, fitted(problem.posed, problem.terms, points, REFITS, told=heard))
+            return Fit(problem, fitted(problem.posed, problem.terms, points, RULES.refits_in_notebook, told=heard))
 
     def search(
         self,

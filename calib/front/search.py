@@ -9,7 +9,6 @@ from functools import partial
 
 import pandas as pd
 
-from calib.analyses.case_starts import REFINE_REFITS
 from calib.analyses.failures import reasons_sentence, stored_reasons
 from calib.analyses.fit_statistics import FitStatistics, Shared, ended, fitted
 from calib.executor import Injected
@@ -19,6 +18,7 @@ from calib.front.responses import Responses
 from calib.inference.agreement import Agreement, agreement, agreement_sentences
 from calib.inference.cases import Case, CaseResult, convergence_table, parameters_table, run_case
 from calib.inference.genetic import GeneticSettings
+from calib.inference.rules import RULES
 from calib.sampling import sample
 from calib.space import ParameterSpace
 from calib.stage import Progress, named
@@ -98,5 +98,7 @@ def searched(
 def refined(problem: PosedProblem, search: Searched, told: Progress) -> FitStatistics:
     """Least squares from the end of each case; from the nominal values where the data clearly prefer that solution."""
     starts = [case.values for case in search.best]
-    nominal = ended(problem.posed, [problem.space.values], REFINE_REFITS, told)
-    return fitted(problem.posed, problem.terms, starts, REFINE_REFITS, shared=Shared(nominal, known=None), told=told)
+    nominal = ended(problem.posed, [problem.space.values], RULES.refits_after_search, told)
+    return fitted(
+        problem.posed, problem.terms, starts, RULES.refits_after_search, shared=Shared(nominal, known=None), told=told
+    )

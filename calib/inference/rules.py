@@ -36,6 +36,12 @@ class Rules:
         squares agree; see `calib.inference.starts.Optima`.
     most_starts : int
         Starts after which a genetic search follows if they do not agree.
+    refits : int
+        Combinations of integer parameters that least squares fits from each start.
+    refits_after_search : int
+        The same after a genetic search: its own and the nearest neighbours.
+    refits_in_notebook : int
+        The same as `refits` where a problem is calibrated in a notebook.
     """
 
     identified: float = 0.025
@@ -49,6 +55,9 @@ class Rules:
     equal: float = 0.1
     unseen: float = 0.10
     most_starts: int = 20
+    refits: int = 25
+    refits_after_search: int = 12
+    refits_in_notebook: int = 40
 
 
 RULES = Rules()

@@ -10,23 +10,9 @@ from typing import Literal
 import numpy as np
 
 from calib.errors import InputError
+from calib.measurement.rules import RULES
 
 FindingKind = Literal["flipped", "swapped", "dead"]
-
-SENSORS_FEWEST = 4
-"""With fewer sensors that move, a wrong one cannot be identified."""
-GAIN_LEAST = 0.002
-"""Rise of the mean MAC below which a correction is not worth a sentence."""
-EVIDENCE_LEAST = 8.0
-"""Log-likelihood ratio required of a single hypothesis; a probability of about 3e-5 for the worst-placed sensor."""
-EVIDENCE_OTHER_MODES = 4.0
-"""Log-likelihood ratio required of all modes but the best one: a single odd mode points to the model, not a sensor."""
-AGAINST_MOST = 0.2
-"""Largest share of MAC lost in some modes to the MAC gained in others."""
-RESIDUAL_LEAST = 4e-4
-"""Floor of 1 - MAC (2 % of the motion), so that exact data do not make a negligible change significant."""
-DEAD_MEASURED, DEAD_MODEL = 1e-3, 0.05
-"""A sensor is dead below the first share of the largest motion in every mode while the model exceeds the second."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +44,9 @@ def check_sensors(measured: np.ndarray, model: np.ndarray, names: Sequence[str])
     withdrawn until each remaining one
 
     - has a log-likelihood ratio of ``(n_sensors - 1) n_modes / 2 * log((1 - MAC_without) / (1 - MAC_with))``, of mean
-      MACs, above `EVIDENCE_LEAST` plus the logarithm of the number of hypotheses. The least-squares residual of a mode
-      is ``|a|^2 (1 - MAC)``, so this is the profile likelihood ratio for normal residuals of one unknown variance: a
-      poor model, or few sensors and modes, need a larger gain;
+      MACs, above `RULES.check_evidence` plus the logarithm of the number of hypotheses. The least-squares residual of a
+      mode is ``|a|^2 (1 - MAC)``, so this is the profile likelihood ratio for normal residuals of one unknown variance:
+      a poor model, or few sensors and modes, need a larger gain;
     - does not rest on a single mode, and lowers the MAC of hardly any mode.
 
     With a single mode (which determines neither sign nor exchange) or fewer than four sensors there are no findings.
@@ -110,9 +96,9 @@ def check_sensors(measured: np.ndarray, model: np.ndarray, names: Sequence[str])
         findings.append(SensorFinding("dead", (names[k],), before, after, sentence))
         a, seen = np.where(without, a, 0.0), without
     # a mode with fewer sensors is fitted, not tested, by its free factor
-    enough = (seen & (a != 0)).sum(axis=0) >= SENSORS_FEWEST
+    enough = (seen & (a != 0)).sum(axis=0) >= RULES.check_sensors
     rows = np.flatnonzero(seen[:, enough].any(axis=1))
-    if enough.sum() < 2 or len(rows) < SENSORS_FEWEST:
+    if enough.sum() < 2 or len(rows) < RULES.check_sensors:
         return tuple(findings)
     state = _Shapes(a[np.ix_(rows, enough)], b[np.ix_(rows, enough)], seen[np.ix_(rows, enough)])
     for operation in _search(state):
@@ -180,7 +166,7 @@ def _dead(a: np.ndarray, b: np.ndarray, seen: np.ndarray) -> tuple[list[int], li
     rows, kinds = [], []
     for k, kind in silent_rows(a, seen).items():
         motion = np.abs(b[k, seen[k]])
-        if motion.max() > DEAD_MODEL and (kind == "zero" or np.ptp(motion) > DEAD_MODEL):
+        if motion.max() > RULES.dead_model and (kind == "zero" or np.ptp(motion) > RULES.dead_model):
             rows.append(k)
             kinds.append(kind)
     return rows, kinds
@@ -193,7 +179,7 @@ def silent_rows(a: np.ndarray, seen: np.ndarray) -> dict[int, str]:
         mine = a[k, seen[k]]
         if len(mine) < 2:
             continue
-        if np.abs(mine).max() < DEAD_MEASURED:
+        if np.abs(mine).max() < RULES.dead_measured:
             out[k] = "zero"
         # two equal values are a coincidence, and the point to which shapes are scaled is 1 in every mode
         elif len(mine) > 2 and np.abs(mine[0]) < 0.999 and np.abs(mine - mine[0]).max() < 1e-9 * np.abs(mine[0]):
@@ -216,7 +202,7 @@ def _search(start: _Shapes) -> list[Operation]:
         kept = _prune(start, chosen)
         mac = start.after(kept).mean_mac
         better = mac - best_mac
-        if better > GAIN_LEAST or (better > -GAIN_LEAST and kept and len(kept) < len(best)):
+        if better > RULES.check_gain or (better > -RULES.check_gain and kept and len(kept) < len(best)):
             best, best_mac = kept, mac
     return best
 
@@ -228,7 +214,7 @@ def _grow(start: _Shapes, given: Sequence[Operation], *, flips: bool, swaps: boo
         state = start.after(chosen)
         free = np.ones(len(start.a), dtype=bool)
         free[[row for rows in chosen for row in rows]] = False
-        best_mac, best = state.mean_mac + GAIN_LEAST, chosen
+        best_mac, best = state.mean_mac + RULES.check_gain, chosen
         for candidate, mac in _additions(state, np.flatnonzero(free), flips=flips, swaps=swaps):
             if mac > best_mac:
                 best_mac, best = mac, [*chosen, candidate]
@@ -277,27 +263,29 @@ def _evidence(without: _Shapes, corrected: _Shapes) -> tuple[float, bool]:
     n_sensors = len(corrected.a)
     gain = corrected.mac - without.mac
     evidence = log_likelihood_ratio(n_sensors, len(gain), without.mean_mac, corrected.mean_mac)
-    other_modes = (n_sensors - 1) * (gain.sum() - gain.max()) / (2 * max(1.0 - corrected.mean_mac, RESIDUAL_LEAST))
+    other_modes = (
+        (n_sensors - 1) * (gain.sum() - gain.max()) / (2 * max(1.0 - corrected.mean_mac, RULES.check_residual))
+    )
     lost, won = -gain[gain < 0].sum(), gain[gain > 0].sum()
     accepted = (
         evidence >= evidence_required(n_sensors)
-        and other_modes >= EVIDENCE_OTHER_MODES
-        and lost <= AGAINST_MOST * won
-        and corrected.mean_mac - without.mean_mac >= GAIN_LEAST
+        and other_modes >= RULES.check_other_modes
+        and lost <= RULES.check_against * won
+        and corrected.mean_mac - without.mean_mac >= RULES.check_gain
     )
     return evidence, bool(accepted)
 
 
 def log_likelihood_ratio(n_sensors: int, n_modes: int, without: float, corrected: float) -> float:
     """Evidence for a correction, from the mean MAC without and with it; see `check_sensors`."""
-    residual, residual_without = (max(1.0 - m, RESIDUAL_LEAST) for m in (corrected, without))
+    residual, residual_without = (max(1.0 - m, RULES.check_residual) for m in (corrected, without))
     # the complex factor of every mode costs one degree of freedom
     return (n_sensors - 1) * n_modes / 2 * math.log(residual_without / residual)
 
 
 def evidence_required(n_sensors: int) -> float:
     """Log-likelihood ratio that one correction needs, corrected for the number of hypotheses."""
-    return EVIDENCE_LEAST + math.log(n_sensors * (n_sensors + 1) / 2)
+    return RULES.check_evidence + math.log(n_sensors * (n_sensors + 1) / 2)
 
 
 def _sentence(before: _Shapes, after: _Shapes, rows: Operation, names: tuple[str, ...]) -> str:

@@ -13,27 +13,14 @@ from calib.mac import mac
 from calib.measurement.alignment import aligned_repeats, middle
 from calib.measurement.average import mean_and_std, scaled
 from calib.measurement.outliers import (
-    NAMED_LEVEL,
-    SHAPE_RESOLUTION,
-    VALUE_LEVEL,
     emptied,
     far_values,
     find_outlying,
 )
+from calib.measurement.rules import RULES
 
 Pooling = Literal["robust", "plain"]
 Kind = Literal["frequency", "damping", "shape", "sensor", "entry", "response"]
-
-FOUND_MOST = 25
-"""Largest number of disagreements of shapes searched for in one measurement."""
-DEAD_BELOW, TURNED_BELOW = 0.2, -0.5
-"""Share of its usual motion below which a channel is dead, and gain below which it is turned round."""
-ENTRY_SHARE = 0.8
-"""A single entry with this share of a block's excess is reported instead of the block."""
-MOVES_ABOVE = 0.1
-"""Root mean square motion (largest entry of a mode: 1) from which a sensor's sign can be compared in two repeats."""
-ALIKE_ABOVE = 0.8
-"""MAC over the modes above which the motions of two channels are collinear."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +150,8 @@ def value_disagreements(
 ) -> list[Disagreement]:
     """Single values (n_repeats, n_values) that disagree with the other repeats, relative to their size.
 
-    Outliers at `VALUE_LEVEL` are left out if ``robust``; further ones at `NAMED_LEVEL` are reported and kept.
+    Outliers at `RULES.value_level` are left out if ``robust``; further ones at `RULES.named_level` are reported and
+    kept.
 
     Parameters
     ----------
@@ -178,9 +166,9 @@ def value_disagreements(
     """
     groups = np.array(kinds if kinds is not None else [""] * len(names))
     places = [np.flatnonzero(groups == own) for own in dict.fromkeys(groups.tolist())]
-    far = [one for columns in places for one in far_values(table, columns, VALUE_LEVEL / len(places))]
+    far = [one for columns in places for one in far_values(table, columns, RULES.value_level / len(places))]
     rest = emptied(table, far)
-    near = [one for columns in places for one in far_values(rest, columns, NAMED_LEVEL / len(places))]
+    near = [one for columns in places for one in far_values(rest, columns, RULES.named_level / len(places))]
     out = []
     for found, before in ((far, table), (near, rest if robust else table)):
         (mean, std), (clean_mean, clean_std) = mean_and_std(before), mean_and_std(emptied(before, found))
@@ -236,7 +224,7 @@ def _shape_disagreements(
     given = np.stack([scaled(shapes)[0] for shapes in stack])
     cleaned = given.copy()
     found: list[_Block] = []
-    while len(found) < FOUND_MOST:
+    while len(found) < RULES.found_most:
         worst = _worst(aligned_repeats(cleaned))
         if worst is None:
             break
@@ -252,14 +240,18 @@ def _shape_disagreements(
 def _worst(stack: np.ndarray) -> _Block | None:
     """The outlying channel, shape or entry of the largest excess."""
     n_repeats, n_sensors, n_modes = stack.shape
-    entries = find_outlying(stack.reshape(n_repeats, -1, 1), SHAPE_RESOLUTION)
+    entries = find_outlying(stack.reshape(n_repeats, -1, 1), RULES.shape_resolution)
     single = [_Block(o.repeat, o.group // n_modes, o.group % n_modes, o.times, o.excess) for o in entries]
     blocks = list(single)
     if n_modes > 1:
-        blocks += [_Block(o.repeat, o.group, -1, o.times, o.excess) for o in find_outlying(stack, SHAPE_RESOLUTION)]
+        blocks += [
+            _Block(o.repeat, o.group, -1, o.times, o.excess) for o in find_outlying(stack, RULES.shape_resolution)
+        ]
     if n_sensors > 1:
         turned = stack.transpose(0, 2, 1)
-        blocks += [_Block(o.repeat, -1, o.group, o.times, o.excess) for o in find_outlying(turned, SHAPE_RESOLUTION)]
+        blocks += [
+            _Block(o.repeat, -1, o.group, o.times, o.excess) for o in find_outlying(turned, RULES.shape_resolution)
+        ]
     if not blocks:
         return None
     best = max(blocks, key=lambda b: b.excess)
@@ -267,7 +259,7 @@ def _worst(stack: np.ndarray) -> _Block | None:
         b
         for b in single
         if b.repeat == best.repeat and (b.sensor == best.sensor or b.mode == best.mode)
-        and b.excess >= ENTRY_SHARE * best.excess
+        and b.excess >= RULES.entry_share * best.excess
     ]  # fmt: skip
     return max(inside, key=lambda b: b.excess) if inside else best
 
@@ -294,9 +286,9 @@ def _reported(
     mode = modes[one.mode] if one.mode >= 0 else ""
     kind: Kind = "entry" if sensor and mode else "sensor" if sensor else "shape"
     value = gain
-    if kind == "sensor" and share < DEAD_BELOW:
+    if kind == "sensor" and share < RULES.dead_below:
         what = f"sensor {sensor} looks dead (it moves {100 * share:.0f} % of what it does in the other repeats)"
-    elif kind == "sensor" and gain < TURNED_BELOW:
+    elif kind == "sensor" and gain < RULES.turned_below:
         what = f"sensor {sensor} looks turned round (gain {gain:.2f} against the other repeats)"
     elif kind == "sensor":
         what = f"sensor {sensor} differs from the other repeats (gain {gain:.2f})"
@@ -327,15 +319,15 @@ def _two_repeats(repeats: Sequence[str], sensors: Sequence[str], stack: np.ndarr
     sizes = np.stack([np.sqrt((np.abs(x) ** 2).sum(axis=1) / modes) for x in (one, two)])
     product = (one.conj() * two).sum(axis=1)
     small = sizes.min(axis=0)
-    collinear = np.abs(product) ** 2 > ALIKE_ABOVE * np.prod(sizes**2, axis=0) * modes**2
+    collinear = np.abs(product) ** 2 > RULES.collinear_above * np.prod(sizes**2, axis=0) * modes**2
     names = f"{repeats[held[0]]} and {repeats[held[1]]}"
     out = []
     for i in np.flatnonzero(modes > 1).tolist():
         large = float(sizes[:, i].max())
-        if large <= MOVES_ABOVE:
+        if large <= RULES.moves_above:
             continue
         gain = float(product[i].real / (modes[i] * large**2))
-        if small[i] < DEAD_BELOW / 2 * large:
+        if small[i] < RULES.dead_below / 2 * large:
             which = repeats[held[int(np.argmin(sizes[:, i]))]]
             share = small[i] / large
             sentence = (
@@ -343,7 +335,7 @@ def _two_repeats(repeats: Sequence[str], sensors: Sequence[str], stack: np.ndarr
                 "repeat); kept: with two repeats, none is left out"
             )
             out.append(Disagreement("sensor", which, "", sensors[i], nan, share, nan, nan, nan, nan, False, sentence))
-        elif gain < TURNED_BELOW and collinear[i]:
+        elif gain < RULES.turned_below and collinear[i]:
             sentence = (
                 f"sensor {sensors[i]} has opposite signs in {names}; it is turned round in one of them, and both "
                 "are kept"

@@ -13,9 +13,10 @@ from calib.errors import InputError
 from calib.fingerprint import digest_of
 from calib.measurement.accuracy import NOTHING, Claim
 from calib.measurement.disagreements import Disagreement
-from calib.measurement.frf_lines import PROMINENCE, WIDTHS, in_bands, resonances
+from calib.measurement.frf_lines import in_bands, resonances
 from calib.measurement.modal import Sensor
 from calib.measurement.places import Misplaced
+from calib.measurement.rules import RULES
 
 Quantity = Literal["receptance", "mobility", "accelerance"]
 QUANTITIES: Mapping[Quantity, str] = {"receptance": "", "mobility": "s", "accelerance": "s2"}
@@ -207,10 +208,12 @@ class MeasuredFRFs:
         """Sum of squared moduli over all functions, (n_freq,), whose peaks are resonances."""
         return np.asarray(np.nansum(np.abs(self.values) ** 2, axis=(1, 2)))
 
-    def lines_near_resonances(self, widths: float = WIDTHS, prominence: float = PROMINENCE) -> MeasuredFRFs:
+    def lines_near_resonances(
+        self, widths: float = RULES.resonance_widths, prominence: float = RULES.prominence
+    ) -> MeasuredFRFs:
         """The lines around peaks of `power`, which bear nearly all information on frequencies and damping.
 
-        A peak rises above the valleys beside it and above the noise of the repeats (see `frf_lines.ABOVE_NOISE`).
+        A peak rises above the valleys beside it and above the noise of the repeats (see `RULES.above_noise`).
 
         Parameters
         ----------

@@ -7,15 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-WIDTHS = 5.0
-"""Window around a resonance over its half-power width: at its ends a mode has 1/26 of its power at the peak."""
-
-PROMINENCE = 6.0
-"""Least rise of a resonance above the valleys beside it, dB: twice the 3 dB by which its width is measured."""
-
-ABOVE_NOISE = 10.0
-"""Least power of a resonance over the mean power of the noise: noise alone exceeds it once in 20 000 lines of a single
-function, ``exp(-10)``, and less often in sums over several."""
+from calib.measurement.rules import RULES
 
 HALF_POWER = 10 * np.log10(2)
 """dB."""
@@ -38,7 +30,7 @@ class Resonance(NamedTuple):
 
 
 def resonances(
-    freq: np.ndarray, power: np.ndarray, prominence: float = PROMINENCE, noise: np.ndarray | float = 0.0
+    freq: np.ndarray, power: np.ndarray, prominence: float = RULES.prominence, noise: np.ndarray | float = 0.0
 ) -> tuple[Resonance, ...]:
     """Peaks with their half-power widths, in ascending order.
 
@@ -49,15 +41,15 @@ def resonances(
     power : ndarray (n_freq,)
         Sum of squared moduli over all functions.
     prominence : float
-        See `PROMINENCE`; at least 3 dB, below which a peak has no half-power width.
+        See `RULES.prominence`; at least 3 dB, below which a peak has no half-power width.
     noise : ndarray (n_freq,) or float
-        Mean power of the noise; see `ABOVE_NOISE`.
+        Mean power of the noise; see `RULES.above_noise`.
     """
     from scipy.signal import find_peaks  # slow to import, and not every command looks for resonances
 
     level = 10 * np.log10(np.maximum(power, 1e-300))
     peaks, _ = find_peaks(level, prominence=max(prominence, HALF_POWER))
-    loud = peaks[(power >= ABOVE_NOISE * noise)[peaks]]
+    loud = peaks[(power >= RULES.above_noise * noise)[peaks]]
     return tuple(Resonance(float(freq[k]), _width(freq, level, k)) for k in loud.tolist())
 
 

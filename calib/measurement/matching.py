@@ -10,23 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from calib.errors import InputError
 from calib.mac import mac
-
-FREQ_FARTHEST = 0.1
-"""Largest relative difference of frequency between repeats of one mode."""
-MAC_LEAST = 0.5
-"""Smallest MAC between repeats of one mode."""
-SCORE_LEAST = 0.25
-"""Below this score (see `match_modes`) two modes are not the same."""
-AMBIGUOUS = 0.1
-"""An assignment whose sum of scores is this close to the best one counts as equally good."""
-SAME_FREQ = 0.02
-"""A mode this close in frequency to one that its repeat lacks is that mode, even if its shape differs."""
-MAC_BUT_ONE = 0.9
-"""With this MAC without one sensor it is the same mode, and that sensor is wrong in one of the repeats."""
-SENSORS_FEWEST_BUT_ONE = 5
-"""Fewest sensors for that test."""
-SENSORS_FEWEST = 3
-"""With fewer common sensors a MAC says nothing, and modes are matched by frequency."""
+from calib.measurement.rules import RULES
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +56,10 @@ def match_modes(sources: Sequence[str], freqs: Sequence[np.ndarray], shapes: Seq
     columns: list[dict[int, int]] = [{0: k} for k in range(len(freqs[0]))]
     for r in range(1, len(freqs)):
         score = _mean_scores(columns, freqs, shapes, r)
-        score[score < SCORE_LEAST] = 0.0
+        score[score < RULES.same_score] = 0.0
         rows, cols = linear_sum_assignment(score, maximize=True)
         chosen = {int(i): int(c) for i, c in zip(rows, cols, strict=True) if score[i, c] > 0}
-        _refuse_ambiguous(sources[r], freqs[r], score, chosen, by_shape=shapes[r].shape[0] >= SENSORS_FEWEST)
+        _refuse_ambiguous(sources[r], freqs[r], score, chosen, by_shape=shapes[r].shape[0] >= RULES.sensors_for_mac)
         for i in range(len(freqs[r])):
             if i in chosen:
                 columns[chosen[i]][r] = i
@@ -112,10 +96,10 @@ def _mean_scores(
 
 def _scores(freq: np.ndarray, shapes: np.ndarray, other_freq: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Scores of the modes of one repeat with modes of other repeats, (n_modes, n_others)."""
-    closeness = 1.0 - ((freq[:, None] / other_freq - 1.0) / FREQ_FARTHEST) ** 2
+    closeness = 1.0 - ((freq[:, None] / other_freq - 1.0) / RULES.farthest_freq) ** 2
     agreement = mac(shapes, others)
     shared = np.isfinite(shapes).astype(float).T @ np.isfinite(others).astype(float)
-    agreement = np.where(shared < SENSORS_FEWEST, 1.0, np.where(agreement < MAC_LEAST, 0.0, agreement))
+    agreement = np.where(shared < RULES.sensors_for_mac, 1.0, np.where(agreement < RULES.same_mac, 0.0, agreement))
     return np.asarray(np.maximum(closeness, 0.0) * agreement)
 
 
@@ -130,7 +114,7 @@ def _refuse_ambiguous(
         again = {int(a): int(b) for a, b in zip(rows, cols, strict=True) if other[a, b] > 0}
         # frequencies alone never cross
         crossed = not by_shape and set(again) == set(chosen) and set(again.values()) == set(chosen.values())
-        if crossed or best - sum(other[a, b] for a, b in again.items()) >= AMBIGUOUS:
+        if crossed or best - sum(other[a, b] for a, b in again.items()) >= RULES.ambiguous:
             continue
         doubtful = sorted({a for a in {*again, *chosen} if again.get(a) != chosen.get(a)})
         named = ", ".join(f"{a + 1} ({freq[a]:.4g} Hz)" for a in doubtful)
@@ -153,7 +137,7 @@ def _bad_shapes(
             for d, other in enumerate(columns)
             if len(other) > max(len(column), len(freqs) / 2)
             and not column.keys() & other.keys()
-            and abs(mean[c] / mean[d] - 1.0) <= SAME_FREQ
+            and abs(mean[c] / mean[d] - 1.0) <= RULES.same_freq
         ]
         if near:
             owner[c] = min(near, key=lambda d: abs(mean[c] / mean[d] - 1.0))
@@ -161,7 +145,7 @@ def _bad_shapes(
     aside = []
     for c, d in owner.items():
         pairs = [(shapes[r][:, k], shapes[j][:, m]) for r, k in columns[c].items() for j, m in columns[d].items()]
-        if np.median([_mac_but_one(a, b) for a, b in pairs]) >= MAC_BUT_ONE:
+        if np.median([_mac_but_one(a, b) for a, b in pairs]) >= RULES.mac_but_one:
             columns[d].update(columns[c])
             continue
         for r, k in columns[c].items():
@@ -173,7 +157,7 @@ def _bad_shapes(
 def _mac_but_one(one: np.ndarray, other: np.ndarray) -> float:
     """Largest MAC of two shapes without one sensor; 0 with too few sensors."""
     shared = np.flatnonzero(np.isfinite(one) & np.isfinite(other))
-    if len(shared) < SENSORS_FEWEST_BUT_ONE:
+    if len(shared) < RULES.sensors_but_one:
         return 0.0
     rest = np.where(np.eye(len(shared), dtype=bool), complex(np.nan, np.nan), one[shared][:, None])
     return float(mac(rest, other[shared][:, None]).max())

@@ -8,29 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-LEVEL = 2e-4
-"""Significance level of one test of a table of Gaussian repeats; see `find_outlying` for the false-alarm rate."""
-VALUE_LEVEL = 5e-4
-"""The same for a table of single numbers, which is tested once; shapes are tested as entries, channels and modes."""
-NAMED_LEVEL = 1e-2
-"""The same for single numbers that are reported but kept."""
-REPEATS_FEWEST = 3
-"""Of two repeats that disagree, the wrong one is unknown."""
-OUTLIERS_MOST = 10
-"""Largest number of outliers searched for in one group, always fewer than half of it."""
-GROUPS_FEWEST = 3
-"""With fewer groups the variances of the others are not used to moderate that of a group."""
-ALIKE = (2.0, 4.0, 8.0, 16.0, 64.0)
-"""Degrees of freedom of the variances of groups around their common one: hypotheses of equal prior probability.
-
-The standard deviations of groups then spread by a factor of 1.9, 1.5, 1.3, 1.2 and 1.1.
-"""
-SPOILT, SPOILT_WIDTH = 0.05, 14.0
-"""Share of groups whose variance contains an outlier, and the width over which its logarithm may then lie."""
-SHAPE_RESOLUTION = 1e-4
-"""Standard deviation, in parts of the largest entry, that rounding alone gives shapes."""
-VALUE_RESOLUTION = 1e-6
-"""Smallest relative standard deviation of a single number: closer agreement of repeats counts as rounding."""
+from calib.measurement.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -53,12 +31,12 @@ class Outlying:
 
 
 def find_outlying(
-    blocks: np.ndarray, resolution: float | np.ndarray = 0.0, level: float = LEVEL
+    blocks: np.ndarray, resolution: float | np.ndarray = 0.0, level: float = RULES.outlier_level
 ) -> tuple[Outlying, ...]:
     """Blocks that are outliers among the repeats of their group.
 
     The generalised extreme studentised deviate test (Rosner 1983) over the repeats of each group: the most distant
-    repeat is removed, up to `OUTLIERS_MOST` times and short of half of them; all that were removed up to the last
+    repeat is removed, up to `RULES.outliers_most` times and short of half of them; all that were removed up to the last
     significant one are outliers, so that two similar ones do not mask each other. Outliers are then left out of the
     other groups' variances, and the test is repeated until no more are found. A distance is tested by an F test of
 
@@ -69,11 +47,11 @@ def find_outlying(
     moderated by the other groups (Smyth 2004): ``(d0 s0^2 + d s^2)/(d0 + d)``. The prior of a group is estimated
     without the group itself, so that an outlier is not compared with its own variance: ``s0^2`` is the median of the
     logarithms of the other groups' variances, and its uncertainty reduces the prior degrees of freedom ``d0``. A few
-    groups do not determine how similar the variances of groups are; the p-value is the mean over `ALIKE`, weighted by
-    the likelihood of the other groups' variances, each of which may contain an outlier. Groups of very different
-    variances thus get few prior degrees of freedom. The level is divided by the number of blocks (Bonferroni). That
-    holds for one step; for a single group from which two or more may be removed (five repeats or more), any step is
-    significant up to twice as often.
+    groups do not determine how similar the variances of groups are; the p-value is the mean over `RULES.alike_dof`,
+    weighted by the likelihood of the other groups' variances, each of which may contain an outlier. Groups of very
+    different variances thus get few prior degrees of freedom. The level is divided by the number of blocks
+    (Bonferroni). That holds for one step; for a single group from which two or more may be removed (five repeats or
+    more), any step is significant up to twice as often.
 
     Parameters
     ----------
@@ -94,7 +72,7 @@ def find_outlying(
     Rosner 1983, Technometrics 25; Smyth 2004, Statistical Applications in Genetics and Molecular Biology 3.
     """
     n_repeats, n_groups, _ = blocks.shape
-    if n_repeats < REPEATS_FEWEST or not n_groups:
+    if n_repeats < RULES.outlier_repeats or not n_groups:
         return ()
     parts = 2 if np.iscomplexobj(blocks) and np.any(np.nan_to_num(blocks).imag != 0) else 1
     kept = np.isfinite(blocks)
@@ -122,9 +100,9 @@ def _outlying(
     values, kept = values.copy(), kept.copy()
     removed: list[list[Outlying]] = [[] for _ in range(n_groups)]
     last = np.zeros(n_groups, dtype=int)
-    for _ in range(min(OUTLIERS_MOST, (len(values) - 1) // 2)):
+    for _ in range(min(RULES.outliers_most, (len(values) - 1) // 2)):
         count = kept.any(axis=2).sum(axis=0)
-        active = (count >= REPEATS_FEWEST) & (2 * (start - count + 1) < start)
+        active = (count >= RULES.outlier_repeats) & (2 * (start - count + 1) < start)
         if not active.any():
             break
         distance, excess, others = _leave_one_out(values, kept)
@@ -210,7 +188,7 @@ def _variance_prior(variance: np.ndarray, dof: np.ndarray, known: np.ndarray) ->
     """Prior degrees of freedom of each group's variance, and the common variance of the other groups."""
     n_groups = len(variance)
     used = np.flatnonzero(known & (variance > 0))
-    if len(used) < GROUPS_FEWEST:
+    if len(used) < RULES.outlier_groups:
         nothing = np.zeros((1, n_groups))
         return _VariancePrior(nothing + 1.0, nothing, nothing)
     half = dof[used] / 2.0
@@ -220,7 +198,7 @@ def _variance_prior(variance: np.ndarray, dof: np.ndarray, known: np.ndarray) ->
     others[used] -= 1
     middle = np.full(n_groups, np.median(logs))
     middle[used] = _median_of_others(logs)
-    half_prior = np.array(ALIKE)[:, None] / 2.0
+    half_prior = np.array(RULES.alike_dof)[:, None] / 2.0
     within = float(np.mean(_trigamma(half)))
     # the median of Gaussian numbers has the efficiency 2/pi of their mean
     between = _trigamma(half_prior)
@@ -234,7 +212,7 @@ def _variance_prior(variance: np.ndarray, dof: np.ndarray, known: np.ndarray) ->
         - (half + half_prior) * np.log1p(half / half_prior * np.exp(z))
         - special.betaln(half, half_prior)
     )
-    likelihood = np.log((1.0 - SPOILT) * density + SPOILT / SPOILT_WIDTH)
+    likelihood = np.log((1.0 - RULES.spoilt) * density + RULES.spoilt / RULES.spoilt_width)
     log_weight = np.repeat(likelihood.sum(axis=1, keepdims=True), n_groups, axis=1)
     log_weight[:, used] -= likelihood
     weight = np.exp(log_weight - log_weight.max(axis=0))
@@ -287,7 +265,7 @@ def far_values(table: np.ndarray, columns: np.ndarray, level: float) -> list[Out
     divisor = np.where(usable, size, 1.0)
     rounding = np.where(usable, _quantum(own) / divisor, 0.0) / np.sqrt(12.0)
     relative = np.where(usable, own / divisor, np.nan)
-    found = find_outlying(relative[:, :, None], np.maximum(rounding, VALUE_RESOLUTION), level)
+    found = find_outlying(relative[:, :, None], np.maximum(rounding, RULES.value_resolution), level)
     return [replace(one, group=int(columns[one.group])) for one in found]
 
 

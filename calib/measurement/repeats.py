@@ -14,10 +14,9 @@ from calib.mac import mac
 from calib.measurement.average import mean_and_std, scaled
 from calib.measurement.disagreements import Disagreement, Pooling, bad_shape, disagreeing, without
 from calib.measurement.matching import Matching, match_modes
+from calib.measurement.rules import RULES
 
 StdOf = Literal["mean", "repeat"]
-MAC_LOWEST = 0.5
-"""Below this MAC with the first repeat, a note says that a mode may not be the same one."""
 
 
 @dataclass(frozen=True)
@@ -357,7 +356,7 @@ def _average_shapes(
                 stack[k, :, m] = complex(np.nan, np.nan)
                 continue
             agreement = float(mac(target[:, None], column[:, None])[0, 0])
-            if agreement < MAC_LOWEST:
+            if agreement < RULES.noted_mac:
                 notes.append(
                     f"mode {name} of {sources[k]} has a MAC of only {agreement:.2f} with that of "
                     f"{sources[reference]}; it may be another mode"

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.degrees_of_freedom import POOL_BELOW, dof_each, widened_by
+from calib import degrees_of_freedom
+from calib.degrees_of_freedom import dof_each, widened_by
 from calib.errors import InputError
 from calib.given import path as path_of
 from calib.measurement.accuracy import widened
@@ -68,7 +69,9 @@ class MeasuredResponses:
     def pooled_repeats(self) -> float | None:
         """Equivalent number of repeats with standard deviations pooled over the responses of a kind; see `pooled`."""
         fewest = self.repeats
-        return fewest if fewest is None or fewest < POOL_BELOW else 1.0 + dof_each(fewest - 1.0)
+        if fewest is None or fewest < degrees_of_freedom.RULES.pool_below:
+            return fewest
+        return 1.0 + dof_each(fewest - 1.0)
 
     def pooled(self, kinds: Mapping[str, str]) -> MeasuredResponses:
         """The same with the relative standard deviations of few repeats pooled over the responses of each kind.
@@ -86,7 +89,7 @@ class MeasuredResponses:
         """
         if self.repeats is None:
             return self
-        if self.repeats >= POOL_BELOW:
+        if self.repeats >= degrees_of_freedom.RULES.pool_below:
             return replace(self, targets={name: self._widened(name) for name in self.targets})
         square: dict[str, list[tuple[float, float]]] = {}
         repeated = [n for n in self.targets if self.counts[n] > 1 and _relative(self, n) < 1.0]
@@ -106,8 +109,8 @@ class MeasuredResponses:
 
     def _widened(self, name: str) -> tuple[float, float | None]:
         value, std = self.targets[name]
-        if std is None or self.counts[name] < POOL_BELOW:  # one line only: the standard deviation is that of the file
-            return value, std
+        if std is None or self.counts[name] < degrees_of_freedom.RULES.pool_below:
+            return value, std  # one line only: the standard deviation is that of the file
         return value, std * float(widened_by(self.counts[name] - 1.0))
 
     def claiming(

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
+from calib import degrees_of_freedom
 from calib.candidate import Candidate
-from calib.degrees_of_freedom import LEAST_DOF
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.score import Scores
 
@@ -60,7 +60,7 @@ class AdequacyTests:
     @property
     def can_tell(self) -> bool:
         """Whether enough degrees of freedom are left to reject the fit."""
-        return self.dof >= LEAST_DOF
+        return self.dof >= degrees_of_freedom.RULES.least
 
     def passes(self, alpha: float) -> bool:
         """Whether nothing seems missing."""

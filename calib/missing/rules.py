@@ -96,10 +96,14 @@ class Rules:
         Number of faults of the measurement that are fitted.
     confounded : float
         Correlation of signatures from which effects are reported as confounded.
-    early, late : float
-        Parts of the budget: for single effects, and for choosing integer parameters again.
-    pairs_of_best, pairs_of_next : int
-        Effects tried beside the best one and beside the runner-up.
+    early : float
+        Part of the budget for single effects.
+    late : float
+        Part of the budget after which integer parameters are not chosen again.
+    pairs_of_best : int
+        Effects tried beside the best one.
+    pairs_of_next : int
+        Effects tried beside the runner-up.
     noise_level : float
         Probability that noise alone gives the score that figures mark as noise.
     suspect : float
@@ -108,8 +112,10 @@ class Rules:
         Ratio of scores from which a further measurement is recommended.
     left_noise : float
         Score that noise gives a local perturbation anyway, where the place of what is left is sought.
-    left_near, left_most : float
-        Relative distance below which what is left is near the effect; share of it that is most of it.
+    left_near : float
+        Relative distance below which what is left is near the effect.
+    left_most : float
+        Share of what is left, in the modes that an effect changes, that is most of it.
     left_changed : float
         Share of an effect's signature in the fewest modes that count as those it changes.
     unexplained_size : float

@@ -8,7 +8,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pandas as pd
 
-from calib.degrees_of_freedom import LEAST_DOF, chance, hat_root
+from calib import degrees_of_freedom
+from calib.degrees_of_freedom import chance, hat_root
 from calib.missing.goodness import Fit, Layout, overall_p
 from calib.missing.recommendation import as_ratio
 from calib.missing.rules import RULES
@@ -147,7 +148,8 @@ def suspects(
         rest = _rest(e, root, [tried[j] for j in some])
         found = layout.sums(*rest)
         table.loc[some, "p_fit_without"], left[some] = found.overall, found.kinds["dof"].sum(axis=1)
-    table["explains"] = (table["p"] < level) & (table["p_fit_without"] > level) & (left >= LEAST_DOF)
+    enough = left >= degrees_of_freedom.RULES.least
+    table["explains"] = (table["p"] < level) & (table["p_fit_without"] > level) & enough
     # Of two that explain, the one with fewer rows is the more specific.
     order = np.lexsort((-table["chi2"], np.where(table["explains"], table["rows"], 0), ~table["explains"].astype(bool)))
     return table.iloc[order].reset_index(drop=True)

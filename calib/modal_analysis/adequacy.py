@@ -6,23 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.measurement import rules as reading
 from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.frf_lines import PROMINENCE, WIDTHS, resonances
+from calib.measurement.frf_lines import resonances
 from calib.modal_analysis.model import ModalModel, refined_again
-from calib.modal_analysis.stabilisation import DAMPING_CHANGE, FREQ_CHANGE
-
-LINES_LEAST = 5
-"""Fewest lines by which a mode is checked; the nearest, where its half-power width holds fewer."""
-EXCESS_MOST = 0.1
-"""Largest error beyond noise around a mode, over the FRF: the FRAC is then about 0.99."""
-SURE = 5.0
-"""Standard deviations by which the sum of squared errors around a mode must exceed its expectation to count as misfit:
-one in three million by chance, while a search looks at a few dozen modes."""
+from calib.modal_analysis.rules import RULES
 
 
 @dataclass(frozen=True)
 class Adequacy:
-    """How well the modal model fits the FRFs around one mode, over a window of `frf_lines.WIDTHS` half-power widths.
+    """How well the modal model fits the FRFs around one mode, over `ReadRules.resonance_widths` half-power widths.
 
     Attributes
     ----------
@@ -45,8 +38,8 @@ class Adequacy:
 def adequacy(frfs: MeasuredFRFs, model: ModalModel, n_modes: int) -> tuple[Adequacy, ...]:
     """Check each of the first ``n_modes`` poles of a model.
 
-    A mode is refused when its excess is above `EXCESS_MOST`. Where the fit is worst beyond noise, a further pole is
-    tried; if it pays for its parameters by the Bayesian information criterion (Schwarz 1978), every mode is refused
+    A mode is refused when its excess is above `RULES.excess_most`. Where the fit is worst beyond noise, a further pole
+    is tried; if it pays for its parameters by the Bayesian information criterion (Schwarz 1978), every mode is refused
     that it moves by more than poles may move from one order to the next. Such a pole is not stable: the modes there
     cannot be told apart.
     """
@@ -54,12 +47,12 @@ def adequacy(frfs: MeasuredFRFs, model: ModalModel, n_modes: int) -> tuple[Adequ
     found = fits(frfs, model, n_modes)
     doubted: dict[int, str] = {}
     surplus = [_surplus(frfs, model, own) for own in windows]
-    if surplus and max(surplus) > SURE:
+    if surplus and max(surplus) > RULES.excess_sure:
         doubted = _moved(frfs, model, n_modes, int(np.argmax(surplus)))
     out = []
     for k, one in enumerate(found):
         why = doubted.get(k, "")
-        if one.excess > EXCESS_MOST:
+        if one.excess > RULES.excess_most:
             why = f"the fit around it misses {100 * one.excess:.0f} % of the FRFs beyond noise"
         out.append(replace(one, refused=why))
     return tuple(out)
@@ -73,7 +66,7 @@ def fits(frfs: MeasuredFRFs, model: ModalModel, n_modes: int) -> tuple[Adequacy,
 def resonances_without_mode(frfs: MeasuredFRFs, poles: np.ndarray) -> tuple[float, ...]:
     """Resonances in the power of the FRFs with no pole (rad/s) within a half-power width or two lines, Hz."""
     noise = 2 * np.nansum(np.where(np.isfinite(frfs.values), frfs.std, 0.0) ** 2, axis=(1, 2))
-    found = resonances(frfs.freq, frfs.power, PROMINENCE, noise)
+    found = resonances(frfs.freq, frfs.power, reading.RULES.prominence, noise)
     own, lines = np.abs(poles) / (2 * np.pi), 2 * float(np.max(np.diff(frfs.freq)))
     return tuple(one.freq for one in found if not np.any(np.abs(own - one.freq) <= max(one.width, lines)))
 
@@ -83,7 +76,8 @@ def _window(frfs: MeasuredFRFs, pole: complex) -> np.ndarray:
     own = abs(pole) / (2 * np.pi)
     away = np.abs(frfs.freq - own)
     reach = max(
-        0.5 * WIDTHS * 2 * (-pole.real / abs(pole)) * own, float(np.sort(away)[min(LINES_LEAST, len(away)) - 1])
+        0.5 * reading.RULES.resonance_widths * 2 * (-pole.real / abs(pole)) * own,
+        float(np.sort(away)[min(RULES.judged_lines, len(away)) - 1]),
     )
     return np.asarray(away <= reach)
 
@@ -122,8 +116,8 @@ def _moved(frfs: MeasuredFRFs, model: ModalModel, n_modes: int, worst: int) -> d
         return {}
     before, after = model.poles[:n_modes], best.poles[1 : n_modes + 1]
     ratio = [-p.real / np.abs(p) for p in (before, after)]
-    moved = np.abs(np.abs(after) / np.abs(before) - 1) > FREQ_CHANGE
-    moved |= np.abs(ratio[1] / ratio[0] - 1) > DAMPING_CHANGE
+    moved = np.abs(np.abs(after) / np.abs(before) - 1) > RULES.freq_change
+    moved |= np.abs(ratio[1] / ratio[0] - 1) > RULES.damping_change
     where = abs(best.poles[0]) / (2 * np.pi)
     return {
         int(k): f"a further pole near {where:.4g} Hz, which is not stable, would move it" for k in np.flatnonzero(moved)

@@ -14,17 +14,14 @@ from calib.mac import mac, most_real
 from calib.measurement.average import scaled
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.record import MeasuredRecord
-from calib.modal_analysis.adequacy import EXCESS_MOST, Adequacy, fits, resonances_without_mode
+from calib.modal_analysis.adequacy import Adequacy, fits, resonances_without_mode
 from calib.modal_analysis.half_spectra import half_spectra, window_rate
 from calib.modal_analysis.identify import AMBIENT, Identification
 from calib.modal_analysis.model import fit_residues, rank_one
+from calib.modal_analysis.rules import RULES
 from calib.modal_analysis.spread import Spread, aligned, both_parts
-from calib.modal_analysis.stabilisation import FREQ_CHANGE, Chain
+from calib.modal_analysis.stabilisation import Chain
 from calib.modal_analysis.subspace import (
-    BLOCKS,
-    DAMPING_MOST,
-    HIGHEST_ORDER,
-    MAC_SAME,
     Correlations,
     Poles,
     correlations,
@@ -33,20 +30,8 @@ from calib.modal_analysis.subspace import (
     poles_at_orders,
 )
 
-DAMPING_UNSURE = 0.5
-"""Largest standard deviation of a damping ratio, over the ratio: above it the pole may as well be undamped, a hum."""
-RATE_OVER_BAND = 2.56
-"""Samples a second that are kept, over the highest frequency of a band."""
 DECIMATED_MOST = 10
 """Largest factor of one step of decimation."""
-PERIODS_LEAST = 1.0
-"""Fewest periods of a mode in the lags of the Hankel matrix: of slower ones the damping is biased beyond its standard
-deviation."""
-ONE_SHAPE_LEAST = 0.9
-"""Least share of the correlations of a mode that one shape describes."""
-ORDERS_RESAMPLED = tuple(range(16, 50, 4))
-"""Orders at which parts are left out, for modes that have poles there; of each part their median counts, as
-of the whole the median over all orders does: at single orders poles of noise come close."""
 
 
 def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, float] | None = None) -> Identification:
@@ -57,13 +42,13 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     Shapes have no scale.
 
     Standard deviations come from the jackknife (Efron and Stein 1981) with the poles at fixed orders: over the records
-    where there are several, else over `BLOCKS` parts of the record, whose correlations count as independent.
+    where there are several, else over `RULES.parts` parts of the record, whose correlations count as independent.
 
     A mode is refused where it is lost when one of the records or parts is left out, where its natural frequency is
     uncertain by more than 1 % or its damping ratio by more than half of it, where it is too slow for the sampling rate
     (a band then decimates the record), where one shape does not describe its share
-    of the half-spectra (see `half_spectra`), and where the modal model misses these by more than `EXCESS_MOST` beyond
-    noise.
+    of the half-spectra (see `half_spectra`), and where the modal model misses these by more than `RULES.excess_most`
+    beyond noise.
 
     Parameters
     ----------
@@ -82,7 +67,7 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     used = [_prepared(one, None if band is None else high) for one in records]
     scale = np.sqrt(np.mean([np.mean(one.values**2, axis=0) for one in used], axis=0))
     used = [replace(one, values=one.values / scale) for one in used]  # sensors of small motion count as others do
-    table = correlations(used, BLOCKS)
+    table = correlations(used, RULES.parts)
     poles = poles_at_orders(table.hankel, table.rows, table.rate)
     chains = tuple(c for c in modes_of(poles) if low <= abs(c.pole) / (2 * np.pi) <= high)
     if not chains:
@@ -93,13 +78,13 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     peak = np.abs(shapes).max(axis=0)
     spread, shapes = replace(spread, shapes=spread.shapes / peak), scaled(shapes)[0]
 
-    spectra = half_spectra(used, BLOCKS, (low, high))
+    spectra = half_spectra(used, RULES.parts, (low, high))
     spectra = replace(spectra, values=spectra.values * np.outer(scale, scale), std=spectra.std * np.outer(scale, scale))
     moved = np.array([c.pole for c in chains]) - window_rate(table.rate)
     model = fit_residues(spectra, moved)
     adequacies = fits(spectra, model, len(chains))
     one_shape = [rank_one(own)[2] for own in model.residues]
-    slowest = PERIODS_LEAST * table.rate / (2 * table.rows)
+    slowest = RULES.periods_least * table.rate / (2 * table.rows)
     why = [
         f"slower than {slowest:.3g} Hz, which the sampling rate is too fast for: give a band that ends closer above it"
         if _freq(c) < slowest
@@ -147,7 +132,7 @@ def _in_record(band: tuple[float, float] | None, rate: float, place: str) -> tup
 def _prepared(record: MeasuredRecord, high: float | None) -> MeasuredRecord:
     """A record without its trend, decimated to what a band up to a frequency needs."""
     values, rate = signal.detrend(record.values, axis=0), record.rate
-    factor = 1 if high is None else int(rate / (RATE_OVER_BAND * high))
+    factor = 1 if high is None else int(rate / (RULES.rate_over_band * high))
     while factor > 1:
         step = min(factor, DECIMATED_MOST)
         values, rate, factor = signal.decimate(values, step, ftype="fir", axis=0), rate / step, factor // step
@@ -211,7 +196,7 @@ def _jackknife(
 
 def _orders(chain: Chain) -> tuple[int, ...]:
     """Orders at which a mode is identified again."""
-    common = tuple(order for order in ORDERS_RESAMPLED if order in chain.orders)
+    common = tuple(order for order in RULES.orders_resampled if order in chain.orders)
     return common or (chain.orders[len(chain.orders) // 2],)
 
 
@@ -219,7 +204,7 @@ def _nearest(
     found: tuple[np.ndarray, np.ndarray, np.ndarray], freq: float, shape: np.ndarray, reference: np.ndarray
 ) -> tuple[float, float, np.ndarray] | None:
     """The pole nearest to a mode among those of its shape; None without one."""
-    alike = np.flatnonzero(mac(found[2].T, shape[:, None])[:, 0] >= MAC_SAME)
+    alike = np.flatnonzero(mac(found[2].T, shape[:, None])[:, 0] >= RULES.same_mac)
     if not len(alike):
         return None
     best = alike[np.argmin(np.abs(found[0][alike] - freq))]
@@ -232,13 +217,13 @@ def _refused(
     """Why a mode does not count; empty where it does."""
     if k in lacking:
         return f"lost when one of the {'records' if n_records > 1 else 'parts of the record'} is left out"
-    if spread.freq[k] > FREQ_CHANGE * _freq(chain):
+    if spread.freq[k] > RULES.freq_change * _freq(chain):
         return f"its natural frequency is uncertain by {100 * spread.freq[k] / _freq(chain):.2g} %"
-    if spread.damping[k] > DAMPING_UNSURE * _ratio(chain):
+    if spread.damping[k] > RULES.damping_unsure * _ratio(chain):
         return f"its damping ratio is uncertain by {100 * spread.damping[k] / _ratio(chain):.0f} % of it"
-    if one_shape < ONE_SHAPE_LEAST:
+    if one_shape < RULES.one_shape_least:
         return f"one shape describes only {100 * one_shape:.0f} % of the correlations around it"
-    if adequacy.excess > EXCESS_MOST:
+    if adequacy.excess > RULES.excess_most:
         return f"the modes miss {100 * adequacy.excess:.0f} % of the correlations around it beyond noise"
     return ""
 
@@ -256,14 +241,14 @@ def _pole_table(
         for k, chain in enumerate(chains)
         for order, f in zip(chain.orders, chain.natural_freq, strict=True)
     }
-    row, order = np.nonzero(np.isfinite(poles.natural_freq) & (poles.damping_ratio < DAMPING_MOST))
+    row, order = np.nonzero(np.isfinite(poles.natural_freq) & (poles.damping_ratio < RULES.record_overdamped))
     freq = poles.natural_freq[row, order]
     table = pd.DataFrame({
         "order": order, "freq": freq, "damping": poles.damping_ratio[row, order],
         "stable": poles.steady[row, order],
         "mode": [of.get((int(o), round(float(f), 9)), "") for o, f in zip(order, freq, strict=True)],
     })  # fmt: skip
-    inside = (table["freq"] >= band[0]) & (table["freq"] <= band[1]) & (table["order"] <= HIGHEST_ORDER)
+    inside = (table["freq"] >= band[0]) & (table["freq"] <= band[1]) & (table["order"] <= RULES.record_order_most)
     return table[inside].sort_values(["order", "freq"], ignore_index=True)
 
 
@@ -273,7 +258,8 @@ def _measured(
     several = len(records) > 1
     words = (
         f"standard deviations from {len(records)} records, each left out in turn" if several else
-        f"one record: standard deviations from {BLOCKS} parts of it, each left out in turn, not from repeated tests"
+        f"one record: standard deviations from {RULES.parts} parts of it, each left out in turn, not from "
+        "repeated tests"
     )  # fmt: skip
     freq, damping = (np.array([of(chains[k]) for k in kept]) for of in (_freq, _ratio))
     return MeasuredModes(

@@ -8,16 +8,12 @@ import numpy as np
 
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.record import MeasuredRecord
-
-LAGS = 256
-"""Lags of the correlations."""
-END = 0.01
-"""What the exponential window leaves of the last one."""
+from calib.modal_analysis.rules import RULES
 
 
 def window_rate(rate: float) -> float:
     """By how much the window moves every pole to the left, rad/s, at a sampling rate in Hz."""
-    return float(-np.log(END) * rate / LAGS)
+    return float(-np.log(RULES.window_end) * rate / RULES.lags)
 
 
 def half_spectra(records: Sequence[MeasuredRecord], n_parts: int, band: tuple[float, float]) -> MeasuredFRFs:
@@ -38,18 +34,18 @@ def half_spectra(records: Sequence[MeasuredRecord], n_parts: int, band: tuple[fl
     parts = []
     for one in records:
         length = len(one.values) // each
-        lags = min(LAGS, length)
+        lags = min(RULES.lags, length)
         size = 1 << int(2 * length - 1).bit_length()
         for k in range(each):
             own = np.fft.rfft(one.values[k * length : (k + 1) * length], size, axis=0)
-            table = np.zeros((LAGS, n, n))
+            table = np.zeros((RULES.lags, n, n))
             for i in range(n):
                 whole = np.fft.irfft(own[:, [i]] * own.conj(), size, axis=0)[:lags]
                 table[:lags, i] = whole / (length - np.arange(lags))[:, None]
             parts.append(table)
-    decay = np.exp(-window_rate(rate) * np.arange(LAGS) / rate)
-    spectra = np.array([np.fft.rfft(part * decay[:, None, None], 2 * LAGS, axis=0) / rate for part in parts])
-    freq = np.fft.rfftfreq(2 * LAGS, 1 / rate)
+    decay = np.exp(-window_rate(rate) * np.arange(RULES.lags) / rate)
+    spectra = np.array([np.fft.rfft(part * decay[:, None, None], 2 * RULES.lags, axis=0) / rate for part in parts])
+    freq = np.fft.rfftfreq(2 * RULES.lags, 1 / rate)
     used = (freq > 0) & (freq >= band[0]) & (freq <= band[1])
     spectra = spectra[:, used]
     spread = (spectra.real.var(axis=0, ddof=1) + spectra.imag.var(axis=0, ddof=1)) / 2

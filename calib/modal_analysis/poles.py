@@ -9,18 +9,12 @@ import numpy as np
 
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
+from calib.modal_analysis.rules import RULES
 from calib.structure.frf import motion_factor
 
 EXTRA = "pip install calib[modes]"
 """What installs the package that estimates the poles."""
 
-HIGHEST_ORDER = 40
-"""Largest number of pole pairs."""
-LINES_PER_ORDER = 4
-"""Fewest lines behind each pole pair: a function adds two equations a line, and each pair brings two unknowns to the
-common denominator and two to the function's own numerator, so that half of the equations are left over."""
-FEWEST_LINES = 20
-"""Five orders, which the rule of stabilisation needs."""
 UNEVEN = 1e-3
 """Largest deviation of a line from equal spacing, over the spacing."""
 
@@ -37,7 +31,7 @@ def poles_by_order(frfs: MeasuredFRFs, highest: int | None = None) -> tuple[np.n
     frfs : MeasuredFRFs
         With equally spaced lines, all functions measured on each.
     highest : int, optional
-        Highest order; default the lines over `LINES_PER_ORDER`, at most `HIGHEST_ORDER`.
+        Highest order; default the lines over `RULES.lines_per_order`, at most `RULES.frf_order_most`.
 
     Returns
     -------
@@ -51,7 +45,7 @@ def poles_by_order(frfs: MeasuredFRFs, highest: int | None = None) -> tuple[np.n
     """
     first, spacing = _require_even_lines(frfs)
     ema = _require_package()
-    order = min(HIGHEST_ORDER, len(frfs.freq) // LINES_PER_ORDER) if highest is None else highest
+    order = min(RULES.frf_order_most, len(frfs.freq) // RULES.lines_per_order) if highest is None else highest
     mobility = _mobilities(frfs)
     # The package completes the axis from 0 Hz by itself, and trips over rounding there; it also drops the last line.
     whole = spacing * np.arange(first + len(frfs.freq) + 1)
@@ -80,10 +74,10 @@ def _physical(poles: np.ndarray, freq: np.ndarray) -> np.ndarray:
 def _require_even_lines(frfs: MeasuredFRFs) -> tuple[int, float]:
     """Number of whole spacings below the first line, and the spacing, Hz."""
     place = frfs.source or "FRFs"
-    if len(frfs.freq) < FEWEST_LINES:
+    if len(frfs.freq) < RULES.lines_least:
         raise InputError(
             f"{len(frfs.freq)} lines are too few to identify modes", place=place,
-            remedy=f"give at least {FEWEST_LINES}, or fit the FRFs themselves",
+            remedy=f"give at least {RULES.lines_least}, or fit the FRFs themselves",
         )  # fmt: skip
     if frfs.freq[0] == 0:
         raise InputError("its lines begin at 0 Hz", place=place, remedy="give a band that begins above")

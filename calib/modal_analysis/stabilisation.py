@@ -11,21 +11,7 @@ import pandas as pd
 from calib.mac import mac
 from calib.measurement.frf import MeasuredFRFs
 from calib.modal_analysis.model import fit_residues
-
-FREQ_CHANGE = 0.01
-"""Largest relative change of a stable pole's natural frequency from one order to the next."""
-DAMPING_CHANGE = 0.05
-"""Likewise of its damping ratio."""
-MAC_LEAST = 0.95
-"""Smallest MAC between its residues over all functions at the two orders."""
-SKIPPED = 1
-"""Orders that a pole may be missing between."""
-ORDERS_LEAST = 5
-"""Fewest orders at which a mode is stable."""
-SHARE_LEAST = 0.25
-"""The same, over all orders."""
-DAMPING_MOST = 0.9
-"""Above this ratio a pole has no resonance and stands for other errors of the fit."""
+from calib.modal_analysis.rules import RULES
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +68,12 @@ def follow(frfs: MeasuredFRFs, poles: Sequence[np.ndarray]) -> tuple[Chain, ...]
     """
     chains: list[Chain] = []
     for order, found in enumerate(poles, start=1):
-        own = found[-found.real < DAMPING_MOST * np.abs(found)]
+        own = found[-found.real < RULES.overdamped * np.abs(found)]
         if not len(own):
             continue
         residues = fit_residues(frfs, own).residues
         flat = np.array([residues[:, one.i, one.j] for one in frfs.functions])
-        open_ones = [k for k, chain in enumerate(chains) if chain.orders[-1] >= order - 1 - SKIPPED]
+        open_ones = [k for k, chain in enumerate(chains) if chain.orders[-1] >= order - 1 - RULES.skipped]
         score = _scores(own, flat, [chains[k] for k in open_ones])
         while score.size and (best := np.unravel_index(np.argmax(score), score.shape)) and score[best] > 0:
             i, c = int(best[0]), open_ones[int(best[1])]
@@ -108,19 +94,19 @@ def _scores(poles: np.ndarray, residues: np.ndarray, chains: Sequence[Chain]) ->
     last = np.array([chain.poles[-1] for chain in chains])
     agreement = mac(residues, np.stack([chain.residues[-1] for chain in chains], axis=1))
     ratio = [-p.real / np.abs(p) for p in (poles, last)]
-    near = np.abs(np.abs(poles)[:, None] / np.abs(last) - 1) <= FREQ_CHANGE
-    near &= np.abs(ratio[0][:, None] / ratio[1] - 1) <= DAMPING_CHANGE
-    return np.where(near & (agreement >= MAC_LEAST), agreement, 0.0)
+    near = np.abs(np.abs(poles)[:, None] / np.abs(last) - 1) <= RULES.freq_change
+    near &= np.abs(ratio[0][:, None] / ratio[1] - 1) <= RULES.damping_change
+    return np.where(near & (agreement >= RULES.stable_mac), agreement, 0.0)
 
 
 def stable(chains: Sequence[Chain], n_orders: int) -> tuple[Chain, ...]:
     """Chains that count as modes, in ascending frequency.
 
-    A chain counts when it is stable at `ORDERS_LEAST` orders and at a share `SHARE_LEAST` of all. Of two within a
-    half-power width of each other with residues of a MAC of `MAC_LEAST` the longer one counts: the other is the same
-    mode again.
+    A chain counts when it is stable at `RULES.orders_least` orders and at a share `RULES.orders_share` of all. Of two
+    within a half-power width of each other with residues of a MAC of `RULES.stable_mac` the longer one counts: the
+    other is the same mode again.
     """
-    least = max(ORDERS_LEAST, SHARE_LEAST * n_orders)
+    least = max(RULES.orders_least, RULES.orders_share * n_orders)
     long = sorted((c for c in chains if len(c.orders) >= least), key=lambda c: -len(c.orders))
     kept: list[Chain] = []
     for one in long:
@@ -131,7 +117,7 @@ def stable(chains: Sequence[Chain], n_orders: int) -> tuple[Chain, ...]:
 
 def _same(one: Chain, other: Chain) -> bool:
     close = abs(abs(one.pole) - abs(other.pole)) <= 2 * max(-one.pole.real, -other.pole.real)
-    return close and bool(mac(one.residues[-1][:, None], other.residues[-1][:, None])[0, 0] >= MAC_LEAST)
+    return close and bool(mac(one.residues[-1][:, None], other.residues[-1][:, None])[0, 0] >= RULES.stable_mac)
 
 
 def pole_table(chains: Sequence[Chain], modes: Sequence[Chain]) -> pd.DataFrame:

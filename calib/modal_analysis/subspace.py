@@ -15,23 +15,12 @@ import numpy as np
 from calib.errors import InputError
 from calib.mac import mac
 from calib.measurement.record import MeasuredRecord
+from calib.modal_analysis.rules import RULES
 from calib.modal_analysis.stabilisation import Chain, stable
 
 EXTRA = "pip install calib[ambient]"
 """What installs the package that identifies modes from records."""
 
-HIGHEST_ORDER = 60
-"""Largest number of states: two a mode, half of which pyOMA2's clusters ask for."""
-ROWS_FEWEST = 20
-"""Fewest block rows of the Hankel matrix: correlations over 40 samples."""
-BLOCKS = 30
-"""Parts into which records are cut for standard deviations, which then have a relative error of 13 %."""
-SAMPLES_PER_ROW = 8
-"""Fewest samples of a part, over the block rows."""
-DAMPING_MOST = 0.5
-"""Above this ratio a pole stands for noise."""
-MAC_SAME = 0.8
-"""Least MAC of a mode with itself when a part of the records is left out."""
 PRESET = "Kvaale"
 """Clusters of pyOMA2: HDBSCAN by poles and MAC over the poles that are stable from one order to the next."""
 
@@ -92,13 +81,13 @@ def correlations(records: Sequence[MeasuredRecord], n_parts: int) -> Correlation
     """
     ssi = _package().ssi
     n_sensors = len(records[0].sensors)
-    rows = max(ROWS_FEWEST, -(-HIGHEST_ORDER // n_sensors) + 1)
+    rows = max(RULES.rows_least, -(-RULES.record_order_most // n_sensors) + 1)
     each = -(-n_parts // len(records))
     parts = []
     for one in records:
         length = len(one.values) // each
-        if length < SAMPLES_PER_ROW * rows:
-            least = SAMPLES_PER_ROW * rows * each
+        if length < RULES.samples_per_row * rows:
+            least = RULES.samples_per_row * rows * each
             raise InputError(
                 f"its {len(one.values)} samples are too few to identify modes from {n_sensors} sensors",
                 place=one.source or "record", remedy=f"give at least {least}, or more sensors",
@@ -118,10 +107,10 @@ def poles_at_orders(hankel: np.ndarray, rows: int, rate: float) -> Poles:
     """
     package = _package()
     with _quietly():
-        found = _solved(package.ssi, hankel, rows, rate, HIGHEST_ORDER, 1)
+        found = _solved(package.ssi, hankel, rows, rate, RULES.record_order_most, 1)
         limits = package.Clustering(name=PRESET, quick=PRESET).steps[0].sc_dict
         steady = package.gen.SC_apply(
-            *found[:3], 0, HIGHEST_ORDER, 1, limits["err_fn"], limits["err_xi"], limits["err_phi"]
+            *found[:3], 0, RULES.record_order_most, 1, limits["err_fn"], limits["err_xi"], limits["err_phi"]
         )
     return Poles(*found[:3], np.asarray(steady, dtype=bool))
 
@@ -158,7 +147,7 @@ def modes_of(poles: Poles) -> tuple[Chain, ...]:
         near = one[np.abs(size[one] / np.median(size[one]) - 1) <= farthest]
         members = near[np.argsort(order[near])]
         chains.append(Chain(tuple(order[members].tolist()), own[members], shapes[members]))
-    return stable(chains, HIGHEST_ORDER)
+    return stable(chains, RULES.record_order_most)
 
 
 def pole_distance(poles: np.ndarray, shapes: np.ndarray) -> np.ndarray:
@@ -175,7 +164,7 @@ def _solved(
     ssi: Any, hankel: np.ndarray, rows: int, rate: float, order: int, step: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     observability, a, c, _ = ssi.SSI_fast(hankel, rows, order, step=step)
-    found = ssi.SSI_poles(observability, a, c, order, 1 / rate, step=step, xi_max=DAMPING_MOST)
+    found = ssi.SSI_poles(observability, a, c, order, 1 / rate, step=step, xi_max=RULES.record_overdamped)
     return found[0], found[1], found[2], found[3]
 
 

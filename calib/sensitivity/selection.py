@@ -11,11 +11,9 @@ import pandas as pd
 from calib.errors import InputError
 from calib.sensitivity.induced import Decomposition, decompose, input_correlation
 from calib.sensitivity.partial import centred_ranks, orthonormal, partial, partial_noise_floor, table_arrays
-from calib.sensitivity.spearman import FEWEST_ROWS, noise_floor, spearman
-from calib.sensitivity.variance_share import RELEVANT, VarianceShare, joint_variance_share, variance_share
-
-_ROOM = 0.1
-"""Tolerance (1 / variance inflation factor) below which a parameter counts as bound to others."""
+from calib.sensitivity.rules import RULES
+from calib.sensitivity.spearman import noise_floor, spearman
+from calib.sensitivity.variance_share import VarianceShare, joint_variance_share, variance_share
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +62,7 @@ def assess(
     responses: pd.DataFrame,
     forced: Sequence[str] | None = None,
     level: float = 0.95,
-    relevant: float = RELEVANT,
+    relevant: float = RULES.relevant,
 ) -> Assessment:
     """Measure every parameter's effect on every response and select.
 
@@ -154,7 +152,7 @@ def _marked(why: str, measured: bool, selected: bool) -> str:
 def _floors(responses: pd.DataFrame, table: pd.DataFrame, floor: Callable[[int, int], float]) -> pd.Series[float]:
     """Noise floor of each response, from the rows in which it is known and all cells that have a value."""
     cells = max(int(table.notna().to_numpy().sum()), 1)
-    return pd.Series({c: floor(max(int(n), FEWEST_ROWS), cells) for c, n in responses.notna().sum().items()})
+    return pd.Series({c: floor(max(int(n), RULES.rows_least), cells) for c, n in responses.notna().sum().items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,11 +259,11 @@ def _bound_groups(points: pd.DataFrame, responses: pd.DataFrame, measures: _Meas
     for i in range(len(names)):
         others = orthonormal(np.delete(x, i, axis=1))
         rest = np.linalg.norm(x[:, i] - others @ (others.T @ x[:, i]))
-        if size[i] > 0 and (rest / size[i]) ** 2 < _ROOM:
+        if size[i] > 0 and (rest / size[i]) ** 2 < RULES.bound:
             bound.append(i)
     correlation = input_correlation(points).abs().to_numpy()
     pairs = max(1, len(correlation) * (len(correlation) - 1) // 2)
-    floor = noise_floor(max(len(points), FEWEST_ROWS), pairs, level)
+    floor = noise_floor(max(len(points), RULES.rows_least), pairs, level)
     groups: list[tuple[str, ...]] = []
     left = list(bound)
     while left:

@@ -10,9 +10,7 @@ from scipy import special
 
 from calib.errors import InputError
 from calib.sensitivity.ranks import mean_ranks
-
-FEWEST_ROWS = 3
-"""Complete rows below which a pair stays blank: two points always correlate perfectly."""
+from calib.sensitivity.rules import RULES
 
 
 def spearman(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:
@@ -42,7 +40,7 @@ def spearman(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:
     for j in range(y.shape[1]):
         for i in range(x.shape[1]):
             both = np.isfinite(x[:, i]) & np.isfinite(y[:, j])
-            if both.sum() < FEWEST_ROWS:
+            if both.sum() < RULES.rows_least:
                 continue
             a, b = mean_ranks(np.stack([x[both, i], y[both, j]], axis=1)).T - (both.sum() + 1) / 2
             size = math.sqrt((a @ a) * (b @ b))
@@ -78,7 +76,7 @@ def noise_floor(n_rows: int, n_cells: int, level: float = 0.95) -> float:
     float
         At most 1.
     """
-    if n_rows < FEWEST_ROWS or n_cells < 1 or not 0 < level < 1:
+    if n_rows < RULES.rows_least or n_cells < 1 or not 0 < level < 1:
         raise InputError(
             f"no noise floor for {n_rows} rows, {n_cells} cells and level {level:g}",
             place="rank correlation",

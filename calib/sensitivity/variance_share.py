@@ -13,13 +13,7 @@ from scipy import special
 
 from calib.sensitivity.partial import orthonormal, orthonormal_beyond, same_rows, table_arrays
 from calib.sensitivity.ranks import mean_ranks
-
-RELEVANT = 0.1
-"""Variance share (as a root) below which a significant effect is too small: 1 % of the response's variance."""
-
-_OWN_DEGREE, _OTHERS_DEGREE = 3, 4
-_ROWS_A_TERM = 1.5
-"""Rows needed for every term of the regression."""
+from calib.sensitivity.rules import RULES
 
 Unit = tuple[str, ...]
 
@@ -124,9 +118,9 @@ class _Terms:
     def of(x: np.ndarray) -> _Terms | None:
         """The richest regression that the number of rows supports; None when not even quadratic terms are."""
         n, p = x.shape
-        for degree, products in ((_OTHERS_DEGREE, True), (_OTHERS_DEGREE, False), (2, False)):
+        for degree, products in ((RULES.others_degree, True), (RULES.others_degree, False), (2, False)):
             count = 1 + degree * p + (p * (p - 1) // 2 if products else 0)
-            if n >= _ROWS_A_TERM * count:
+            if n >= RULES.rows_a_term * count:
                 break
         else:
             return None
@@ -148,7 +142,7 @@ def _cells(terms: _Terms, unit: frozenset[int], scores: np.ndarray, tail: float)
     """Variance share, floor, straight and curved part of one unit, (4, n_responses); NaN if it adds no terms."""
     n = len(scores)
     others = [k for k, owner in enumerate(terms.owners) if not owner & unit]
-    own = [k for k, owner in enumerate(terms.owners) if owner & unit and terms.degrees[k] <= _OWN_DEGREE]
+    own = [k for k, owner in enumerate(terms.owners) if owner & unit and terms.degrees[k] <= RULES.own_degree]
     kinds = (
         [k for k in own if terms.degrees[k] == 1],
         [k for k in own if len(terms.owners[k]) == 1 and terms.degrees[k] > 1],

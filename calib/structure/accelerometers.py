@@ -14,7 +14,8 @@ from calib.structure.affine import Monomial
 from calib.structure.attach import outer_term
 from calib.structure.extend import Addition
 from calib.structure.model import StructuralModel
-from calib.structure.perturbations import HEAVY, Perturbation
+from calib.structure.perturbations import Perturbation
+from calib.structure.rules import RULES
 
 
 def accelerometers(
@@ -28,7 +29,7 @@ def accelerometers(
     sensors : sequence of Sensor
         Sensors located on the model.
     values : mapping
-        Reference values, for the plausible size: all together `HEAVY` of what moves.
+        Reference values, for the plausible size: all together `RULES.heavy` of what moves.
     of : str
         Appended to the name, where several models are tested.
     """
@@ -39,7 +40,7 @@ def accelerometers(
     mass = sp.csc_array(model.matrices(values)[2])
     moved = [np.flatnonzero(model.dofs.direction == k) for k in range(3)]
     total = max(float(mass[own][:, own].sum()) for own in moved)
-    name, size = f"mass of the accelerometers{f' ({of})' if of else ''}", HEAVY * total / len(nodes)
+    name, size = f"mass of the accelerometers{f' ({of})' if of else ''}", RULES.heavy * total / len(nodes)
 
     def build(model: StructuralModel) -> Addition:
         own = [row for row in rows if row.any()]
@@ -48,7 +49,7 @@ def accelerometers(
     effect = Effect(
         name, name, "The accelerometers weigh nothing.",
         "Weigh one with its mount and cable, and add it to the model of the test.",
-        Parameter(name, 0.0, 0.0, 20 * size, "kg", prior_sd=size), build, of_measurement=True,
+        Parameter(name, 0.0, 0.0, RULES.added_most * size, "kg", prior_sd=size), build, of_measurement=True,
         told=lambda by: f"accelerometers of {by:.2g} kg each weigh on the structure",
     )  # fmt: skip
     return (Perturbation(effect, "mass", (np.nan, np.nan, np.nan)),)

@@ -13,9 +13,7 @@ from calib.structure.affine import Term, parameter
 from calib.structure.attach import Place, between, hung_masses, motion, outer_term, scaled_part
 from calib.structure.extend import Addition
 from calib.structure.model import PartKind, StructuralModel
-
-HUNG_RATIO = 0.03
-"""Damping ratio of a hung mass on a fixed base: that of rubber mounts."""
+from calib.structure.rules import RULES
 
 
 class Builder(Protocol):
@@ -150,7 +148,7 @@ class HungMass:
 
     def __call__(self, model: StructuralModel) -> Addition:
         """An oscillator, and a mass in the other directions."""
-        hung = hung_masses([motion(model, self.place, self.direction)], self.name, self.freq, HUNG_RATIO)
+        hung = hung_masses([motion(model, self.place, self.direction)], self.name, self.freq, RULES.hung_ratio)
         rows = [motion(model, self.place, d) for d in self.others]
         held = (outer_term(f"{self.name}: held", rows, parameter(self.name), hung.n_added),) if rows else ()
         return Addition(hung.stiffness, hung.damping, (*hung.mass, *held), n_added=hung.n_added)
@@ -158,7 +156,8 @@ class HungMass:
     @property
     def code(self) -> tuple[str, ...]:
         """See `Builder`."""
-        hung = f'hung_masses([motion(model, place, {self.direction})], "{self.name}", "{self.freq}", {HUNG_RATIO})'
+        named, ratio = f'"{self.name}", "{self.freq}"', RULES.hung_ratio
+        hung = f"hung_masses([motion(model, place, {self.direction})], {named}, {ratio})"
         lines = (f"place = {_literal(self.place)}", f"hung = {hung}  # damping ratio on its mounts: rubber (assumed)")
         if not self.others:
             return (*lines, "return hung")

@@ -19,17 +19,12 @@ from calib.structure.attach import Place, parts_of
 from calib.structure.composed import AddedMass, Builder, Connection, HungMass, ScaledByFunction, ScaledParts
 from calib.structure.inertia import symmetric_factor
 from calib.structure.model import Part, PartKind, StructuralModel
-from calib.structure.perturbations import HEAVY, LEAST, LOCAL, MORE, RELATIVE
+from calib.structure.perturbations import LEAST
+from calib.structure.rules import RULES
 from calib.structure.scaled_part import ScaledPart
 
-LOSSY = 0.1
-"""Plausible loss factor of a part at the middle of the measured band."""
-NEIGHBOURS = 3
-"""Nearest sensors of the same direction to which a sensor may be joined."""
 _POSITION = re.compile(r"front|rear|left|right|upper|lower|top|bottom|inner|outer|middle|[xyz]|\d+")
 """Words of a part's name that tell its position: parts that differ in them alone may change together."""
-HUNG_POINTS = 7
-"""Natural frequencies at which the signature of a hung mass is taken."""
 _NOWHERE = (math.nan, math.nan, math.nan)
 
 
@@ -160,11 +155,11 @@ def _changed(kind: str, parts: Sequence[tuple[PartKind, Part]], names: Names, mi
     own = list(dict.fromkeys(part.name for _, part in parts))
     at = in_words(own)
     name = names.free(f"{kind} {_common(own)}")
-    unit, lower, upper, size = "-", LEAST.get(kind, LEAST["stiffness"]), MORE, RELATIVE
+    unit, lower, upper, size = "-", LEAST.get(kind, LEAST["stiffness"]), RULES.more, RULES.relative
     words, (lacks, look_for) = f"relative change of {at}", _PARTS[kind]
     if kind == "dissipation":
-        size = 1e3 * LOSSY / (2 * math.pi * middle)
-        unit, lower, upper = "ms", 0.0, 20 * size
+        size = 1e3 * RULES.lossy / (2 * math.pi * middle)
+        unit, lower, upper = "ms", 0.0, RULES.added_most * size
         words = "damping over stiffness: the loss factor is this times the angular frequency"
     magnitude = Parameter(name, 0.0, lower, upper, unit, prior_sd=size, description=words)
     build = ScaledParts(name, tuple((k, part.name) for k, part in parts), kind == "dissipation")
@@ -199,7 +194,13 @@ def of_function(parts: Sequence[ScaledPart], names: Names) -> Iterator[Compositi
         name = names.free(f"{part.kind} {part.name}")
         lacks, look_for = _PARTS[part.kind]
         magnitude = Parameter(
-            name, 0.0, LEAST[part.kind], MORE, "-", prior_sd=RELATIVE, description=f"relative change of {part.name}"
+            name,
+            0.0,
+            LEAST[part.kind],
+            RULES.more,
+            "-",
+            prior_sd=RULES.relative,
+            description=f"relative change of {part.name}",
         )
         build = ScaledByFunction(name, part.parameter)
         yield Composition(
@@ -237,7 +238,7 @@ def of_sensors(
     factor = symmetric_factor(sp.csc_array(stiffness + (2 * np.pi * middle) ** 2 * mass))
 
     def size(row: np.ndarray) -> float:
-        return LOCAL / float(row @ factor.solve(row))
+        return RULES.local / float(row @ factor.solve(row))
 
     for place, own in _by_place(sensors).items():
         directions = tuple(k for k, row in enumerate(model.translations(own[0])) if np.abs(row).max(initial=0.0) > 1e-9)
@@ -262,9 +263,9 @@ def hung_at(
 
 
 def heavy(model: StructuralModel, mass: sp.csc_array) -> float:
-    """A plausible added mass: `HEAVY` of all that moves in a direction, kg."""
+    """A plausible added mass: `RULES.heavy` of all that moves in a direction, kg."""
     moved = [np.flatnonzero(model.dofs.direction == k) for k in range(3)]
-    return HEAVY * max(float(sp.csc_array(mass)[own][:, own].sum()) for own in moved)
+    return RULES.heavy * max(float(sp.csc_array(mass)[own][:, own].sum()) for own in moved)
 
 
 def _at_point(
@@ -281,7 +282,9 @@ def _at_point(
     at = f"sensor {sensor.name}" if hung else f"node {sensor.node}"
     name = names.free(f"{kind} {sensor.name if hung else sensor.node}", *(("_freq",) if hung else ()))
     least = 1e-3 * size if hung else 0.0  # the oscillator's matrices have a root of the mass
-    magnitude = Parameter(name, least, least, 20 * size, unit, prior_sd=size, description=f"{what.lower()} at {at}")
+    magnitude = Parameter(
+        name, least, least, RULES.added_most * size, unit, prior_sd=size, description=f"{what.lower()} at {at}"
+    )
     nuisance: tuple[Parameter, ...] = ()
     grid: tuple[Mapping[str, float], ...] = ()
     build: Builder = AddedMass(name, place, directions)
@@ -291,7 +294,7 @@ def _at_point(
         nuisance = (
             Parameter(freq, math.sqrt(low * high), low, high, "Hz", prior_sd=(high - low) / 2, description=words),
         )
-        grid = tuple({name: size, freq: float(f)} for f in np.geomspace(*band, HUNG_POINTS).round(3))
+        grid = tuple({name: size, freq: float(f)} for f in np.geomspace(*band, RULES.hung_points).round(3))
         direction = DIRECTIONS.index(sensor.direction)
         build = HungMass(name, freq, place, direction, tuple(d for d in directions if d != direction))
     effect = Effect(
@@ -307,7 +310,9 @@ def _connection(kind: str, sensor: Sensor, other: Sensor | None, names: Names, s
     at = f"sensor {sensor.name}" if other is None else f"sensors {sensor.name} and {other.name}"
     name = names.free(f"{kind} {sensor.name}" + ("" if other is None else f" {other.name}"))
     words = f"{what} at {at}" if other is None else f"{what} between {at}"
-    magnitude = Parameter(name, 0.0, 0.0, 20 * size, unit, prior_sd=size, description=f"{what.lower()} at {at}")
+    magnitude = Parameter(
+        name, 0.0, 0.0, RULES.added_most * size, unit, prior_sd=size, description=f"{what.lower()} at {at}"
+    )
     matrix = "stiffness" if kind.startswith("spring") else "damping"
     direction = DIRECTIONS.index(sensor.direction)
     build = Connection(name, matrix, _place(sensor), None if other is None else _place(other), direction)
@@ -333,13 +338,13 @@ def _by_place(sensors: Sequence[Sensor]) -> dict[Place, list[Sensor]]:
 
 
 def _pairs(sensors: Sequence[Sensor]) -> list[tuple[int, int]]:
-    """Pairs of sensors of one direction, each with its nearest `NEIGHBOURS` in other places."""
+    """Pairs of sensors of one direction, each with its nearest `RULES.neighbours` in other places."""
     found: dict[tuple[int, int], None] = {}
     for k, sensor in enumerate(sensors):
         alike = [
             j for j, o in enumerate(sensors) if o.direction == sensor.direction and _place(o) != _place(sensor)
         ]  # fmt: skip
         far = [math.dist(sensors[j].point or _NOWHERE, sensor.point or _NOWHERE) for j in alike]
-        for j in (alike[i] for i in np.argsort(far, kind="stable")[:NEIGHBOURS]):
+        for j in (alike[i] for i in np.argsort(far, kind="stable")[: RULES.neighbours]):
             found[min(k, j), max(k, j)] = None
     return list(found)

@@ -20,9 +20,10 @@ from calib.structure.growth import Growth, lowest_freq, next_round
 from calib.structure.inertia import symmetric_factor
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
-from calib.structure.perturbations import LOCAL, Perturbation
+from calib.structure.perturbations import Perturbation
 from calib.structure.reduced import ReducedModel
 from calib.structure.refinement import modes_near
+from calib.structure.rules import RULES
 from calib.structure.space_filling import space_filling_points
 from calib.tasks import each
 
@@ -191,7 +192,7 @@ def _slopes(
 
 def weight_key(perturbation: Perturbation) -> tuple[str, float]:
     """Name of a perturbation, and what its weight in a basis depends on beside the model."""
-    return perturbation.effect.name, LOCAL if _grounded(perturbation) else perturbation.effect.plausible
+    return perturbation.effect.name, RULES.local if _grounded(perturbation) else perturbation.effect.plausible
 
 
 def _grounded(perturbation: Perturbation) -> bool:
@@ -219,5 +220,5 @@ def _weights(
         touched = np.unique(matrix.indices)
         forces = np.zeros((growth.model.n_dof, len(touched)))
         forces[touched] = matrix[touched][:, touched].toarray()  # b b^T: the trace of its responses is the flexibility
-        found.append(LOCAL / float(np.trace(factor.solve(forces)[touched])))
+        found.append(RULES.local / float(np.trace(factor.solve(forces)[touched])))
     return found

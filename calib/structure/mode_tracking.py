@@ -13,11 +13,7 @@ from calib.mac import align, mac
 from calib.space import ParameterSpace
 from calib.structure.derivatives import ModeDerivatives, eigenvalues
 from calib.structure.modes import Modes
-
-SUCCESSOR = 0.3
-"""MAC below which a mode has no successor at an end of a difference: it has left the solved modes."""
-SMOOTH = 0.9
-"""MAC below which a successor is a different mixture of modes: it gives a frequency derivative, but no shape's."""
+from calib.structure.rules import RULES
 
 
 def followed_derivatives(
@@ -38,8 +34,8 @@ def followed_derivatives(
     phase-aligned to the mode by least squares.
 
     A difference is one-sided at a limit, where the model fails at one end, and for a mode without a successor there
-    (`SUCCESSOR`). A mode without successors along a parameter has zero derivatives; one whose successor is a different
-    mixture of modes (`SMOOTH`) has derivatives of frequency and damping only, and 0 for its shape.
+    (`RULES.successor`). A mode without successors along a parameter has zero derivatives; one whose successor is a
+    different mixture of modes (`RULES.smooth`) has derivatives of frequency and damping only, and 0 for its shape.
 
     Parameters
     ----------
@@ -129,9 +125,9 @@ class _Path:
         found, reached = successors(shapes, self.start.natural_freq[self.chosen], there)
         pairs = [(shapes[:, k], there.shapes[:, j]) for k, j in enumerate(found)]
         moved = np.column_stack([end * align(start, end) for start, end in pairs])
-        self.smooth &= (reached >= SMOOTH) | (reached < SUCCESSOR)
+        self.smooth &= (reached >= RULES.smooth) | (reached < RULES.successor)
         out = _parts(eigenvalues(there)[found], moved).reshape(-1, 2, len(found))
-        out[:, :, reached < SUCCESSOR] = np.nan
+        out[:, :, reached < RULES.successor] = np.nan
         return out.ravel()
 
 

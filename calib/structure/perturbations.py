@@ -17,18 +17,11 @@ from calib.structure.attach import outer_term, parts_of
 from calib.structure.extend import Addition
 from calib.structure.inertia import symmetric_factor
 from calib.structure.model import Part, StructuralModel
+from calib.structure.rules import RULES
 from calib.structure.scaled_part import ScaledPart
 
-RELATIVE = 0.3
-"""Plausible relative change of a part."""
-LOCAL = 0.1
-"""Plausible stiffness of a grounded spring, over the local stiffness at the reference values."""
-HEAVY = 0.01
-"""Plausible added mass, over the mass of the model that moves in that direction."""
-LESS, MORE = -0.9, 9.0
-"""Smallest and largest relative change: to a tenth, and to ten times."""
-LEAST = {"stiffness": LESS, "damping": -1.0, "mass": LESS}
-"""Smallest relative change of a part: a damper may fail, but the model needs its springs and masses."""
+LEAST = {"stiffness": RULES.less, "damping": RULES.damper_less, "mass": RULES.less}
+"""Smallest relative change of a part, by its kind."""
 
 
 @dataclass(frozen=True)
@@ -83,8 +76,8 @@ def perturbations(
             moved = np.flatnonzero(model.dofs.direction == DIRECTIONS.index(sensor.direction))
             total = float(sp.csc_array(mass)[moved][:, moved].sum())
             found += [
-                _at_sensor(sensor, row, "stiffness", LOCAL / float(flexibility), suffix),
-                _at_sensor(sensor, row, "mass", HEAVY * total, suffix),
+                _at_sensor(sensor, row, "stiffness", RULES.local / float(flexibility), suffix),
+                _at_sensor(sensor, row, "mass", RULES.heavy * total, suffix),
             ]
     return tuple(found)
 
@@ -105,7 +98,7 @@ def _scaled(part: Part, suffix: str) -> Perturbation:
 
 def relative_change(part: ScaledPart) -> Parameter:
     """Relative change of a part, with its limits and a large but plausible size."""
-    return Parameter(part.parameter, 0.0, LEAST[part.kind], MORE, "-", prior_sd=RELATIVE)
+    return Parameter(part.parameter, 0.0, LEAST[part.kind], RULES.more, "-", prior_sd=RULES.relative)
 
 
 def scaling(part: ScaledPart, build: Callable[[Any], Any]) -> Effect:
@@ -131,7 +124,7 @@ def _at_sensor(sensor: Sensor, row: np.ndarray, kind: str, size: float, suffix: 
         term = (outer_term(name, [row], Monomial(1.0, ((name, 1.0),)), model.n_dof - len(row)),)
         return Addition(stiffness=term) if kind == "stiffness" else Addition(mass=term)
 
-    magnitude = Parameter(name, 0.0, 0.0, 20 * size, unit, prior_sd=size)
+    magnitude = Parameter(name, 0.0, 0.0, RULES.added_most * size, unit, prior_sd=size)
     assert sensor.point is not None
     return Perturbation(_effect(name, magnitude, build, f"{words} of this size"), kind, sensor.point, sensor.name)
 

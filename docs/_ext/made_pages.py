@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import ast
 import importlib
+import inspect
 import json
 import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import fields
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,9 @@ from sphinx.application import Sphinx
 from typer.main import get_command
 
 import calib
+from calib.analyses.recorded_rules import every_rule
 from calib.cli import app as command
+from calib.modal_analysis import rules as identification
 from calib.settings import schema
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -176,6 +180,35 @@ def results() -> str:
     return "\n".join(parts)
 
 
+# -- rules -------------------------------------------------------------------------------------------------------------
+
+
+def rules() -> str:
+    """Every constant of the rules that ``record.json`` holds: its value and its meaning, by the object it stands in."""
+    parts = []
+    for name, one in {**every_rule(), "calib modes": identification.RULES}.items():
+        words = inspect.getdoc(type(one)) or ""
+        meaning, first = _attributes(words), re.split(r"[;.]", words.split("\n")[0])[0]
+        parts.append(f"## `{name}`\n\n{first} (`{type(one).__module__}.{type(one).__name__}`).\n")
+        values = ((field.name, getattr(one, field.name)) for field in fields(one))
+        parts.append(table(("rule", "value", "meaning"), ([f"`{n}`", _value(v), meaning[n]] for n, v in values)))
+    return "\n".join(parts)
+
+
+def _attributes(docstring: str) -> dict[str, str]:
+    """Descriptions of the attributes of a class, from the section of its numpy-style docstring."""
+    section = docstring.partition("Attributes\n----------\n")[2]
+    out = {}
+    for found in re.finditer(r"^(\S[^:\n]*) : .+\n((?:    .+(?:\n|$))+)", section, re.MULTILINE):
+        for name in found.group(1).split(", "):
+            out[name] = _code(" ".join(line.strip() for line in found.group(2).splitlines()))
+    return out
+
+
+def _value(value: Any) -> str:
+    return ", ".join(f"{one:.7g}" for one in (value if isinstance(value, tuple) else (value,)))
+
+
 # -- error rates -------------------------------------------------------------------------------------------------------
 
 
@@ -254,7 +287,7 @@ def api() -> str:
 
 
 PARTS: dict[str, Callable[..., str]] = {
-    "keys": keys, "commands": commands, "tables": results, "rates": rates, "methods": methods,
+    "keys": keys, "commands": commands, "tables": results, "rules": rules, "rates": rates, "methods": methods,
     "modules": modules, "api": api,
 }  # fmt: skip
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from calib.analyses.discretisation_error import (
-    ALLOWED,
     DiscretisationError,
     discretisation_error,
     discretisation_error_of,
@@ -16,6 +15,7 @@ from calib.analyses.discretisation_error import (
 )
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.library import modal_hypotheses
+from calib.analyses.rules import RULES
 from calib.correlation.frf_problem import FRFProblem
 from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.residual import ModalResidual
@@ -120,7 +120,7 @@ def test_a_finer_mesh_gives_small_scores_and_a_much_coarser_one_large(settled, m
     """The eigenvalue error of cubic beam elements grows with about the fourth power of their length."""
     hypotheses, fit = settled
     sizes = [discretisation_error(hypotheses, fit, mast.mast(h)).largest for h in (0.1, 0.25, 1.0, 2.0)]
-    assert sizes[0] < ALLOWED and sizes[1] < ALLOWED
+    assert sizes[0] < RULES.mesh_score and sizes[1] < RULES.mesh_score
     assert sizes[3] > 3 * sizes[2] > 3 * sizes[1]
 
 
@@ -128,7 +128,7 @@ def test_a_mesh_that_is_too_coarse_is_reported_with_a_remedy(settled, mast):
     hypotheses, fit = settled
     coarse = discretisation_error(hypotheses, fit, mast.mast(2.0))
     first = coarse.table.iloc[0]
-    assert coarse.largest > ALLOWED and coarse.largest == abs(first["score"])
+    assert coarse.largest > RULES.mesh_score and coarse.largest == abs(first["score"])
     assert f"scores of up to {coarse.largest:.2f} ({first['candidate']})" in coarse.sentence
     assert "refine the mesh" in coarse.sentence
 
@@ -138,7 +138,7 @@ def test_a_difference_that_a_candidate_describes_shows_in_its_score(settled):
     hypotheses, fit = settled
     found = discretisation_error(hypotheses, fit, heavier(hypotheses.variants.model, 1.05))
     scores = found.table.set_index("candidate")["score"]
-    assert scores["mass of tube"] > ALLOWED
+    assert scores["mass of tube"] > RULES.mesh_score
     half = discretisation_error(hypotheses, fit, heavier(hypotheses.variants.model, 1.025))
     assert half.table.set_index("candidate")["score"]["mass of tube"] == pytest.approx(
         0.5 * scores["mass of tube"], rel=0.1
@@ -222,7 +222,7 @@ def test_the_noise_free_twin_gives_small_scores(twin_maker, with_basis, tmp_path
     nominal = twin_maker.blind.twin.sensors()
     for places in (nominal, twin_maker.blind.twin.moved(nominal, np.random.default_rng(1))):
         found = error_with(places)
-        assert found.largest <= ALLOWED, found.sentence
+        assert found.largest <= RULES.mesh_score, found.sentence
         assert len(found.table) == 16 + len(hypotheses.perturbations) and len(hypotheses.perturbations) > 100
     wrong = [replace(s, point=(s.point[0] + 0.15, *s.point[1:])) if s.name == "102y" else s for s in nominal]
     assert error_with(wrong).misfit > 4 * found.misfit  # sensor positions matter

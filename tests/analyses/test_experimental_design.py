@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 from calib.analyses import imagined_measurement
-from calib.analyses.experimental_design import BENCH, modal_design
+from calib.analyses.experimental_design import modal_design
 from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.imagined_measurement import MORE_MODES
+from calib.analyses.rules import RULES
 from calib.correlation.residual import ModalResidual
 from calib.errors import EvaluationError
 from calib.missing.candidate_fit import CandidateFit
@@ -105,7 +105,7 @@ def test_another_mode_gains_as_predicted(world):
     _, hypotheses, fit = world
     design = design_of(hypotheses, fit)
     measurements = candidates_of(design, "mode")
-    assert len(measurements) == MORE_MODES
+    assert len(measurements) == RULES.more_modes
     modes, index = model_modes(hypotheses, fit), hypotheses.fit_problem(()).at(fit.values).pairing.model_index
     free = [j for j in range(modes.n_modes) if j not in index and modes.natural_freq[j] < 100.0]
     for j, measurement in zip(free, measurements, strict=False):
@@ -129,7 +129,7 @@ def test_a_bench_test_of_a_part_gains_as_predicted(world):
     design = design_of(hypotheses, fit)
     measurements = candidates_of(design, "bench")
     assert [next(iter(o.prior_sd)) for o in measurements] == [
-        name for name in fit.names if BENCH * hypotheses.space[name].value < hypotheses.space[name].prior_width
+        name for name in fit.names if RULES.bench * hypotheses.space[name].value < hypotheses.space[name].prior_width
     ]
     for measurement in measurements:
         ((name, sd),) = measurement.prior_sd.items()
@@ -212,9 +212,9 @@ def test_a_mode_far_from_a_held_out_one_or_near_two_is_labelled_by_its_frequency
 def test_two_modes_near_a_held_out_one_are_two_candidates(world, monkeypatch):
     study, hypotheses, fit = world
     freq = study.measured.natural_freq[study.measured.names.index("B3x")]
-    monkeypatch.setattr(imagined_measurement, "NEAR", 100.0)
+    monkeypatch.setattr(imagined_measurement, "RULES", replace(RULES, held_out_near=100.0))
     names = [o.name for o in candidates_of(design_of(hypotheses, fit, {"B3x": freq}), "mode")]
-    assert len(set(names)) == MORE_MODES and names.count("mode B3x, held out so far") == 1
+    assert len(set(names)) == RULES.more_modes and names.count("mode B3x, held out so far") == 1
 
 
 def test_nothing_is_recommended_where_the_model_cannot_be_solved(world, monkeypatch):

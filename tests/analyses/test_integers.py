@@ -1,5 +1,6 @@
 """Calibration of integer parameters."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -7,6 +8,7 @@ import pytest
 
 from calib import cli
 from calib.analyses import case_starts
+from calib.inference.rules import RULES
 from calib.inference.verdicts import identified_sentence
 from tests.template import plain
 
@@ -25,9 +27,9 @@ UNTRIED = "Not all neighbours of these integers were tried: another combination 
 pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
 
-@pytest.mark.parametrize("refits", [case_starts.REFITS, 2])
+@pytest.mark.parametrize("refits", [RULES.refits, 2])
 def test_an_incomplete_search_over_integers_is_reported(here, monkeypatch, capsys, refits):
-    monkeypatch.setattr(case_starts, "REFITS", refits)
+    monkeypatch.setattr(case_starts, "RULES", replace(RULES, refits=refits))
     monkeypatch.setattr("calib.report.figures.Figures.save", lambda *given: [])
     measured = {"y": (51.0, 0.1), "z": (7.0, 0.1), "w": (2.0, 0.1)}
     plain.write(Path("plain"), FUNCTION, ASKED, SPACE, '["a", "n"]', **measured)

@@ -1,6 +1,7 @@
 """Modes that an added effect brings, on a row of masses that carries suspended ones."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -67,7 +68,7 @@ def test_a_light_unit_between_modes_brings_one_mode_near_its_own_frequency():
 
 
 def test_the_shares_of_a_unit_add_up_to_one(monkeypatch):
-    monkeypatch.setattr(of, "OWN", -math.inf)
+    monkeypatch.setattr(of, "RULES", replace(of.RULES, own_mode=-math.inf))
     base, effects = row_of_masses(), [unit("brake", 1), unit("lamp", 2)]
     values = {"brake": 3.0, "brake_freq": 20.0, "lamp": 2.0, "lamp_freq": 33.0}
     table = own_modes(base, effects, found(extend(base, effects), values))

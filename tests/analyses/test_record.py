@@ -7,11 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib import __version__, on_limit
+from calib import __version__
 from calib.analyses.compare import compare
 from calib.analyses.record import measured_table, sensors_table, write_record
-from calib.missing.rules import RULES
+from calib.analyses.recorded_rules import every_rule
+from calib.correlation import rules as comparison
 from calib.results import Results
+from calib.sensitivity import rules as sensitivity
 from calib.settings import AdoptedSettings
 from calib.study import Study
 
@@ -62,8 +64,8 @@ def test_the_record_names_versions_and_seeds_and_keeps_earlier_analyses(guyed, t
     first, second = content["analyses"].values()
     assert first["sentences"] == list(answer.sentences) and first["seeds"] == {} and not first["quick"]
     assert second["seeds"] == {"samples": 7} and second["quick"] and second["sentences"] == ["Two matter."]
-    assert first["rules"]["limits"] == asdict(on_limit.RULES) and len(first["rules"]["limits"]) == 3
-    assert first["rules"]["missing"]["credible"] == RULES.credible and len(first["rules"]["inference"]) > 5
+    assert set(first["rules"]) < set(every_rule()) and first["rules"]["comparison"]["level"] == comparison.RULES.level
+    assert second["rules"]["sensitivity"] == asdict(sensitivity.RULES) and "missing" not in first["rules"]
     assert first["versions"]["calib"] == __version__ and first["versions"]["numpy"] == np.__version__
 
 

@@ -6,7 +6,8 @@ import pandas as pd
 import pytest
 
 from calib.analyses.explain import explain
-from calib.analyses.uncertain import REACH, uncertain, uncertain_note, with_uncertain
+from calib.analyses.rules import RULES
+from calib.analyses.uncertain import uncertain, uncertain_note, with_uncertain
 from calib.errors import InputError
 from calib.results import Results
 from calib.study import Study
@@ -67,7 +68,9 @@ def test_the_unselected_parameters_are_free_about_their_nominal_values(mast, edi
     assert [p.name for p in uncertain(study)] == ["m_top"]
     freed, own = with_uncertain(study).search_space, study.search_space
     p = freed["m_top"]
-    assert p.prior_width == pytest.approx(0.03 * p.value) and p.upper - p.value == pytest.approx(REACH * p.prior_width)
+    assert p.prior_width == pytest.approx(0.03 * p.value) and p.upper - p.value == pytest.approx(
+        RULES.freed_reach * p.prior_width
+    )
     assert set(freed.free_names) == {*own.free_names, "m_top"} and all(freed[n] == own[n] for n in own.free_names)
     assert uncertain_note(study) == ("Parameters that are not selected are uncertain by 3 %: m_top.",)
 

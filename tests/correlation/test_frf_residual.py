@@ -7,8 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.correlation.frf_problem import UNKNOWN_STD, FRFProblem
+from calib.correlation.frf_problem import FRFProblem
 from calib.correlation.frf_residual import FRFResidual
+from calib.correlation.rules import RULES
 from calib.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import Prior, fit
 from calib.loading import module_of
@@ -103,7 +104,7 @@ def test_entries_that_were_not_measured_have_no_row(chain):
 
 def test_without_repeats_a_share_of_the_modulus_is_assumed(chain):
     residual = FRFResidual(FRFProblem(chain, measured(1, repeats=1)))
-    np.testing.assert_allclose(residual.relative_std, UNKNOWN_STD, rtol=1e-12)
+    np.testing.assert_allclose(residual.relative_std, RULES.unknown_frf_std, rtol=1e-12)
     assert residual.std_dof["frf"] == np.inf
 
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.correlation import order
 from calib.correlation.order import Costs, align_in_order
+from calib.correlation.rules import RULES
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -61,18 +61,18 @@ def test_empty_lists_are_accepted():
 def test_no_other_ascending_choice_costs_less(seed, n, m):
     rng = np.random.default_rng(seed)
     measured, model = np.sort(rng.uniform(2, 30, n)), np.sort(rng.uniform(2, 30, m))
-    costs = Costs(rng.uniform(-0.2, 0.2), rng.choice(order.SCALES))
+    costs = Costs(rng.uniform(-0.2, 0.2), rng.choice(RULES.order_scales))
 
     def cost(choice):
         paired = [j for j in choice if j >= 0]
         d = np.array([np.log(model[j] / measured[i]) for i, j in enumerate(choice) if j >= 0])
         out = np.sum(np.log(2 * costs.scale) + np.abs(d - costs.common) / costs.scale)
-        out += order.SKIP_MEASURED * (n - len(paired))
-        counted = np.log(model / measured[0]) - costs.common > -np.log(order.NEAR_ZERO)
+        out += RULES.skip_measured * (n - len(paired))
+        counted = np.log(model / measured[0]) - costs.common > -np.log(RULES.near_zero)
         last = -1
         for j in paired:
             run = np.sum(counted[:j]) if last < 0 else j - last - 1
-            out += (order.SKIP_MODEL + order.SKIP_MODEL_MORE * (run - 1)) if run else 0.0
+            out += (RULES.skip_model + RULES.skip_model_more * (run - 1)) if run else 0.0
             last = j
         return out
 

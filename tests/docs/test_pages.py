@@ -5,10 +5,12 @@ import re
 import runpy
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
+from calib.analyses.recorded_rules import every_rule
 from calib.settings import schema
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -119,6 +121,20 @@ def test_every_command_and_every_option_is_listed(made):
         assert f"## `calib {name}`" in text
         for param in command.params:
             assert str(param.metavar or param.name).upper() in text or param.opts[0] in text
+
+
+def test_every_rule_is_listed_with_its_value_and_a_meaning(made):
+    text = made["rules"]()
+    for name, rules in every_rule().items():
+        section = text.split(f"## `{name}`\n")[1].split("\n## ")[0]
+        assert type(rules).__name__ in section
+        rows = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("| `")]
+        assert [row[0].strip("`") for row in rows] == [field.name for field in fields(rules)]
+        for field, (_, value, meaning) in zip(fields(rules), rows, strict=True):
+            given = getattr(rules, field.name)
+            told = [float(number) for number in value.split(", ")]
+            assert told == pytest.approx(list(given) if isinstance(given, tuple) else [given], rel=1e-5)
+            assert len(meaning) > 10
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calib import degrees_of_freedom
 from calib.missing.adequacy import adequacy_of, beside
 from calib.missing.explain import explain
 from calib.missing.refits import DEFAULT, Refits
@@ -120,7 +121,7 @@ def test_no_effect_is_taken_in_that_leaves_fewer_than_two_degrees_of_freedom(toy
     one = drawn(toy, THREE, 0)
     first, second = (step.adequacy.dof for step in searched(one, "E0").steps[1:3])
     assert second < first - 0.5
-    monkeypatch.setattr("calib.missing.candidate_fit.LEAST_DOF", first - 0.5)
+    monkeypatch.setattr(degrees_of_freedom, "RULES", replace(degrees_of_freedom.RULES, least=first - 0.5))
     found = searched(one, "E0")
     assert found.stopped == "rejected" and found.last.candidate_fit.names == ("E0",)
     assert any(t.why == "dof" for t in found.trials) and {t.why for t in found.trials} <= {"dof", "evidence"}

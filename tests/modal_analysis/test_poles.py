@@ -10,8 +10,8 @@ import pytest
 from calib.errors import InputError
 from calib.loading import module_of
 from calib.measurement.frf_repeats import combine_frfs
-from calib.modal_analysis import poles as subject
 from calib.modal_analysis.poles import poles_by_order
+from calib.modal_analysis.rules import RULES
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAIN = module_of(ROOT / "tests/template/frf_chain.py")
@@ -50,8 +50,8 @@ def test_the_quantity_of_the_functions_does_not_matter(quantity):
 
 
 def test_the_highest_order_leaves_enough_lines_for_each_pole():
-    assert len(poles_by_order(chain())) == len(CHAIN.FREQ) // subject.LINES_PER_ORDER
-    assert len(poles_by_order(chain(np.linspace(2, 40, 401)))) == subject.HIGHEST_ORDER
+    assert len(poles_by_order(chain())) == len(CHAIN.FREQ) // RULES.lines_per_order
+    assert len(poles_by_order(chain(np.linspace(2, 40, 401)))) == RULES.frf_order_most
 
 
 def test_lines_must_be_enough_even_above_zero_and_complete():

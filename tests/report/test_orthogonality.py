@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.colors import to_hex
 
-from calib.correlation import expansion
+from calib.correlation.rules import RULES
 from calib.report import orthogonality
 from calib.report.orthogonality import draw_cross_orthogonality, draw_self_orthogonality, orthogonality_figure
 from calib.report.style import VERMILLION, new_figure
@@ -31,7 +31,7 @@ def test_pairs_below_and_others_above_the_limits_have_a_frame(cross, own):
 
 
 def test_the_limits_are_those_of_the_sentence():
-    assert (orthogonality.KEPT, orthogonality.LEAK) == (expansion.KEPT, expansion.LEAK)
+    assert (orthogonality.KEPT, orthogonality.LEAK) == (RULES.orthogonal_kept, RULES.orthogonal_leak)
 
 
 def test_the_figure_holds_both_beside_each_other_and_large_ones_below(cross, own):

@@ -3,8 +3,8 @@ import pandas as pd
 import pytest
 
 from calib.errors import InputError
+from calib.sensitivity.rules import RULES
 from calib.sensitivity.selection import assess
-from calib.sensitivity.variance_share import RELEVANT
 
 
 def rows(assessment):
@@ -42,7 +42,7 @@ def test_values_are_those_of_the_tables_where_they_are_largest(bound):
         ):  # fmt: skip
             assert row[f"max_{measure}"] == values.loc[name, row[f"{measure}_response"]]
         assert abs(row["max_partial"]) == found.partial.loc[name].abs().max()
-        assert row["variance_share_floor"] >= RELEVANT
+        assert row["variance_share_floor"] >= RULES.relevant
         assert row["spearman_floor"] == found.spearman_floor[row["spearman_response"]]
 
 

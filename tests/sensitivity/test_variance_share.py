@@ -4,8 +4,9 @@ import pytest
 
 from calib.errors import InputError
 from calib.sensitivity.partial import partial, partial_noise_floor
+from calib.sensitivity.rules import RULES
 from calib.sensitivity.spearman import noise_floor, spearman
-from calib.sensitivity.variance_share import RELEVANT, joint_variance_share, variance_share
+from calib.sensitivity.variance_share import joint_variance_share, variance_share
 
 
 def grid(levels: int = 9) -> pd.DataFrame:
@@ -45,7 +46,7 @@ def test_an_even_effect_of_an_integer_parameter_is_found_where_correlations_are_
         points, responses = draw(seed, 150)
         responses = responses[["even"]]
         got = variance_share(points, responses)
-        found += got.table.loc["place", "even"] > max(got.floor.loc["place", "even"], RELEVANT)
+        found += got.table.loc["place", "even"] > max(got.floor.loc["place", "even"], RULES.relevant)
         rank, part = spearman(points, responses), partial(points, responses)
         missed += (abs(rank.loc["place", "even"]) < noise_floor(150, 5)) and (
             abs(part.loc["place", "even"]) < partial_noise_floor(150, 5, 5)
@@ -63,7 +64,7 @@ def test_inert_parameters_bound_to_an_active_one_are_not_found(draw, noise):
         points, responses = draw(seed, 150, noise=noise)
         for name in responses:  # each its own table, so that each has the whole 5 %
             got = variance_share(points, responses[[name]])
-            passed = got.table[name] > got.floor[name].clip(lower=RELEVANT)
+            passed = got.table[name] > got.floor[name].clip(lower=RULES.relevant)
             false[name] = false.get(name, 0) + passed[["inert_mass", "nothing"]].any()
             active[name] = active.get(name, 0) + passed["place" if name == "even" else "mass"]
         tied += abs(spearman(points, responses[["steep"]]).loc["inert_mass", "steep"]) > noise_floor(150, 5)

@@ -12,7 +12,8 @@ from calib.structure.attach import hung_masses
 from calib.structure.derivatives import mode_derivatives
 from calib.structure.extend import Addition, extend
 from calib.structure.model import Part
-from calib.structure.perturbations import HEAVY, LOCAL, RELATIVE, perturbations
+from calib.structure.perturbations import perturbations
+from calib.structure.rules import RULES
 
 N = 20
 POINT = {"k_upper": 61.0, "k_lower": 17.0, "k_rung": 1.1, "c_end": 44.0, "mass": 0.8, "place": 2.0, "k_ground": 30.0}
@@ -73,7 +74,7 @@ def test_a_part_scaled_is_its_parameter_scaled(ladder, name):
         expected = model.matrices({**POINT, TERMS[name]: factor * POINT[TERMS[name]]})
         for a, b in zip(found, expected, strict=True):
             np.testing.assert_allclose(a.toarray(), b.toarray(), rtol=1e-12, atol=1e-9)
-    assert perturbation.plausible == RELATIVE and perturbation.magnitude.unit == "-"
+    assert perturbation.plausible == RULES.relative and perturbation.magnitude.unit == "-"
     assert perturbation.magnitude.lower == (-1 if name.startswith("damping") else -0.9)
 
 
@@ -117,8 +118,8 @@ def test_springs_and_masses_at_sensors_scale_with_local_stiffness_and_mass(ladde
     flexible = np.linalg.inv(k + (2 * np.pi * 0.7) ** 2 * m)
     for sensor in SENSORS:
         spring, mass = (found[f"{w} at sensor {sensor.name}"].effect for w in ("grounded spring", "added mass"))
-        assert spring.plausible == pytest.approx(LOCAL / flexible[sensor.node, sensor.node], rel=1e-9)
-        assert mass.plausible == pytest.approx(HEAVY * m.sum())
+        assert spring.plausible == pytest.approx(RULES.local / flexible[sensor.node, sensor.node], rel=1e-9)
+        assert mass.plausible == pytest.approx(RULES.heavy * m.sum())
         wider = extend(model, [spring, mass])
         after = wider.matrices({**point, spring.name: 5.0, mass.name: 0.3})
         there = np.outer(*[np.eye(N)[sensor.node]] * 2)
@@ -132,7 +133,7 @@ def test_only_the_mass_that_moves_in_a_sensors_direction_counts(ladder):
     half = replace(model, dofs=replace(model.dofs, direction=direction))
     found = named(perturbations(half, SENSORS[1:], POINT, 1.0))
     m = model.matrices(POINT)[2].toarray()
-    assert found["added mass at sensor 8x"].effect.plausible == pytest.approx(HEAVY * m[5:, 5:].sum())
+    assert found["added mass at sensor 8x"].effect.plausible == pytest.approx(RULES.heavy * m[5:, 5:].sum())
 
 
 def test_at_magnitude_0_nothing_changes(ladder):

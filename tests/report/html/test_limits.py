@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy.stats import norm
 
-from calib.correlation import compare
+from calib.correlation import compare, rules
 from calib.missing.rules import RULES
 from calib.report.explanation import COLLINEAR, LEAST_BAYES_FACTOR
 from calib.report.html.limits import BEYOND, BY_CHANCE, CONTRADICTED, NONE, TESTS, WITHIN
@@ -75,7 +75,7 @@ def test_an_effect_below_the_limit_of_the_evidence_is_not_beyond_it(folder, bloc
 
 def test_the_levels_are_those_of_the_analyses():
     """The report reads tables only, so it holds these numbers itself."""
-    assert (BEYOND, WITHIN) == (compare.BEYOND, compare.LEVEL)
+    assert (BEYOND, WITHIN) == (compare.BEYOND, rules.RULES.level)
     assert RULES.pull == RULES.noise_level == BY_CHANCE and RULES.contradicted == CONTRADICTED
     assert (RULES.credible, RULES.confounded) == (LEAST_BAYES_FACTOR, COLLINEAR)
 

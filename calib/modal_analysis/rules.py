@@ -1,0 +1,101 @@
+"""Constants that decide which poles of FRFs and of ambient records count as modes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class IdentifyRules:
+    """Constants of modal identification; they are those of `calib modes`, which writes modes and no `record.json`.
+
+    Attributes
+    ----------
+    frf_order_most : int
+        Largest number of pole pairs of FRFs.
+    lines_per_order : int
+        Fewest lines behind each pole pair: a function adds two equations a line, and each pair brings two unknowns to
+        the common denominator and two to the function's own numerator, so that half of the equations are left over.
+    lines_least : int
+        Fewest lines of FRFs: five orders, which the rule of stabilisation needs.
+    freq_change : float
+        Largest relative change of a stable pole's natural frequency from one order to the next.
+    damping_change : float
+        Likewise of its damping ratio.
+    stable_mac : float
+        Smallest MAC between its residues over all functions at the two orders.
+    skipped : int
+        Orders that a pole may be missing between.
+    orders_least : int
+        Fewest orders at which a mode is stable.
+    orders_share : float
+        The same, over all orders.
+    overdamped : float
+        Above this ratio a pole of FRFs has no resonance and stands for other errors of the fit.
+    judged_lines : int
+        Fewest lines by which a mode is judged; the nearest, where its half-power width holds fewer.
+    excess_most : float
+        Largest error beyond noise around a mode, over the FRF: the FRAC is then about 0.99.
+    excess_sure : float
+        Standard deviations by which the sum of squared errors around a mode must exceed its expectation to count as
+        misfit: one in three million by chance, while a search looks at a few dozen modes.
+    record_order_most : int
+        Largest number of states of ambient records: two a mode, half of which pyOMA2's clusters ask for.
+    rows_least : int
+        Fewest block rows of the Hankel matrix: correlations over 40 samples.
+    parts : int
+        Parts into which records are cut for standard deviations, which then have a relative error of 13 %.
+    samples_per_row : int
+        Fewest samples of a part, over the block rows.
+    record_overdamped : float
+        Above this ratio a pole of records stands for noise.
+    same_mac : float
+        Least MAC of a mode with itself when a part of the records is left out.
+    damping_unsure : float
+        Largest standard deviation of a damping ratio, over the ratio: above it the pole may as well be undamped, a hum.
+    orders_resampled : tuple of int
+        Orders at which parts of records are left out, for modes that have poles there; of each part their median
+        counts, as of the whole the median over all orders does: at single orders poles of noise come close.
+    rate_over_band : float
+        Samples a second that are kept, over the highest frequency of a band.
+    periods_least : float
+        Fewest periods of a mode in the lags of the Hankel matrix: of slower ones the damping is biased beyond its
+        standard deviation.
+    one_shape_least : float
+        Least share of the correlations of a mode that one shape describes.
+    lags : int
+        Lags of the correlations behind half-spectra.
+    window_end : float
+        What the exponential window leaves of the last one.
+    """
+
+    frf_order_most: int = 40
+    lines_per_order: int = 4
+    lines_least: int = 20
+    freq_change: float = 0.01
+    damping_change: float = 0.05
+    stable_mac: float = 0.95
+    skipped: int = 1
+    orders_least: int = 5
+    orders_share: float = 0.25
+    overdamped: float = 0.9
+    judged_lines: int = 5
+    excess_most: float = 0.1
+    excess_sure: float = 5.0
+    record_order_most: int = 60
+    rows_least: int = 20
+    parts: int = 30
+    samples_per_row: int = 8
+    record_overdamped: float = 0.5
+    same_mac: float = 0.8
+    damping_unsure: float = 0.5
+    orders_resampled: tuple[int, ...] = tuple(range(16, 50, 4))
+    rate_over_band: float = 2.56
+    periods_least: float = 1.0
+    one_shape_least: float = 0.9
+    lags: int = 256
+    window_end: float = 0.01
+
+
+RULES = IdentifyRules()
+"""Constants in force."""

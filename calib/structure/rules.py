@@ -1,0 +1,58 @@
+"""Plausible sizes and limits of changes of a model's parts, and when a mode of a changed model is the same one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ModelRules:
+    """Constants of changed models; `record.json` holds those of a result.
+
+    Attributes
+    ----------
+    relative : float
+        Plausible relative change of a part.
+    less : float
+        Smallest relative change of a part: to a tenth.
+    more : float
+        The largest: to ten times.
+    damper_less : float
+        Smallest relative change of a damper: it may fail, but the model needs its springs and masses.
+    local : float
+        Plausible stiffness of a grounded spring, over the local stiffness at the reference values.
+    heavy : float
+        Plausible added mass, over the mass of the model that moves in that direction.
+    added_most : float
+        Largest spring or mass at a sensor, over the plausible one.
+    lossy : float
+        Plausible loss factor of a part at the middle of the measured band.
+    neighbours : int
+        Nearest sensors of the same direction to which a sensor may be joined in a composed effect.
+    hung_points : int
+        Natural frequencies at which the signature of a hung mass is taken.
+    hung_ratio : float
+        Damping ratio of a hung mass on a fixed base: that of rubber mounts.
+    successor : float
+        MAC below which a mode has no successor at an end of a difference: it has left the solved modes.
+    smooth : float
+        MAC below which a successor is a different mixture of modes: it gives a frequency derivative, but no shape's.
+    """
+
+    relative: float = 0.3
+    less: float = -0.9
+    more: float = 9.0
+    damper_less: float = -1.0
+    local: float = 0.1
+    heavy: float = 0.01
+    added_most: float = 20.0
+    lossy: float = 0.1
+    neighbours: int = 3
+    hung_points: int = 7
+    hung_ratio: float = 0.03
+    successor: float = 0.3
+    smooth: float = 0.9
+
+
+RULES = ModelRules()
+"""Constants in force."""

@@ -1,0 +1,44 @@
+"""Rules in the record: each analysis holds those it depends on, and is stale once one of them changes."""
+
+from dataclasses import fields, is_dataclass, replace
+
+import pytest
+
+from calib.analyses.recorded_rules import every_rule, rules_of
+from calib.analyses.state import WRITES, changed, made_from, made_from_on_paper
+from calib.study_file import StudyFile
+
+PLACES = {
+    "reading": "calib.measurement.rules.RULES",
+    "degrees_of_freedom": "calib.degrees_of_freedom.RULES",
+    "floors": "calib.correlation.standard_deviations.USUAL",
+    "comparison": "calib.correlation.rules.RULES",
+    "faults": "calib.correlation.fault_rules.RULES",
+    "models": "calib.structure.rules.RULES",
+    "sensitivity": "calib.sensitivity.rules.RULES",
+    "limits": "calib.on_limit.RULES",
+    "inference": "calib.inference.rules.RULES",
+    "analyses": "calib.analyses.rules.RULES",
+    "missing": "calib.missing.rules.RULES",
+}
+
+
+def test_all_rules_are_frozen_and_recorded_by_some_analysis():
+    assert set(every_rule()) == set(PLACES) == {name for analysis in WRITES for name in rules_of(analysis)}
+    for rules in every_rule().values():
+        assert is_dataclass(rules) and type(rules).__dataclass_params__.frozen and fields(rules)
+
+
+@pytest.mark.parametrize("analysis", ["compare", "sensitivity", "calibrate", "explain"])
+@pytest.mark.parametrize("name", PLACES)
+def test_an_analysis_is_stale_once_one_of_its_rules_changes(guyed, monkeypatch, analysis, name):
+    study = guyed[0]
+    file = StudyFile.read(study.file)
+    then = made_from(study, analysis)
+    assert changed(then, made_from(study, analysis)) == []
+    rules = every_rule()[name]
+    first = fields(rules)[0].name
+    monkeypatch.setattr(PLACES[name], replace(rules, **{first: 2 * getattr(rules, first)}))
+    expected = ["the rules of calib"] if name in rules_of(analysis) else []
+    assert changed(then, made_from(study, analysis)) == expected
+    assert changed(then, made_from_on_paper(file, analysis, then, then["selected"])) == expected

@@ -1,0 +1,217 @@
+"""Numbers at the top of modules: those that decide a verdict stand in the rules, which every record holds.
+
+What is left is listed here by its reason, file by file. A new one that decides between verdicts, or that stands for
+something unknown, belongs into the rules of its subject (`calib.analyses.recorded_rules`).
+"""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1] / "calib"
+
+FOLDERS = {
+    "report": "layout of figures and pages, which read tables; levels of verdicts are checked against the rules",
+    "console": "how many lines are printed",
+    "ledger": "format and access of the database",
+}
+
+ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
+    "analyses/frf_start.py": "_INDEPENDENT",
+    "analyses/staged.py": "_ROUNDING",
+    "analyses/stored.py": "SAME PART_OF_STD",
+    "correlation/fault_library.py": "NEGLIGIBLE",
+    "correlation/frf_places.py": "_ROUNDING",
+    "correlation/mode_tracking.py": "_SAME_PLACE",
+    "correlation/problem.py": "_LEAST_FREQ",
+    "correlation/residual.py": "_LEAST_RATIO",
+    "degrees_of_freedom.py": "KNOWN _ZERO",
+    "inference/cmcf_equations.py": "RESONANT _RANK",
+    "inference/identify.py": "_ZERO",
+    "inference/region.py": "ACTIVE",
+    "mac.py": "_COLLINEAR",
+    "measurement/csv_record.py": "_TOLERANCE",
+    "measurement/frf_repeats.py": "_AXIS",
+    "measurement/frf_units.py": "_TOLERANCE",
+    "measurement/places.py": "REPEAT_TOLERANCE TABLE_TOLERANCE UNIT_TOLERANCE",
+    "measurement/record.py": "UNEVEN SAME_RATE",
+    "missing/score.py": "_NEVER",
+    "missing/suspect.py": "_SINGULAR",
+    "modal_analysis/poles.py": "UNEVEN",
+    "sensitivity/partial.py": "OWN_PART",
+    "structure/along_mesh.py": "_STRAIGHT",
+    "structure/deflation.py": "_CLEAR _CONVERGED _SAME",
+    "structure/derivatives.py": "NEIGHBOUR REPEATED _BESIDE _RESIDUAL",
+    "structure/effect_places.py": "_LITTLE",
+    "structure/eigenvalues.py": "_REAL _ZERO",
+    "structure/energy.py": "_ZERO_ENERGY",
+    "structure/expansion.py": "_ALIKE",
+    "structure/frf.py": "_RANK _NEAR_RESONANCE _SINGULAR _THRESHOLD _BACKWARD",
+    "structure/inertia.py": "_BACKWARD",
+    "structure/matrices.py": "_ROUNDING",
+    "structure/places.py": "_LITTLE",
+    "structure/refinement.py": "ACCURACY _CLEAR _SHIFT",
+    "structure/solve.py": "_COPY _SHIFT _TURNING",
+    "structure/solve_dense.py": "_SHIFT _EXACT _SAME",
+    "structure/soundness.py": "_ROUNDING",
+    "structure/static_reduction.py": "_SINGULAR _ALIKE",
+}
+
+ACCURACY = {  # of solutions, reduced bases and differences, which are checked against full order
+    "analyses/reduction.py": "WORTHWHILE_DOFS FIRST_ORDER DAMPING_MAX",
+    "differences.py": "STEP",
+    "structure/certificate.py": "_CLUSTER _LOST",
+    "structure/effect_basis.py": "_POINTS _STRONG _ERROR _REFINED _BATCH _MODES _TOGETHER",
+    "structure/frf_target.py": "TOLERANCE _BEYOND _SHAPE _LINES",
+    "structure/growth.py": "SAFETY POD _STATIC VERIFIED",
+    "structure/mode_target.py": "_NEAR _REFINED",
+    "structure/mounted.py": "GROWN_SAG",
+    "structure/training.py": "_FRESH _FIRST _ROUNDS",
+}
+
+EFFORT = {  # of iterations and searches that end by themselves, and of quick runs, which say that they are quick
+    "analyses/frf_start.py": "EQUATION_ERROR LEVEL ROUNDS",
+    "analyses/places.py": "QUICK_SAMPLES QUICK_POPULATION QUICK_GENERATIONS QUICK_STARTS QUICK_TRAJECTORIES QUICK_BASE "
+    "QUICK_SAMPLED",
+    "analyses/sensitivity.py": "TRAJECTORIES BASE",
+    "correlation/order.py": "_STEP",
+    "inference/cases.py": "FAILED",
+    "measurement/frf_repeats.py": "_RANGE",
+    "missing/accuracy.py": "GRID",
+    "missing/competing.py": "_TESTS",
+    "missing/discrepancy.py": "_LEAST _POINTS",
+    "missing/linearised_fit.py": "_TURNS",
+    "missing/profile.py": "_TRIES",
+    "missing/proposal.py": "_DAMPED _FREQS",
+    "missing/samples.py": "_TRIES",
+    "missing/visible.py": "_ASKED _CLOSE _INWARD _LEAST",
+    "modal_analysis/ambient.py": "DECIMATED_MOST",
+    "modal_analysis/model.py": "ROUNDS EVALUATIONS SMALLEST_STEP BEYOND BEYOND_DAMPING FARTHEST",
+    "sampling.py": "_FEWEST _TRIES",
+    "structure/refinement.py": "STEPS",
+}
+
+SPEED = {  # memory, time, processes; results are the same
+    "analyses/basis_cache.py": "LIMIT _ABANDONED",
+    "analyses/hypotheses.py": "_REMEMBERED",
+    "analyses/places.py": "_WORTHWHILE _PATIENCE",
+    "analyses/sensitivity.py": "_BATCH",
+    "analyses/stored.py": "CHEAP",
+    "front/second_process.py": "ENOUGH",
+    "interrupt.py": "CODE PATIENCE LOOK",
+    "missing/linearised_fit.py": "_ALL_AT_ONCE",
+    "missing/suspect.py": "_AT_ONCE",
+    "own_code.py": "_HEAD_LINES",
+    "problem.py": "REMEMBERED",
+    "results.py": "_ABANDONED",
+    "sampling.py": "_BATCH_MAX",
+    "structure/deflation.py": "_BLOCK _STEPS_MIN _STEPS_MAX",
+    "structure/frf.py": "_ORDER _DENSE _LOW_RANK",
+    "structure/modal_function.py": "REMEMBERED",
+    "structure/places.py": "_FEW",
+    "structure/solve.py": "DENSE_LIMIT",
+    "structure/solve_dense.py": "_REACH _FEW",
+    "study_file.py": "_KEPT",
+    "team.py": "_MOST _WORTH _LARGE",
+    "worker.py": "_KEPT",
+}
+
+WORDS = {  # lengths of lists and lines, and the levels that sentences and tables state
+    "analyses/answers.py": "NAMED",
+    "analyses/failures.py": "SHOWN",
+    "analyses/propose.py": "RANKED",
+    "analyses/proposed_code.py": "_WIDE",
+    "analyses/stored.py": "SHOWN",
+    "answer.py": "LABEL",
+    "correlation/responses.py": "_LISTED",
+    "excerpt.py": "WIDEST _LEAST TAB",
+    "inference/agreement.py": "_NAMED",
+    "measurement/sensors.py": "NAMED_MOST",
+    "missing/competing.py": "EIGHT_OF_TEN",
+    "missing/local.py": "WIDE",
+    "missing/pattern.py": "MOST",
+    "missing/recommendation.py": "MOST",
+    "missing/verdict.py": "_REPEATS MOST",
+    "missing/worst_misfit.py": "_LEAST",
+    "outcome.py": "_TRACE",
+    "progress.py": "SPARSE OFTEN _BAR _STEADY",
+    "terminal.py": "WIDTH NARROWEST",
+}
+
+FORMATS = {  # units, codes of files, and what a file may hold
+    "analyses/versions.py": "MOST",
+    "correlation/units.py": "VALUE_FACTORS",
+    "limits.py": "UNIT_FACTOR",
+    "measurement/corrections.py": "_LEAST_GAIN",
+    "measurement/csv_format.py": "FREQ_LIMIT VALUE_LIMIT FINEST",
+    "measurement/csv_record.py": "_COMMENTS",
+    "measurement/frf_lines.py": "HALF_POWER",
+    "measurement/frf_units.py": "GRAVITY LENGTHS _FORCES",
+    "measurement/places.py": "MILLIMETRES",
+    "measurement/read_records.py": "_FRF",
+    "measurement/record.py": "SAMPLES_FEWEST",
+    "measurement/uff.py": "_PER_METRE _DAMAGED",
+    "measurement/uff_2414.py": "_AT_NODES _MOTIONS _COMPONENTS",
+    "measurement/uff_blocks.py": "USED_KINDS MODAL _VALUE_BYTES _ID_LINES",
+    "measurement/uff_frf.py": "_FRF _COHERENCE _FORCE _COMPLEX _FREQUENCY",
+    "measurement/uff_frf_write.py": "_NUMERATOR _FORCE _FREQUENCY _FRF",
+    "measurement/uff_record.py": "TIME_RESPONSE _TIME _COMPLEX",
+    "measurement/uff_sets.py": "SI_UNITS _LARGEST_NODE",
+    "settings.py": "LONGEST_NAME",
+    "space.py": "MOST FINEST_PRIOR",
+    "structure/attach.py": "GRAVITY",
+    "units.py": "SI_FACTORS",
+}
+
+ALLOWED = (ROUNDING, ACCURACY, EFFORT, SPEED, WORDS, FORMATS)
+
+
+def is_number(node: ast.AST) -> bool:
+    """Whether a value is a number, an expression or a call with one, or a collection of some."""
+    match node:
+        case ast.Constant(value=value):
+            return isinstance(value, int | float) and not isinstance(value, bool)
+        case ast.UnaryOp(operand=one):
+            return is_number(one)
+        case ast.BinOp(left=left, right=right):
+            return is_number(left) or is_number(right)
+        case ast.Tuple(elts=some) | ast.List(elts=some) | ast.Set(elts=some) | ast.Dict(values=some):
+            return any(is_number(one) for one in some)
+        case ast.Call(func=ast.Name(id="tuple" | "frozenset" | "range" | "float" | "int"), args=some):
+            return any(is_number(one) for one in some)
+    return False
+
+
+def constants(text: str) -> Iterator[str]:
+    """Names of the upper-case numbers at the top of a module."""
+    for node in ast.parse(text).body:
+        given = (
+            node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+        )
+        if not given or node.value is None or not is_number(node.value):
+            continue
+        for target in given:
+            names = target.elts if isinstance(target, ast.Tuple) else [target]
+            yield from (one.id for one in names if isinstance(one, ast.Name) and one.id.isupper())
+
+
+def found() -> set[tuple[str, str]]:
+    files = [file for file in ROOT.rglob("*.py") if file.relative_to(ROOT).parts[0] not in (*FOLDERS, "template")]
+    return {(file.relative_to(ROOT).as_posix(), name) for file in files for name in constants(file.read_text("utf-8"))}
+
+
+def test_numbers_of_every_form_are_found():
+    text = (
+        "A = 1\nB: float = -2.5\nC, D = 1, 0.2\nE = (1.0, 2.0)\nF = {'a': 2.0}\nG = 10 * np.log10(2)\n"
+        "H = tuple(range(3))\nI = True\nJ = 'x'\nk = 3\nL = K\ndef f():\n    M = 1\n"
+    )
+    assert list(constants(text)) == list("ABCDEFGH")
+
+
+def test_a_number_at_the_top_of_a_module_decides_no_verdict():
+    allowed = [(file, name) for reason in ALLOWED for file, names in reason.items() for name in names.split()]
+    assert len(allowed) == len(set(allowed))
+    new = found() - set(allowed)
+    assert not new, f"put it into the rules of its subject, or list it here by its reason: {sorted(new)}"
+    gone = set(allowed) - found()
+    assert not gone, f"it is no constant any more: {sorted(gone)}"
