@@ -44,6 +44,8 @@ class ReducedModel(Analytic):
     basis : Basis
     inner : ReducedModel, optional
         The reduced base model that ``model`` and ``basis`` extend: its projections are shared, see `extended`.
+    factor : SuperLU, optional
+        Of `reference_matrix` at the reference values of the basis, where it is known.
 
     Raises
     ------
@@ -54,6 +56,7 @@ class ReducedModel(Analytic):
     model: StructuralModel
     basis: Basis
     inner: ReducedModel | None = None
+    factor: spla.SuperLU | None = field(default=None, repr=False)
     _stiffness: ReducedMatrix = field(init=False, repr=False)
     _damping: ReducedMatrix = field(init=False, repr=False)
     _mass: ReducedMatrix = field(init=False, repr=False)
@@ -71,7 +74,8 @@ class ReducedModel(Analytic):
 
     def __getstate__(self) -> dict[str, Any]:
         # A factor cannot be pickled; it is made again where it is needed.
-        return {name: value for name, value in self.__dict__.items() if name != "_reference_factor"}
+        state = {name: value for name, value in self.__dict__.items() if name != "_reference_factor"}
+        return {**state, "factor": None}
 
     def extended(self, effects: Sequence[Effect]) -> ReducedModel:
         """The model with effects; each added degree of freedom becomes a basis vector.
@@ -285,7 +289,7 @@ class ReducedModel(Analytic):
 
     @cached_property
     def _reference_factor(self) -> spla.SuperLU:
-        return reference_factor(self.model, self.basis.reference_values, self.basis.offset)
+        return self.factor or reference_factor(self.model, self.basis.reference_values, self.basis.offset)
 
 
 def reference_matrix(model: StructuralModel, values: Mapping[str, float], offset: float) -> sp.csc_array:
