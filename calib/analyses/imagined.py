@@ -72,7 +72,7 @@ def linearised(
     for one in believed:  # built here, so that no other process needs to
         for names in (one.names, *((*one.names, name) for name, point in _points(one, effects, found) if point)):
             imagined.fit_problem(names)
-    tasks = each if imagined.hypotheses.variants.calls is None else alone  # a user's function is called in order
+    tasks = each if _shareable(imagined) else alone
     done = tasks(
         _linearisation, (imagined, believed, effects, found, scale), asked,
         lambda number: progress("what to measure next", number, len(asked)),
@@ -82,13 +82,19 @@ def linearised(
     return tuple(linearisation for linearisation, _ in done if linearisation is not None), competing
 
 
+def _shareable(imagined: Imagined) -> bool:
+    """Whether other processes may solve the models: a user's function is called here, in order, and never twice."""
+    return imagined.hypotheses.variants.calls is None
+
+
 def _linearisation(
     shared: tuple[Imagined, Sequence[CandidateFit], Sequence[Candidate], Scores, float],
     asked: tuple[int, Mapping[str, float], float],
 ) -> tuple[Linearisation | None, Counts]:
     """A linearisation at one sample, and the points requested for it: as many whatever was requested before."""
     (imagined, believed, effects, found, scale), (k, values, share) = shared, asked
-    imagined.forget()
+    if _shareable(imagined):
+        imagined.forget()
     with imagined.hypotheses.counts.apart() as counts:
         out = _at(imagined, believed[k], values, effects, found, scale, share)
     return out, counts
