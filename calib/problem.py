@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -184,6 +185,23 @@ class Counts:
     reused: int = 0
     failed: int = 0
 
+    @contextmanager
+    def apart(self) -> Iterator[Counts]:
+        """Points requested within this context are counted apart."""
+        before, within = replace(self), Counts()
+        try:
+            yield within
+        finally:
+            for name, number in asdict(before).items():
+                setattr(within, name, getattr(self, name) - number)
+                setattr(self, name, number)
+
+    def add(self, more: Counts) -> None:
+        """Count points that were counted apart."""
+        self.solved += more.solved
+        self.reused += more.reused
+        self.failed += more.failed
+
     @property
     def asked(self) -> int:
         """All of them."""
@@ -222,6 +240,15 @@ class Problem(Generic[P]):
     def __post_init__(self) -> None:
         if self.store is not None:
             object.__setattr__(self, "_identity", self.pair.fingerprint)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Another process does not need the cached points, which are many.
+        return {**self.__dict__, "_solved": {}, "_failed": {}}
+
+    def forget(self) -> None:
+        """Drop all cached points, so that what is counted does not depend on earlier requests."""
+        self._solved.clear()
+        self._failed.clear()
 
     @property
     def rows(self) -> Sequence[Label]:

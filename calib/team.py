@@ -37,7 +37,7 @@ class Team:
 
     This process begins with the first task, the others begin with the last, until they meet. Each task has the same
     result in every process: numerical libraries use one thread. What cannot be sent, fails elsewhere, or dies with its
-    process is done here, so that a failure is that of `calib.tasks.alone`.
+    process is done here, so that a failure is that of `calib.tasks.alone`. So are tasks within a task.
 
     Parameters
     ----------
@@ -64,6 +64,8 @@ class Team:
         self._pool: ProcessPoolExecutor | None = None
         self._store: _Store | None = None
         self._able = workers > 1
+        self._unsent: set[object] = set()
+        self._within = False
 
     def __enter__(self) -> Team:
         return self
@@ -93,15 +95,19 @@ class Team:
         if len(items) > _MOST:
             first = self(function, shared, items[:_MOST], told)
             return first + self(function, shared, items[_MOST:], lambda done: told(_MOST + done))
+        if self._within:
+            return tasks.alone(function, shared, items, told)
         began = time.perf_counter()
         alone = len(items) < 2 or self._seconds.get(function, _WORTH) * len(items) < _WORTH
-        ready = not alone and self._able and self._spent >= self._patience
+        ready = not alone and self._able and self._spent >= self._patience and function not in self._unsent
         content = self._written(function, shared, items) if ready else None
+        self._within = content is not None
         try:
             if content is None:
                 return self._alone(function, shared, items, told)
             return self._together(content, function, shared, items, told)
         finally:
+            self._within = False
             self._spent += time.perf_counter() - began
 
     def _alone(self, function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told) -> list[R]:
@@ -117,13 +123,13 @@ class Team:
         return found
 
     def _written(self, *content: object) -> Path | None:
-        """File of what a call shares; None where it cannot be sent."""
+        """File of what a call shares; None where it cannot be sent, which is not tried again for its function."""
         if self._store is None:
             self._store = _Store()
         try:
             return self._store.written(content)
         except Exception:  # a class may raise anything from its own `__reduce__` or `__getstate__`
-            self._able = False
+            self._unsent.add(content[0])
         return None
 
     # -- one call ------------------------------------------------------------------------------------------------------
@@ -147,6 +153,8 @@ class Team:
                 found[k] = answer.result
             elif answer is not None:
                 lost.add(k)
+                if not answer.begun:
+                    self._unsent.add(function)
 
         try:
             with one_thread():
@@ -190,14 +198,12 @@ class Team:
         """What a task returned; None where this process has done it."""
         try:
             answer: _Done | _Lost | None = future.result()
+            return answer
         except BrokenExecutor:
             self._able = False
-            return _Lost()
         except Exception:  # a result that cannot be sent
-            return _Lost()
-        if isinstance(answer, _Lost) and not answer.begun:
-            self._able = False
-        return answer
+            pass
+        return _Lost()
 
 
 class _Done:

@@ -1,7 +1,10 @@
 """Benchmarks are run by hand: each must at least find what it imports."""
 
 import importlib
+import json
+import shutil
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -15,3 +18,61 @@ def test_a_benchmark_can_be_imported(monkeypatch, name):
     monkeypatch.syspath_prepend(str(BENCH))
     assert importlib.import_module(name).__doc__
     assert sys.modules[name].__file__ == str(BENCH / f"{name}.py")
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    """Imports a benchmark by its name."""
+    monkeypatch.syspath_prepend(str(BENCH))
+    return importlib.import_module
+
+
+def test_growth_tells_its_exponents_to_the_table_of_speeds(bench, monkeypatch, capsys):
+    growth, speed = bench("growth"), bench("speed")
+
+    def in_child(script, option, size, *more):
+        cost = 3.0 * size**2.6  # with four times the degrees of freedom for a mesh twice as fine
+        taken = {name: [2 * cost, cost] for name in growth.COLUMNS}
+        return {"n_dof": 1000 * size**2, "vectors": 9, "error": 1e-5, "own_mb": 70.0 * size, "child_mb": 0.0, **taken}
+
+    monkeypatch.setattr(growth, "in_child", in_child)
+    monkeypatch.setattr(sys, "argv", ["growth.py", "--sizes", "1", "4", "--samples", "3"])
+    growth.main()
+    last = json.loads(capsys.readouterr().out.splitlines()[-1])
+    found = {("after", "fine"): {key: speed.cell_of(value) for key, value in last.items()}}
+    rows = {row[0]: row[1:] for row in speed.rows_of(found, ["fine"])}
+    training = rows["124k degrees of freedom: training at 8 points (s)"]
+    assert training[3:5] == (speed.short(6.0 * 4**2.6), speed.short(3.0 * 4**2.6))
+    assert rows["124k degrees of freedom: peak memory of that (MB)"][3:5] == ("280", "")
+    assert rows["exponent of its growth from 10k degrees of freedom"][:5] == ("1.3", "", "", "1.30", "1.30")
+
+
+def test_every_row_has_a_group_that_is_measured_and_words_beside_numbers(bench):
+    speed = bench("speed")
+    assert {row.group for row in speed.ROWS} == set(speed.GROUPS)
+    wanted = {row.name + row.group: row.wanted for row in speed.ROWS}
+    assert wanted["secondsexplain_vehicle"] == "240" and wanted["effectseffects"] == "120"
+    before, after = {"anew": "not installed", "one": (9.0, 8.0)}, {"anew": (4.0, 3.0), "one": (3.0, 2.0)}
+    found = {("before", "calculix"): before, ("after", "calculix"): after}
+    rows = {row[0]: row[2:] for row in speed.rows_of(found, ["calculix"])}
+    assert rows["the same by CalculiX, which always reads and assembles (s)"] == (
+        "not installed", "", "4.00", "3.00", "", ""
+    )  # fmt: skip
+    assert rows["of which CalculiX takes for a single mode (s)"] == ("9.00", "8.00", "3.00", "2.00", "3.00", "4.00")
+    assert speed.least((3.0, 2.0), (2.5, 2.2)) == (2.5, 2.0)
+    assert {len(row) + 2 for row in rows.values()} == {len(speed.COLUMNS)}
+
+
+def test_an_option_of_the_model_is_written_into_a_study(bench, tmp_path):
+    measures = bench("measures")
+    for name, option, expected in (
+        ("hidden_effect", "refine=4", {"seats": "rigid", "refine": 4}),
+        ("hidden_bogie", "element_size=0.05", {"element_size": 0.05}),
+    ):
+        file = tmp_path / "study.toml"
+        shutil.copy(BENCH.parents[1] / "studies" / name / "study.toml", file)
+        before = tomllib.loads(file.read_text("utf-8"))
+        measures.with_option(file, option)
+        after = tomllib.loads(file.read_text("utf-8"))
+        assert after.pop("model_options") == expected and after["explain"] == {}
+        assert {**before, "explain": {}, "model_options": 0} == {**after, "model_options": 0}

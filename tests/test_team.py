@@ -21,6 +21,7 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 from calib.errors import EvaluationError
+from calib.tasks import each
 
 
 def who(shared, item):
@@ -58,6 +59,23 @@ def fails_elsewhere(home, item):
     time.sleep(0.02)
     if os.getpid() != home:
         raise MemoryError
+    return item
+
+
+def nested(shared, item):
+    return [os.getpid(), *each(who, None, range(6))]
+
+
+class Unread:
+    def __setstate__(self, state):
+        raise ImportError("there is no such module there")
+
+    def __getstate__(self):
+        return {"some": "thing"}
+
+
+def unread(shared, item):
+    time.sleep(0.05)
     return item
 
 
@@ -132,6 +150,22 @@ def test_what_cannot_be_sent_is_done_here(module):
     with Team(2) as one:
         assert one(lambda shared, item: item + shared, 1, range(5)) == [1, 2, 3, 4, 5]
         assert not one.shares
+
+
+def test_what_cannot_be_sent_prevents_no_other_tasks_from_being_shared(module):
+    with Team(2) as one:
+        one(lambda shared, item: item, None, range(5))
+        ready(one, module)
+        assert one(module.unread, module.Unread(), range(9)) == list(range(9))
+        assert one.shares
+        ready(one, module)
+
+
+def test_tasks_within_a_task_are_done_by_its_process(two, module):
+    with shared_by(two):
+        found = two(module.nested, None, range(6))
+    assert len({row[0] for row in found}) == 2
+    assert all(set(row) == {row[0]} for row in found)
 
 
 def test_what_fails_or_dies_elsewhere_is_done_here(module):

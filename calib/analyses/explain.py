@@ -9,11 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-import numpy as np
 import pandas as pd
 
 from calib.analyses.adapter import Adapter
 from calib.analyses.adapters import adapter_of, perturbations_of
+from calib.analyses.effect_facts import detectable, gains, untested
 from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.explanation_result import ExplanationResult, summary
 from calib.analyses.failures import SHOWN, reasons
@@ -23,7 +23,6 @@ from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.richer import richer_members
 from calib.analyses.state import ADDED, EXPLAINED, PROPOSED
 from calib.analyses.uncertain import uncertain_note, with_uncertain
-from calib.candidate import Candidate
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.joint import TEST
@@ -34,22 +33,20 @@ from calib.missing.accuracy import changing, less_accurate
 from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.between_tests import BETWEEN
 from calib.missing.by_test import BY_TEST, reduction_table
-from calib.missing.candidate_fit import CandidateFit
 from calib.missing.discrepancy import TABLE as INTERVALS
 from calib.missing.discrepancy import parameter_intervals
 from calib.missing.discrepancy import sentence as unexplained_sentence
+from calib.missing.enough import require_modes
 from calib.missing.explanation import Explanation
 from calib.missing.fault_table import faults_table
 from calib.missing.found_place import FOUND_PLACES, found_places, places_sentence
 from calib.missing.held_out import contradicting
-from calib.missing.hypotheses import Altered, Hypotheses
 from calib.missing.left import left_of
 from calib.missing.pattern import parameter_table, pattern_table, place_table
 from calib.missing.profile import profile_interval
 from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
 from calib.missing.recommendation import Recommendation, recommend, recommendation
 from calib.missing.richer import richer_next, richer_sentence, richer_tables
-from calib.missing.rules import RULES
 from calib.missing.score import noise_limit
 from calib.missing.steps_table import step_fits, steps_tables
 from calib.missing.suspect import sentence as suspect_sentence
@@ -61,7 +58,6 @@ from calib.missing.tables import (
     pull_table,
 )
 from calib.missing.verdict import verdict
-from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.missing.worst_misfit import misfit_at
 from calib.outcome import as_cause, failure
 from calib.results import Results
@@ -102,7 +98,7 @@ def explain(
     tests = study.studies
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
     if any(one.measured is not None for one in tests):
-        engine.require_modes(sum(one.problem.n_measured for one in tests))
+        require_modes(sum(one.problem.n_measured for one in tests))
     started, mesh_sd = time.perf_counter(), study.settings.explain.mesh_sd
     adapter = adapter_for(study, results, progress, homes)
     found = decided(adapter, study.settings.explain, study.file, progress)
@@ -209,8 +205,9 @@ def answered(
     found, errors, more_notes, figures = _confirmed(adapter, found)
     along = step_fits(found)
     stepped = steps_tables(found, adapter.errors(along, found.noise_scale)[0]) if along else {}
-    untested = _untested(adapter, found)
-    effects = effects_table(found, intervals, _gains(adapter.hypotheses, found), _visible(adapter, found), untested)
+    effects = effects_table(
+        found, intervals, gains(adapter.hypotheses, found), detectable(adapter, found), untested(adapter, found)
+    )
     progress("what to measure next")
     examined = adapter.hypotheses.evaluations
     next_table, advised = _next(adapter, found, effects, progress)
@@ -328,48 +325,6 @@ def _confirmed(adapter: Adapter, found: Explanation) -> tuple[Explanation, pd.Da
     if against:
         found, errors = found.unconfirmed(), errors.replace({"stage": {last: "attempt"}})
     return found, errors, notes, figures
-
-
-def _untested(adapter: Adapter, found: Explanation) -> list[Candidate]:
-    """Effects with which the model could be solved at no magnitude or at no point of their grid."""
-    scores = found.base_adequacy.named
-    absorbed = {n for n in scores.owners if not scores.size[scores.of(n)].any()}
-    tested = {name for group in found.groups for name in group.names} - (absorbed & adapter.failing())
-    return [e for e in adapter.hypotheses.effects if e.name not in tested]
-
-
-def _visible(adapter: Adapter, found: Explanation) -> dict[str, float]:
-    """Smallest detectable magnitudes, from the model itself where the derivative does not determine them.
-
-    This concerns effects that are detectable at no plausible magnitude to first order, and effects found with a
-    magnitude that should not be detectable: their response grows faster than its derivative.
-    """
-    fit, out = found.base.fit, {}
-    fits = {t.names[0]: t for t in found.singles}
-    for effect in (e for group in found.groups for e in group.effects):
-        first, single = smallest_visible(found.base_adequacy.named, effect.name), fits.get(effect.name)
-        seen = (
-            single is not None
-            and found.ln_bayes(single) > RULES.credible
-            and abs(single.fit.values[effect.name]) < first
-        )
-        if seen or (not effect.nuisance and first > effect.plausible):
-            scaled = Altered(adapter.hypotheses.fit_problem((effect.name,)), found.noise_scale)
-            nuisance = {q.name: single.fit.values[q.name] if single else q.value for q in effect.nuisance}
-            within = visible_within_limits(scaled, fit, effect, nuisance)
-            out[effect.name] = np.fmin(first, within) if seen else within
-    return out
-
-
-def _gains(hypotheses: Hypotheses, found: Explanation) -> dict[str, float]:
-    """Gain of every fitted effect in leave-one-out log predictive density, by mode or by response."""
-    groups = [row.mode or row.sensor for row in hypotheses.rows]
-
-    def density(candidate_fit: CandidateFit) -> float:
-        return float(np.sum(candidate_fit.fit.left_out(groups).elpd))
-
-    base = density(found.base)
-    return {t.names[0]: density(t) - base for t in found.singles}
 
 
 def _next(

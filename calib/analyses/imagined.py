@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
+from calib.analyses.hypotheses import ModelHypotheses
 from calib.candidate import Candidate
 from calib.errors import EvaluationError, InputError
 from calib.missing.candidate_fit import CandidateFit
@@ -15,15 +15,23 @@ from calib.missing.competing import CompetingModel, CompetingModels
 from calib.missing.recommendation import Linearisation
 from calib.missing.samples import posterior_samples
 from calib.missing.score import Scores
-from calib.problem import Problem
+from calib.problem import Counts, Problem
 from calib.stage import Progress
+from calib.tasks import alone, each
 
 
 class Imagined(Protocol):
     """A noise-free test of a fitted model, with more than was measured."""
 
+    @property
+    def hypotheses(self) -> ModelHypotheses[Any]:
+        """Those whose models the test is imagined of."""
+
     def fit_problem(self, effects: tuple[str, ...]) -> Problem[Any]:
         """The problem of a variant of the model against this test."""
+
+    def forget(self) -> None:
+        """Drop all cached points."""
 
     def identified(self, fit_problem: Problem[Any], values: Mapping[str, float]) -> np.ndarray:
         """Mask of the rows that a test of the structure with these values would measure, (n_rows,)."""
@@ -60,13 +68,41 @@ def linearised(
         first, second = (_competing(imagined, b, own, scale) for b, own in zip(believed[:2], points[:2], strict=True))
         competing = CompetingModels((first, second), measured, seed)
     shares = (1.0,) if competing is None else competing.weights
-    out, number = list[Linearisation](), itertools.count()
-    for candidate_fit, own, share in zip(believed, points, shares, strict=True):
-        for values in own:
-            progress("what to measure next", next(number), sum(map(len, points)))
-            linearisation = _at(imagined, candidate_fit, values, effects, found, scale, share)
-            out += [] if linearisation is None else [linearisation]
-    return tuple(out), competing
+    asked = [(k, values, share) for k, (own, share) in enumerate(zip(points, shares, strict=True)) for values in own]
+    for one in believed:  # built here, so that no other process needs to
+        for names in (one.names, *((*one.names, name) for name, point in _points(one, effects, found) if point)):
+            imagined.fit_problem(names)
+    tasks = each if _shareable(imagined) else alone
+    done = tasks(
+        _linearisation, (imagined, believed, effects, found, scale), asked,
+        lambda number: progress("what to measure next", number, len(asked)),
+    )  # fmt: skip
+    for _, counts in done:
+        imagined.hypotheses.counts.add(counts)
+    return tuple(linearisation for linearisation, _ in done if linearisation is not None), competing
+
+
+def _shareable(imagined: Imagined) -> bool:
+    """Whether other processes may solve the models: a user's function is called here, in order, and never twice."""
+    return imagined.hypotheses.variants.calls is None
+
+
+def _linearisation(
+    shared: tuple[Imagined, Sequence[CandidateFit], Sequence[Candidate], Scores, float],
+    asked: tuple[int, Mapping[str, float], float],
+) -> tuple[Linearisation | None, Counts]:
+    """A linearisation at one sample, and the points requested for it: as many whatever was requested before."""
+    (imagined, believed, effects, found, scale), (k, values, share) = shared, asked
+    if _shareable(imagined):
+        imagined.forget()
+    with imagined.hypotheses.counts.apart() as counts:
+        out = _at(imagined, believed[k], values, effects, found, scale, share)
+    return out, counts
+
+
+def _points(one: CandidateFit, effects: Sequence[Candidate], found: Scores) -> list[tuple[str, Mapping[str, float]]]:
+    """Effects that a model lacks, each with the point of its grid where its signature is taken; empty for a slope."""
+    return [(e.name, found.points[found.best(e.name)]) for e in effects if e.name not in one.names]
 
 
 def _at(
@@ -80,7 +116,7 @@ def _at(
 ) -> Linearisation | None:
     """Slopes and signatures at a point; None where the model cannot be solved there or near it."""
     fit_problem, names = imagined.fit_problem(candidate_fit.names), candidate_fit.fit.names
-    points = {e.name: found.points[found.best(e.name)] for e in effects if e.name not in candidate_fit.names}
+    points = dict(_points(candidate_fit, effects, found))
     differentiable = [name for name, point in points.items() if not point]
     try:
         seen, here = imagined.identified(fit_problem, values), fit_problem.residual(values)

@@ -185,6 +185,11 @@ class ImaginedFRFs:
             self._fit_problems[effects] = replace(real, pair=imagined)
         return self._fit_problems[effects]
 
+    def forget(self) -> None:
+        """Drop all cached points."""
+        for fit_problem in self._fit_problems.values():
+            fit_problem.forget()
+
     def identified(self, fit_problem: Problem[FRFResidual], values: Mapping[str, float]) -> np.ndarray:
         """Every row, (n_rows,): a test measures lines whatever the structure."""
         return np.ones(len(fit_problem.pair.rows), dtype=bool)

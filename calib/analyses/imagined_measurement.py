@@ -146,6 +146,11 @@ class ImaginedMeasurement:
             self._fit_problems[effects] = replace(real, pair=residual)
         return self._fit_problems[effects]
 
+    def forget(self) -> None:
+        """Drop all cached points."""
+        for fit_problem in self._fit_problems.values():
+            fit_problem.forget()
+
     def identified(self, fit_problem: Problem[ModalResidual], values: Mapping[str, float]) -> np.ndarray:
         """Mask of the rows of modes that a test at these values would identify as modes of the fit, (n_rows,)."""
         found = fit_problem.at(values)

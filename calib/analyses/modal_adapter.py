@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -26,6 +27,10 @@ from calib.missing.explanation import Explanation
 from calib.missing.recommendation import ExperimentalDesign
 from calib.stage import Progress, unheard
 from calib.structure.model import StructuralModel
+from calib.structure.modes import Modes
+from calib.tasks import each
+
+_Key: TypeAlias = tuple[tuple[str, ...], tuple[tuple[str, float], ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +48,7 @@ class ModalAdapter(OneTest):
     hypotheses: ModelHypotheses[ModalResidual]
     whole: ModalProblem | None
     finer: Callable[[], StructuralModel | None] = lambda: None
+    _modes: dict[_Key, Modes] = field(init=False, repr=False, default_factory=dict)
 
     @property
     def problem(self) -> ModalProblem:
@@ -79,7 +85,8 @@ class ModalAdapter(OneTest):
     def errors(
         self, stages: Mapping[str, CandidateFit], scale: float
     ) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
-        """As for any test, with notes on unpaired modes."""
+        """As for any test, with notes on unpaired modes; the models at full order are solved as shared tasks."""
+        self._solve(list(stages.values()))
         table, notes, figures = super().errors(stages, scale)
         unpaired = filter(None, (unpaired_sentence(self._unpaired(t), _named(t)) for t in stages.values()))
         return table, [*unpaired, *notes], figures
@@ -91,9 +98,23 @@ class ModalAdapter(OneTest):
             added = self.hypotheses.variants.added(candidate_fit.names)
             whole = whole.with_model(self.problem.model).with_model(fitted.problem.model, added)
         return modal_errors(
-            fitted.problem, whole, fit.values, fit.names, fit.prior_sd, fitted.floors,
-            self.hypotheses.std_dof, scale, self.facts.held_sd, fit.others, fit.active,
+            fitted.problem, whole, fit.values, fit.names, fit.prior_sd, fitted.floors, self.hypotheses.std_dof, scale,
+            self.facts.held_sd, fit.others, fit.active, self._modes.get(_key(candidate_fit)),
         )  # fmt: skip
+
+    def full_residual(self, one: CandidateFit) -> np.ndarray:
+        """As for any test; a model that was solved for its errors is not solved again."""
+        pair = self.at_full_order(one.names)
+        return np.asarray(pair.of(pair.solve(one.fit.values, self._modes.get(_key(one)))))
+
+    def _solve(self, fits: Sequence[CandidateFit]) -> None:
+        """Solve models of matrices at full order, each once; a user's function is called when it is needed."""
+        new = {_key(one): one for one in fits if _key(one) not in self._modes}
+        if not isinstance(self.problem.model, StructuralModel):
+            return
+        problems = {one.names: self.at_full_order(one.names).problem for one in new.values()}
+        asked = [(one.names, one.fit.values) for one in new.values()]
+        self._modes.update(zip(new, each(_solved, problems, asked), strict=True))
 
     def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:
         """Candidate measurements, from the credible models."""
@@ -149,6 +170,16 @@ class ModalAdapter(OneTest):
             )
         columns = ["stage", "mode", "sensor", "node", "direction", "x", "y", "z", "re", "im"]
         return pd.DataFrame(rows, columns=columns)
+
+
+def _key(one: CandidateFit) -> _Key:
+    """What the modes of a fit at full order depend on."""
+    return one.names, tuple(one.fit.values.items())
+
+
+def _solved(problems: Mapping[tuple[str, ...], ModalProblem], at: tuple[tuple[str, ...], Mapping[str, float]]) -> Modes:
+    names, values = at
+    return problems[names].solve(values)
 
 
 def _named(candidate_fit: CandidateFit) -> str:

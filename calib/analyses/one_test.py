@@ -82,8 +82,12 @@ class OneTest(ABC):
         """Largest difference of whitened residuals on the reduced basis from full order; 0 without a basis."""
         if self.hypotheses.variants.basis is None:
             return 0.0
-        full = [self.at_full_order(one.names).residual(one.fit.values) / scale - one.fit.residual for one in fits]
+        full = [self.full_residual(one) / scale - one.fit.residual for one in fits]
         return float(max(np.abs(difference).max() for difference in full))
+
+    def full_residual(self, one: CandidateFit) -> np.ndarray:
+        """Whitened residual of a fit at full order, (n_rows,)."""
+        return np.asarray(self.at_full_order(one.names).residual(one.fit.values))
 
     def errors(
         self, stages: Mapping[str, CandidateFit], scale: float

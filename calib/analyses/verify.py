@@ -23,6 +23,7 @@ from calib.inference.other_rows import OtherRows, none_beside
 from calib.joint import spread
 from calib.problem import Pair
 from calib.space import ParameterSpace
+from calib.structure.modes import Modes
 from calib.study import Study
 
 _NONE: Mapping[str, float] = MappingProxyType({})
@@ -138,6 +139,7 @@ def modal_errors(
     held_sd: Mapping[str, float] = _NONE,
     others: OtherRows | None = None,
     active: Collection[str] = (),
+    solved: Modes | None = None,
 ) -> pd.DataFrame:
     """Errors of a fitted modal model by group of data, rms in standard deviations.
 
@@ -166,6 +168,8 @@ def modal_errors(
         has the covariance ``I - G_a V G_a^T`` (see `calib.degrees_of_freedom.matched`).
     active : collection of str
         Parameters with an active limit; they stay there when a mode is left out.
+    solved : Modes, optional
+        Of the model at these values, which is then not solved again.
 
     Returns
     -------
@@ -174,7 +178,7 @@ def modal_errors(
         ``held_out_sensors``, ``held_out_modes``. ``expected`` is what a correctly specified model would show.
     """
     residual = ModalResidual(fitted, floors)
-    found = fitted.compare(values)
+    found = fitted.compare(values, solved)
     vector = residual.of(found) / scale
     jacobian = residual.slope_of(found, names, residual.derivatives(found, names)) / scale
     others = others or none_beside(len(names), len(held_sd))
@@ -197,7 +201,9 @@ def modal_errors(
         covariance = with_held(known, every, held) * np.outer(unit, unit) / scale**2
         kept = [k for k, name in enumerate((*names, *held_sd)) if k < len(names) or name in inside]
         covariance = covariance[np.ix_(kept, kept)]
-        held_out = held_out_errors(fitted, whole, values, (*names, *inside), covariance, floors, finite or None)
+        held_out = held_out_errors(
+            fitted, whole, values, (*names, *inside), covariance, floors, finite or None, solved=found.modes
+        )
         if scale != 1.0:
             held_out = _scaled(held_out, scale, min(finite.values(), default=KNOWN))
     own_scale, dof = matched(jacobian, prior_sd, residual.n_fitted_factors, others.slope)

@@ -13,6 +13,7 @@ from calib.correlation.compare import Comparison
 from calib.correlation.modal_faults import ModalFault, Readings
 from calib.correlation.problem import ModalProblem
 from calib.structure.derivatives import ModeDerivatives
+from calib.structure.modes import Modes
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +42,13 @@ class FaultyModes:
         """Motions of which faulty channels read a share, over the degrees of freedom, (n_sources, n_dof)."""
         return sp.csr_array(self.problem.model.sensor_rows(self.readings.sources))
 
-    def compared(self, values: Mapping[str, float]) -> Comparison:
+    def compared(self, values: Mapping[str, float], solved: Modes | None = None) -> Comparison:
         """Comparison at named values, magnitudes included: modes are paired by what the sensors read.
 
-        EvaluationError when the model cannot be solved there.
+        Modes already ``solved`` there are reused. EvaluationError when the model cannot be solved there.
         """
         at, problem, readings = self.readings.active(values), self.problem, self.readings
-        found = problem.compare({name: value for name, value in values.items() if name not in readings})
+        found = problem.compare({name: value for name, value in values.items() if name not in readings}, solved)
         if not at:
             return found
         if not problem.measured.has_shapes or not readings.reach_shapes(at):

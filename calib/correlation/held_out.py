@@ -16,6 +16,7 @@ from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
 from calib.degrees_of_freedom import behind, chance
 from calib.errors import InputError
+from calib.structure.modes import Modes
 
 COLUMNS = ("group", "rows", "rms", "expected", "chi2", "dof", "p", "unpaired")
 
@@ -34,6 +35,7 @@ def held_out_errors(
     floors: Floors = _FLOORS,
     std_dof: StdDof | None = None,
     pool: bool | None = None,
+    solved: Modes | None = None,
 ) -> pd.DataFrame:
     """Errors of a fitted model at held-out sensors and in held-out modes, with the expectation if correctly specified.
 
@@ -66,6 +68,8 @@ def held_out_errors(
     std_dof : mapping from str to float, optional
         Degrees of freedom behind the standard deviation of ``frequency``, ``damping`` and ``shape``, where it was
         estimated from few repeats.
+    solved : Modes, optional
+        Of the model at these values, which is then not solved again.
 
     Returns
     -------
@@ -89,7 +93,7 @@ def held_out_errors(
     hidden = {s.name for s in measured.sensors} - set(used_sensors)
     if set(measured.names) == set(used_modes) and not hidden:
         return pd.DataFrame(columns=list(COLUMNS))
-    found = _joined(fitted, whole, values)
+    found = _joined(fitted, whole, values, solved)
     lost = {measured.names[i] for i in found.pairing.unpaired_measured}
     at_used = np.array([s.name in used_sensors for s in measured.sensors], dtype=bool)
     seen = {
@@ -205,9 +209,10 @@ def _used(fitted: ModalProblem, whole: ModalProblem) -> tuple[tuple[str, ...], t
     return modes, sensors
 
 
-def _joined(fitted: ModalProblem, whole: ModalProblem, values: Mapping[str, float]) -> Comparison:
+def _joined(fitted: ModalProblem, whole: ModalProblem, values: Mapping[str, float], solved: Modes | None) -> Comparison:
     """Comparison with the whole measurement, with used modes paired by the used data alone."""
-    own = fitted.compare(values).pairing
+    used = fitted.compare(values, solved)
+    own = used.pairing
     partner = dict(zip(fitted.measured.names, own.model_index.tolist(), strict=True))
     lost = [mode for mode, j in partner.items() if j < 0]
     taken = {mode: j + 1 for mode, j in partner.items() if j >= 0}
@@ -220,7 +225,7 @@ def _joined(fitted: ModalProblem, whole: ModalProblem, values: Mapping[str, floa
         mode_count=max(fitted.mode_count, whole.mode_count),
         override={**taken, **free},
     )
-    found = joined.compare(values)
+    found = joined.compare(values, used.modes)
     if not lost:
         return found
     place = [whole.measured.names.index(mode) for mode in found.measured.names]

@@ -249,20 +249,23 @@ class ModalProblem:
             out.update({f"{kind}_{name}": number for kind, number in zip(RESPONSES, numbers, strict=True)})
         return out
 
+    def solve(self, values: Mapping[str, float]) -> Modes:
+        """The modes that `compare` compares; EvaluationError when the model cannot be solved."""
+        return self.model.modes(self._complete(values), self.mode_count)
+
+    def _complete(self, values: Mapping[str, float]) -> dict[str, float]:
+        return self.space.complete(values if self.mesh is None else self.mesh.without(values))
+
     def compare(self, values: Mapping[str, float], solved: Modes | None = None) -> Comparison:
         """Comparison of model and measurement at named values; raises like `evaluate`.
 
         Modes already ``solved`` at these values are reused where they are enough.
         """
-        complete = self.space.complete(values if self.mesh is None else self.mesh.without(values))
-        modes = solved
-        if modes is None or modes.n_modes != self.mode_count:
-            modes = self.model.modes(complete, self.mode_count)
-        if modes.n_modes < self.mode_count:
-            raise EvaluationError(
-                f"the model {self.model.name} has only {modes.n_modes} vibration modes, "
-                f"{self.mode_count} were requested"
-            )
+        complete, count = self._complete(values), self.mode_count
+        modes = self.solve(values) if solved is None or solved.n_modes != count else solved
+        if modes.n_modes < count:
+            words = f"the model {self.model.name} has only {modes.n_modes} vibration modes, {count} were requested"
+            raise EvaluationError(words)
         sensor_shapes = self.sensor_rows @ modes.shapes
         if self.measured.has_shapes:
             shares = self.energy_shares(complete, modes)

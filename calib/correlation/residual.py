@@ -22,6 +22,7 @@ from calib.fingerprint import digest_of
 from calib.space import ParameterSpace
 from calib.structure.derivatives import ModeDerivatives, beside_roots
 from calib.structure.modal_model import ModalModel
+from calib.structure.modes import Modes
 
 _LEAST_RATIO = 1e-6
 """Lower bound of model damping ratios, which keeps their logarithm finite."""
@@ -159,9 +160,9 @@ class ModalResidual:
         """The same measurement with another model; see `ModalProblem.with_model`."""
         return replace(self, problem=self.problem.with_model(model, added))
 
-    def solve(self, values: Mapping[str, float]) -> Comparison:
-        """Comparison at named values; EvaluationError when the model cannot be solved there."""
-        return self._faulty.compared(values)
+    def solve(self, values: Mapping[str, float], solved: Modes | None = None) -> Comparison:
+        """Comparison at named values, of modes already ``solved`` there, if given; raises as `ModalProblem.compare`."""
+        return self._faulty.compared(values, solved)
 
     def responses(self, solution: Comparison) -> dict[str, float]:
         """See `ModalProblem.responses`."""
@@ -257,9 +258,8 @@ class ModalResidual:
         solved. The error of the mesh changes no mode.
         """
         mesh, chosen = self.problem.mesh, found.pairing.model_index[found.pairing.paired]
-        names = names if mesh is None else mesh.others(names)
         rows = self._faulty.rows(found) if self._parts else np.zeros((0, found.modes.shapes.shape[0]))
-        return self._derivatives(found, names, chosen, rows, at)
+        return self._derivatives(found, names if mesh is None else mesh.others(names), chosen, rows, at)
 
     def _derivatives(
         self,
@@ -269,10 +269,8 @@ class ModalResidual:
         rows: np.ndarray,
         at: Callable[[Mapping[str, float]], Comparison] | None,
     ) -> ModeDerivatives:
-        reached = at or self.solve
-        return self.problem.model.derivatives(
-            found.values, found.modes, names, chosen, rows, lambda values: reached(values).modes
-        )
+        reached, own = at or self.solve, (found.values, found.modes, names, chosen, rows)
+        return self.problem.model.derivatives(*own, lambda values: reached(values).modes)
 
     # -- from a comparison ---------------------------------------------------------------------------------------------
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from calib.candidate import Candidate
-from calib.errors import EvaluationError, InputError
+from calib.errors import EvaluationError
 from calib.missing.adequacy import adequacy_of, adequate, beside, measured_scale, predicted_scale, predicts
 from calib.missing.anew import anew, led_astray
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group, grouped
+from calib.missing.enough import require_modes, require_responses
 from calib.missing.evidence import at_lower
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
@@ -64,27 +65,6 @@ def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Prog
         verdict = "noise_underestimated" if again.verdict == "nothing_detectable" else again.verdict
         found = replace(again, verdict=verdict, begun_anew=found.begun_anew)
     return found
-
-
-def require_modes(count: int) -> None:
-    """Raise InputError for too few measured modes to name an effect."""
-    if count < RULES.least_modes:
-        raise InputError(
-            f"{count} measured modes cannot tell a missing effect from a parameter",
-            place="explain",
-            remedy=f"measure at least {RULES.least_modes}, or hold out fewer",
-        )
-
-
-def require_responses(count: int, free: int) -> None:
-    """Raise InputError for too few measured responses to name an effect beside the fitted parameters."""
-    least = max(RULES.least_responses, free + 2)
-    if count < least:
-        raise InputError(
-            f"{count} measured responses cannot tell a missing effect from the {free} fitted parameters",
-            place="explain",
-            remedy=f"measure at least {least}, hold out fewer or fit fewer parameters",
-        )
 
 
 class _Lead(NamedTuple):

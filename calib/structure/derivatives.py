@@ -17,6 +17,7 @@ from calib.space import ParameterSpace
 from calib.structure.inertia import symmetric_factor
 from calib.structure.modes import Modes
 from calib.structure.solve import DENSE_LIMIT
+from calib.tasks import each
 
 Matrix = Any
 """A dense ndarray or a SciPy sparse array, shape (n_dof, n_dof), symmetric; a derivative need only be multiplied."""
@@ -229,9 +230,11 @@ def eigen_derivatives(
     eigenvalue = np.zeros((len(names), len(chosen)), dtype=complex)
     shapes = np.zeros((len(names), n_rows, len(chosen)), dtype=group.shape_type)
     regular = np.ones(len(chosen), dtype=bool)
-    for i, j in enumerate(chosen.tolist() if slopes else []):
-        eigenvalue[:, i], shape, regular[i] = group.of(j, without_shapes)
-        shapes[:, :, i] = np.nan if not regular[i] else (shape if wanted is None else wanted @ shape).T
+    shared, some = (group, without_shapes, wanted), chosen.tolist() if slopes else []
+    worth = sp.issparse(stiffness) and wanted is not None and not without_shapes  # to be sent to other processes
+    found = each(_of_mode, shared, some) if worth else (_of_mode(shared, j) for j in some)
+    for i, (own, shape, good) in enumerate(found):
+        eigenvalue[:, i], shapes[:, :, i], regular[i] = own, shape.T if good else np.nan, good
     lam = eigenvalues(modes)[chosen]
     size = np.abs(lam)
     grown = np.real(np.conj(lam) * eigenvalue) / size
@@ -244,6 +247,13 @@ def eigen_derivatives(
         damping_ratio=-eigenvalue.real / size + lam.real * grown / size**2,
         regular=regular,
     )
+
+
+def _of_mode(shared: tuple[Any, bool, np.ndarray | None], j: int) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Derivatives of one mode: of its eigenvalue (n_params,), of its shape (n_rows, n_params), and if they exist."""
+    group, without_shapes, wanted = shared
+    own, shape, good = group.of(j, without_shapes)
+    return own, shape if wanted is None else wanted @ shape, good
 
 
 class _Damped:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
+import scipy.sparse.linalg as spla
 
 from calib.effect import Effect
 from calib.space import ParameterSpace
@@ -83,11 +84,12 @@ def effect_basis(
         solved = each(_near, known, [{**point, **own} for point in points for own in _sampled(effect)])
         vectors = growth.widened(vectors, np.hstack([_unit(growth, m, model.n_dof, basis) for m in solved]), _ERROR)
     nominal = model.modes(middle, basis.count)
+    local = _local_factor(growth, middle) if any(_grounded(one) for one in perturbations) else None
     for first in range(0, len(perturbations), _TOGETHER):
         progress(stage, len(effects) + first // _TOGETHER, len(effects) + batches)
         some = perturbations[first : first + _TOGETHER]
         wider = extend(model, [one.effect for one in some])
-        slopes = _derivatives(growth, wider, middle, nominal, some, basis)
+        slopes = _derivatives(growth, wider, middle, nominal, some, basis, local)
         for k in range(0, len(slopes), _BATCH):
             vectors = growth.widened(vectors, np.hstack(slopes[k : k + _BATCH]), _ERROR)
     return replace(basis, vectors=vectors, version=basis.version + 1)
@@ -166,6 +168,7 @@ def _derivatives(
     modes: Modes,
     perturbations: Sequence[Perturbation],
     basis: Basis,
+    local: spla.SuperLU | None,
 ) -> list[np.ndarray]:
     """Derivatives of a model's modes by each perturbation, (n_dof, m) with real and imaginary parts.
 
@@ -177,7 +180,7 @@ def _derivatives(
     shapes = modes.shapes[:, chosen]
     size = np.sqrt(np.einsum("ij,ij->j", shapes.conj(), growth.matrix @ shapes).real)
     usable = np.hstack([part.regular for part in parts]) & (modes.damping_ratio[chosen] < basis.damping_max)
-    weights = _weights(growth, model, point, perturbations)
+    weights = [_weight(growth, model, one, local) for one in perturbations]
     slopes = (np.hstack(own) for own in zip(*(part.shapes for part in parts), strict=True))
     columns = [weight * slope[:, usable] / size[usable] for weight, slope in zip(weights, slopes, strict=True)]
     return [np.hstack([c.real, c.imag]) if np.iscomplexobj(c) else c for c in columns]
@@ -199,26 +202,23 @@ def _grounded(perturbation: Perturbation) -> bool:
     return bool(perturbation.sensor) and perturbation.kind == "stiffness"
 
 
-def _weights(
-    growth: Growth, model: StructuralModel, point: Mapping[str, float], perturbations: Sequence[Perturbation]
-) -> list[float]:
-    """Magnitude by which each derivative is weighed.
+def _local_factor(growth: Growth, point: Mapping[str, float]) -> spla.SuperLU:
+    """Factor of ``K + omega^2 M`` at the lowest frequency of the reference model: it gives flexibilities at places."""
+    stiffness, _, mass = growth.model.matrices(point)
+    shift = (2 * np.pi * lowest_freq(growth.model, growth.reference)) ** 2
+    return symmetric_factor(sp.csc_array(stiffness + shift * mass))
+
+
+def _weight(growth: Growth, model: StructuralModel, perturbation: Perturbation, local: spla.SuperLU | None) -> float:
+    """Magnitude by which the derivative by a perturbation is weighed.
 
     The plausible one of a grounded spring is scaled by a measured frequency; here by the lowest of the reference
     model, so that measurements of other values need no other basis.
     """
-    found = []
-    if any(_grounded(one) for one in perturbations):
-        stiffness, _, mass = growth.model.matrices(point)
-        shift = (2 * np.pi * lowest_freq(growth.model, growth.reference)) ** 2
-        factor = symmetric_factor(sp.csc_array(stiffness + shift * mass))
-    for one in perturbations:
-        if not _grounded(one):
-            found.append(one.effect.plausible)
-            continue
-        (matrix,) = (term.matrix for term in model.stiffness.terms if term.name == one.effect.name)
-        touched = np.unique(matrix.indices)
-        forces = np.zeros((growth.model.n_dof, len(touched)))
-        forces[touched] = matrix[touched][:, touched].toarray()  # b b^T: the trace of its responses is the flexibility
-        found.append(RULES.local / float(np.trace(factor.solve(forces)[touched])))
-    return found
+    if local is None or not _grounded(perturbation):
+        return perturbation.effect.plausible
+    (matrix,) = (term.matrix for term in model.stiffness.terms if term.name == perturbation.effect.name)
+    touched = np.unique(matrix.indices)
+    forces = np.zeros((growth.model.n_dof, len(touched)))
+    forces[touched] = matrix[touched][:, touched].toarray()  # b b^T: the trace of its responses is the flexibility
+    return RULES.local / float(np.trace(local.solve(forces)[touched]))

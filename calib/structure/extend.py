@@ -92,7 +92,10 @@ def extend(model: StructuralModel, effects: Sequence[Effect]) -> StructuralModel
 
 
 def addition_of(model: StructuralModel, effect: Effect) -> Addition:
-    """The addition of an effect to a model; InputError when it does not fit."""
+    """The addition of an effect to a model, built once; InputError when it does not fit."""
+    known, addition = model.additions.get(id(effect), (None, None))
+    if known is effect:
+        return addition
     place = f"effect {effect.name}"
     try:
         addition = effect.build(model)
@@ -104,6 +107,7 @@ def addition_of(model: StructuralModel, effect: Effect) -> Addition:
         _require_fitting(model, addition, place)
     except InputError as fault:
         raise fault.with_line(defined_at(effect.build)) from None
+    model.additions[id(effect)] = effect, addition  # the effect is kept, so that no other one takes its number
     return addition
 
 

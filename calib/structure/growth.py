@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
+import scipy.sparse.linalg as spla
 
 from calib.structure.basis import Basis
 from calib.structure.model import StructuralModel
@@ -92,9 +94,18 @@ class Growth:
     def __init__(self, model: StructuralModel, basis: Basis):
         self.model = model
         self.reference = basis.reference_values
+        self.offset = basis.offset
         self.matrix = reference_matrix(model, self.reference, basis.offset)
-        self.factor = reference_factor(model, self.reference, basis.offset)
-        self.rigid = _rigid_count(model, self.reference) if basis.offset else 0
+
+    @cached_property
+    def factor(self) -> spla.SuperLU:
+        """Factor of the inner product."""
+        return reference_factor(self.model, self.reference, self.offset)
+
+    @cached_property
+    def rigid(self) -> int:
+        """Number of rigid-body motions and mechanisms of the reference model."""
+        return _rigid_count(_reference_modes(self.model, self.reference)) if self.offset else 0
 
     def _inertia_forces(self) -> np.ndarray:
         """Forces whose responses are the rigid-body motions and mechanisms of the reference model."""
@@ -180,7 +191,7 @@ class Growth:
         waiting = list(range(len(points)))
         passed = True
         while waiting:
-            reduced = target.posed(ReducedModel(self.model, basis))
+            reduced = target.posed(ReducedModel(self.model, basis, factor=self.factor))
             final[waiting] = each(_estimate, (target, reduced), [points[k] for k in waiting])
             checks = [(number, basis.size, final[k], np.nan) for k in waiting]
             waiting = [k for k in waiting if final[k] > SAFETY * target.tolerance]
@@ -197,7 +208,7 @@ class Growth:
             if not worst:
                 break
             passed = False
-            lacking = [target.missing(reduced, self.matrix, points[k], unseen) for k in worst]
+            lacking = each(_missing, (target, reduced, self.matrix, unseen), [points[k] for k in worst])
             grown = self.added(basis.vectors, np.hstack(lacking), POD * target.tolerance)
             if grown.shape[1] == basis.size:
                 break  # nothing is left to add: the indicator overestimates the error there
@@ -222,16 +233,20 @@ def _error(shared: tuple[Target, ReducedModel], asked: tuple[Mapping[str, float]
     return target.error(reduced, point, counted)
 
 
-def _rigid_count(model: StructuralModel, values: Mapping[str, float]) -> int:
-    """Number of rigid-body motions and mechanisms of the reference model."""
-    return sum(eigenvalue.kind in ("zero", "spin") for eigenvalue in _reference_modes(model, values).excluded)
+def _missing(shared: tuple[Target, ReducedModel, sp.csc_array, bool], point: Mapping[str, float]) -> np.ndarray:
+    target, reduced, energy, unseen = shared
+    return target.missing(reduced, energy, point, unseen)
+
+
+def _rigid_count(modes: Modes) -> int:
+    """Number of rigid-body motions and mechanisms among the modes of a reference model."""
+    return sum(eigenvalue.kind in ("zero", "spin") for eigenvalue in modes.excluded)
 
 
 def offset_of(model: StructuralModel, values: Mapping[str, float]) -> float:
     """Factor of the mass that keeps the inner product regular; 0 without rigid-body motions and mechanisms."""
-    if not _rigid_count(model, values):
-        return 0.0
-    return float((0.1 * 2 * np.pi * lowest_freq(model, values)) ** 2)
+    modes = _reference_modes(model, values)
+    return float((0.1 * 2 * np.pi * modes.natural_freq[0]) ** 2) if _rigid_count(modes) else 0.0
 
 
 def lowest_freq(model: StructuralModel, values: Mapping[str, float]) -> float:

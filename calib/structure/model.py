@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -234,7 +235,7 @@ class StructuralModel(Analytic):
         """Where its springs, dampers, masses, supports and parameters are; see `model_places`."""
         return model_places(self)
 
-    @property
+    @cached_property
     def fingerprint(self) -> str:
         """Hash over matrices and their coefficients; changes whenever a result could."""
         digest = hashlib.sha256()
@@ -243,6 +244,15 @@ class StructuralModel(Analytic):
         for name in sorted(self.clusters):
             digest.update(name.encode() + np.ascontiguousarray(self.clusters[name], dtype=np.int64).tobytes())
         return digest.hexdigest()[:16]
+
+    @cached_property
+    def additions(self) -> dict[int, tuple[Any, Any]]:
+        """Effects built so far, by identity, with what each adds; see `calib.structure.extend.addition_of`."""
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        # An effect may hold a function that cannot be pickled; it is built again where it is needed.
+        return {name: value for name, value in self.__dict__.items() if name != "additions"}
 
     @property
     def roots(self) -> frozenset[str]:

@@ -16,7 +16,6 @@ from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.measurement.modal import Sensor
 from calib.space import ParameterSpace
-from calib.structure.affine import AffineMatrix
 from calib.structure.basis import Basis
 from calib.structure.derivatives import Analytic
 from calib.structure.energy import shares_of, strain_energy
@@ -45,6 +44,8 @@ class ReducedModel(Analytic):
     basis : Basis
     inner : ReducedModel, optional
         The reduced base model that ``model`` and ``basis`` extend: its projections are shared, see `extended`.
+    factor : SuperLU, optional
+        Of `reference_matrix` at the reference values of the basis, where it is known.
 
     Raises
     ------
@@ -55,6 +56,7 @@ class ReducedModel(Analytic):
     model: StructuralModel
     basis: Basis
     inner: ReducedModel | None = None
+    factor: spla.SuperLU | None = field(default=None, repr=False)
     _stiffness: ReducedMatrix = field(init=False, repr=False)
     _damping: ReducedMatrix = field(init=False, repr=False)
     _mass: ReducedMatrix = field(init=False, repr=False)
@@ -70,9 +72,10 @@ class ReducedModel(Analytic):
             known = () if self.inner is None else getattr(self.inner, f"_{name}").blocks
             object.__setattr__(self, f"_{name}", reduce_matrix(getattr(self.model, name), self.basis.vectors, known))
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Factors cannot be pickled, and projecting again is faster than sending the matrices.
-        return ReducedModel, (self.model, self.basis, self.inner)
+    def __getstate__(self) -> dict[str, Any]:
+        # A factor cannot be pickled; it is made again where it is needed.
+        state = {name: value for name, value in self.__dict__.items() if name != "_reference_factor"}
+        return {**state, "factor": None}
 
     def extended(self, effects: Sequence[Effect]) -> ReducedModel:
         """The model with effects; each added degree of freedom becomes a basis vector.
@@ -296,7 +299,7 @@ class ReducedModel(Analytic):
 
     @cached_property
     def _reference_factor(self) -> spla.SuperLU:
-        return reference_factor(self.model, self.basis.reference_values, self.basis.offset)
+        return self.factor or reference_factor(self.model, self.basis.reference_values, self.basis.offset)
 
 
 def reference_matrix(model: StructuralModel, values: Mapping[str, float], offset: float) -> sp.csc_array:
@@ -306,8 +309,7 @@ def reference_matrix(model: StructuralModel, values: Mapping[str, float], offset
     residual is orthogonal to these, and its dual norm is the same with any of the terms present (Woodbury's identity).
     """
     si = model.space.si(model.space.complete(values))
-    unselected = AffineMatrix(model.n_dof, model.stiffness.terms)
-    return sp.csc_array(unselected(si) + offset * model.mass(si))
+    return sp.csc_array(model.stiffness.unselected(si) + offset * model.mass(si))
 
 
 def reference_factor(model: StructuralModel, values: Mapping[str, float], offset: float) -> spla.SuperLU:

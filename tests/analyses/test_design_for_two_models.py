@@ -1,5 +1,6 @@
 """Experimental design for two competing models."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from calib.missing.linearised_fit import fitted
 from calib.missing.score import scores
 from calib.results import Results
 from calib.study import Study
+from calib.tasks import alone, shared_by, untold
 from tests.analyses.mast_designs import candidates_of, measured_mast, pair_of
 
 
@@ -41,6 +43,26 @@ def test_two_models_are_linearised_at_samples_of_both_weighted_by_their_probabil
             [[p[n] - candidate_fit.fit.values[n] for n in candidate_fit.fit.names] for p in competitor.points]
         ) @ competitor.slope.T  # fmt: skip
         assert step > 0 and np.linalg.norm(moved - linear) < 0.2 * np.linalg.norm(moved)
+
+
+def test_gains_and_counted_points_are_the_same_whoever_solves_the_samples(world):
+    """Copies, as other processes get them, know no points that were solved before."""
+    _, hypotheses, fit = world
+    pair, found = pair_of(hypotheses), scores(fit, hypotheses.effects, {})
+
+    def elsewhere(function, shared, items, told=untold):
+        copies = [copy.deepcopy((shared, item)) for item in items]
+        return [function(*one) for one in reversed(copies)][::-1]
+
+    designs, counted = [], []
+    for share in (alone, elsewhere):
+        before = hypotheses.evaluations
+        with shared_by(share):
+            designs.append(modal_design(hypotheses, pair, hypotheses.effects, found, 1.0, samples=3))
+        counted.append(hypotheses.evaluations - before)
+    assert counted[0] == counted[1] > 6
+    for one, other in zip(*(design.linearisations for design in designs), strict=True):
+        assert one.slope.tobytes() == other.slope.tobytes() and one.columns.tobytes() == other.columns.tobytes()
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from calib.analyses.verify import ERROR_COLUMNS, _scaled, errors_at, group_error
 from calib.correlation.residual import ModalResidual
 from calib.correlation.standard_deviations import USUAL, Floors, dof_behind, std_for
 from calib.missing.linearised_fit import fitted
+from calib.structure.model import StructuralModel
 from calib.structure.variants import Variants
 from calib.study import Study
 
@@ -71,6 +72,19 @@ def test_the_table_has_a_row_for_every_group_of_data(study, fit):
         "held_out_modes": 1 + 12,
     }  # fmt: skip
     assert (table["unpaired"] == 0).all() and table["p"].between(0, 1).all()
+
+
+def test_a_model_that_has_been_solved_is_not_solved_again(study, fit, monkeypatch):
+    expected, modes = errors(study, fit), study.problem.solve(fit.values)
+    asked, solve = [], StructuralModel.modes
+    monkeypatch.setattr(StructuralModel, "modes", lambda *given: asked.append(given) or solve(*given))
+    found = modal_errors(
+        study.problem, study.whole_problem(), fit.values, fit.names, fit.prior_sd, PLAIN, KNOWN, solved=modes
+    )  # fmt: skip
+    pd.testing.assert_frame_equal(found.set_index("group"), expected, check_exact=True)
+    assert not asked
+    errors(study, fit)
+    assert len(asked) == 1
 
 
 def test_a_study_without_held_out_data_has_two_groups(mast, tmp_path):

@@ -1,6 +1,6 @@
 """How cost grows with the mesh of the vehicle: assembly, one solution, training off-line, one answer on-line.
 
-    python tests/benchmarks/growth.py [--sizes 1 2 4] [--samples 22] [--write FILE]
+    python tests/benchmarks/growth.py [--sizes 1 2 4] [--samples 8] [--write FILE]
 
 A size is ``refine`` of the vehicle: into how many every edge is cut. Each is a process of its own, and its row is told
 when it is done. The basis is made of the static answers and the modes at the same few points at every size, so that
@@ -16,13 +16,14 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_variable] = "1"
 
 import argparse
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from child import in_child, report
 from page import Page
-from stopwatch import Spent, short, spent
+from stopwatch import Spent, exponent, median, short, spent
 from subject import study_of
 
 from calib.sampling import sample
@@ -54,11 +55,12 @@ def main() -> None:
     if given.size:
         measure(given.size, given.samples)
         return
-    page, rows, first = Page(given.write), [], None
+    page, rows, every = Page(given.write), [], []
     page.begin("Growth with the mesh of the vehicle")
     for size in given.sizes:
         found = in_child(__file__, "--size", size, "--samples", given.samples)
-        first = first or found
+        every.append(found)
+        first = every[0]
         rows.append(
             (
                 found["n_dof"], *(pair(found[name], 1e3 if name == "answer" else 1.0) for name in COLUMNS),
@@ -72,6 +74,12 @@ def main() -> None:
         )
     page.say("Wall clock (processor time):")
     page.table(HEADER, rows)
+    if len(every) > 1:
+        sizes = [found["n_dof"] for found in every]
+        grown = {f"growth_{name}": exponent(sizes, [Spent(*found[name]) for found in every]) for name in COLUMNS}
+        told = ", ".join(f"{name} {short(grown[f'growth_{name}'].cpu)}" for name in COLUMNS)
+        page.say(f"Exponents of growth with the degrees of freedom, first to last, processor time: {told}.")
+        print(json.dumps({**every[-1], **grown}))
 
 
 def measure(size: int, samples: int) -> None:
@@ -113,12 +121,6 @@ def basis_from(study: Study, model: StructuralModel, samples: int) -> Basis:
     snapshots = np.hstack([target.snapshots(model, growth.matrix, p) for p in points])
     statics = growth.statics(target.forces(model))
     return replace(basis, vectors=growth.widened(statics, snapshots, settings.tolerance / 2))
-
-
-def median(some: list[Spent]) -> Spent:
-    """Of wall and processor time apart."""
-    wall, cpu = np.median(np.array(some), axis=0)
-    return Spent(float(wall), float(cpu))
 
 
 def pair(found: list[float], factor: float) -> str:

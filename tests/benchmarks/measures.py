@@ -1,8 +1,11 @@
 """Measures of the table of speeds, taken in a process of its own with the code of one checkout.
 
-    PYTHONPATH=CHECKOUT python tests/benchmarks/measures.py vehicle|effects|modes|explain|phases [...]
+    PYTHONPATH=CHECKOUT python tests/benchmarks/measures.py vehicle|effects|modes|opensees|calculix
+    PYTHONPATH=CHECKOUT python tests/benchmarks/measures.py commands "explain studies/hidden_bogie" [...]
+    PYTHONPATH=CHECKOUT python tests/benchmarks/measures.py finer studies/hidden_effect refine=1 [refine=4 ...]
 
-The last line is a JSON object of names and seconds, with the peak of the memory. Studies are those of this checkout.
+The last line is a JSON object: by name the seconds of wall clock and of processor time, worker processes included, with
+the peak of the memory; a sentence where a code is not installed. Studies are those of this checkout.
 """
 
 from __future__ import annotations
@@ -12,16 +15,21 @@ import os
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_variable] = "1"
 
+import json
+import re
+import shutil
 import subprocess
 import sys
 import tempfile
-import time
+import tomllib
 from collections.abc import Callable
 from contextlib import nullcontext
+from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
 from child import report
+from stopwatch import Spent, exponent, median, spent
 from subject import ROOT, study_of
 
 from calib.analyses import places
@@ -34,15 +42,23 @@ from calib.structure.refinement import modes_near
 from calib.study import Study
 
 POINTS, SEED, MODES = 7, 7, 40
+REPEATS = 3
+ABSENT = "not installed"
+
+Taken = dict[str, Spent | float | str]
 
 
 def main() -> None:
     """Take the measures of one group."""
     group, *more = sys.argv[1:]
-    report(**{"vehicle": of_vehicle, "effects": of_effects, "modes": of_modes}[group]() if not more else ran(*more))
+    groups: dict[str, Callable[..., Taken]] = {
+        "vehicle": of_vehicle, "effects": of_effects, "modes": of_modes, "opensees": of_opensees,
+        "calculix": of_calculix, "commands": ran, "finer": of_finer,
+    }  # fmt: skip
+    report(**groups[group](*more))
 
 
-def of_vehicle() -> dict[str, float]:
+def of_vehicle() -> Taken:
     """The basis of the vehicle's search, an evaluation on it, modes at full order by refinement and directly."""
     study = study_of("vehicle")
     taken, basis = trained(study)
@@ -51,39 +67,84 @@ def of_vehicle() -> dict[str, float]:
     reduced = problem.model
     return {
         "basis": taken,
-        "evaluation": median(problem.evaluate, points),
-        "refined": median(lambda v: modes_near(reduced, v, count), points[:4]),
-        "direct": median(lambda v: study.model.modes(v, count), points[:4]),
+        "evaluation": usual(problem.evaluate, points),
+        "refined": usual(lambda v: modes_near(reduced, v, count), points[:4]),
+        "direct": usual(lambda v: study.model.modes(v, count), points[:4]),
     }
 
 
-def of_effects() -> dict[str, float]:
+def of_effects() -> Taken:
     """The basis of all effects and local perturbations of the vehicle, from that of its search."""
     study = Study.load(ROOT / "studies/hidden_effect")
     problem, settings, space = study.problem, study.settings.reduction, study.search_space
     local = local_perturbations(problem.model, [problem.measured], space.values)
     search, basis = trained(study)
-    with shared():
-        began = time.perf_counter()
-        wanted = Wanted.of(problem, settings.tolerance, settings.seed)
-        wanted.with_effects(problem.model, basis, space, study.candidates, local)
-        return {"effects": time.perf_counter() - began, "effects_search": search}
+
+    def widened() -> None:
+        with shared():
+            wanted = Wanted.of(problem, settings.tolerance, settings.seed)
+            wanted.with_effects(problem.model, basis, space, study.candidates, local)
+
+    return {"effects": spent(widened), "effects_search": search}
 
 
-def of_modes() -> dict[str, float]:
+def of_modes() -> Taken:
     """Undamped modes of the vehicle without seats: matrices at hand, assembled anew, and by SciPy's eigsh alone."""
+    vehicle = compared_vehicle()
+    stiffness, mass = vehicle.matrices()
+    turns = [{}] * REPEATS
+    return {
+        "own": usual(lambda _: vehicle.modes(stiffness, mass, MODES), turns),
+        "own_anew": usual(lambda _: vehicle.modes(*vehicle.matrices(), MODES), turns),
+        "eigsh": usual(lambda _: by_eigsh(stiffness, mass), turns),
+        "eigsh_anew": usual(lambda _: by_eigsh(*vehicle.matrices()), turns),
+    }
+
+
+def of_opensees() -> Taken:
+    """The same modes by OpenSees with SuperLU, its fastest system here: the model built before, and built anew.
+
+    It assembles its matrices within its solution, which is in both.
+    """
+    vehicle = compared_vehicle()
+    import opensees_code
+    from opensees_vehicle import Twin
+
+    try:
+        code = opensees_code.load()
+    except ImportError:
+        return {"solved": ABSENT, "anew": ABSENT}
+    solved = []
+    for _ in range(REPEATS):
+        twin = Twin(code, vehicle)
+        solved.append(spent(lambda twin=twin: twin.solve(MODES, "SparseGEN")))
+    anew = [spent(lambda: Twin(code, vehicle).solve(MODES, "SparseGEN")) for _ in range(REPEATS)]
+    return {"solved": median(solved), "anew": median(anew)}
+
+
+def of_calculix() -> Taken:
+    """The same modes by CalculiX, which reads and assembles anew; and a single mode, for what that takes at most."""
+    vehicle = compared_vehicle()
+    import calculix
+    import calculix_vehicle
+
+    if calculix.COMMAND is None:
+        return {"anew": ABSENT, "one": ABSENT}
+    deck = calculix_vehicle.deck_of(vehicle)
+    with tempfile.TemporaryDirectory() as folder:
+        taken = {
+            name: median([spent(lambda text=text: calculix.run(text, Path(folder))) for _ in range(REPEATS)])
+            for name, text in (("anew", deck.text(MODES)), ("one", deck.text(1)))
+        }
+    return {**taken}
+
+
+def compared_vehicle():
+    """The vehicle without seats in the form that other codes take; its folder is found by imports from now on."""
     sys.path.insert(0, str(ROOT / "tests/oracles"))
     from simple_vehicle import simple_vehicle
 
-    vehicle = simple_vehicle()
-    stiffness, mass = vehicle.matrices()
-    turns = [{}] * 3
-    return {
-        "own": median(lambda _: vehicle.modes(stiffness, mass, MODES), turns),
-        "own_anew": median(lambda _: vehicle.modes(*vehicle.matrices(), MODES), turns),
-        "eigsh": median(lambda _: by_eigsh(stiffness, mass), turns),
-        "eigsh_anew": median(lambda _: by_eigsh(*vehicle.matrices()), turns),
-    }
+    return simple_vehicle()
 
 
 def by_eigsh(stiffness: sp.csc_array, mass: sp.csc_array) -> np.ndarray:
@@ -92,26 +153,60 @@ def by_eigsh(stiffness: sp.csc_array, mass: sp.csc_array) -> np.ndarray:
     return np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)
 
 
-def ran(*commands: str) -> dict[str, float]:
-    """Commands of calib in turn, into one folder without anything kept, by the wall clock."""
+def ran(*commands: str) -> Taken:
+    """Commands of calib in turn, into one folder without anything kept."""
     with tempfile.TemporaryDirectory() as folder:
         kept = ["--results", folder, "--cache", f"{folder}/cache"]
-        began = time.perf_counter()
-        for command in commands:
-            words = [sys.executable, "-m", "calib", *command.split(), *kept]
-            subprocess.run(words, cwd=ROOT, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        return {"seconds": time.perf_counter() - began}
+
+        def every() -> None:
+            for command in commands:
+                words = [sys.executable, "-m", "calib", *command.split(), *kept]
+                subprocess.run(words, cwd=ROOT, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+        return {"seconds": spent(every)}
 
 
-def trained(study: Study) -> tuple[float, Basis]:
-    """A basis at the tolerance of the study, and the seconds that it takes."""
-    settings, began = study.settings.reduction, time.perf_counter()
-    with shared():
-        wanted = Wanted.of(study.problem, settings.tolerance, settings.seed)
-        basis = wanted.trained(study.model, study.search_space)
-    taken = time.perf_counter() - began
-    ReducedModel(study.model, basis)
-    return taken, basis
+def of_finer(study: str, *options: str) -> Taken:
+    """``calib explain`` of a study at some options of its model, such as ``refine=4``, without its finer mesh.
+
+    Of the last one is told what it takes, with its degrees of freedom; of several the exponent of growth too.
+    """
+    sizes, taken = list[float](), list[Spent]()
+    with tempfile.TemporaryDirectory() as home:
+        for option in options:
+            folder = Path(home) / option / Path(study).name
+            shutil.copytree(ROOT / study, folder)
+            with_option(folder / "study.toml", option)
+            sizes.append(float(Study.load(folder).model.n_dof))
+            seconds = ran(f"explain {folder}")["seconds"]
+            assert isinstance(seconds, Spent)
+            taken.append(seconds)
+    grown = {} if len(options) < 2 else {"growth": exponent(sizes, taken)}
+    return {"seconds": taken[-1], "n_dof": sizes[-1], **grown}
+
+
+def with_option(file: Path, option: str) -> None:
+    """Write an option of the model into a study's file, and take the finer mesh out."""
+    text = file.read_text("utf-8")
+    key, _, value = option.partition("=")
+    given = {**tomllib.loads(text).get("model_options", {}), key: json.loads(value)}
+    line = "model_options = { " + ", ".join(f"{name} = {json.dumps(one)}" for name, one in given.items()) + " }"
+    text = re.sub(r"^(model_options|finer_options) = .*\n", "", text, flags=re.MULTILINE)
+    file.write_text(re.sub(r"^(model = .*)$", rf"\1\n{line}", text, count=1, flags=re.MULTILINE), "utf-8")
+
+
+def trained(study: Study) -> tuple[Spent, Basis]:
+    """A basis at the tolerance of the study, and what it takes."""
+    settings, made = study.settings.reduction, []
+
+    def train() -> None:
+        with shared():
+            wanted = Wanted.of(study.problem, settings.tolerance, settings.seed)
+            made.append(wanted.trained(study.model, study.search_space))
+
+    taken = spent(train)
+    ReducedModel(study.model, made[0])
+    return taken, made[0]
 
 
 def shared():
@@ -119,15 +214,10 @@ def shared():
     return places.tasks_shared(None) if hasattr(places, "tasks_shared") else nullcontext()
 
 
-def median(task: Callable, points: list) -> float:
-    """Of the seconds at some points, after one call that warms up."""
+def usual(task: Callable, points: list) -> Spent:
+    """Median of what a task takes at some points, after one call that warms up."""
     task(points[0])
-    seconds = []
-    for point in points:
-        began = time.perf_counter()
-        task(point)
-        seconds.append(time.perf_counter() - began)
-    return float(np.median(seconds))
+    return median([spent(lambda point=point: task(point)) for point in points])
 
 
 if __name__ == "__main__":

@@ -4,8 +4,9 @@
 
 ``--before`` is another commit of this repository, checked out into a temporary folder; it takes turns with this
 checkout, group by group, so that a busy machine slows both. Studies are those of this checkout on both sides. Wall
-clock, worker processes as by default. ``--table`` names the CSV file; the Markdown table stands beside it. What takes
-long is measured on request.
+clock and processor time, the latter of all processes together, which are as many as by default; on a busy machine
+believe the processor time. ``--table`` names the CSV file; the Markdown table stands beside it. What takes long is
+measured on request.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import math
 import os
 import subprocess
 import sys
@@ -27,7 +29,11 @@ from stopwatch import short
 from subject import ROOT
 
 HERE = Path(__file__).resolve().parent
-COLUMNS = ("measure", "wanted", "before", "after", "ratio")
+COLUMNS = (
+    "measure", "wanted, wall clock", "before", "before, processor", "after", "after, processor", "ratio",
+    "ratio, processor",
+)  # fmt: skip
+NAN = float("nan")
 
 
 class Row(NamedTuple):
@@ -49,36 +55,52 @@ class Group(NamedTuple):
 
 GROUPS = {
     "modes": Group(("modes",)),
-    "explain_bogie": Group(("explain", "explain studies/hidden_bogie")),
+    "opensees": Group(("opensees",)),
+    "calculix": Group(("calculix",)),
+    "explain_bogie": Group(("commands", "explain studies/hidden_bogie")),
     "vehicle": Group(("vehicle",)),
     "effects": Group(("effects",)),
     "auto": Group(
-        ("phases", "calibrate studies/bogie --method auto", "calibrate studies/vehicle --method auto"), long=True
+        ("commands", "calibrate studies/bogie --method auto", "calibrate studies/vehicle --method auto"), long=True
     ),
-    "explain_vehicle": Group(("explain", "explain studies/hidden_effect"), long=True),
+    "explain_vehicle": Group(("commands", "explain studies/hidden_effect"), long=True),
     "genetic": Group(
-        ("phases", "calibrate studies/bogie --workers 2", "calibrate studies/vehicle --workers 2"), long=True
+        ("commands", "calibrate studies/bogie --workers 2", "calibrate studies/vehicle --workers 2"), long=True
     ),
-    "fine": Group(("--size", "4", "--samples", "8"), long=True),
+    "fine": Group(("--sizes", "1", "4", "--samples", "8"), long=True),
+    "fine_explain": Group(("finer", "studies/hidden_effect", "refine=1", "refine=4"), long=True),
 }
 ROWS = (
     Row("one reduced evaluation of the vehicle", "ms", "10 to 12", "vehicle", "evaluation"),
     Row("full-order modes of the vehicle, refined", "s", "0.26", "vehicle", "refined"),
     Row("full-order modes of the vehicle, solved directly", "s", "", "vehicle", "direct"),
-    Row("basis of the vehicle's search at the study's tolerance", "s", "34", "vehicle", "basis"),
-    Row("basis of all effects of the vehicle", "s", "", "effects", "effects"),
-    Row("calib explain studies/hidden_bogie, nothing kept", "s", "", "explain_bogie", "seconds"),
-    Row("calib explain studies/hidden_effect, nothing kept", "s", "", "explain_vehicle", "seconds"),
-    Row("both phases by method auto, nothing kept", "s", "", "auto", "seconds"),
-    Row("both phases as in the article, 60,000 individuals, 2 workers", "s", "", "genetic", "seconds"),
+    Row("basis of the vehicle's search at the study's tolerance", "s", "20", "vehicle", "basis"),
+    Row("basis of all effects of the vehicle", "s", "120", "effects", "effects"),
+    Row("calib explain studies/hidden_bogie, nothing kept", "s", "8", "explain_bogie", "seconds"),
+    Row("calib explain studies/hidden_effect, nothing kept", "s", "240", "explain_vehicle", "seconds"),
+    Row("both phases by method auto, nothing kept", "s", "60", "auto", "seconds"),
+    Row("both phases as in the article, 60,000 individuals, 2 workers", "s", "360", "genetic", "seconds"),
     Row("40 real modes at full order, matrices at hand", "s", "", "modes", "own"),
     Row("the same by scipy eigsh", "s", "", "modes", "eigsh"),
+    Row("the same by OpenSees, model built before", "s", "", "opensees", "solved"),
     Row("40 real modes at full order, assembled anew", "s", "", "modes", "own_anew"),
     Row("the same by scipy eigsh", "s", "", "modes", "eigsh_anew"),
-    Row("124k degrees of freedom: training at 8 points", "s", "", "fine", "training"),
-    Row("124k degrees of freedom: peak memory of that", "MB", "", "fine", "own_mb"),
+    Row("the same by OpenSees, model built anew", "s", "", "opensees", "anew"),
+    Row("the same by CalculiX, which always reads and assembles", "s", "", "calculix", "anew"),
+    Row("of which CalculiX takes for a single mode", "s", "", "calculix", "one"),
+    Row("124k degrees of freedom: training at 8 points", "s", "told", "fine", "training"),
+    Row("124k degrees of freedom: peak memory of that", "MB", "told", "fine", "own_mb"),
+    Row("exponent of its growth from 10k degrees of freedom", "", "1.3", "fine", "growth_training"),
+    Row("exponent of the growth of a damped solution at full order", "", "1.3", "fine", "growth_solve"),
+    Row("exponent of the growth of an answer on the basis", "", "1.3", "fine", "growth_answer"),
+    Row("124k degrees of freedom: calib explain, nothing kept", "s", "told", "fine_explain", "seconds"),
+    Row("124k degrees of freedom: peak memory of its largest process", "MB", "told", "fine_explain", "child_mb"),
+    Row("exponent of its growth from 10k degrees of freedom", "", "1.3", "fine_explain", "growth"),
 )
-FACTOR = {"ms": 1e3, "s": 1.0, "MB": 1.0}
+FACTOR = {"ms": 1e3, "s": 1.0, "MB": 1.0, "": 1.0}
+
+Cell = tuple[float, float] | str
+"""Wall clock and processor time, or something else and NaN; or words where nothing can be measured."""
 
 
 def main() -> None:
@@ -91,7 +113,7 @@ def main() -> None:
     arguments.add_argument("--table", type=Path, help="write this CSV file, and a Markdown file beside it")
     given = arguments.parse_args()
     chosen = given.rows or [name for name, group in GROUPS.items() if given.long or not group.long]
-    page, found = Page(), dict[tuple[str, str], dict[str, float]]()
+    page, found = Page(), dict[tuple[str, str], dict[str, Cell]]()
     page.begin("Speeds, before and after")
     with checked_out(given.before) as before:
         for name in chosen:
@@ -100,26 +122,41 @@ def main() -> None:
                     if checkout is not None:
                         taken = measured(GROUPS[name], checkout)
                         known = found.setdefault((side, name), taken)
-                        known.update({key: min(value, known[key]) for key, value in taken.items()})
+                        known.update({key: least(value, known[key]) for key, value in taken.items()})
             page.table(COLUMNS, rows_of(found, [name]))
             if given.table:
                 write(given.table, rows_of(found, list(GROUPS)))
     page.table(COLUMNS, rows_of(found, list(GROUPS)))
-    page.say(
-        "Smallest of the turns, wall clock. The ratio is before over after. CalculiX and OpenSees: see full_order.py."
-    )
+    page.say("Smallest of the turns. A ratio is before over after. More on other codes: full_order.py.")
 
 
-def rows_of(found: dict[tuple[str, str], dict[str, float]], groups: list[str]) -> list[tuple[str, ...]]:
+def least(one: Cell, other: Cell) -> Cell:
+    """The smaller one, of wall clock and of processor time apart."""
+    if isinstance(one, str) or isinstance(other, str):
+        return one
+    return min(one[0], other[0]), min(one[1], other[1])
+
+
+def rows_of(found: dict[tuple[str, str], dict[str, Cell]], groups: list[str]) -> list[tuple[str, ...]]:
     """Rows of the groups that were measured."""
     out = []
     for row in ROWS:
-        pair = [found.get((side, row.group), {}).get(row.name) for side in ("before", "after")]
-        if row.group in groups and pair[1] is not None:
-            cells = ["" if v is None else short(FACTOR[row.unit] * v) for v in pair]
-            ratio = "" if pair[0] is None else short(pair[0] / pair[1])
-            out.append((f"{row.words} ({row.unit})", row.wanted, *cells, ratio))
+        before, after = (found.get((side, row.group), {}).get(row.name) for side in ("before", "after"))
+        if row.group not in groups or after is None:
+            continue
+        words = f"{row.words} ({row.unit})" if row.unit else row.words
+        cells = [told(side, k, FACTOR[row.unit]) for side in (before, after) for k in (0, 1)]
+        both = not (before is None or isinstance(before, str) or isinstance(after, str))
+        ratios = [told((before[k] / after[k], NAN), 0, 1.0) if both else "" for k in (0, 1)]
+        out.append((words, row.wanted, *cells, *ratios))
     return out
+
+
+def told(cell: Cell | None, which: int, factor: float) -> str:
+    """Wall clock (0) or processor time (1) of a cell in words; empty where there is none."""
+    if cell is None or isinstance(cell, str):
+        return (cell or "") if which == 0 else ""
+    return "" if math.isnan(cell[which]) else short(factor * cell[which])
 
 
 def write(file: Path, rows: list[tuple[str, ...]]) -> None:
@@ -131,16 +168,23 @@ def write(file: Path, rows: list[tuple[str, ...]]) -> None:
     Page(beside).table(COLUMNS, rows)
 
 
-def measured(group: Group, checkout: Path) -> dict[str, float]:
-    """What a group takes with the code of a checkout; those of `growth.py` as processor and wall times."""
-    script = HERE / ("growth.py" if group.arguments[0] == "--size" else "measures.py")
+def measured(group: Group, checkout: Path) -> dict[str, Cell]:
+    """What a group takes with the code of a checkout."""
+    script = HERE / ("growth.py" if group.arguments[0].startswith("--") else "measures.py")
     paths = os.pathsep.join([str(checkout), str(HERE)])
     done = subprocess.run(
         [sys.executable, str(script), *group.arguments], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True,
         env={**os.environ, "PYTHONPATH": paths, "PYTHONSAFEPATH": "1"},
     )  # fmt: skip
     taken = json.loads(done.stdout.splitlines()[-1])
-    return {key: float(value[0] if isinstance(value, list) else value) for key, value in taken.items()}
+    return {key: cell_of(value) for key, value in taken.items()}
+
+
+def cell_of(value: list[float] | float | str) -> Cell:
+    """What a script told of one measure."""
+    if isinstance(value, list):
+        return float(value[0]), float(value[1])
+    return value if isinstance(value, str) else (float(value), NAN)
 
 
 @contextmanager

@@ -27,6 +27,18 @@ def spent(task: Callable[[], object]) -> Spent:
     return Spent(time.perf_counter() - wall, _processor() - cpu)
 
 
+def median(some: Sequence[Spent]) -> Spent:
+    """Of wall and processor time apart."""
+    wall, cpu = np.median(np.array(some), axis=0)
+    return Spent(float(wall), float(cpu))
+
+
+def exponent(sizes: Sequence[float], taken: Sequence[Spent]) -> Spent:
+    """Of the growth ``taken ~ sizes**exponent`` from the first to the last, of wall and processor time apart."""
+    wide = np.log(sizes[-1] / sizes[0])
+    return Spent(*(float(np.log(last / first) / wide) for first, last in zip(taken[0], taken[-1], strict=True)))
+
+
 def in_turn(tasks: Mapping[str, Task], points: Sequence[Point]) -> dict[str, list[Spent]]:
     """What every task takes at every point; at each point all of them, one after the other."""
     times: dict[str, list[Spent]] = {name: [] for name in tasks}

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.analyses.explain import _visible
+from calib.analyses.effect_facts import detectable
 from calib.errors import EvaluationError
 from calib.missing.explain import explain
 from calib.missing.score import scores
@@ -147,6 +147,6 @@ def test_a_fitted_magnitude_is_not_called_invisible(toy):
     magnitude = named.fit.values["E0"]
     first = smallest_visible(found.base_adequacy.named, "E0")
     assert first > 3 * magnitude  # the derivative would predict this
-    known = _visible(SimpleNamespace(hypotheses=one), found)
+    known = detectable(SimpleNamespace(hypotheses=one), found)
     table = effects_table(found, {}, {}, known).set_index("name")
     assert table.loc["E0", "magnitude_min"] < magnitude and table.loc["E0", "visible"]

@@ -1,5 +1,6 @@
 """Analytic derivatives against central differences, closed forms and invariances."""
 
+import pickle
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
 from calib.structure.derivatives import beside_roots, eigen_derivatives, eigenvalues, mode_derivatives
 from calib.structure.modes import Modes
 from calib.structure.solve import solve_modes
+from calib.tasks import shared_by, untold
 from models.railway import bogie_on_rig
 
 N = 7
@@ -272,3 +274,23 @@ def test_only_parameters_at_a_root_are_moved_and_within_their_limits():
     roots, names = frozenset({"a", "b"}), ("a", "b", "c")
     assert beside_roots(space, roots, {}, names) == pytest.approx({"a": 4e-6, "b": -2e-6, "c": 0.0}, rel=1e-9)
     assert beside_roots(space, roots, {"a": 1.0}, ("a", "c")) == {"a": 1.0, "b": 0.0, "c": 0.0}
+
+
+def test_sparse_derivatives_are_the_same_whoever_shares_their_modes():
+    model = bogie_on_rig()
+    modes, rows = model.modes({}, 4), np.eye(model.n_dof)[[3, 40, 700]]
+    done = []
+
+    def elsewhere(function, shared, items, told=untold):
+        done.append(list(items))
+        copies = [pickle.loads(pickle.dumps((shared, item))) for item in items]  # as another process gets them
+        return [function(*copy) for copy in reversed(copies)][::-1]
+
+    names = ["K_primary", "c_primary"]
+    own = mode_derivatives(model, {}, modes, names, [0, 2, 3], rows)
+    with shared_by(elsewhere):
+        other = mode_derivatives(model, {}, modes, names, [0, 2, 3], rows)
+        mode_derivatives(model, {}, modes, names, [1], rows[:0])  # without shapes nothing is worth sending
+    assert done == [[0, 2, 3]]
+    for field in ("eigenvalue", "shapes", "natural_freq", "damping_ratio", "regular"):
+        assert getattr(own, field).tobytes() == getattr(other, field).tobytes()

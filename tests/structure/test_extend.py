@@ -1,5 +1,6 @@
 """A model with effects against the base model and against matrices assembled by hand."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from calib.measurement.modal import Sensor
 from calib.space import Parameter
 from calib.structure.affine import Monomial, SelectedTerm, Term, parameter
 from calib.structure.attach import hung_masses, outer_term, soft_mounts
-from calib.structure.extend import Addition, extend
+from calib.structure.extend import Addition, addition_of, extend
 from calib.structure.model import Assumption, Part
 
 N = 20
@@ -185,6 +186,19 @@ def test_an_addition_that_does_not_fit_is_refused(ladder):
     vector = SelectedTerm("short", Monomial(), ("place",), {(1,): np.ones(4)})
     with pytest.raises(InputError, match=r"a vector of 'short' is \(4,\), not \(20,\)"):
         extend(model, [effect("e", lambda m: Addition(selected=(vector,)))])
+
+
+def test_an_effect_is_built_once_for_each_model(ladder):
+    built = []
+    one = effect("counted", lambda m: built.append(id(m)) or Addition())
+    model, other = ladder(), ladder()
+    first = addition_of(model, one)
+    assert addition_of(model, one) is first and built == [id(model)]
+    assert addition_of(other, one) is not first and built == [id(model), id(other)]
+    again = effect("counted", one.build)  # of the same name, and another effect
+    assert addition_of(model, again) is not first and len(built) == 3
+    copy = pickle.loads(pickle.dumps(model))  # a function written on the spot goes nowhere
+    assert copy.fingerprint == model.fingerprint and not copy.additions and model.additions
 
 
 def test_an_error_in_the_function_of_an_effect_names_the_effect(ladder):

@@ -1,0 +1,65 @@
+"""Explanations whose tasks other processes share: the same tables to the last byte, for any number of workers."""
+
+import contextlib
+import copy
+import json
+import pickle
+from pathlib import Path
+
+import pytest
+
+from calib import cli
+from calib.analyses.explain import explain
+from calib.results import Results
+from calib.tasks import shared_by, untold
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Elsewhere:
+    """Does tasks as other processes do, in reverse order; functions written on the spot, which no file takes, stay."""
+
+    def __init__(self):
+        self.done = set()
+
+    def __call__(self, function, shared, items, told=untold):
+        try:
+            copies = [pickle.loads(pickle.dumps((shared, item))) for item in items]
+        except (AttributeError, pickle.PicklingError):
+            copies = [copy.deepcopy((shared, item)) for item in items]
+        self.done.add(function.__name__)
+        return [function(*copy) for copy in reversed(copies)][::-1]
+
+
+def tables(folder):
+    """Bytes of all tables, and the summary without what the clock tells."""
+    own = {file.name: file.read_bytes() for file in sorted(folder.glob("*.csv"))}
+    summary = json.loads((folder / "explanation.json").read_text("utf-8"))
+    return own, {key: value for key, value in summary.items() if key != "seconds"}
+
+
+def test_an_explanation_is_the_same_whoever_shares_its_tasks(guyed, tmp_path):
+    study, results, _, _ = guyed
+    share = Elsewhere()
+    with shared_by(share):
+        explain(study, Results.at(tmp_path, study.name))
+    assert {"_linearisation", "_solved"} <= share.done
+    assert tables(tmp_path / study.name) == tables(results.path)
+
+
+@pytest.mark.slow
+def test_tables_are_the_same_for_any_number_of_workers(tmp_path):
+    for workers in (1, 2):
+        root = tmp_path / str(workers)
+        command = [
+            "explain",
+            str(ROOT / "studies/hidden_bogie"),
+            "--results",
+            str(root),
+            "--cache",
+            str(root / "cache"),
+        ]
+        with contextlib.redirect_stdout(None):
+            assert cli.execute([*command, "--workers", str(workers)]) == 0
+    one, two = (tables(tmp_path / str(workers) / "hidden_bogie") for workers in (1, 2))
+    assert one == two
