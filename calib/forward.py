@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
+import numpy as np
+
 from calib.correlation.frf_nuisance import Nuisance, belonging_to, concerned, of_every_channel
 from calib.correlation.frf_places import of_every_place
 from calib.correlation.frf_problem import FRFProblem
@@ -33,10 +35,24 @@ ForwardProblem = ModalProblem | FunctionProblem | FRFProblem
 Targets = Mapping[str, tuple[float, float | None]]
 
 
+class UnseenPair(Pair, Protocol):
+    """A pair whose rows compare one measured value each."""
+
+    @property
+    def measured_values(self) -> np.ndarray:
+        """What was measured in every row, (n_rows,)."""
+        ...
+
+    @property
+    def std(self) -> np.ndarray:
+        """Its standard deviation, (n_rows,)."""
+        ...
+
+
 class UnseenData(Protocol):
     """Held-out data that are compared entry by entry: scalar responses or FRFs."""
 
-    def pair(self, problem: Any) -> Pair:
+    def pair(self, problem: Any) -> UnseenPair:
         """Their whitened residual for the model of the fitted problem."""
 
     def unfitted(self, values: Mapping[str, float]) -> dict[str, float]:

@@ -9,6 +9,7 @@ import pandas as pd
 from calib.analyses.discretisation_error import DiscretisationError
 from calib.analyses.explanation_result import MeasurementFacts
 from calib.missing.candidate_fit import CandidateFit
+from calib.missing.discrepancy import Discrepancy
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.recommendation import ExperimentalDesign
@@ -50,6 +51,12 @@ class Adapter(Protocol):
         self, stages: dict[str, CandidateFit], scale: float
     ) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
         """Errors by stage and group of data, notes, and entries of the summary."""
+        ...
+
+    def predictions(
+        self, candidate_fit: CandidateFit, wide: Discrepancy, scale: float
+    ) -> tuple[pd.DataFrame, pd.DataFrame]:
+        """Predictions and errors of held-out data, with a discrepancy too; empty without such data."""
         ...
 
     def richer(self, name: str, progress: Progress = unheard) -> Self | None:
