@@ -69,7 +69,7 @@ def main() -> None:
     given.folder.mkdir(parents=True, exist_ok=True)
     file = given.folder / "runs.jsonl"
     if given.what == "report":
-        rows = lines(file)
+        rows = list(lines(file))
         report([row for row in rows if row["code"] == rows[-1]["code"]])
         return
     code = digest_of((*BOGIE.sources, *(f"calib/analyses/{name}.py" for name in ANSWERING)))
