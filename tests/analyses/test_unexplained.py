@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from calib.analyses.explain import explain, keep
+from calib.console.explained import _predictions
 from calib.results import Results
 from calib.study import Study
 
@@ -34,12 +35,15 @@ def test_the_true_values_lie_inside_where_the_effect_is_not_in_the_library(mast,
     predicted, errors = (pd.read_csv(results.path / f"{name}.csv") for name in FILES[1:])
     assert predicted["inside_unexplained"].mean() >= 0.93 > predicted["inside"].mean()
     assert missing(results.path) == {}  # every column is documented
-    for row in errors.to_dict("records"):
+    (printed,) = _predictions(answer)
+    for line, row in zip(printed.rows, errors.to_dict("records"), strict=True):
         told = answer.errors.set_index(["stage", "group"]).loc[("before", row["group"])]
         assert [row["rms"], row["expected"]] == pytest.approx([told["rms"], told["expected"]])
         own = predicted[predicted["group"] == row["group"]]
         counts = f"{own['inside'].sum()} and {own['inside_unexplained'].sum()} of {len(own)} (rms with it "
         assert any(counts in words for words in answer.sentences)
+        inside = [f"{own[name].sum()} of {len(own)}" for name in ("inside", "inside_unexplained")]
+        assert list(line[1:4]) == [*inside, f"{row['rms_unexplained']:.2f}"]
     keep(Study.load(folder), results, replace(answer, tables={}))
     assert not any((results.path / f"{name}.csv").exists() for name in FILES)  # nothing of an earlier verdict is left
     (words,) = [s for s in answer.sentences if s.startswith("The unexplained misfit")]

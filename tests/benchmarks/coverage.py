@@ -53,6 +53,8 @@ VISIBLE = 4.0
 ANSWERING = ("verify", "modal_adapter", "one_test")
 """Modules of `calib.analyses` that predict held-out data."""
 FACTS = MeasurementFacts("", "", (), pd.DataFrame(), {}, 1, 10)
+DRAWS = 4000
+"""Sets of bogies drawn for bounds."""
 ROW = ["mode", "sensor", "kind", "part"]
 KINDS = {"alone": "", "unexplained": "_unexplained"}
 """Intervals of the fit, and what their columns end in."""
@@ -182,29 +184,30 @@ def report(rows: list[dict[str, Any]]) -> None:
     for name in left[0]["parameters"] if left else ():
         own = [row["parameters"][name] for row in left]
         print(f"  {name:20s} {sum(map(_held, own))} of {len(own)}")
-    predictions = [row for run in left for row in run["held_out"]]
-    for group in sorted({row["group"] for row in predictions}):
-        of_group = [row for row in predictions if row["group"] == group]
-        told(group, of_group)
-        for kind in sorted({row["kind"] for row in of_group}):
-            told(f"{group}, {kind}", [row for row in of_group if row["kind"] == kind])
-        runs = [[row["unexplained"] for row in run["held_out"] if row["group"] == group] for run in left]
-        shares = [float(np.mean(one)) for one in runs if one]
-        print(
-            f"  share by bogie: least {min(shares):.2f}, below 0.8 in {sum(x < 0.8 for x in shares)} of {len(shares)}"
-        )
+    held_out = [run["held_out"] for run in left]
+    for group, kind in sorted({(row["group"], end) for run in held_out for row in run for end in ("", row["kind"])}):
+        own = [[row for row in run if row["group"] == group and kind in ("", row["kind"])] for run in held_out]
+        told(f"{group} {kind}".strip(), own)
 
 
-def told(what: str, rows: list[dict[str, Any]]) -> None:
-    """Coverage and width of predictions, with bounds for independent values."""
-    print(f"{what}, {len(rows)} values")
+def told(what: str, runs: list[list[dict[str, Any]]]) -> None:
+    """Coverage and width of predictions, rows by bogie.
+
+    Bounds are those of bogies drawn with replacement, as the values of one are not independent.
+    """
+    runs = [run for run in runs if run]
+    count = np.array([len(run) for run in runs])
+    print(f"{what}: {count.sum()} values of {len(runs)} bogies")
+    drawn = np.random.default_rng(1).integers(0, len(runs), (DRAWS, len(runs)))
     for kind in ("alone", "unexplained", "informed"):
-        hit = sum(row[kind] for row in rows)
-        width = np.array([row.get(f"{kind}_width", 1.0) for row in rows])
-        low, high = (bound_of(Rate("", "", 0.95, at_least, hit, len(rows))) for at_least in (True, False))
+        hit = np.array([sum(row[kind] for row in run) for run in runs])
+        shares = hit[drawn].sum(axis=1) / count[drawn].sum(axis=1)
+        low, high = np.quantile(shares, [0.05, 0.95])
+        width = [row.get(f"{kind}_width", 1.0) for run in runs for row in run]
         print(
-            f"  {kind:12s} {hit} of {len(rows)} = {hit / len(rows):.3f} [{low:.3f}, {high:.3f}], "
-            f"{np.median(width):.2f} times as wide as informed in the median, {np.mean(width):.2f} in the mean"
+            f"  {kind:12s} {hit.sum()} of {count.sum()} = {hit.sum() / count.sum():.3f} [{low:.3f}, {high:.3f}], "
+            f"{np.median(width):.2f} times as wide as informed in the median, {np.quantile(width, 0.9):.2f} in nine of "
+            f"ten; least of a bogie {(hit / count).min():.2f}"
         )
 
 
