@@ -147,10 +147,8 @@ class OneTest(ABC):
 
         0 for candidates that this test cannot have, and where the model fails.
         """
-        values, own = (
-            candidate_fit.fit.values,
-            {e.name for e in (*self.hypotheses.effects, *self.hypotheses.perturbations)},
-        )
+        values = candidate_fit.fit.values
+        own = {e.name for e in (*self.hypotheses.effects, *self.hypotheses.perturbations)}
         plain = [k for k, name in enumerate(wide.owners) if name in own and not wide.points[k]]
         found = self._slopes(values, [wide.owners[k] for k in plain])
         out = {group: np.zeros((len(e), len(wide.owners))) for group, (e, _) in found.items()}
@@ -172,18 +170,16 @@ class OneTest(ABC):
         try:
             return self.residuals_held_out((), values, by)
         except EvaluationError:
-            columns = []
-            for name in by:
-                try:
-                    columns.append(self.residuals_held_out((), values, (name,)))
-                except EvaluationError:
-                    columns.append({})
             found = self.residuals_held_out((), values, ())
-            nothing = {group: (e, np.zeros((len(e), 1))) for group, (e, _) in found.items()}
-            slopes = [column or nothing for column in columns]
-            return {
-                g: (e, np.hstack([e[:, None][:, :0], *(one[g][1] for one in slopes)])) for g, (e, _) in found.items()
-            }
+        slopes = {group: np.zeros((len(e), len(by))) for group, (e, _) in found.items()}
+        for k, name in enumerate(by):
+            try:
+                alone = self.residuals_held_out((), values, (name,))
+            except EvaluationError:
+                continue
+            for group, (_, slope) in alone.items():
+                slopes[group][:, k] = slope[:, 0]
+        return {group: (e, slopes[group]) for group, (e, _) in found.items()}
 
     def labels(self) -> pd.DataFrame:
         """Labels of the rows of data: `LABELS`, then the columns that the test adds to them."""

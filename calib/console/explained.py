@@ -113,11 +113,12 @@ def _predictions(result: ExplanationResult) -> list[Rows]:
     for r in result.tables[ERRORS_WITH].to_dict("records"):
         own = table[(table["group"] == r["group"]) & ((table[TEST] == r[TEST]) if several else True)]
         inside = [f"{int(own[name].sum())} of {len(own)}" for name in ("inside", "inside_unexplained")]
-        numbers = [number(r[f"{name}_unexplained"], 2) for name in ("rms", "expected")]
+        numbers = [number(r[name], 2) for name in ("rms", "expected", "expected_unexplained")]
         data = of_test(r[TEST], WORDS[r["group"]]) if several else WORDS[r["group"]]
         rows.append((data, *inside, *numbers, p_words(r["p_unexplained"])))
-    title = "Held-out data inside the 95 % intervals of their predictions, and errors with the unexplained misfit:"
-    return [Rows.of(title, ("data", "fit alone", "with the misfit", "rms", "expected", "p"), rows)]
+    title = "Held-out data inside the 95 % intervals of their predictions, of the fit alone and with the misfit:"
+    heads = ("data", "alone", "with it", "rms error", "expected alone", "expected with it", "p with it")
+    return [Rows.of(title, heads, rows)]
 
 
 def _steps(result: ExplanationResult) -> list[Rows]:

@@ -18,10 +18,10 @@ from calib.problem import Label, label_table
 
 TABLE, ERRORS = "unexplained_predictions", "unexplained_errors"
 """Names of the tables."""
-NUMBERS = ("predicted", "low", "high", "inside")
-"""Columns of a prediction; those with the unexplained misfit end in `WITH`."""
 WITH = "_unexplained"
-ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", f"rms{WITH}", f"expected{WITH}", f"p{WITH}")
+"""What columns of the interval and of the error with the unexplained misfit end in."""
+INTERVAL = ("low", "high", "inside")
+ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", f"expected{WITH}", f"p{WITH}")
 _LABELS = ("mode", "sensor", "kind", "part")
 
 
@@ -67,20 +67,22 @@ class HeldOut:
     lost: np.ndarray | None = None
     std_dof: float = KNOWN
 
-    def intervals(self, shift: np.ndarray | float, spread: np.ndarray) -> pd.DataFrame:
-        """Predictions with 95 % intervals of the measured values, `NUMBERS`, n rows.
+    @property
+    def predicted(self) -> np.ndarray:
+        """Predictions, (n,)."""
+        return self._at(self.residual)
+
+    def intervals(self, spread: np.ndarray) -> pd.DataFrame:
+        """95 % intervals of the measured values about their predictions, `INTERVAL`, n rows.
 
         Parameters
         ----------
-        shift : ndarray (n,)
-            Expected residual.
         spread : ndarray (n, k)
             As the attribute.
         """
-        left = self.residual - shift
         half = WIDE * np.sqrt(1.0 + np.sum(spread**2, axis=1))
-        predicted, low, high = (self._at(left + side * half) for side in (0, 1, -1))
-        return pd.DataFrame(dict(zip(NUMBERS, (predicted, low, high, np.abs(left) <= half), strict=True)))
+        low, high = (self._at(self.residual + side * half) for side in (1, -1))
+        return pd.DataFrame(dict(zip(INTERVAL, (low, high, np.abs(self.residual) <= half), strict=True)))
 
     def _at(self, residual: np.ndarray) -> np.ndarray:
         """Predictions with a given residual."""
@@ -88,20 +90,23 @@ class HeldOut:
             relative = self.value * np.exp(-np.where(self.relative, residual * self.std, 0.0))
         return np.where(self.relative, relative, self.value - residual * self.std)
 
-    def error(self, shift: np.ndarray | float, spread: np.ndarray) -> tuple[float, float, float]:
-        """Rms error in standard deviations, its expectation, and the probability of a larger sum of squares."""
-        e, n = self.residual - shift, len(self.residual)
+    def error(self, spread: np.ndarray) -> tuple[float, float]:
+        """Expected rms error in standard deviations, and the probability of a larger sum of squares."""
+        e, n = self.residual, len(self.residual)
         along = spread.T @ e
         root = la.cho_factor(np.eye(len(along)) + spread.T @ spread)
         chi2 = float(e @ e - along @ la.cho_solve(root, along))
         expected = math.sqrt((n - self.factors + float(np.sum(spread**2))) / n)
-        return math.sqrt(float(np.mean(e**2))), expected, float(chance(chi2, n - self.factors, self.std_dof))
+        return expected, float(chance(chi2, n - self.factors, self.std_dof))
 
 
 def predictions(
     held_out: Mapping[str, HeldOut], wide: Discrepancy, changes: Mapping[str, np.ndarray]
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Predictions and errors by group, of the fit alone and with the discrepancy.
+    """Predictions and errors by group, with what is expected of the fit alone and with the discrepancy.
+
+    The prediction stays that of the fit, and its error with the discrepancy has the second moment about it,
+    ``C + m m^T`` with mean m and covariance C: what is missing may be unlike every candidate, and then m leads astray.
 
     Parameters
     ----------
@@ -113,22 +118,23 @@ def predictions(
     Returns
     -------
     predictions : DataFrame
-        ``group``, the labels of the rows, ``value``, `NUMBERS` and the same with `WITH`; without rows that have no
-        prediction.
+        ``group``, the labels of the rows, ``value``, ``predicted``, `INTERVAL` and the same with `WITH`; without rows
+        that have no prediction.
     errors : DataFrame
         `ERROR_COLUMNS`, one row for each group.
     """
     tables, errors = [], []
     for group, own in held_out.items():
-        shift, added = wide.elsewhere(own.names, own.slope, changes[group])
-        whole = np.hstack([own.spread, added])
-        errors.append((group, len(own.residual), *own.error(0.0, own.spread), *own.error(shift, whole)))
+        mean, added = wide.elsewhere(own.names, own.slope, changes[group])
+        whole = np.hstack([own.spread, added, mean[:, None]])
+        rms = math.sqrt(float(np.mean(own.residual**2)))
+        errors.append((group, len(own.residual), rms, *own.error(own.spread), *own.error(whole)))
         labels = label_table(own.labels)
         labels = labels.reindex(columns=[*dict.fromkeys([*_LABELS, *labels.columns])], fill_value="")
         parts = [
-            labels.assign(value=own.value),
-            own.intervals(0.0, own.spread),
-            own.intervals(shift, whole).add_suffix(WITH),
+            labels.assign(value=own.value, predicted=own.predicted),
+            own.intervals(own.spread),
+            own.intervals(whole).add_suffix(WITH),
         ]
         table = pd.concat(parts, axis=1)
         table.insert(0, "group", group)
@@ -145,15 +151,15 @@ def sentence(table: pd.DataFrame, errors: pd.DataFrame) -> str:
     groups = []
     for group, own in table.groupby("group", sort=False):
         error = errors[errors["group"] == group]
-        rms, expected = (
+        rms, alone, beside = (
             math.sqrt(float((error["rows"] * error[name] ** 2).sum() / error["rows"].sum()))
-            for name in (f"rms{WITH}", f"expected{WITH}")
+            for name in ("rms", "expected", f"expected{WITH}")
         )
         groups.append(
             f"{UNSEEN.get(str(group), str(group))} {int(own['inside'].sum())} and {int(own[f'inside{WITH}'].sum())} of "
-            f"{len(own)} (rms with it {rms:.2g}, expected {expected:.2g})"
+            f"{len(own)} (rms error {rms:.2g}, expected {alone:.2g} and {beside:.2g})"
         )
     return (
-        "Held-out data inside the 95 % intervals of their predictions, by the fit alone and with the unexplained "
+        "Held-out data inside the 95 % intervals of their predictions, of the fit alone and with the unexplained "
         f"misfit: {'; '.join(groups)}."
     )

@@ -16,9 +16,7 @@ from calib.report.style import AFTER, BLACK, GREY, SKY, VERMILLION, legend_above
 from calib.report.svg import hover
 from calib.report.verification import GROUPS
 
-NUMBERS = [
-    "value", "predicted", "low", "high", "predicted_unexplained", "low_unexplained", "high_unexplained",
-]  # fmt: skip
+NUMBERS = ["value", "predicted", "low", "high", "low_unexplained", "high_unexplained"]
 """Columns of numbers of ``unexplained_predictions.csv``."""
 _MOST = 240
 """Values in one figure."""

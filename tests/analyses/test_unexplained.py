@@ -40,10 +40,13 @@ def test_the_true_values_lie_inside_where_the_effect_is_not_in_the_library(mast,
         told = answer.errors.set_index(["stage", "group"]).loc[("before", row["group"])]
         assert [row["rms"], row["expected"]] == pytest.approx([told["rms"], told["expected"]])
         own = predicted[predicted["group"] == row["group"]]
-        counts = f"{own['inside'].sum()} and {own['inside_unexplained'].sum()} of {len(own)} (rms with it "
+        counts = (
+            f"{own['inside'].sum()} and {own['inside_unexplained'].sum()} of {len(own)} (rms error {row['rms']:.2g}, "
+        )
         assert any(counts in words for words in answer.sentences)
         inside = [f"{own[name].sum()} of {len(own)}" for name in ("inside", "inside_unexplained")]
-        assert list(line[1:4]) == [*inside, f"{row['rms_unexplained']:.2f}"]
+        expected = [f"{row[name]:.2f}" for name in ("rms", "expected", "expected_unexplained")]
+        assert list(line[1:6]) == [*inside, *expected]
     keep(Study.load(folder), results, replace(answer, tables={}))
     assert not any((results.path / f"{name}.csv").exists() for name in FILES)  # nothing of an earlier verdict is left
     (words,) = [s for s in answer.sentences if s.startswith("The unexplained misfit")]

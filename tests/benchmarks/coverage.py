@@ -139,7 +139,7 @@ def predicted(
         return []
     informed = {}
     for group, own in asked.held_out_of(right, 1.0).items():
-        rows = own.intervals(0.0, own.spread).to_dict("records")
+        rows = own.intervals(own.spread).to_dict("records")
         kept = [True] * len(rows) if own.lost is None else (~own.lost).tolist()
         keys = [(group, r.mode, r.sensor, r.kind, r.part) for r in own.labels]
         informed |= {key: row for key, row, known in zip(keys, rows, kept, strict=True) if known}

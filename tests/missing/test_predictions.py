@@ -64,21 +64,19 @@ def test_without_a_misfit_the_intervals_are_little_wider():
 def test_interval_and_error_are_those_of_the_covariance():
     held, wide, changes = world(4, 3.0)
     table, errors = predictions({"held_out_sensors": held}, wide, {"held_out_sensors": changes})
-    for end, (shift, spread) in {
-        "": (np.zeros(HELD), held.spread),
-        "_unexplained": (lambda s, a: (s, np.hstack([held.spread, a])))(
-            *wide.elsewhere(held.names, held.slope, changes)
-        ),
-    }.items():
-        covariance, left = np.eye(HELD) + spread @ spread.T, held.residual - shift
-        np.testing.assert_allclose(table[f"predicted{end}"], held.value - left)
+    mean, added = wide.elsewhere(held.names, held.slope, changes)
+    residual = held.residual
+    np.testing.assert_allclose(table["predicted"], held.value - residual)
+    assert errors["rms"][0] == pytest.approx(np.sqrt(np.mean(residual**2)))
+    for end, more in {"": np.zeros((HELD, HELD)), "_unexplained": added @ added.T + np.outer(mean, mean)}.items():
+        covariance = np.eye(HELD) + held.spread @ held.spread.T + more
         half = 1.96 * np.sqrt(np.diag(covariance))
-        np.testing.assert_allclose(table[f"low{end}"], held.value - left - half)
-        np.testing.assert_allclose(table[f"high{end}"], held.value - left + half)
-        assert table[f"inside{end}"].tolist() == (np.abs(left) <= half).tolist()
-        assert errors[f"rms{end}"][0] == pytest.approx(np.sqrt(np.mean(left**2)))
+        np.testing.assert_allclose(table[f"low{end}"], held.value - residual - half)
+        np.testing.assert_allclose(table[f"high{end}"], held.value - residual + half)
+        assert table[f"inside{end}"].tolist() == (np.abs(residual) <= half).tolist()
         assert errors[f"expected{end}"][0] == pytest.approx(np.sqrt(np.trace(covariance) / HELD))
-        assert errors[f"p{end}"][0] == pytest.approx(chi2.sf(left @ la.solve(covariance, left), HELD), rel=1e-6)
+        chance = chi2.sf(residual @ la.solve(covariance, residual), HELD)
+        assert errors[f"p{end}"][0] == pytest.approx(chance, rel=1e-6)
 
 
 def test_frequencies_have_intervals_of_their_logarithm_and_lost_modes_none():
@@ -101,5 +99,5 @@ def test_the_sentence_counts_what_lies_inside():
     held, wide, changes = world(4, 3.0)
     table, errors = predictions({"held_out_sensors": held}, wide, {"held_out_sensors": changes})
     inside, beside = int(table["inside"].sum()), int(table["inside_unexplained"].sum())
-    assert f"held-out sensors {inside} and {beside} of {HELD} (rms with it " in sentence(table, errors)
+    assert f"held-out sensors {inside} and {beside} of {HELD} (rms error " in sentence(table, errors)
     assert sentence(pd.DataFrame(), pd.DataFrame(columns=list(ERROR_COLUMNS))) == ""

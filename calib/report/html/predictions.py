@@ -8,7 +8,7 @@ from calib.report.numbers import chance, fixed, flag
 from calib.report.predictions import NUMBERS
 from calib.report.verification import GROUPS
 
-_ERRORS = [f"{name}{end}" for end in ("", "_unexplained") for name in ("rms", "expected", "p")]
+_ERRORS = ["rms", "expected", "expected_unexplained", "p", "p_unexplained"]
 
 
 def predictions(results: StudyResults) -> list[Block]:
@@ -33,7 +33,7 @@ def predictions(results: StudyResults) -> list[Block]:
         "of the library and every local perturbation as present a little, as much as the misfit says, and have the "
         "noise of the measurement in them."
     )
-    heads = ("data", "inside alone", "inside with it", "rms, σ", "expected, σ", "p", "rms with it, σ", "expected", "p")
+    heads = ("data", "inside alone", "inside with it", "rms, σ", "expected, σ", "with it, σ", "p", "p with it")
     caption = "Held-out data by the base model, alone and with the unexplained misfit"
     told = "; ".join(f"{row[0]}: {row[1]} inside, {row[2]} with the misfit" for row in rows)
     figure = "Predictions of held-out data with 95 % intervals, of the fit alone and with the unexplained misfit."
