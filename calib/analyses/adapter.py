@@ -12,6 +12,7 @@ from calib.analyses.explanation_result import ExplanationResult, MeasurementFact
 from calib.effect import Effect
 from calib.missing.between_tests import Differences
 from calib.missing.candidate_fit import CandidateFit
+from calib.missing.discrepancy import Discrepancy
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.recommendation import ExperimentalDesign
@@ -70,6 +71,12 @@ class Adapter(Protocol):
         self, stages: dict[str, CandidateFit], scale: float
     ) -> tuple[pd.DataFrame, list[str], dict[str, object]]:
         """Errors by stage and group of data, notes, and entries of the summary."""
+        ...
+
+    def predictions(
+        self, candidate_fit: CandidateFit, wide: Discrepancy, scale: float
+    ) -> tuple[pd.DataFrame, pd.DataFrame]:
+        """Predictions and errors of held-out data, with a discrepancy too; empty without such data."""
         ...
 
     def richer(self, name: str, progress: Progress = unheard) -> Self | None:

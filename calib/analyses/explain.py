@@ -23,6 +23,7 @@ from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.richer import richer_members
 from calib.analyses.state import ADDED, EXPLAINED, PROPOSED
 from calib.analyses.uncertain import uncertain_note, with_uncertain
+from calib.analyses.unexplained import unexplained
 from calib.effect import Effect
 from calib.errors import EvaluationError, InputError
 from calib.joint import TEST
@@ -33,9 +34,6 @@ from calib.missing.accuracy import changing, less_accurate
 from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.between_tests import BETWEEN
 from calib.missing.by_test import BY_TEST, reduction_table
-from calib.missing.discrepancy import TABLE as INTERVALS
-from calib.missing.discrepancy import parameter_intervals
-from calib.missing.discrepancy import sentence as unexplained_sentence
 from calib.missing.enough import require_modes
 from calib.missing.explanation import Explanation
 from calib.missing.fault_table import faults_table
@@ -223,7 +221,7 @@ def answered(
     notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *more_notes]
     facts = adapter.facts
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
-    differing, unexplained = adapter.between(found), parameter_intervals(found)
+    differing, (beside_misfit, misfit_words) = adapter.between(found), unexplained(adapter, found)
     last = "explained" if found.names_something else "attempt"
     stages = {"base": found.base} | ({} if found.chosen is None else {last: found.chosen})
     stages |= {"explained": found.blamed[0]} if found.blamed else {}
@@ -238,7 +236,7 @@ def answered(
         places_sentence(placed),
         "" if left is None else left.told,
         richer_sentence(richer, errors),
-        unexplained_sentence(unexplained),
+        *misfit_words,
     )
     told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed, supposed)
     words = (*told.sentences, *filter(None, more))
@@ -255,7 +253,7 @@ def answered(
     tables = {
         **({BY_TEST: reduction_table(found, labels[TEST].tolist())} if TEST in labels else {}),
         **({} if differing is None else {BETWEEN: differing.table}),
-        **({} if unexplained.empty else {INTERVALS: unexplained}),
+        **beside_misfit,
         **stepped,
         **(richer_tables(found, richer) if richer else {}),
         **({FOUND_PLACES: placed} if len(placed) else {}),

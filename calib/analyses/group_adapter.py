@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,7 @@ from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.frf_design import frf_design
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.one_test import OneTest
-from calib.analyses.verify import group_errors, held_out_rows, std_behind, whitened
+from calib.analyses.verify import group_errors, held_out_rows, predicted_spread, std_behind, whitened
 from calib.correlation.frf_residual import FRFResidual
 from calib.correlation.mesh import geometry_tables
 from calib.correlation.response_residual import ResponseResidual
@@ -22,6 +22,7 @@ from calib.effect import Effect
 from calib.forward import Unseen
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
+from calib.missing.predictions import HeldOut
 from calib.missing.recommendation import ExperimentalDesign
 from calib.problem import Pair
 from calib.space import ParameterSpace
@@ -55,17 +56,48 @@ class GroupAdapter(OneTest):
 
     def errors_of(self, candidate_fit: CandidateFit, scale: float) -> pd.DataFrame:
         """See `calib.analyses.verify.group_errors`."""
-        s, held_sd = candidate_fit.fit, self.facts.held_sd
-        pair = self._measuring(candidate_fit.names)
-        unseen = held_out_rows(pair.problem, self.held_out, s.values, s.names, held_sd)
-        held_out = {group: (residual / scale, jacobian / scale) for group, (residual, jacobian) in unseen.items()}
-        slope = -s.slope
-        if held_sd:  # held parameters are not fitted, so their columns are not in its slope
-            slope = np.hstack([slope, whitened(pair, s.values, (), held_sd)[1] / scale])
+        s, pair = candidate_fit.fit, self._measuring(candidate_fit.names)
+        held_out, slope = self._unseen(candidate_fit, pair, scale), self._uncertain(candidate_fit, pair, scale)
         labels = [row.sensor for row in self.hypotheses.rows]
         return group_errors(
             s.residual, slope, s.names, s.prior_sd, labels, held_out, self.left_out_std, s.others, s.active
         )
+
+    def held_out_of(self, candidate_fit: CandidateFit, scale: float) -> dict[str, HeldOut]:
+        """With the covariance of `calib.analyses.verify.predicted_spread`."""
+        fit, pair = candidate_fit.fit, self._measuring(candidate_fit.names)
+        slope, out = self._uncertain(candidate_fit, pair, scale), {}
+        for group, (e, g) in self._unseen(candidate_fit, pair, scale).items():
+            own = self.held_out[group].pair(pair.problem)
+            out[group] = HeldOut(
+                own.rows, own.measured_values, own.std * scale, np.zeros(len(e), dtype=bool), e, fit.names,
+                -g[:, : len(fit.names)], predicted_spread(slope, fit.names, fit.prior_sd, g, fit.others),
+                std_dof=self.left_out_std,
+            )  # fmt: skip
+        return out
+
+    def residuals_held_out(
+        self, names: tuple[str, ...], values: Mapping[str, float], by: Sequence[str]
+    ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """See `calib.analyses.verify.whitened`."""
+        problem = self.hypotheses.fit_problem(names).pair.problem
+        return {group: whitened(own.pair(problem), values, by) for group, own in self.held_out.items()}
+
+    def _unseen(
+        self, candidate_fit: CandidateFit, pair: Pair, scale: float
+    ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """See `calib.analyses.verify.held_out_rows`."""
+        fit = candidate_fit.fit
+        unseen = held_out_rows(pair.problem, self.held_out, fit.values, fit.names, self.facts.held_sd)
+        return {group: (residual / scale, jacobian / scale) for group, (residual, jacobian) in unseen.items()}
+
+    def _uncertain(self, candidate_fit: CandidateFit, pair: Pair, scale: float) -> np.ndarray:
+        """Derivative of the residual of the used data, and its changes by one standard deviation of held parameters."""
+        fit, held_sd = candidate_fit.fit, self.facts.held_sd
+        if not held_sd:
+            return -fit.slope
+        # Held parameters are not fitted, so their columns are not in its slope.
+        return np.hstack([-fit.slope, whitened(pair, fit.values, (), held_sd)[1] / scale])
 
     def _measuring(self, names: tuple[str, ...]) -> Pair:
         """The pair of a model with the named effects, by which held-out data are predicted."""

@@ -16,6 +16,7 @@ from calib.effect import Effect
 from calib.joint import TEST, of_test, said, stacked
 from calib.missing.between_tests import Differences, differences
 from calib.missing.candidate_fit import CandidateFit
+from calib.missing.discrepancy import Discrepancy
 from calib.missing.explanation import Explanation
 from calib.missing.joint import JointHypotheses
 from calib.missing.recommendation import ExperimentalDesign
@@ -95,6 +96,20 @@ class JointAdapter:
             for group, p in chances.items():
                 table.loc[(table["stage"] == stage) & (table["group"] == group), "p"] = p
         return table, notes, figures
+
+    def predictions(
+        self, candidate_fit: CandidateFit, wide: Discrepancy, scale: float
+    ) -> tuple[pd.DataFrame, pd.DataFrame]:
+        """Those of every test that holds something out, with a column ``test``; the discrepancy is of all together."""
+        own = {
+            test: adapter.predictions(self._of(test, {"": candidate_fit})[""], wide, scale)
+            for test, adapter in self.adapters.items()
+        }
+        own = {test: tables for test, tables in own.items() if len(tables[0])}
+        if not own:
+            return pd.DataFrame(), pd.DataFrame()
+        predicted, errors = (stacked({test: tables[k] for test, tables in own.items()}) for k in (0, 1))
+        return predicted, errors
 
     def _p(self, candidate_fit: CandidateFit, squares: float) -> float:
         """p-value of the sum of squares over all rows; see `calib.degrees_of_freedom.matched`."""

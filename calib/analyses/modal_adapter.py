@@ -13,7 +13,8 @@ from calib.analyses.discretisation_error import DiscretisationError, discretisat
 from calib.analyses.experimental_design import modal_design
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.analyses.one_test import OneTest
-from calib.analyses.verify import modal_errors
+from calib.analyses.verify import modal_covariance, modal_errors
+from calib.correlation.held_out import covariance_root, held_out_rows, kinds_of
 from calib.correlation.mesh import geometry_tables
 from calib.correlation.mesh_error import MeshError
 from calib.correlation.modal_mesh import both_meshes
@@ -21,11 +22,14 @@ from calib.correlation.problem import ModalProblem
 from calib.correlation.residual import ModalResidual
 from calib.correlation.rigid import COLUMNS as UNPAIRED_COLUMNS
 from calib.correlation.rigid import unpaired_sentence, unpaired_table
+from calib.degrees_of_freedom import behind
 from calib.errors import InputError
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
+from calib.missing.predictions import HeldOut
 from calib.missing.recommendation import ExperimentalDesign
 from calib.stage import Progress, unheard
+from calib.structure.modal_model import ModalModel
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.tasks import each
@@ -93,13 +97,11 @@ class ModalAdapter(OneTest):
 
     def errors_of(self, candidate_fit: CandidateFit, scale: float) -> pd.DataFrame:
         """At full order; see `calib.analyses.verify.modal_errors`."""
-        fit, fitted, whole = candidate_fit.fit, self.at_full_order(candidate_fit.names), self.whole
-        if whole is not None:
-            added = self.hypotheses.variants.added(candidate_fit.names)
-            whole = whole.with_model(self.problem.model).with_model(fitted.problem.model, added)
+        fit, fitted = candidate_fit.fit, self.at_full_order(candidate_fit.names)
         return modal_errors(
-            fitted.problem, whole, fit.values, fit.names, fit.prior_sd, fitted.floors, self.hypotheses.std_dof, scale,
-            self.facts.held_sd, fit.others, fit.active, self._modes.get(_key(candidate_fit)),
+            fitted.problem, self._whole(candidate_fit.names, fitted.problem.model), fit.values, fit.names,
+            fit.prior_sd, fitted.floors, self.hypotheses.std_dof, scale, self.facts.held_sd, fit.others, fit.active,
+            self._modes.get(_key(candidate_fit)),
         )  # fmt: skip
 
     def full_residual(self, one: CandidateFit) -> np.ndarray:
@@ -115,6 +117,46 @@ class ModalAdapter(OneTest):
         problems = {one.names: self.at_full_order(one.names).problem for one in new.values()}
         asked = [(one.names, one.fit.values) for one in new.values()]
         self._modes.update(zip(new, each(_solved, problems, asked), strict=True))
+
+    def held_out_of(self, candidate_fit: CandidateFit, scale: float) -> dict[str, HeldOut]:
+        """At full order, with the covariance of `calib.analyses.verify.modal_covariance`."""
+        fit, pair = candidate_fit.fit, self.at_full_order(candidate_fit.names)
+        whole = self._whole(candidate_fit.names, pair.problem.model)
+        if whole is None:
+            return {}
+        solved = self._modes.get(_key(candidate_fit))
+        names, covariance = modal_covariance(
+            pair, pair.problem.compare(fit.values, solved), -fit.slope, fit.names, fit.prior_sd, scale,
+            self.facts.held_sd, fit.others,
+        )  # fmt: skip
+        root, known = covariance_root(covariance, names), self.hypotheses.std_dof
+        out = {}
+        for group, own in held_out_rows(pair.problem, whole, fit.values, names, pair.floors, solved=solved).items():
+            kinds = [row.kind for row in own.labels]
+            slope = own.slope / scale
+            out[group] = HeldOut(
+                own.labels, own.value, own.std * scale, np.array([kind != "shape" for kind in kinds]),
+                own.residual / scale, fit.names, -slope[:, : len(fit.names)],
+                np.hstack([slope @ root, own.factor_spread]), own.factors, own.lost, behind(kinds_of(own), known),
+            )  # fmt: skip
+        return out
+
+    def residuals_held_out(
+        self, names: tuple[str, ...], values: Mapping[str, float], by: Sequence[str]
+    ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """See `calib.correlation.held_out.held_out_rows`."""
+        pair = self.hypotheses.fit_problem(names).pair
+        whole = self._whole(names, pair.problem.model)
+        if whole is None:
+            return {}
+        found = held_out_rows(pair.problem, whole, values, by, pair.floors)
+        return {group: (own.residual, own.slope) for group, own in found.items()}
+
+    def _whole(self, names: tuple[str, ...], model: ModalModel) -> ModalProblem | None:
+        """The problem with all measured data for a model with the named effects."""
+        if self.whole is None:
+            return None
+        return self.whole.with_model(self.problem.model).with_model(model, self.hypotheses.variants.added(names))
 
     def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:
         """Candidate measurements, from the credible models."""

@@ -19,9 +19,12 @@ from calib.analyses.rules import RULES
 from calib.candidate import Candidate
 from calib.correlation.mesh_error import MeshError
 from calib.effect import Effect
+from calib.errors import EvaluationError
 from calib.missing.between_tests import Differences
 from calib.missing.candidate_fit import CandidateFit
+from calib.missing.discrepancy import Discrepancy
 from calib.missing.explanation import Explanation
+from calib.missing.predictions import HeldOut, predictions
 from calib.missing.recommendation import ExperimentalDesign
 from calib.missing.refits import DEFAULT
 from calib.missing.score import Scores
@@ -138,6 +141,75 @@ class OneTest(ABC):
     @abstractmethod
     def errors_of(self, candidate_fit: CandidateFit, scale: float) -> pd.DataFrame:
         """Errors of one fit by group of data, in units of ``scale`` times the standard deviation."""
+
+    @abstractmethod
+    def held_out_of(self, candidate_fit: CandidateFit, scale: float) -> dict[str, HeldOut]:
+        """Held-out data by group beside the predictions of a fit; empty where nothing is held out."""
+
+    @abstractmethod
+    def residuals_held_out(
+        self, names: tuple[str, ...], values: Mapping[str, float], by: Sequence[str]
+    ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Whitened residual of held-out data by group, (n,), and its derivatives by some parameters, (n, n_by).
+
+        Of the model with the named effects as the search solves it, on its reduced basis.
+        """
+
+    def predictions(
+        self, candidate_fit: CandidateFit, wide: Discrepancy, scale: float
+    ) -> tuple[pd.DataFrame, pd.DataFrame]:
+        """Predictions and errors of held-out data, with a discrepancy too; see `calib.missing.predictions`.
+
+        Parameters
+        ----------
+        candidate_fit : CandidateFit
+            The base model.
+        wide : Discrepancy
+        scale : float
+            Factor on the standard deviation.
+        """
+        held_out = self.held_out_of(candidate_fit, scale)
+        changes = self._changed(candidate_fit, wide, scale) if held_out else {}
+        return predictions(held_out, wide, changes)
+
+    def _changed(self, candidate_fit: CandidateFit, wide: Discrepancy, scale: float) -> dict[str, np.ndarray]:
+        """Changes of the predictions of held-out data by every column of a discrepancy, (n, m).
+
+        0 for candidates that this test cannot have, and where the model fails.
+        """
+        values = candidate_fit.fit.values
+        own = {e.name for e in (*self.hypotheses.effects, *self.hypotheses.perturbations)}
+        plain = [k for k, name in enumerate(wide.owners) if name in own and not wide.points[k]]
+        found = self._slopes(values, [wide.owners[k] for k in plain])
+        out = {group: np.zeros((len(e), len(wide.owners))) for group, (e, _) in found.items()}
+        for group, (_, slope) in found.items():
+            out[group][:, plain] = -slope / scale
+        for k, (name, point) in enumerate(zip(wide.owners, wide.points, strict=True)):
+            if name not in own or not point:
+                continue
+            try:
+                there = self.residuals_held_out((name,), {**values, **point}, ())
+            except EvaluationError:
+                continue
+            for group, (e, _) in found.items():
+                out[group][:, k] = (e - there[group][0]) / (point[name] * scale)
+        return out
+
+    def _slopes(self, values: Mapping[str, float], by: Sequence[str]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """As `residuals_held_out` of the base model; 0 for parameters by which there is no derivative."""
+        try:
+            return self.residuals_held_out((), values, by)
+        except EvaluationError:
+            found = self.residuals_held_out((), values, ())
+        slopes = {group: np.zeros((len(e), len(by))) for group, (e, _) in found.items()}
+        for k, name in enumerate(by):
+            try:
+                alone = self.residuals_held_out((), values, (name,))
+            except EvaluationError:
+                continue
+            for group, (_, slope) in alone.items():
+                slopes[group][:, k] = slope[:, 0]
+        return {group: (e, slopes[group]) for group, (e, _) in found.items()}
 
     def labels(self) -> pd.DataFrame:
         """Labels of the rows of data: `LABELS`, then the columns that the test adds to them."""

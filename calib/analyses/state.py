@@ -50,8 +50,8 @@ EXPLAINED = ("effects", "why", "why_parameters", "why_places", "reduction_by_tes
               "effect_places", "accuracy", "explained_fits", "suspects_explained", "faults", "perturbations",
               "confounding", "pulls", "candidate_fits", "misfit_kinds", "sensor_misfit", "response_misfit",
               "frf_misfit", "unpaired", "errors", "next_measurement", "discretisation",
-              "steps", "steps_errors", "steps_rejected", "unexplained", "richer", "richer_errors",
-              "found_places", "versions")  # fmt: skip
+              "steps", "steps_errors", "steps_rejected", "unexplained", "unexplained_predictions",
+              "unexplained_errors", "richer", "richer_errors", "found_places", "versions")  # fmt: skip
 WRITES: Mapping[str, tuple[str, ...]] = {
     "compare": (*RECORDED, *GEOMETRY, *_of_stages("before"), "sensor_check.csv"),
     "sensitivity": (*RECORDED, *(f"{name}.csv" for name in _MEASURES)),

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.joint_part import JointPart
+from calib.correlation.compare import Comparison
 from calib.correlation.frf_problem import FRFProblem
 from calib.correlation.function_problem import FunctionProblem
 from calib.correlation.held_out import group_table, held_out_errors
@@ -182,8 +183,6 @@ def modal_errors(
     vector = residual.of(found) / scale
     jacobian = residual.slope_of(found, names, residual.derivatives(found, names)) / scale
     others = others or none_beside(len(names), len(held_sd))
-    every = np.vstack([jacobian, -others.slope])
-    known = posterior(names, every, prior_sd)
     modes = [row.mode for row in residual.rows]
     at_limit = [name in active for name in names]
     predicted = leave_one_out(vector, -jacobian, prior_sd, modes, others.slope, at_limit)
@@ -191,18 +190,9 @@ def modal_errors(
     finite = {kind: dof for kind, dof in std_dof.items() if np.isfinite(dof)}
     held_out = pd.DataFrame(columns=[*ERROR_COLUMNS, "chi2", "dof"])
     if whole is not None:
-        held = None
-        inside = tuple(name for name in held_sd if name in fitted.model.space)
-        if held_sd:
-            own_held = residual.slope_of(found, inside, residual.derivatives(found, inside))
-            held = spread(own_held, inside, tuple(held_sd)) * list(held_sd.values()) / scale
-            held = np.vstack([held, -others.held])
-        unit = np.array([*np.ones(len(names)), *held_sd.values()])
-        covariance = with_held(known, every, held) * np.outer(unit, unit) / scale**2
-        kept = [k for k, name in enumerate((*names, *held_sd)) if k < len(names) or name in inside]
-        covariance = covariance[np.ix_(kept, kept)]
+        uncertain, covariance = modal_covariance(residual, found, jacobian, names, prior_sd, scale, held_sd, others)
         held_out = held_out_errors(
-            fitted, whole, values, (*names, *inside), covariance, floors, finite or None, solved=found.modes
+            fitted, whole, values, uncertain, covariance / scale**2, floors, finite or None, solved=found.modes
         )
         if scale != 1.0:
             held_out = _scaled(held_out, scale, min(finite.values(), default=KNOWN))
@@ -220,6 +210,44 @@ def modal_errors(
         std_dof=finite or None,
         scale=own_scale,
     )
+
+
+def modal_covariance(
+    residual: ModalResidual,
+    found: Comparison,
+    jacobian: np.ndarray,
+    names: Sequence[str],
+    prior_sd: np.ndarray,
+    scale: float = 1.0,
+    held_sd: Mapping[str, float] = _NONE,
+    others: OtherRows | None = None,
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """Uncertain parameters of a modal model with their posterior covariance, in their own units.
+
+    Those that are fitted, then held ones that the model has.
+
+    Parameters
+    ----------
+    residual : ModalResidual
+        Of the used data.
+    found : Comparison
+        With them, at the fit.
+    jacobian : ndarray (n_rows, n_params)
+        In units of ``scale`` times the standard deviation.
+    names, prior_sd, scale, held_sd, others
+        As in `modal_errors`.
+    """
+    others = others or none_beside(len(names), len(held_sd))
+    every = np.vstack([jacobian, -others.slope])
+    held, inside = None, tuple(name for name in held_sd if name in residual.problem.model.space)
+    if held_sd:
+        own_held = residual.slope_of(found, inside, residual.derivatives(found, inside))
+        held = spread(own_held, inside, tuple(held_sd)) * list(held_sd.values()) / scale
+        held = np.vstack([held, -others.held])
+    unit = np.array([*np.ones(len(names)), *held_sd.values()])
+    covariance = with_held(posterior(names, every, prior_sd), every, held) * np.outer(unit, unit)
+    kept = [k for k, name in enumerate((*names, *held_sd)) if k < len(names) or name in inside]
+    return (*names, *inside), covariance[np.ix_(kept, kept)]
 
 
 def _scaled(table: pd.DataFrame, scale: float, std: float) -> pd.DataFrame:
@@ -259,10 +287,9 @@ def group_errors(
     others, active
         As in `modal_errors`.
     """
+    unseen = {group: (e, predicted_spread(jacobian, names, prior_sd, g, others)) for group, (e, g) in held_out.items()}
     jacobian, held = jacobian[:, : len(names)], jacobian[:, len(names) :]
     others = others or none_beside(len(names), held.shape[1])
-    every = np.vstack([jacobian, -others.slope])
-    known = with_held(posterior(names, every, prior_sd), every, np.vstack([held, -others.held]))
     at_limit = [name in active for name in names]
     predicted = leave_one_out(residual, -jacobian, prior_sd, list(labels), others.slope, at_limit)
     scale, dof = matched(jacobian, prior_sd, others=others.slope)
@@ -271,14 +298,32 @@ def group_errors(
         ("fit", len(residual), _rms(residual), float(np.sqrt(scale * dof / len(residual))), p, 0),
         ("left_out", len(residual), _rms(predicted.residual), _rms(np.sqrt(predicted.variance)), p_left_out, 0),
     ]
-    for group, (e, g) in held_out.items():
+    for group, (e, u) in unseen.items():
         if len(e):
             # Covariance I + U U^T, by Woodbury's identity: FRFs have thousands of rows and few parameters.
-            u = np.hstack([g[:, : len(known)] @ _root(known), g[:, len(known) :]])
             chi2 = float(e @ e - (u.T @ e) @ np.linalg.solve(np.eye(u.shape[1]) + u.T @ u, u.T @ e))
             expected = float(np.sqrt(1 + np.sum(u**2) / len(e)))
             rows.append((group, len(e), _rms(e), expected, float(chance(chi2, len(e), std)), 0))
     return pd.DataFrame(rows, columns=list(ERROR_COLUMNS))
+
+
+def predicted_spread(
+    jacobian: np.ndarray, names: Sequence[str], prior_sd: np.ndarray, g: np.ndarray, others: OtherRows | None = None
+) -> np.ndarray:
+    """U with ``I + U U^T`` the covariance of whitened residuals of held-out data, (n_rows, n_columns).
+
+    Parameters
+    ----------
+    jacobian, names, prior_sd, others
+        As in `group_errors`.
+    g : ndarray (n_rows, n_columns)
+        Derivatives of the held-out data, as given there.
+    """
+    jacobian, held = jacobian[:, : len(names)], jacobian[:, len(names) :]
+    others = others or none_beside(len(names), held.shape[1])
+    every = np.vstack([jacobian, -others.slope])
+    known = with_held(posterior(names, every, prior_sd), every, np.vstack([held, -others.held]))
+    return np.hstack([g[:, : len(known)] @ _root(known), g[:, len(known) :]])
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:

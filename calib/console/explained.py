@@ -13,9 +13,11 @@ from calib.analyses.versions import Versions
 from calib.console.calibrated import ERRORS, errors_row, suspects
 from calib.console.compared import held_out
 from calib.console.told import Entry, Rows, Warned, Words
-from calib.joint import TEST
+from calib.joint import TEST, of_test
 from calib.missing.by_test import BY_TEST
 from calib.missing.local import unit_words
+from calib.missing.predictions import ERRORS as ERRORS_WITH
+from calib.missing.predictions import TABLE as PREDICTIONS
 from calib.missing.recommendation import rounded
 from calib.missing.steps_table import STEPS, STEPS_ERRORS
 from calib.results import Results
@@ -41,6 +43,7 @@ def entries(study: StudyFile, result: ExplanationResult, followed: bool = False)
         Rows.of(title, named, brief, left=("remark",), when="brief", most=EFFECTS),
         Rows.of(title, heads, rows, left=("remark",), when="verbose"),
         *_errors(result, followed and to_add(found) is not None),
+        *_predictions(result),
         *_steps(result),
         *_by_test(result),
         *([] if to_add(found) else suspects(result.tables["suspects_explained"])),
@@ -99,6 +102,23 @@ def _errors(result: ExplanationResult, followed: bool) -> list[Rows]:
         *([] if followed else [Rows.of(title, heads, short, when="brief")]),
         Rows.of(title, ("data", "stage", *ERRORS), rows, ("stage",), when="verbose"),
     ]
+
+
+def _predictions(result: ExplanationResult) -> list[Rows]:
+    """Held-out data by the base model with what a misfit that nothing explains does to them."""
+    if ERRORS_WITH not in result.tables:
+        return []
+    table, several = result.tables[PREDICTIONS], TEST in result.tables[ERRORS_WITH]
+    rows = []
+    for r in result.tables[ERRORS_WITH].to_dict("records"):
+        own = table[(table["group"] == r["group"]) & ((table[TEST] == r[TEST]) if several else True)]
+        inside = [f"{int(own[name].sum())} of {len(own)}" for name in ("inside", "inside_unexplained")]
+        numbers = [number(r[name], 2) for name in ("rms", "expected", "expected_unexplained")]
+        data = of_test(r[TEST], WORDS[r["group"]]) if several else WORDS[r["group"]]
+        rows.append((data, *inside, *numbers, p_words(r["p_unexplained"])))
+    title = "Held-out data inside the 95 % intervals of their predictions, of the fit alone and with the misfit:"
+    heads = ("data", "alone", "with it", "rms error", "expected alone", "expected with it", "p with it")
+    return [Rows.of(title, heads, rows)]
 
 
 def _steps(result: ExplanationResult) -> list[Rows]:

@@ -115,6 +115,11 @@ class FRFResidual:
         return self._stacked(self._std * (1 + 1j))
 
     @property
+    def measured_values(self) -> np.ndarray:
+        """What was measured in every row, (n_rows,), in the unit of the quantity."""
+        return self._stacked(self.problem.measured.values)
+
+    @property
     def entry_std(self) -> np.ndarray:
         """Standard deviation of every entry, (n_freq, n_responses, n_references), in the unit of the quantity."""
         return self._std

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -24,6 +24,39 @@ _FLOORS = Floors()
 
 StdDof = Mapping[str, float]
 """Degrees of freedom behind the standard deviation of each kind of row; a missing kind is known exactly."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOutRows:
+    """Held-out rows of one group beside what a fitted model predicts, whitened.
+
+    Attributes
+    ----------
+    labels : tuple of Row
+        Length n.
+    residual : ndarray (n,)
+    slope : ndarray (n, n_params)
+        Derivative of the residual per unit of each parameter.
+    factor_spread : ndarray (n, n_factors)
+        Its change by one standard deviation of every factor that was fitted to used sensors.
+    factors : int
+        Factors that are fitted to these rows themselves.
+    lost : ndarray (n,), bool
+        Rows of measured modes without a partner.
+    value : ndarray (n,)
+        What was measured: Hz, ratio, or part of a shape of largest entry 1.
+    std : ndarray (n,)
+        Standard deviation: relative of frequencies and damping, else in the unit of the value.
+    """
+
+    labels: tuple[Row, ...]
+    residual: np.ndarray
+    slope: np.ndarray
+    factor_spread: np.ndarray
+    factors: int
+    lost: np.ndarray
+    value: np.ndarray
+    std: np.ndarray
 
 
 def held_out_errors(
@@ -87,12 +120,36 @@ def held_out_errors(
     EvaluationError
         When the model cannot be solved.
     """
-    spread = _root(covariance, names)
+    spread = covariance_root(covariance, names)
+    parts = []
+    for group, own in held_out_rows(fitted, whole, values, names, floors, pool, solved).items():
+        parts.append(_errors(group, own, np.hstack([own.slope @ spread, own.factor_spread]), std_dof))
+    return pd.DataFrame(parts, columns=list(COLUMNS))
+
+
+def held_out_rows(
+    fitted: ModalProblem,
+    whole: ModalProblem,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    floors: Floors = _FLOORS,
+    pool: bool | None = None,
+    solved: Modes | None = None,
+) -> dict[str, HeldOutRows]:
+    """Rows of the held-out data by group, those that hold something; see `held_out_errors`.
+
+    Raises
+    ------
+    InputError
+        When the used data are not part of the whole.
+    EvaluationError
+        When the model cannot be solved.
+    """
     used_modes, used_sensors = _used(fitted, whole)
     measured = whole.measured
     hidden = {s.name for s in measured.sensors} - set(used_sensors)
     if set(measured.names) == set(used_modes) and not hidden:
-        return pd.DataFrame(columns=list(COLUMNS))
+        return {}
     found = _joined(fitted, whole, values, solved)
     lost = {measured.names[i] for i in found.pairing.unpaired_measured}
     at_used = np.array([s.name in used_sensors for s in measured.sensors], dtype=bool)
@@ -102,20 +159,46 @@ def held_out_errors(
 
     own = ModalResidual(whole, floors, pool)
     slopes = own.derivatives(found, names)
-    parts = []
+    value = measured_values(own)
+
+    def taken(rows: np.ndarray, predicted: ModalResidual, spread: np.ndarray, factors: int) -> HeldOutRows:
+        labels = tuple(r for r, wanted in zip(own.rows, rows, strict=True) if wanted)
+        return HeldOutRows(
+            labels, predicted.of(found)[rows], predicted.slope_of(found, names, slopes)[rows], spread[rows], factors,
+            np.array([r.mode in lost for r in labels], dtype=bool), value[rows], own.relative_std[rows],
+        )  # fmt: skip
+
+    out = {}
     rows = np.array([r.mode in used_modes and r.mode in seen and r.sensor in hidden for r in own.rows], dtype=bool)
     if rows.any():
         predicted = replace(own, factor_sensors=used_sensors)
-        wide = np.hstack([predicted.slope_of(found, names, slopes) @ spread, predicted.factor_spread(found)])
-        labels = [r for r, taken in zip(own.rows, rows, strict=True) if taken]
-        parts.append(_errors("held_out_sensors", labels, predicted.of(found)[rows], wide[rows], 0, lost, std_dof))
+        out["held_out_sensors"] = taken(rows, predicted, predicted.factor_spread(found), 0)
     rows = np.array([r.mode not in used_modes for r in own.rows], dtype=bool)
     if rows.any():
-        wide = own.slope_of(found, names, slopes) @ spread
-        labels = [r for r, taken in zip(own.rows, rows, strict=True) if taken]
-        factors = own.n_fitted_factors_of({r.mode for r in labels})
-        parts.append(_errors("held_out_modes", labels, own.of(found)[rows], wide[rows], factors, lost, std_dof))
-    return pd.DataFrame(parts, columns=list(COLUMNS))
+        factors = own.n_fitted_factors_of({r.mode for r, wanted in zip(own.rows, rows, strict=True) if wanted})
+        out["held_out_modes"] = taken(rows, own, np.zeros((len(rows), 0)), factors)
+    return out
+
+
+def measured_values(residual: ModalResidual) -> np.ndarray:
+    """What was measured in every row of a residual, (n_rows,); a shape that is compared as real at its main phase."""
+    measured = residual.problem.measured
+    index = {name: k for k, name in enumerate(measured.names)}
+    complex_modes = {row.mode for row in residual.rows if row.part == "im"}
+    shapes = np.array(measured.shapes, dtype=complex)
+    for name in set(measured.names) - complex_modes:
+        own = shapes[:, index[name]]
+        shapes[:, index[name]] = own * np.exp(-0.5j * np.angle(np.nansum(own**2)))
+    at = {sensor.name: k for k, sensor in enumerate(measured.sensors)}
+    out = []
+    for row in residual.rows:
+        i = index[row.mode]
+        if row.kind == "shape":
+            entry = shapes[at[row.sensor], i]
+            out.append(entry.imag if row.part == "im" else entry.real)
+        else:
+            out.append(measured.natural_freq[i] if row.kind == "frequency" else measured.damping_ratio[i])
+    return np.array(out, dtype=float)
 
 
 def group_table(
@@ -181,7 +264,7 @@ def group_table(
     return table if held_out.empty else pd.concat([table, held_out[list(table.columns)]], ignore_index=True)
 
 
-def _root(covariance: np.ndarray, names: Sequence[str]) -> np.ndarray:
+def covariance_root(covariance: np.ndarray, names: Sequence[str]) -> np.ndarray:
     """Matrix B with ``B B^T`` the covariance, (n_params, n_params)."""
     v = np.asarray(covariance, dtype=float)
     if v.shape != (len(names), len(names)):
@@ -252,31 +335,31 @@ def _joined(fitted: ModalProblem, whole: ModalProblem, values: Mapping[str, floa
 
 
 def _errors(
-    group: str,
-    labels: Sequence[Row],
-    e: np.ndarray,
-    wide: np.ndarray,
-    factors: int,
-    lost: set[str],
-    std_dof: StdDof | None,
+    group: str, own: HeldOutRows, wide: np.ndarray, std_dof: StdDof | None
 ) -> tuple[str, int, float, float, float, float, float, int]:
-    """One row of the table, for ``C = I + A A^T`` with A = ``wide``, less the directions of ``factors``."""
+    """One row of the table, for ``C = I + A A^T`` with A = ``wide``, less the directions of the own factors."""
     # Residual and A are orthogonal to those directions, so I can replace the projection orthogonal to them.
+    e = own.residual
     u, s, _ = np.linalg.svd(wide, full_matrices=False)
     inside = u.T @ e
     outside = e - u @ inside
     chi2 = float(outside @ outside + np.sum(inside**2 / (1.0 + s**2)))
-    n = len(labels)
-    dof = float(n - factors)
+    n = len(e)
+    dof = float(n - own.factors)
     expected = math.sqrt((dof + float(np.sum(s**2))) / n)
-    counts: dict[str, float] = {}
-    for row in labels:
-        counts[row.kind] = counts.get(row.kind, 0.0) + 1.0
-    if factors:
-        counts["shape"] -= factors
-    unpaired = len({row.mode for row in labels} & lost)
-    p = float(chance(chi2, dof, behind(counts, std_dof)))
+    unpaired = len({row.mode for row, lost in zip(own.labels, own.lost, strict=True) if lost})
+    p = float(chance(chi2, dof, behind(kinds_of(own), std_dof)))
     return group, n, _rms(e), expected, chi2, dof, p, unpaired
+
+
+def kinds_of(own: HeldOutRows) -> dict[str, float]:
+    """Number of rows of each kind, of shapes less the factors fitted to them."""
+    counts: dict[str, float] = {}
+    for row in own.labels:
+        counts[row.kind] = counts.get(row.kind, 0.0) + 1.0
+    if own.factors:
+        counts["shape"] -= own.factors
+    return counts
 
 
 def _rms(e: np.ndarray) -> float:

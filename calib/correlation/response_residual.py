@@ -71,13 +71,18 @@ class ResponseResidual:
     @property
     def relative_std(self) -> np.ndarray:
         """Relative standard deviation of every row, (n_rows,); infinite for a value of 0."""
-        values, std = np.array([value for value, _ in self.problem.targets.values()]), self.std
+        values, std = self.measured_values, self.std
         return np.divide(std, np.abs(values), out=np.full(len(std), np.inf), where=values != 0)
 
     @property
     def std(self) -> np.ndarray:
         """Standard deviation of every row, (n_rows,)."""
         return response_std(self.problem.targets)
+
+    @property
+    def measured_values(self) -> np.ndarray:
+        """What was measured in every row, (n_rows,)."""
+        return np.array([value for value, _ in self.problem.targets.values()], dtype=float)
 
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
@@ -114,7 +119,7 @@ class ResponseResidual:
         if not np.isfinite(model).all():
             worst = int(np.argmin(np.isfinite(model)))
             raise EvaluationError(f"the response {list(self.problem.targets)[worst]!r} is {model[worst]}")
-        return (np.array([value for value, _ in self.problem.targets.values()]) - model) / self.std
+        return (self.measured_values - model) / self.std
 
     @property
     def told_by_responses(self) -> bool:

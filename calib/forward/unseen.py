@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
+import numpy as np
+
 from calib.correlation.frf_nuisance import Nuisance, concerned
 from calib.correlation.frf_problem import FRFProblem
 from calib.correlation.frf_residual import FRFResidual
@@ -15,10 +17,24 @@ from calib.measurement.frf import MeasuredFRFs
 from calib.problem import Pair
 
 
+class UnseenPair(Pair, Protocol):
+    """A pair whose rows compare one measured value each."""
+
+    @property
+    def measured_values(self) -> np.ndarray:
+        """What was measured in every row, (n_rows,)."""
+        ...
+
+    @property
+    def std(self) -> np.ndarray:
+        """Its standard deviation, (n_rows,)."""
+        ...
+
+
 class UnseenData(Protocol):
     """Held-out data that are compared entry by entry: scalar responses or FRFs."""
 
-    def pair(self, problem: Any) -> Pair:
+    def pair(self, problem: Any) -> UnseenPair:
         """Their whitened residual for the model of the fitted problem."""
 
     def unfitted(self, values: Mapping[str, float]) -> dict[str, float]:

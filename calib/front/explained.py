@@ -18,6 +18,7 @@ from calib.analyses.library import local_perturbations
 from calib.analyses.propose import RANKED
 from calib.analyses.record import check_repeats, disagreements_table
 from calib.analyses.uncertainty import in_words, notes_on
+from calib.analyses.unexplained import PARAMETERS, PREDICTIONS
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.front.model_error import EXACT, ModelError, finer_of
@@ -95,8 +96,9 @@ class Explained(Shown, Generic[P]):
         """What is missing, how sure that is, where to look and what to measure next, and where the evidence is."""
         count = len(self.explanation.notes)
         notes = f" with {count} note{'s' * (count != 1)}" if count else ""
-        rest = f".sentences{notes}, .table, .errors; all in .explanation"
-        return {**self.explanation.answer.labelled, "Evidence": rest}
+        wider = [name for name in ("intervals", "predictions") if len(getattr(self, name))]
+        rest = ", ".join([f".sentences{notes}", ".table", ".errors", *(f".{name}" for name in wider)])
+        return {**self.explanation.answer.labelled, "Evidence": f"{rest}; all in .explanation"}
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -113,6 +115,19 @@ class Explained(Shown, Generic[P]):
     def errors(self) -> pd.DataFrame:
         """Errors before and after by group of data, in standard deviations."""
         return self.explanation.errors
+
+    @property
+    def intervals(self) -> pd.DataFrame:
+        """Fitted parameters with 95 % intervals, of the fit alone and with a misfit that nothing explains.
+
+        Columns as in ``unexplained.csv``; empty where the misfit is explained.
+        """
+        return self.explanation.tables.get(PARAMETERS, pd.DataFrame())
+
+    @property
+    def predictions(self) -> pd.DataFrame:
+        """Held-out values with 95 % intervals of their predictions, likewise; as in ``unexplained_predictions.csv``."""
+        return self.explanation.tables.get(PREDICTIONS, pd.DataFrame())
 
     def with_named(self) -> P:
         """The problem with the named effects in its models; InputError where none is named."""

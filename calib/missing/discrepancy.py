@@ -1,8 +1,10 @@
-"""Fitted parameters with an unexplained misfit: how far what no candidate explains may have pulled them."""
+"""A fit with an unexplained misfit: how far what no candidate explains may have pulled parameters and predictions."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 import pandas as pd
@@ -42,12 +44,53 @@ class Discrepancy:
     covariance : ndarray (p, p)
     size : float
         tau, in units of a score.
+    owners : tuple of str
+        Candidate of every column that is taken to be present, length m.
+    points : tuple of mapping
+        Where the signature of a column is a difference, see `Scores`; empty for a derivative.
+    presence : ndarray (m,)
+        Posterior mean of the magnitude of every column.
+    root : ndarray (m, m)
+        R with ``R R^T`` the posterior covariance of these magnitudes.
+    absorbed : ndarray (p, m)
+        How far the fitted parameters follow one unit of every column.
     """
 
     names: tuple[str, ...]
     change: np.ndarray
     covariance: np.ndarray
     size: float
+    owners: tuple[str, ...]
+    points: tuple[Mapping[str, float], ...]
+    presence: np.ndarray
+    root: np.ndarray
+    absorbed: np.ndarray
+
+    def elsewhere(self, names: tuple[str, ...], slope: np.ndarray, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What the discrepancy does to predictions of data that were not fitted.
+
+        With a magnitude v of the candidates the parameters move by ``-B v`` (B = ``absorbed``), so that other data
+        change by ``(S - G B) v``. This adds to the covariance for given parameters, since the posterior covariance of
+        the parameters does not depend on v.
+
+        Parameters
+        ----------
+        names : tuple of str
+            Fitted parameters on which these data depend, length q.
+        slope : ndarray (n, q)
+            G: change of the data per unit of each.
+        raw : ndarray (n, m)
+            S: change of the data per unit of every column.
+
+        Returns
+        -------
+        shift : ndarray (n,)
+            Expected measurement less prediction of the fit.
+        spread : ndarray (n, m)
+            A with ``A A^T`` the covariance that the discrepancy adds.
+        """
+        left = raw - slope @ self.absorbed[[self.names.index(name) for name in names]]
+        return left @ self.presence, left @ self.root
 
 
 def discrepancy(fit: LinearisedFit, *scores: Scores) -> Discrepancy:
@@ -56,7 +99,8 @@ def discrepancy(fit: LinearisedFit, *scores: Scores) -> Discrepancy:
     unit, length = np.hstack([s.unit for s in scores]), np.concatenate([s.size for s in scores])
     seen = length > RULES.unexplained_seen * np.maximum(np.linalg.norm(raw, axis=0), 1e-300)
     size = _size(unit[:, seen], fit.projected)
-    columns = raw[:, seen] * (size / length[seen])
+    scale = size / length[seen]
+    columns = raw[:, seen] * scale
     p, slope = len(fit.names), fit.data_slope * fit.prior_sd
     beside = np.zeros((len(slope) - len(raw), columns.shape[1]))  # rows of other tests
     wide = np.hstack([slope, np.vstack([columns, beside])])
@@ -65,7 +109,22 @@ def discrepancy(fit: LinearisedFit, *scores: Scores) -> Discrepancy:
     right[:p] -= fit.shift
     change = la.cho_solve(root, right)[:p] * fit.prior_sd
     inverse = la.cho_solve(root, np.eye(wide.shape[1])[:, :p])[:p]
-    return Discrepancy(fit.names, change, inverse * np.outer(fit.prior_sd, fit.prior_sd), size)
+    # Of the magnitudes alone, with the parameters projected out.
+    projected = unit[:, seen] * size
+    upper = la.cholesky(projected.T @ projected + np.eye(len(scale)))
+    presence = la.cho_solve((upper, False), projected.T @ fit.projected)
+    right_of_all = (fit.slope * fit.prior_sd).T @ raw[:, seen]
+    return Discrepancy(
+        fit.names,
+        change,
+        inverse * np.outer(fit.prior_sd, fit.prior_sd),
+        size,
+        tuple(compress([name for s in scores for name in s.owners], seen)),
+        tuple(compress([point for s in scores for point in s.points], seen)),
+        scale * presence,
+        scale[:, None] * la.solve_triangular(upper, np.eye(len(scale))),
+        fit.prior_sd[:, None] * la.solve(fit.scaled_information, right_of_all, assume_a="pos"),
+    )
 
 
 def _size(unit: np.ndarray, projected: np.ndarray) -> float:
@@ -92,18 +151,30 @@ def _size(unit: np.ndarray, projected: np.ndarray) -> float:
     return float(sizes[min(at, len(sizes) - 1)])
 
 
-def parameter_intervals(found: Explanation) -> pd.DataFrame:
+def discrepancy_of(found: Explanation) -> Discrepancy | None:
+    """That of the base model with all effects and local perturbations; None where the misfit is explained."""
+    tests = found.base_adequacy
+    return discrepancy(found.base.fit, tests.perturbations, tests.named) if found.verdict in UNEXPLAINED else None
+
+
+def parameter_intervals(found: Explanation, wide: Discrepancy | None) -> pd.DataFrame:
     """Parameters of the base model with 95 % intervals of the fit alone and with the unexplained misfit.
+
+    Parameters
+    ----------
+    found : Explanation
+    wide : Discrepancy or None
+        From `discrepancy_of`.
 
     Returns
     -------
     DataFrame
-        `COLUMNS`; intervals end at the limits. Empty after any verdict that is not `UNEXPLAINED`.
+        `COLUMNS`; intervals end at the limits. Empty without a discrepancy.
     """
-    fit, tests = found.base.fit, found.base_adequacy
-    if found.verdict not in UNEXPLAINED:
+    if wide is None:
         return pd.DataFrame(columns=list(COLUMNS))
-    wide, rows = discrepancy(fit, tests.perturbations, tests.named), []
+    fit = found.base.fit
+    rows: list[tuple[object, ...]] = []
     alone, together = (np.sqrt(np.diag(c)) for c in (fit.covariance, wide.covariance))
     for k, name in enumerate(fit.names):
         p, value = fit.fit_problem.space[name], fit.values[name]

@@ -13,6 +13,7 @@ from calib.report.explanation import draw_confounding, ranked_effects_figure
 from calib.report.frf import draw_frf_misfit
 from calib.report.mesh import rest_lines
 from calib.report.misfit import draw_pulls, where_it_fails_figure
+from calib.report.predictions import NUMBERS, draw_predictions
 from calib.report.responses import draw_response_misfit
 from calib.report.scene import PLACE
 from calib.report.shown import Folder
@@ -55,6 +56,13 @@ def plan_explanation(folder: Folder) -> Iterator[Drawing]:
     if errors is not None:
         draw = bound(draw_errors, errors, name=name)
         yield Drawing("errors_before_after", "errors before and after", draw, ("errors",))
+    flags = ["inside", "inside_unexplained"]
+    labels = ["mode", "sensor", "part"]
+    predicted = _read(folder, "unexplained_predictions", ["group", "kind"], NUMBERS, flags=flags, blank=labels)
+    if predicted is not None:
+        caption = "predictions of held-out data"
+        draw = bound(draw_predictions, predicted)
+        yield Drawing("held_out_predictions", caption, draw, ("unexplained_predictions", "unexplained_errors"))
     both = _read(folder, "added_errors", ["group", "stage"], ["rms", "expected", "p"])
     if both is not None:
         caption = "errors without and with the added effects, both models calibrated"

@@ -54,6 +54,8 @@ KEYS = {
     "steps_errors": ("step", "group"),
     "std_by_test": ("parameter", "test"),
     "test_differences": ("parameter", "test"),
+    "unexplained": ("parameter",),
+    "unexplained_errors": ("group",),
     "verdicts": ("parameter",),
     "versions": ("version", "group"),
     "where_it_fails": ("kind", "what"),

@@ -1,18 +1,25 @@
 """Intervals of parameters after an explanation that names nothing, in tables and words."""
 
+import runpy
 from dataclasses import replace
+from pathlib import Path
 
 import pandas as pd
+import pytest
 
 from calib.analyses.explain import explain, keep
+from calib.console.explained import _predictions
 from calib.results import Results
 from calib.study import Study
 
+missing = runpy.run_path(str(Path(__file__).parents[1] / "docs/tables.py"))["missing"]
+HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
+FILES = ("unexplained", "unexplained_predictions", "unexplained_errors")
 TRUE = {"E": 206.0, "m_top": 46.0, "K_base": 1.8}
 
 
 def test_the_true_values_lie_inside_where_the_effect_is_not_in_the_library(mast, edited, tmp_path):
-    folder = mast.write_study(tmp_path / "mast", {"guy": 12000.0})
+    folder = edited(mast.write_study(tmp_path / "mast", {"guy": 12000.0}), *HELD)
     text = (folder / "effects.py").read_text()
     (folder / "effects.py").write_text(
         text.replace('        _one("guy", "Guy rope along x", 4.5, (0,), "stiffness", "N/m", 5e3, 1e5),\n', "")
@@ -25,13 +32,28 @@ def test_the_true_values_lie_inside_where_the_effect_is_not_in_the_library(mast,
     inside = [table["low_unexplained"][n] <= v <= table["high_unexplained"][n] for n, v in TRUE.items()]
     alone = [table["low"][n] <= v <= table["high"][n] for n, v in TRUE.items()]
     assert all(inside) and not all(alone)
+    predicted, errors = (pd.read_csv(results.path / f"{name}.csv") for name in FILES[1:])
+    assert predicted["inside_unexplained"].mean() >= 0.93 > predicted["inside"].mean()
+    assert missing(results.path) == {}  # every column is documented
+    (printed,) = _predictions(answer)
+    for line, row in zip(printed.rows, errors.to_dict("records"), strict=True):
+        told = answer.errors.set_index(["stage", "group"]).loc[("before", row["group"])]
+        assert [row["rms"], row["expected"]] == pytest.approx([told["rms"], told["expected"]])
+        own = predicted[predicted["group"] == row["group"]]
+        counts = (
+            f"{own['inside'].sum()} and {own['inside_unexplained'].sum()} of {len(own)} (rms error {row['rms']:.2g}, "
+        )
+        assert any(counts in words for words in answer.sentences)
+        inside = [f"{own[name].sum()} of {len(own)}" for name in ("inside", "inside_unexplained")]
+        expected = [f"{row[name]:.2f}" for name in ("rms", "expected", "expected_unexplained")]
+        assert list(line[1:6]) == [*inside, *expected]
     keep(Study.load(folder), results, replace(answer, tables={}))
-    assert not (results.path / "unexplained.csv").exists()  # nothing of an earlier verdict is left
+    assert not any((results.path / f"{name}.csv").exists() for name in FILES)  # nothing of an earlier verdict is left
     (words,) = [s for s in answer.sentences if s.startswith("The unexplained misfit")]
     assert "times as wide as those of the fit alone" in words
 
 
 def test_a_named_effect_leaves_no_second_interval(guyed):
     _, results, answer, _ = guyed
-    assert answer.verdict == "effect" and not (results.path / "unexplained.csv").exists()
-    assert not any(s.startswith("The unexplained misfit") for s in answer.sentences)
+    assert answer.verdict == "effect" and not any((results.path / f"{name}.csv").exists() for name in FILES)
+    assert not any(s.startswith(("The unexplained misfit", "Held-out data inside")) for s in answer.sentences)

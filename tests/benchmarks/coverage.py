@@ -1,4 +1,4 @@
-"""How often intervals of fitted parameters hold the true values where a misfit is left that nothing explains.
+"""How often intervals of parameters and of predictions hold the truth where a misfit is left that nothing explains.
 
     python tests/benchmarks/coverage.py run --runs 65
     python tests/benchmarks/coverage.py report
@@ -7,7 +7,9 @@ Bogies of ``rates.py`` that have something outside the library, or an effect tha
 score of 4 or more; ``--skip`` leaves out so many at the beginning. Each line of
 ``results/coverage_bogie/runs.jsonl`` is a run: the verdict, and of every parameter its true value, the interval of the
 fit alone, that with the unexplained misfit (`calib.missing.discrepancy`), and that of the informed fit, whose model has
-what is hidden.
+what is hidden. Of every value that the study holds out it has the group, the kind, whether each of the three intervals
+of its prediction holds what is measured, and the widths of the first two over that of the third. What the informed fit
+does not pair has no prediction to compare with.
 """
 
 from __future__ import annotations
@@ -25,25 +27,37 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from rates import lines
 from rates_outcome import Measured
 from rates_scenarios import Scenario, rounds
 from rates_subject import BOGIE, ROOT
 from rates_table import Rate, bound_of
-from rates_world import World, code_digest
+from rates_world import World, digest_of
 
+from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.hypotheses import ModelHypotheses
+from calib.analyses.modal_adapter import ModalAdapter
 from calib.correlation.residual import ModalResidual
 from calib.errors import EvaluationError, InputError
-from calib.missing.discrepancy import parameter_intervals
+from calib.missing.candidate_fit import CandidateFit
+from calib.missing.discrepancy import discrepancy_of, parameter_intervals
 from calib.missing.explain import explain
-from calib.missing.explanation import UNEXPLAINED
+from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.missing.local import WIDE
 from calib.structure.variants import Variants
 
 VISIBLE = 4.0
 """Least expected score of what is hidden."""
+ANSWERING = ("verify", "modal_adapter", "one_test")
+"""Modules of `calib.analyses` that predict held-out data."""
+FACTS = MeasurementFacts("", "", (), pd.DataFrame(), {}, 1, 10)
+DRAWS = 4000
+"""Sets of bogies drawn for bounds."""
+ROW = ["mode", "sensor", "kind", "part"]
+KINDS = {"alone": "", "unexplained": "_unexplained"}
+"""Intervals of the fit, and what their columns end in."""
 
 
 def main() -> None:
@@ -57,10 +71,11 @@ def main() -> None:
     given.folder.mkdir(parents=True, exist_ok=True)
     file = given.folder / "runs.jsonl"
     if given.what == "report":
-        rows = lines(file)
+        rows = list(lines(file))
         report([row for row in rows if row["code"] == rows[-1]["code"]])
         return
-    world = World(BOGIE, given.folder, code_digest(BOGIE))
+    code = digest_of((*BOGIE.sources, *(f"calib/analyses/{name}.py" for name in ANSWERING)))
+    world = World(BOGIE, given.folder, code)
     world.settle()
     made = {(row["scenario"], row["number"]) for row in lines(file) if row["code"] == world.code}
     with file.open("a", encoding="utf-8") as out:
@@ -92,13 +107,15 @@ def run(world: World, scenario: Scenario, measured: Measured) -> dict[str, Any]:
     """Intervals of one measurement."""
     pair = ModalResidual(world.specimen.problem(measured.whole))
     removed = measured.hidden if scenario.removed else ()
-    found = explain(ModelHypotheses(pair, world.libraries[scenario.library], world.space, without=removed))
+    hypotheses = ModelHypotheses(pair, world.libraries[scenario.library], world.space, without=removed)
+    found = explain(hypotheses)
     hidden = tuple(world.effects[name] for name in measured.hidden)
     names = tuple(e.name for e in hidden)
     asked = ModelHypotheses(pair, Variants(world.model, hidden, (), None), world.space)
     start = {**found.base.fit.values, **{n: measured.values[n] for e in hidden for n in e.names}}
-    informed = intervals(fitted(asked.fit_problem(names), names, start))
-    told = parameter_intervals(found).set_index("parameter")
+    right = fitted(asked.fit_problem(names), names, start)
+    informed = intervals(right)
+    told = parameter_intervals(found, discrepancy_of(found)).set_index("parameter")
     parameters = {
         name: {
             "true": measured.values[name], "alone": own, "informed": informed[name],
@@ -106,7 +123,37 @@ def run(world: World, scenario: Scenario, measured: Measured) -> dict[str, Any]:
         }
         for name, own in intervals(found.base.fit).items()
     }  # fmt: skip
-    return {"verdict": found.verdict, "parameters": parameters}
+    whole = world._whole(pair.problem, measured)
+    fit_of_all = CandidateFit(hidden, right, 0.0, "")
+    adapters = [ModalAdapter(one, (), FACTS, whole) for one in (hypotheses, asked)]
+    held_out = predicted(found, adapters[0], adapters[1], fit_of_all)
+    return {"verdict": found.verdict, "parameters": parameters, "held_out": held_out}
+
+
+def predicted(
+    found: Explanation, adapter: ModalAdapter, asked: ModalAdapter, right: CandidateFit
+) -> list[dict[str, Any]]:
+    """Held-out values with the intervals of their predictions; empty where no misfit is left."""
+    wide = discrepancy_of(found)
+    if wide is None:
+        return []
+    informed = {}
+    for group, own in asked.held_out_of(right, 1.0).items():
+        rows = own.intervals(own.spread).to_dict("records")
+        kept = [True] * len(rows) if own.lost is None else (~own.lost).tolist()
+        keys = [(group, r.mode, r.sensor, r.kind, r.part) for r in own.labels]
+        informed |= {key: row for key, row, known in zip(keys, rows, kept, strict=True) if known}
+    out = []
+    for row in adapter.predictions(found.base, wide, found.noise_scale)[0].to_dict("records"):
+        best = informed.get((row["group"], *(row[name] for name in ROW)))
+        if best is None:
+            continue
+        one = {"group": row["group"], "kind": row["kind"], "informed": bool(best["inside"])}
+        for kind, end in KINDS.items():
+            width = (row[f"high{end}"] - row[f"low{end}"]) / (best["high"] - best["low"])
+            one |= {kind: bool(row[f"inside{end}"]), f"{kind}_width": round(width, 3)}
+        out.append(one)
+    return out
 
 
 def intervals(fit: LinearisedFit) -> dict[str, list[float]]:
@@ -137,6 +184,31 @@ def report(rows: list[dict[str, Any]]) -> None:
     for name in left[0]["parameters"] if left else ():
         own = [row["parameters"][name] for row in left]
         print(f"  {name:20s} {sum(map(_held, own))} of {len(own)}")
+    held_out = [run["held_out"] for run in left]
+    for group, kind in sorted({(row["group"], end) for run in held_out for row in run for end in ("", row["kind"])}):
+        own = [[row for row in run if row["group"] == group and kind in ("", row["kind"])] for run in held_out]
+        told(f"{group} {kind}".strip(), own)
+
+
+def told(what: str, runs: list[list[dict[str, Any]]]) -> None:
+    """Coverage and width of predictions, rows by bogie.
+
+    Bounds are those of bogies drawn with replacement, as the values of one are not independent.
+    """
+    runs = [run for run in runs if run]
+    count = np.array([len(run) for run in runs])
+    print(f"{what}: {count.sum()} values of {len(runs)} bogies")
+    drawn = np.random.default_rng(1).integers(0, len(runs), (DRAWS, len(runs)))
+    for kind in ("alone", "unexplained", "informed"):
+        hit = np.array([sum(row[kind] for row in run) for run in runs])
+        shares = hit[drawn].sum(axis=1) / count[drawn].sum(axis=1)
+        low, high = np.quantile(shares, [0.05, 0.95])
+        width = [row.get(f"{kind}_width", 1.0) for run in runs for row in run]
+        print(
+            f"  {kind:12s} {hit.sum()} of {count.sum()} = {hit.sum() / count.sum():.3f} [{low:.3f}, {high:.3f}], "
+            f"{np.median(width):.2f} times as wide as informed in the median, {np.quantile(width, 0.9):.2f} in nine of "
+            f"ten; least of a bogie {(hit / count).min():.2f}"
+        )
 
 
 def _held(parameter: dict[str, Any]) -> bool:

@@ -137,6 +137,9 @@ def test_a_hidden_spring_is_named_with_its_stiffness(explained):
     row = explained.table.set_index("name").loc["ground_2"]
     std = (row["magnitude_high"] - row["magnitude_low"]) / (2 * 1.96)
     assert abs(row["magnitude"] - WORLD.HIDDEN) < 4 * std and std < 0.05 * WORLD.HIDDEN
+    # Nothing is left unexplained that would make parameters or predictions less certain.
+    assert explained.intervals.empty and explained.predictions.empty
+    assert ".predictions" not in explained.lines["Evidence"]
 
 
 def test_no_candidate_measurement_takes_information_away(explained):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg as la
 
-from calib.missing.discrepancy import discrepancy, parameter_intervals, sentence
+from calib.missing.discrepancy import discrepancy, discrepancy_of, parameter_intervals, sentence
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.missing.score import scored
@@ -81,7 +81,7 @@ def test_the_table_tells_both_intervals_and_only_after_an_unexplained_misfit():
     fit, scores, _ = world(3, 6.0)
     tests = SimpleNamespace(perturbations=scores, named=scored(fit, [], [], np.zeros((N, 0)), [], []))
     found = SimpleNamespace(verdict="none_explains", base=SimpleNamespace(fit=fit), base_adequacy=tests)
-    table = parameter_intervals(found)
+    table = parameter_intervals(found, discrepancy_of(found))
     wide = discrepancy(fit, scores)
     half = 1.96 * np.sqrt(np.diag(wide.covariance))
     np.testing.assert_allclose(table["high_unexplained"] - table["value_unexplained"], half)
@@ -89,5 +89,35 @@ def test_the_table_tells_both_intervals_and_only_after_an_unexplained_misfit():
     np.testing.assert_allclose(table["value"] - table["low"], 1.96 * np.sqrt(np.diag(fit.covariance)))
     width = np.median(half / (1.96 * np.sqrt(np.diag(fit.covariance))))
     assert f"are {width:.2g} times as wide" in sentence(table)
-    named = parameter_intervals(SimpleNamespace(verdict="effect", base=found.base, base_adequacy=tests))
-    assert named.empty and sentence(named) == ""
+    effect = SimpleNamespace(verdict="effect", base=found.base, base_adequacy=tests)
+    named = parameter_intervals(effect, discrepancy_of(effect))
+    assert discrepancy_of(effect) is None and named.empty and sentence(named) == ""
+
+
+# -- data that were not fitted -----------------------------------------------------------------------------------------
+
+
+def test_the_presence_of_candidates_moves_the_parameters_as_their_posterior_says():
+    """Both posteriors are of one model: ``change`` is what the parameters follow of what is present."""
+    fit, scores, _ = world(1, 4.0)
+    found = discrepancy(fit, scores)
+    np.testing.assert_allclose(found.change, -found.absorbed @ found.presence, rtol=1e-6)
+    moved = fit.covariance + (found.absorbed @ found.root) @ (found.absorbed @ found.root).T
+    np.testing.assert_allclose(found.covariance, moved, rtol=1e-6)
+    assert found.owners == tuple(f"c{k}" for k in range(M))
+
+
+def test_other_data_are_predicted_as_the_joint_posterior_of_parameters_and_candidates_predicts_them():
+    fit, scores, _ = world(1, 4.0)
+    found, rng = discrepancy(fit, scores), np.random.default_rng(9)
+    slope, raw = rng.standard_normal((7, P)), rng.standard_normal((7, M))
+    shift, spread = found.elsewhere(fit.names[::-1], slope[:, ::-1], raw)
+    scale = found.size / scores.size
+    both, prior = np.hstack([fit.slope, scores.raw * scale]), np.concatenate([fit.shift, np.zeros(M)])
+    covariance = la.inv(both.T @ both + np.eye(P + M))
+    mean = covariance @ (both.T @ fit.residual - prior)
+    wide = np.hstack([slope, raw * scale])
+    np.testing.assert_allclose(shift, wide @ mean, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        spread @ spread.T + slope @ fit.covariance @ slope.T, wide @ covariance @ wide.T, rtol=1e-6, atol=1e-9
+    )

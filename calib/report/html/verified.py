@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import pandas as pd
 
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
+from calib.report.html.predictions import predictions
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import chance, fixed, flag, percent, significant
 from calib.report.style import added
@@ -31,7 +32,13 @@ def errors(results: StudyResults) -> Section | None:
     else:
         title, blocks = (
             "Prediction errors",
-            [*_explained(results), *_calibrated(results), *_modes(results), *_responses(results)],
+            [
+                *_explained(results),
+                *predictions(results),
+                *_calibrated(results),
+                *_modes(results),
+                *_responses(results),
+            ],
         )
     blocks += _versions(results)
     if not blocks:
