@@ -81,8 +81,9 @@ class TestedFRFs(Tested):
 
     def problem(self, model: StructuralModel, base: Any) -> FRFProblem:
         """The problem over the FRFs in use; transducers load the structure at held-out sensors too."""
+        used = self.used  # told where it is wrong, unlike what does not fit the model
         try:
-            return FRFProblem(model, self.used, concerned(self.nuisances(model), self.used))
+            return FRFProblem(model, used, concerned(self.nuisances(model), used))
         except InputError as fault:
             raise misfit(self.study, model, fault) from None
 
