@@ -6,6 +6,7 @@ Of two tests at different levels the part differs, everything else is shared. Th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -45,9 +46,10 @@ def level(largest: float, name: str = "level") -> Parameter:
     >>> level(2.0).distribution
     'fixed'
     """
-    return Parameter(
-        name, 0.0, 0.0, largest, "-", "fixed", description="level of excitation of a test; 0 for the lowest"
-    )
+    if not 0 < largest < math.inf:
+        raise InputError(f"the largest level is {largest:g}", place=f"level {name!r}", remedy="give a positive number")
+    words = "level of excitation of a test; 0 where parts are as in the model"
+    return Parameter(name, 0.0, 0.0, largest, "-", "fixed", description=words)
 
 
 def with_level(model: StructuralModel, at: Parameter) -> StructuralModel:
