@@ -148,7 +148,7 @@ def loosened_two_ways(
 
 
 def surging_spring(listed: Effect, rows: Callable[[StructuralModel], list[np.ndarray]]) -> Effect:
-    """Air springs whose reservoir is joined by a pipe, in which the air surges (Nishimura; Berg 2000).
+    """Air springs whose reservoir is joined by a pipe, in which the air surges (Berg 1999).
 
     Parameters
     ----------
