@@ -19,7 +19,7 @@ from calib.space import Parameter
 from calib.structure.relaxation import band_of, lossy_parts, relaxing_parts
 
 _MOST_LOSS = 0.6
-"""Largest loss factor: beyond, it is not constant over a band of two decades within a quarter."""
+"""Largest loss factor; there it is constant within a fifth over a band of two decades."""
 
 
 def structural_damping(
