@@ -98,7 +98,7 @@ def amplitude_terms(
     if at not in model.space:
         raise InputError(
             f"the model {model.name} has no parameter {at!r}, the level of a test",
-            remedy="add it by calib.structure.amplitude.with_level",
+            remedy="add the level to the model, see calib.structure.amplitude",
         )
     terms = []
     for part in (part_of(model, kind, name) for name in parts):

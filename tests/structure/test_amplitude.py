@@ -48,7 +48,7 @@ def test_something_is_left_at_the_largest_level():
 
 def test_what_cannot_be_is_refused():
     at = level(1.0)
-    with pytest.raises(InputError, match=r"has no parameter 'level', the level of a test.*with_level"):
+    with pytest.raises(InputError, match=r"has no parameter 'level', the level of a test; add the level to the model"):
         extend(two_masses(), [amplitude_dependence("lost", "it", ["k"], at)])
     with pytest.raises(InputError, match="has 'level' already"):
         with_level(with_level(two_masses(), at), at)
