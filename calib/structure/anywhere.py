@@ -10,7 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.errors import InputError
-from calib.structure.affine import Coefficient, StretchPower, Term, parameter
+from calib.structure.affine import Coefficient, Grown, Monomial, StretchPower, Term, parameter
+from calib.structure.attach import moved_masses
 from calib.structure.extend import Addition
 
 
@@ -142,3 +143,48 @@ def sliding_mass(
             name = f"{mass}: stretch {k + 1}, power {power}"
             terms.append(Term(name, sp.csr_array(one.T @ other), Product(parameter(mass), along)))
     return Addition(mass=tuple(terms))
+
+
+def leaning_masses(
+    motions: Callable[[float], np.ndarray], arms: Callable[[float], np.ndarray], shift: str, arm: str, reach: float,
+    stretches: int, grown: float,
+) -> tuple[Term, ...]:  # fmt: skip
+    """Mass terms of masses that are shifted and then stand off their carrier by an arm.
+
+    With v the motions at the carrier and w those per unit of the arm d, such as rotations, the kinetic energy is
+    ``(v' + d w')^2/2``. At shift 0 the masses are the model's own: of the arm d counts ``s^2/(s^2 + grown^2)``.
+
+    Parameters
+    ----------
+    motions, shift, reach, stretches
+        As in `calib.structure.attach.moved_masses`, which gives the terms without d.
+    arms : callable
+        From a shift to w, (n_motions, n_dof), each times the square root of its mass.
+    arm : str
+        Name of the parameter d.
+    grown : float
+        Shift at which the arm is half of its own, SI.
+    """
+    places = (1 - np.cos(np.linspace(0, np.pi, 4))) / 2
+    weights, terms = np.linalg.inv(np.vander(places, increasing=True)), []
+    for side in (1, -1):
+        for k in range(stretches):
+            start, end = (side * reach * j / stretches for j in (k, k + 1))
+            at = [start + float(place) * (end - start) for place in places]
+            own, off = (
+                [sp.csr_array(p) for p in np.einsum("pk,kmn->pmn", weights, np.array([made(s) for s in at]))]
+                for made in (motions, arms)
+            )
+            for power in range(7):
+                pairs = [(p, power - p) for p in range(4) if 0 <= power - p < 4]
+                one, other, far, farther = (
+                    sp.csr_array(sp.vstack([powers[pair[i]] for pair in pairs]))
+                    for powers, i in ((own, 0), (off, 1), (off, 0), (off, 1))
+                )
+                mixed = one.T @ other
+                for order, matrix in ((1, mixed + mixed.T), (2, far.T @ farther)):
+                    along = StretchPower(shift, start, end, power, k == stretches - 1)
+                    size = Grown(Monomial(1.0, ((arm, float(order)),)), shift, grown, order)
+                    name = f"{arm}: stretch {side * (k + 1)}, power {power}, order {order}"
+                    terms.append(Term(name, sp.csr_array(matrix), Product(along, size)))
+    return (*moved_masses(motions, shift, reach, stretches), *terms)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,6 +17,9 @@ from calib.structure.extend import Addition
 
 GROWN_SAG = 1e-4
 """Sag in m (50 Hz vertically) at which a body has half of its offset and a quarter of its moments of inertia."""
+
+_Part: TypeAlias = tuple[str, np.ndarray, Mapping[str, float], int]
+"""Name, matrix (6, 6), powers of parameters, and power of the growing distance of the centre below the point."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,10 @@ class MountedBody:
     def __post_init__(self) -> None:
         require_restrained(self.mounts, self.up)
 
-    def let_go(self, carrier: np.ndarray, sag: str, lower: str, sideways: str, damping_ratio: str) -> Addition:
+    def let_go(
+        self, carrier: np.ndarray, sag: str, lower: str, sideways: str, damping_ratio: str, inertia: str = "",
+        uneven: str = "",
+    ) -> Addition:  # fmt: skip
         """Addition of the elastically mounted body to a model.
 
         Parameters
@@ -71,6 +78,9 @@ class MountedBody:
             Names of the parameters: static deflection of the mounts under the weight, distance of the centre below the
             point, lateral over vertical stiffness of the mounts, damping ratio of the vertical motion on a fixed base
             (damping of all mounts is proportional to stiffness).
+        inertia, uneven : str
+            Names of further parameters, where there are any: the moments of inertia over `gyration`; the stiffness of
+            the mounts that lie beyond the point along x, over the mean of all, less 1, lost by those before it.
         """
         n, root = carrier.shape[1], 1 / math.sqrt(GRAVITY)
         shifts, turns = np.asarray(carrier, dtype=float).reshape(2, 3, n) * math.sqrt(self.mass)
@@ -95,11 +105,13 @@ class MountedBody:
         def grown(power: int, factor: float = 1.0, **powers: float) -> Grown:
             return Grown(Monomial(factor, tuple(powers.items())), sag, GROWN_SAG, power)
 
+        size = {inertia: 1.0} if inertia else {}
+        blocks = list(mount_stiffness(self.mounts, self.up, lower, sideways, uneven))
         mixed = on_carrier(shifts, lowered)
         return Addition(
             stiffness=tuple(
                 term(f"mounts {name}", on_body(block), _scaled(1.0, powers, sag, grow))
-                for name, block, powers, grow in mount_stiffness(self.mounts, self.up, lower, sideways)
+                for name, block, powers, grow in blocks
             ),
             damping=tuple(
                 term(
@@ -107,17 +119,17 @@ class MountedBody:
                     on_body(block),
                     _scaled(2 * root, {damping_ratio: 1.0, sag: 0.5, **powers}, sag, grow),
                 )
-                for name, block, powers, grow in mount_stiffness(self.mounts, self.up, lower, sideways)
+                for name, block, powers, grow in blocks
             ),
             mass=(
                 term("lower", mixed + mixed.T, grown(1, **{lower: 1.0})),
                 term("lower, squared", on_carrier(lowered, lowered), grown(2, **{lower: 2.0})),
-                term("turning", on_carrier(turns, gyration @ turns), grown(2)),
+                term("turning", on_carrier(turns, gyration @ turns), grown(2, **size)),
                 term("coupling of shifts", coupling(shifts, shift), Monomial(root, ((sag, 0.5),))),
                 term("coupling of shifts, lower", coupling(lowered, shift), grown(1, root, **{sag: 0.5, lower: 1.0})),
-                term("coupling of turns", coupling(turns, gyration @ turn), grown(2, root, **{sag: 0.5})),
+                term("coupling of turns", coupling(turns, gyration @ turn), grown(2, root, **{sag: 0.5, **size})),
                 term("own shifts", on_body(shift.T @ shift), Monomial(1 / GRAVITY, ((sag, 1.0),))),
-                term("own turns", on_body(turn.T @ gyration @ turn), grown(2, 1 / GRAVITY, **{sag: 1.0})),
+                term("own turns", on_body(turn.T @ gyration @ turn), grown(2, 1 / GRAVITY, **{sag: 1.0, **size})),
             ),
             n_added=6,
         )
@@ -130,29 +142,36 @@ def require_restrained(mounts: np.ndarray, up: int) -> None:
         raise InputError("its mounts lie on one line", place="body", remedy="give at least three that do not")
 
 
-def mount_stiffness(
-    mounts: np.ndarray, up: int, lower: str, sideways: str
-) -> Iterator[tuple[str, np.ndarray, Mapping[str, float], int]]:
+def mount_stiffness(mounts: np.ndarray, up: int, lower: str, sideways: str, uneven: str = "") -> Iterator[_Part]:
     """Parts of kappa, the stiffness of equal mounts of a body over the vertical one of all; see `MountedBody`.
 
     Yields the name, the matrix (6, 6), the powers of the parameters, and that of the distance of the centre below the
-    point, with which it grows.
+    point, with which it grows. ``uneven`` names a parameter by which mounts beyond the point along x are stiffer than
+    the mean, and those before it softer.
     """
     upright = np.eye(3)[up]
+
     # A mount deflects by ``(flat + lower * tilt) (t, theta)``, both (n_mounts, 3, 6).
     flat = np.array([np.hstack([np.eye(3), -cross_matrix(place)]) for place in np.asarray(mounts, dtype=float)])
     tilt = np.broadcast_to(np.hstack([np.zeros((3, 3)), -cross_matrix(upright)]), flat.shape)
     along = np.outer(upright, upright)
 
+    across = np.eye(3) - along
+
     def product(one: np.ndarray, weight: np.ndarray, other: np.ndarray) -> np.ndarray:
         return np.asarray(np.einsum("fia,ij,fjb->ab", one, weight, other) / len(flat))
 
-    across = np.eye(3) - along
-    mixed = product(flat, across, tilt)
-    yield "upright", product(flat, along, flat), {}, 0
-    yield "sideways", product(flat, across, flat), {sideways: 1.0}, 0
-    yield "sideways, lower", mixed + mixed.T, {sideways: 1.0, lower: 1.0}, 1
-    yield "sideways, lower, squared", product(tilt, across, tilt), {sideways: 1.0, lower: 2.0}, 2
+    def parts(named: str, own: Mapping[str, float], one: np.ndarray, other: np.ndarray) -> Iterator[_Part]:
+        mixed = product(one, across, tilt)
+        yield f"upright{named}", product(one, along, flat), own, 0
+        yield f"sideways{named}", product(one, across, flat), {sideways: 1.0, **own}, 0
+        yield f"sideways, lower{named}", mixed + mixed.T, {sideways: 1.0, lower: 1.0, **own}, 1
+        yield f"sideways, lower, squared{named}", product(other, across, tilt), {sideways: 1.0, lower: 2.0, **own}, 2
+
+    yield from parts("", {}, flat, tilt)
+    if uneven:
+        beyond = np.sign(np.asarray(mounts, dtype=float)[:, 0])[:, None, None]
+        yield from parts(", uneven", {uneven: 1.0}, beyond * flat, beyond * tilt)
 
 
 def _scaled(factor: float, powers: Mapping[str, float], sag: str, grow: int) -> Coefficient:

@@ -39,7 +39,14 @@ class Variants:
     @cached_property
     def _added(self) -> dict[str, int]:
         """Degrees of freedom that each effect adds."""
-        return {e.name: addition_of(self.model, e).n_added for e in self.effects}
+        added = {e.name: addition_of(self.model, e).n_added for e in self.effects}
+        for effect in self.effects:
+            if added[effect.name] and not effect.grid:
+                raise InputError(
+                    "it adds degrees of freedom and has no grid", place=f"effect {effect.name}",
+                    remedy="give it a grid of one or more magnitudes",
+                )  # fmt: skip
+        return added
 
     @property
     def calls(self) -> None:

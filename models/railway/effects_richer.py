@@ -1,7 +1,8 @@
-"""Richer members of effects of the bogie's frame: units that give in every direction, and masses of some size."""
+"""Richer members of effects of the bogie: units that give in every direction, masses of some size off their axis."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -100,6 +101,35 @@ def crossbar_body(place: Place) -> Effect:
         nuisance=(_lower(f"{name}_lower", "the axis", 0.2), _radius(f"{name}_radius", 0.15)),
         grid=tuple({name: 100.0, f"{name}_lower": low, f"{name}_radius": 0.15} for low in (-0.2, 0.2)),
     )
+
+
+def gear_case_body(offset: Parameter, build: Callable[[StructuralModel, str, str], Addition]) -> Effect:
+    """The gear case off the middle of its axle, and its centre ahead of the axle.
+
+    Parameters
+    ----------
+    offset : Parameter
+        The magnitude of the listed effect: the place across the bogie, which means the same in both.
+    build : callable
+        Gives the addition of a model and the names of the offset and of the distance ahead.
+    """
+    name, ahead = "gear_case_body", "gear_case_ahead"
+    return Effect(
+        name=name,
+        title="Gear case off the middle of the front axle, its centre ahead of it",
+        phrase="a gear case off the middle of the front axle whose centre lies ahead of the axle",
+        lacks="The gear case sits in the middle of the axle, its centre on the axle.",
+        look_for="Where the gear case really sits, and how far the pinion and its housing reach ahead of the axle.",
+        magnitude=replace(offset, name=name),
+        build=partial(build, offset=name, ahead=ahead),
+        nuisance=(
+            Parameter(
+                ahead, 0.0, -0.5, 0.5, "m", prior_sd=0.15,
+                description="its centre ahead of the axle, away from the crossbar; behind it negative",
+            ),
+        ),
+        grid=tuple({name: s * offset.prior_width, ahead: a} for s in (1.0, -1.0) for a in (-0.15, 0.15)),
+    )  # fmt: skip
 
 
 def _carrier(model: StructuralModel, place: Place) -> np.ndarray:

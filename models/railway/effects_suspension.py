@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.space import Parameter
 from calib.structure.affine import Monomial, parameter
+from calib.structure.anywhere import leaning_masses
 from calib.structure.attach import (
     Place,
     between,
@@ -21,9 +24,18 @@ from calib.structure.attach import (
 from calib.structure.extend import Addition
 from calib.structure.model import Assumption, StructuralModel
 from models.fem.discrete import PointMass
-from models.railway.bogie import AXLE_Y, CROSSBAR_X, GIRDER_Y, RZ, SIDES, UX, UY, bogie
+from models.railway.bogie import AXLE_Y, CROSSBAR_X, GIRDER_Y, RY, RZ, SIDES, UX, UY, bogie
+from models.railway.effects_richer import gear_case_body
 
-GEAR_CASE, GEAR_CASE_REACH = "gear case", 0.6
+GEAR_CASE, GEAR_CASE_REACH, GEAR_CASE_STRETCHES = "gear case", 0.6, 9
+GEAR_CASE_OFF = 0.01
+"""Offset in m at which the gear case of the richer effect has half of its distance ahead of the axle."""
+
+
+_OFFSET = Parameter(
+    "gear_case_offset", 0.0, -1e3 * GEAR_CASE_REACH, 1e3 * GEAR_CASE_REACH, "mm", prior_sd=150.0,
+    description="place of the gear case across the bogie",
+)  # fmt: skip
 
 
 def suspension_effects() -> tuple[Effect, ...]:
@@ -96,11 +108,9 @@ def suspension_effects() -> tuple[Effect, ...]:
             phrase="the offset of the gear case from the middle of the front axle",
             lacks="The gear case sits in the middle of the axle.",
             look_for="Where the gear case really sits: measure from either wheel, to the left positive.",
-            magnitude=Parameter(
-                "gear_case_offset", 0.0, -1e3 * GEAR_CASE_REACH, 1e3 * GEAR_CASE_REACH, "mm", prior_sd=150.0,
-                description="place of the gear case across the bogie",
-            ),
+            magnitude=_OFFSET,
             build=_gear_case_offset,
+            richer=gear_case_body(_OFFSET, _gear_case_body),
         ),
         Effect(
             name="torque_link",
@@ -170,8 +180,19 @@ def _rolling_wheels(model: StructuralModel) -> Addition:
 
 def _gear_case_offset(model: StructuralModel) -> Addition:
     case = _gear_case(model)
-    terms = moved_masses(lambda shift: _carried(model, case, shift), "gear_case_offset", GEAR_CASE_REACH, 9)
-    return Addition(mass=terms)
+    return Addition(
+        mass=moved_masses(partial(_carried, model, case), "gear_case_offset", GEAR_CASE_REACH, GEAR_CASE_STRETCHES)
+    )
+
+
+def _gear_case_body(model: StructuralModel, offset: str, ahead: str) -> Addition:
+    case = _gear_case(model)
+    return Addition(
+        mass=leaning_masses(
+            partial(_carried, model, case), partial(_ahead, model, case), offset, ahead, GEAR_CASE_REACH,
+            GEAR_CASE_STRETCHES, GEAR_CASE_OFF,
+        )
+    )  # fmt: skip
 
 
 def _gear_case(model: StructuralModel) -> PointMass:
@@ -194,6 +215,15 @@ def _carried(model: StructuralModel, case: PointMass, shift: float) -> np.ndarra
             for direction, weight in enumerate((case.mass,) * 3 + case.inertia)
         ]
     )
+
+
+def _ahead(model: StructuralModel, case: PointMass, shift: float) -> np.ndarray:
+    """Motions of `_carried` per metre that the gear case's centre lies ahead of the axle: rotations move it."""
+    per_piece = [
+        [np.zeros(model.n_dof), motion(model, place, RZ), -motion(model, place, RY), *np.zeros((3, model.n_dof))]
+        for place in ((case.at[0], (x, y, z + shift)) for x, y, z in (np.array(case.at[1]) + case.spread).tolist())
+    ]
+    return float(np.sqrt(case.mass / len(case.spread))) * np.array([row for piece in per_piece for row in piece])
 
 
 def _torque_link(model: StructuralModel) -> Addition:

@@ -16,6 +16,7 @@ from calib.structure.model import Assumption, StructuralModel
 from calib.structure.mounted import MountedBody
 from models.railway.bogie import RX, RY, RZ, UX, UY, UZ
 from models.railway.equipment import SEAT_X, SEAT_Z, UNDER_FLOOR, equipment, passenger_seats
+from models.railway.vehicle_effects_richer import loosened_two_ways, swaying_seats, uneven_unit
 
 UNIT_RATIO, SEAT_RATIO = 0.03, 0.07
 SIDEWAYS = 0.7
@@ -30,6 +31,12 @@ SEAT_WAVES = 4
 
 _BOX = "just beyond its feet, as high as there is room"
 _SAG = "static deflection of its mounts under its own weight; 1 mm is 15.8 Hz, 4 mm 7.9 Hz"
+
+
+_SEATS = Parameter(
+    "soft_seats", 0.005, 0.005, 8.0, "mm", prior_sd=0.8,
+    description="static deflection of a seat's frame under its own weight; 0.5 mm is 22 Hz, 4 mm 7.9 Hz",
+)  # fmt: skip
 
 
 def equipment_effects() -> tuple[Effect, ...]:
@@ -55,11 +62,9 @@ def equipment_effects() -> tuple[Effect, ...]:
             phrase="passenger seats that bounce on the floor",
             lacks="The seats move rigidly with the floor.",
             look_for="Light seat frames on few fixings: push a seat down, let go and watch it.",
-            magnitude=Parameter(
-                "soft_seats", 0.005, 0.005, 8.0, "mm", prior_sd=0.8,
-                description="static deflection of a seat's frame under its own weight; 0.5 mm is 22 Hz, 4 mm 7.9 Hz",
-            ),
+            magnitude=_SEATS,
             build=_soft_seats,
+            richer=swaying_seats(_SEATS, SEAT_RATIO, _swaying_seats),
             grid=tuple({"soft_seats": sag} for sag in (0.1, 0.3, 0.5, 1.0, 1.7, 3.1, 5.9)),
         ),
         Effect(
@@ -81,32 +86,56 @@ def _hung(
     name: str, item: str, drop: tuple[float, float], title: str, phrase: str, lacks: str, look_for: str
 ) -> Effect:
     """A unit on elastic mounts at its feet; its centre may be lower than in the model, within ``drop`` in m."""
-    return Effect(
-        name=name, title=title, phrase=phrase, lacks=lacks, look_for=look_for,
-        magnitude=Parameter(name, 0.01, 0.01, 16.0, "mm", prior_sd=1.5, description=_SAG),
-        build=partial(_unit, name=name, item=item),
-        nuisance=(
-            Parameter(
-                f"{name}_drop", 0.0, *drop, "m", prior_sd=DROP_SD,
-                description="height by which its centre is lower than in the model",
-            ),
-            Parameter(
-                f"{name}_sideways", SIDEWAYS, 0.3, 1.5, "-", prior_sd=SIDEWAYS_SD,
-                description="lateral over vertical stiffness of its mounts",
-            ),
-            Parameter(
-                f"{name}_damping", UNIT_RATIO, 0.005, 0.15, "-", prior_sd=RATIO_SD,
-                description="vertical damping ratio of its mounts",
-            ),
+    told = {"title": title, "phrase": phrase, "lacks": lacks, "look_for": look_for}
+    magnitude = Parameter(name, 0.01, 0.01, 16.0, "mm", prior_sd=1.5, description=_SAG)
+    nuisance = (
+        Parameter(
+            f"{name}_drop",
+            0.0,
+            *drop,
+            "m",
+            prior_sd=DROP_SD,
+            description="height by which its centre is lower than in the model",
         ),
+        Parameter(
+            f"{name}_sideways",
+            SIDEWAYS,
+            0.3,
+            1.5,
+            "-",
+            prior_sd=SIDEWAYS_SD,
+            description="lateral over vertical stiffness of its mounts",
+        ),
+        Parameter(
+            f"{name}_damping",
+            UNIT_RATIO,
+            0.005,
+            0.15,
+            "-",
+            prior_sd=RATIO_SD,
+            description="vertical damping ratio of its mounts",
+        ),
+    )
+    return Effect(
+        name=name,
+        magnitude=magnitude,
+        build=partial(_unit, name=name, item=item, mounts=name),
+        nuisance=nuisance,
         grid=tuple(
             {name: sag, f"{name}_drop": 0.0, f"{name}_sideways": SIDEWAYS, f"{name}_damping": UNIT_RATIO}
             for sag in (0.1, 0.3, 0.8, 1.7, 3.9, 7.9)
         ),
+        richer=uneven_unit(
+            told, name.replace("hung", "uneven"), magnitude, nuisance, partial(_unit, item=item, mounts=name)
+        ),
+        **told,
     )  # fmt: skip
 
 
-def _unit(model: StructuralModel, name: str, item: str) -> Addition:
+def _unit(
+    model: StructuralModel, name: str, item: str, mounts: str, inertia: str = "", uneven: str = ""
+) -> Addition:  # fmt: skip
+    """The unit of that name; ``mounts`` starts the names of the parameters that all members of its family have."""
     fitted = equipment()
     (unit,) = (m for m in fitted.masses if m.name == item)
     (rbe3,) = (s for s in fitted.rbe3s if s.name == item)
@@ -114,7 +143,8 @@ def _unit(model: StructuralModel, name: str, item: str) -> Addition:
     x, y, z = ((np.sum(np.square(box)) - np.square(box)) / 12).tolist()
     body = MountedBody(unit.mass, np.subtract(rbe3.feet, unit.at[1]), UY, (x, y, z))
     carrier = np.array([motion(model, unit.at, direction) for direction in (UX, UY, UZ, RX, RY, RZ)])
-    loose = body.let_go(carrier, name, f"{name}_drop", f"{name}_sideways", f"{name}_damping")
+    shared = (f"{mounts}_drop", f"{mounts}_sideways", f"{mounts}_damping")
+    loose = body.let_go(carrier, name, *shared, inertia, uneven)
     assumed = (
         Assumption(f"{item}: damping ratio on its mounts", f"{UNIT_RATIO} +- {RATIO_SD}", "-", "rubber"),
         Assumption(f"{item}: mounts", "at its feet", "-", "as in the model"),
@@ -130,6 +160,16 @@ def _unit(model: StructuralModel, name: str, item: str) -> Addition:
 
 
 def _soft_seats(model: StructuralModel) -> Addition:
+    loose = loosened_masses(list(_seats(model, UY)), "soft_seats", SEAT_RATIO)
+    assumed = (Assumption("seats: damping ratio on the floor", f"{SEAT_RATIO}", "-", "as seats that are sprung"),)
+    return Addition(loose.stiffness, loose.damping, loose.mass, loose.selected, loose.n_added, assumed)
+
+
+def _swaying_seats(model: StructuralModel, name: str, sideways: str, ratio: str) -> Addition:
+    return loosened_two_ways(_seats(model, UY), _seats(model, UZ), name, sideways, ratio)
+
+
+def _seats(model: StructuralModel, direction: int) -> np.ndarray:
     """All seats together in a few smooth patterns: separately they would add 60 modes at one frequency."""
     if "seats.y" in model.clusters:
         raise InputError(
@@ -138,10 +178,8 @@ def _soft_seats(model: StructuralModel) -> Addition:
     along, across = (np.array(c) / max(c) for c in (SEAT_X, SEAT_Z))
     patterns = np.kron(np.polynomial.legendre.legvander(along, SEAT_WAVES), np.vander(across, 2))
     masses = passenger_seats(sprung=False).masses
-    seats = np.array([np.sqrt(m.mass) * motion(model, m.at, UY) for m in masses])
-    loose = loosened_masses(list(np.linalg.qr(patterns)[0].T @ seats), "soft_seats", SEAT_RATIO)
-    assumed = (Assumption("seats: damping ratio on the floor", f"{SEAT_RATIO}", "-", "as seats that are sprung"),)
-    return Addition(loose.stiffness, loose.damping, loose.mass, loose.selected, loose.n_added, assumed)
+    seats = np.array([np.sqrt(m.mass) * motion(model, m.at, direction) for m in masses])
+    return np.asarray(np.linalg.qr(patterns)[0].T @ seats)
 
 
 def _equipment_offset(model: StructuralModel) -> Addition:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from calib.effect import Effect
@@ -15,10 +17,30 @@ from models.railway.bogie import ENDS, SIDES, UY
 from models.railway.bolsters import LOAD_BOLSTER_TIP, LOAD_BOLSTER_Y
 from models.railway.running_gear import RunningGear, running_gear
 from models.railway.vehicle import BOGIES
+from models.railway.vehicle_effects_richer import surging_spring
 
 
 def secondary_effects() -> tuple[Effect, ...]:
     """Effects of secondary springs and dampers, yaw dampers and floor pads."""
+    air_spring = Effect(
+        name="air_spring",
+        title="Air springs beside the secondary springs",
+        phrase="air springs beside the secondary springs",
+        lacks="The secondary suspension has springs with dampers beside them, but none in series.",
+        look_for="Air bellows with a reservoir behind an orifice or a long pipe at the secondary springs.",
+        magnitude=Parameter(
+            "air_spring", 0.0, 0.0, 3000.0, "kN/m", prior_sd=150.0,
+            description="stiffness added to each side of a bogie when the orifice is blocked",
+        ),
+        build=_air_spring,
+        nuisance=(
+            Parameter(
+                "air_spring_freq", 1.5, 0.2, 10.0, "Hz", prior_sd=1.5,
+                description="frequency at which the orifice is as stiff as the added stiffness",
+            ),
+        ),
+        grid=tuple({"air_spring": 150.0, "air_spring_freq": f} for f in (0.4, 1.5, 5.0)),
+    )  # fmt: skip
     return (
         Effect(
             name="anti_roll_bar",
@@ -56,25 +78,7 @@ def secondary_effects() -> tuple[Effect, ...]:
             ),
             build=_secondary_asymmetry,
         ),
-        Effect(
-            name="air_spring",
-            title="Air springs beside the secondary springs",
-            phrase="air springs beside the secondary springs",
-            lacks="The secondary suspension has springs with dampers beside them, but none in series.",
-            look_for="Air bellows with a reservoir behind an orifice or a long pipe at the secondary springs.",
-            magnitude=Parameter(
-                "air_spring", 0.0, 0.0, 3000.0, "kN/m", prior_sd=150.0,
-                description="stiffness added to each side of a bogie when the orifice is blocked",
-            ),
-            build=_air_spring,
-            nuisance=(
-                Parameter(
-                    "air_spring_freq", 1.5, 0.2, 10.0, "Hz", prior_sd=1.5,
-                    description="frequency at which the orifice is as stiff as the added stiffness",
-                ),
-            ),
-            grid=tuple({"air_spring": 150.0, "air_spring_freq": f} for f in (0.4, 1.5, 5.0)),
-        ),
+        replace(air_spring, richer=surging_spring(air_spring, _bellows)),
         Effect(
             name="yaw_damper_mount",
             title="Soft mounts of the yaw dampers",
@@ -122,9 +126,13 @@ def _anti_roll_bar(model: StructuralModel) -> Addition:
     return Addition(stiffness=(outer_term("anti_roll_bar", rows, parameter("anti_roll_bar")),))
 
 
+def _bellows(model: StructuralModel) -> list[np.ndarray]:
+    """Elongations of all air springs."""
+    return [side for bogie, x in BOGIES for side in _sides(model, bogie, x)]
+
+
 def _air_spring(model: StructuralModel) -> Addition:
-    rows = [side for bogie, x in BOGIES for side in _sides(model, bogie, x)]
-    branches = maxwell_branches(rows, "air_spring", "air_spring_freq")
+    branches = maxwell_branches(_bellows(model), "air_spring", "air_spring_freq")
     assumed = (Assumption("air springs: one a side, between frame and load bolster", "at their middle", "-", "usual"),)
     return Addition(branches.stiffness, branches.damping, branches.mass, branches.selected, branches.n_added, assumed)
 

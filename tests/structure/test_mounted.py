@@ -35,7 +35,7 @@ def dynamic_stiffness(matrices, lam):
     return z[:6, :6] - z[:6, 6:] @ np.linalg.solve(z[6:, 6:], z[6:, :6])
 
 
-def mount_by_mount(sag, lower, sideways, share=1.0):
+def mount_by_mount(sag, lower, sideways, share=1.0, uneven=0.0, inertia=1.0):
     """Stiffness, damping and mass over the carrier's six motions and the body's six, for the full size of the body."""
     k, omega = MASS * GRAVITY / (4 * sag), np.sqrt(GRAVITY / sag)
 
@@ -46,8 +46,8 @@ def mount_by_mount(sag, lower, sideways, share=1.0):
     stiffness, mass = np.zeros((12, 12)), np.zeros((12, 12))
     for place in MOUNTS:
         gap = np.hstack([-shift(place), shift(np.add(place, (0, share * lower, 0)))])
-        stiffness += gap.T @ np.diag([sideways * k, k, sideways * k]) @ gap
-    mass[6:, 6:] = MASS * np.diag([1, 1, 1, *(share**2 * np.array(GYRATION))])
+        stiffness += (1 + np.sign(place[0]) * uneven) * gap.T @ np.diag([sideways * k, k, sideways * k]) @ gap
+    mass[6:, 6:] = MASS * np.diag([1, 1, 1, *(share**2 * inertia * np.array(GYRATION))])
     return stiffness, 2 * RATIO / omega * stiffness, mass
 
 
@@ -75,6 +75,23 @@ def test_the_dynamic_stiffness_at_the_carrier_is_that_mount_by_mount(sag, lower)
         told = dynamic_stiffness((k, c, m + own), lam)
         expected = dynamic_stiffness(mount_by_mount(sag, lower, 0.7, share), lam)
         np.testing.assert_allclose(told, expected, rtol=1e-5, atol=1e-7 * abs(expected).max())
+
+
+def test_uneven_mounts_and_another_inertia_are_those_mount_by_mount():
+    own = np.zeros((12, 12))
+    own[:3, :3] = MASS * np.eye(3)
+    addition = BODY.let_go(np.eye(6), "sag", "lower", "sideways", "ratio", "inertia", "uneven")
+    for sag, lower, uneven, inertia in ((1e-3, 0.1, 0.6, 1.0), (4e-3, -0.2, -0.4, 0.5), (9e-3, 0.0, 0.0, 2.5)):
+        point = {**values(sag, lower), "inertia": inertia, "uneven": uneven}
+        k, c, m = (
+            sum(t.matrix.toarray() * t.coefficient(point) for t in terms)
+            for terms in (addition.stiffness, addition.damping, addition.mass)
+        )
+        share = sag**2 / (sag**2 + GROWN_SAG**2)
+        for lam in (0.3j, 40j - 3, 90j):
+            told = dynamic_stiffness((k, c, m + own), lam)
+            expected = dynamic_stiffness(mount_by_mount(sag, lower, 0.7, share, uneven, inertia), lam)
+            np.testing.assert_allclose(told, expected, rtol=1e-5, atol=1e-7 * abs(expected).max())
 
 
 def test_no_sag_is_the_point_mass():

@@ -82,3 +82,12 @@ def test_on_a_reduced_basis(variants):
     full = variants.with_effects(("s1", "h2")).modes(values, 7)
     found = reduced.with_effects(("s1", "h2")).modes(values, 7)
     np.testing.assert_allclose(found.natural_freq, full.natural_freq, rtol=2e-3)
+
+
+def test_an_effect_with_degrees_of_freedom_and_no_grid_is_refused(ladder):
+    """Without a grid its signature would be a derivative of a model that lacks its degrees of freedom."""
+    size = Parameter("it", 0.0, 0.0, 5.0, "kg", prior_sd=1.0)
+    build = lambda model: hung_masses([np.eye(model.n_dof)[3]], "it", "mass", 0.03)  # noqa: E731
+    variants = Variants(ladder(20), (Effect("it", "it", "", "", size, build),), ())
+    with pytest.raises(InputError, match="effect it: it adds degrees of freedom and has no grid; give it a grid"):
+        variants.with_effects([])

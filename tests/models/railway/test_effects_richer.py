@@ -8,7 +8,10 @@ import scipy.linalg as la
 
 from calib.structure.extend import extend
 from models.railway import bogie_effects, bogie_on_rig
+from models.railway.bogie import AXLE_X, AXLE_Y
+from models.railway.bogie import bogie as railway_bogie
 from models.railway.effects_frame import BRAKE_UNIT_RATIO
+from models.railway.effects_suspension import GEAR_CASE_OFF
 
 SIMPLE = {e.name: e for e in bogie_effects()}
 RICHER = {one.name: one for e in bogie_effects() for one in e.family[1:]}
@@ -24,9 +27,12 @@ def with_effect(name):
     return extend(base(), [{**SIMPLE, **RICHER}[name]])
 
 
-def test_two_effects_have_families():
+def test_three_effects_have_families():
     families = {e.name: [one.name for one in e.family[1:]] for e in bogie_effects() if e.richer is not None}
-    assert families == {"crossbar_mass": ["crossbar_body"], "brake_unit": ["brake_unit_mounts", "brake_unit_body"]}
+    assert families == {
+        "crossbar_mass": ["crossbar_body"], "brake_unit": ["brake_unit_mounts", "brake_unit_body"],
+        "gear_case_offset": ["gear_case_body"],
+    }  # fmt: skip
     for e in RICHER.values():
         assert e.title and e.lacks.endswith(".") and e.look_for.endswith(".") and e.magnitude.description
         assert all(p.description for p in e.nuisance)
@@ -83,3 +89,40 @@ def test_a_small_body_rocks_above_everything_and_is_the_unit_on_its_mounts():
     np.testing.assert_allclose(found.natural_freq, mounts.natural_freq, rtol=2e-3)
     rocking = with_effect("brake_unit_body").modes({**body, "brake_unit_body_radius": 0.3}, 12)
     assert abs(rocking.natural_freq / found.natural_freq - 1).max() > 0.02
+
+
+# -- the gear case -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("offset", [-430.0, -3.0, 0.0, 60.0, 200.0, 550.0])
+def test_a_gear_case_on_its_axle_is_the_listed_one(offset):
+    listed = with_effect("gear_case_offset").matrices({"gear_case_offset": offset})
+    for own, other in zip(with_effect("gear_case_body").matrices({"gear_case_body": offset}), listed, strict=True):
+        assert abs(own - other).max() <= 1e-12 * abs(other).max()
+
+
+@pytest.mark.parametrize("distributed", [False, True])
+def test_a_gear_case_ahead_of_its_axle_has_the_energy_of_a_body_there(effect_checks, distributed):
+    """Every piece moves with ``v + w x arm`` on a rigid axle, where that is free (in the middle it cannot spin)."""
+    bogie, where = bogie_on_rig(element_size=0.3, distributed=distributed), 0.45
+    motion = np.random.default_rng(2).standard_normal(6)
+    rigid = motion @ [
+        effect_checks.rigid(bogie, direction, {"axle_front"}, (AXLE_X, AXLE_Y, 0.0)) for direction in range(6)
+    ]
+    richer = extend(bogie, [RICHER["gear_case_body"]])
+    listed, ahead = ({"gear_case_body": 1e3 * where, "gear_case_ahead": d} for d in (0.0, 0.2))
+    mass = richer.matrices(ahead)[2] - richer.matrices(listed)[2]
+    (case,) = (m for m in railway_bogie(1.0, distributed).masses if m.name == "gear case")
+
+    def energy(*arm):
+        pieces = [motion[:3] + np.cross(motion[3:], np.add(arm, piece)) for piece in case.spread]
+        return case.mass * np.mean([v @ v for v in pieces])
+
+    d = 0.2 * where**2 / (where**2 + GEAR_CASE_OFF**2)
+    assert rigid @ mass @ rigid == pytest.approx(energy(d, 0.0, where) - energy(0.0, 0.0, where), rel=1e-9)
+
+
+def test_the_distance_ahead_changes_modes():
+    still = with_effect("gear_case_body").modes({"gear_case_body": 200.0}, 12).natural_freq
+    moved = with_effect("gear_case_body").modes({"gear_case_body": 200.0, "gear_case_ahead": 0.3}, 12).natural_freq
+    assert abs(moved / still - 1).max() > 0.003
