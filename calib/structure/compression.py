@@ -1,0 +1,224 @@
+"""Damped modes of a reduced model from a smaller problem, corrected until their residuals vanish."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as la
+
+from calib.structure.damped_problem import DampedProblem, Eigenpairs, real_times
+from calib.structure.eigenvalues import is_zero, vibrates
+
+_BESIDE = 5, 10
+"""Least and most undamped modes kept beyond as many as damped ones are wanted; the widest gap decides."""
+_COUPLED = 0.05
+"""Responses of the other modes to damping forces smaller than this are left to the corrections."""
+_NEAREST = 0.05
+"""Least ``1 - (omega/omega_j)^2`` in the response of an undamped mode at omega_j."""
+_WORTHWHILE = 0.55
+"""Largest size of the smaller problem over that of the whole one."""
+_START = 0.1
+"""Largest error by the residual from which corrections are tried."""
+_STEPS = 6
+_ROOTS = 0.02
+"""Largest error of overdamped roots: their number matters, and is exact."""
+_ABOVE = 1.25
+"""Modes up to this multiple of the highest wanted one are corrected where their error may hide a lower one."""
+_SAME = 1e-5
+"""Relative distance of eigenvalues below which a correction leaves their shapes alone."""
+_PARALLEL = 1e-6
+"""Least eigenvalue of the states' Gram matrix: smaller where two corrections led to one mode."""
+
+
+def corrected_eigenpairs(problem: DampedProblem, count: int, accuracy: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """The lowest eigenpairs of a damped problem in undamped modal coordinates, or None where they are not certain.
+
+    The lowest undamped modes and the responses of the others to damping forces span a smaller problem (modal
+    truncation with static correction, MacNeal 1971, here also with the response at the highest frequency). All of its
+    eigenpairs are solved. Those wanted are then corrected in the whole space with an approximate inverse of
+    ``Z(lambda)``: that of the smaller problem by its eigenpairs, and for the rest that of the undamped modes; each step
+    has the length of the least residual (Davidson's method in its simplest form, Saad 2011, section 8.2).
+
+    They are returned only if
+
+    - no field of values of the left-out part holds zero up to the highest wanted modulus, so that no mode lies in it
+      alone;
+    - the whole problem has as many overdamped roots there as the smaller one, by Sylvester's law of inertia;
+    - every wanted eigenvalue has an estimated error below ``accuracy``, no other one may lie among them, and their
+      states are independent.
+
+    The first two are exact. The last rests on residuals, as error estimates of reduced models do.
+
+    Parameters
+    ----------
+    problem : DampedProblem
+        With a diagonal mass of descending entries, and a positive semidefinite damping.
+    count : int
+        Vibration modes wanted.
+    accuracy : float
+        Largest relative error of an eigenvalue by its residual; that of shapes is about its square root.
+
+    Returns
+    -------
+    eigenvalues : ndarray (m,), complex
+        The ``count`` lowest damped modes, the overdamped roots below the last of them, and zeros.
+    motions : ndarray (n, m), complex
+    """
+    space = _space(problem, count)
+    if space is None:
+        return None
+    lam, shapes = space.eigenpairs()
+    damped = np.flatnonzero(vibrates(lam, problem.shift))
+    damped = damped[np.argsort(np.abs(lam[damped]), kind="stable")]
+    if len(damped) < count:
+        return None
+    last = float(np.abs(lam[damped[count - 1]]))
+    upper = damped[np.abs(lam[damped]) <= _ABOVE * last]
+    start = space.lifted(lam, shapes, upper)
+    error = start.errors
+    # Eigenvalues of a projected problem are mostly too high: those beyond the last one may come down by their error.
+    top = last * (1 + 2 * float(np.max(error[:count])))
+    near = np.abs(start.values) * (1 - 2 * error) <= top
+    near[:count] = True
+    if not np.max(error[near]) < _START or not space.is_complete(top):
+        return None
+    if problem.overdamped(last) != space.problem.overdamped(last):
+        return None
+    aperiodic = np.flatnonzero(~vibrates(lam, problem.shift) & ~vibrates(lam.conj(), problem.shift))
+    size = np.abs(lam[aperiodic])
+    rigid = is_zero(size**2, problem.shift)
+    zero, real = aperiodic[rigid], aperiodic[~rigid & (size <= last)]
+    modes = _corrected(space, lam, shapes, upper[near], start if np.all(near) else start.subset(near), accuracy)
+    if modes is None or not np.all(vibrates(modes.values, problem.shift)) or not _independent(modes):
+        return None
+    order = np.argsort(np.abs(modes.values), kind="stable")[:count]
+    values, motions = modes.values[order], modes.motions[:, order]
+    if len(zero):
+        still = space.lifted(lam, shapes, zero)
+        values, motions = np.concatenate([values, still.values]), np.hstack([motions, still.motions])
+    if len(real):
+        roots = _corrected(space, lam, shapes, real, space.lifted(lam, shapes, real), _ROOTS)
+        if roots is None:
+            return None
+        values, motions = np.concatenate([values, roots.values.real]), np.hstack([motions, roots.motions])
+    return values, motions
+
+
+@dataclass(frozen=True, eq=False)
+class _Space:
+    """The smaller problem: the lowest undamped modes, and orthonormal responses of the others.
+
+    Attributes
+    ----------
+    whole, problem : DampedProblem
+        In all coordinates and in those of the space.
+    low : int
+        Number of undamped modes that it holds, the first coordinates.
+    responses : ndarray (n - low, m)
+    dissipation : ndarray (n, p)
+        The damping times the space.
+    """
+
+    whole: DampedProblem
+    problem: DampedProblem
+    low: int
+    responses: np.ndarray
+    dissipation: np.ndarray
+
+    def eigenpairs(self) -> tuple[np.ndarray, np.ndarray]:
+        """All finite eigenvalues of the smaller problem, and motions (p, m) scaled as in `Modes`."""
+        inverses, states = la.eig(self.problem.inverse_matrix(), overwrite_a=True, check_finite=False)
+        finite = np.abs(inverses) > 1e-14 * np.abs(inverses).max()
+        lam, motions = self.problem.shift + 1.0 / inverses[finite], states[: self.problem.size, finite]
+        weights = Eigenpairs(self.problem, lam, motions, real_times(self.problem.damping, motions)).weights
+        return lam, motions / np.sqrt(np.where(weights == 0, 1.0, weights))
+
+    def lifted(self, lam: np.ndarray, shapes: np.ndarray, which: np.ndarray) -> Eigenpairs:
+        """Some eigenpairs of the smaller problem as approximate ones of the whole."""
+        chosen = shapes[:, which]
+        return Eigenpairs(self.whole, lam[which], self.expanded(chosen), real_times(self.dissipation, chosen))
+
+    def expanded(self, motions: np.ndarray) -> np.ndarray:
+        """Motions (n, m) of the whole problem from those of the smaller one."""
+        return np.concatenate([motions[: self.low], real_times(self.responses, motions[self.low :])])
+
+    def projected(self, forces: np.ndarray) -> np.ndarray:
+        """Forces (p, m) on the smaller problem from those on the whole one."""
+        return np.concatenate([forces[: self.low], real_times(self.responses.T, forces[self.low :])])
+
+    def outside(self, motions: np.ndarray) -> np.ndarray:
+        """Motions of the left-out modes (n - low, m) with the responses projected out."""
+        return motions - real_times(self.responses, real_times(self.responses.T, motions))
+
+    def is_complete(self, speed: float) -> bool:
+        """Whether the left-out part is regular at every ``|lambda| <= speed``: its field of values excludes zero.
+
+        For any unit x, ``|x^H Z x| >= 1 - |lambda| x^H C x - (|lambda|^2 + shift^2) x^H M x``, which is positive where
+        the Cholesky factor of that matrix exists.
+        """
+        low, q = self.low, self.responses
+        matrix = -speed * self.whole.damping[low:, low:]
+        matrix[np.diag_indices_from(matrix)] += 1 - (speed**2 + self.whole.shift**2) * self.whole.mass[low:]
+        across = matrix @ q
+        matrix += q @ ((q.T @ across + np.eye(q.shape[1])) @ q.T) - across @ q.T - q @ across.T
+        return bool(la.lapack.dpotrf(matrix, lower=1)[1] == 0)
+
+
+def _space(problem: DampedProblem, count: int) -> _Space | None:
+    """The smaller problem; None where it would be nearly as large as the whole one."""
+    mass, damping, n = problem.mass, problem.damping, problem.size
+    squares = 1.0 / np.maximum(mass, 1e-300) - problem.shift**2
+    least = int(np.count_nonzero(is_zero(squares, problem.shift))) + count + _BESIDE[0]
+    most = least + _BESIDE[1] - _BESIDE[0]
+    if most > _WORTHWHILE * n:
+        return None
+    low = least + int(np.argmax(squares[least : most + 1] / squares[least - 1 : most]))
+    speed = float(np.sqrt(squares[low - 1]))
+    static = speed * damping[low:, :low]
+    dynamic = static / np.maximum(1 - speed**2 * mass[low:], _NEAREST)[:, None]
+    basis, triangle, _ = la.qr(np.hstack([static, dynamic]), mode="economic", pivoting=True, check_finite=False)
+    responses = np.ascontiguousarray(basis[:, np.abs(np.diag(triangle)) > _COUPLED])
+    size = low + responses.shape[1]
+    if size > _WORTHWHILE * n:
+        return None
+    dissipation = np.hstack([damping[:, :low], damping[:, low:] @ responses])
+    small_mass = np.zeros((size, size))
+    small_mass[np.arange(low), np.arange(low)] = mass[:low]
+    small_mass[low:, low:] = responses.T @ (mass[low:, None] * responses)
+    small_damping = np.concatenate([dissipation[:low], responses.T @ dissipation[low:]])
+    return _Space(problem, DampedProblem(small_mass, small_damping, problem.shift), low, responses, dissipation)
+
+
+def _corrected(
+    space: _Space, lam: np.ndarray, shapes: np.ndarray, which: np.ndarray, start: Eigenpairs, accuracy: float
+) -> Eigenpairs | None:
+    """Some eigenpairs of the smaller problem, corrected in the whole space; None where `_STEPS` do not suffice."""
+    whole, low, found, known = space.whole, space.low, start, lam.copy()
+    for step in range(_STEPS + 1):
+        if np.max(found.errors, initial=0.0) < accuracy:
+            return found
+        if step == _STEPS:
+            break
+        flexibility = 1.0 / (1.0 + (found.values**2 - whole.shift**2) * whole.mass[low:, None])
+        change = np.zeros_like(found.motions)
+        change[low:] = -space.outside(flexibility * space.outside(found.residual[low:]))
+        dissipation = real_times(whole.damping[:, low:], change[low:])
+        rest = space.projected(found.residual + found.forces(change, dissipation))
+        # Z^-1 = sum over all eigenpairs of psi psi^T/(lambda - lambda_k); the mode's own gives no new direction.
+        known[which] = found.values
+        gap = found.values - known[:, None]
+        own = np.abs(gap) <= _SAME * np.abs(found.values)
+        parts = shapes @ np.where(own, 0.0, (shapes.T @ rest) / np.where(own, 1.0, gap))
+        found = found.moved(change - space.expanded(parts), dissipation - real_times(space.dissipation, parts))
+    return None
+
+
+def _independent(pairs: Eigenpairs) -> bool:
+    """Whether the states of eigenpairs are linearly independent."""
+    states = np.concatenate([pairs.motions, pairs.motions * (pairs.values / np.max(np.abs(pairs.values)))])
+    gram = states.conj().T @ states
+    size = np.sqrt(np.diag(gram).real)
+    gram = gram / size / size[:, None]
+    gram[np.diag_indices_from(gram)] -= _PARALLEL
+    return bool(la.lapack.zpotrf(gram, lower=1)[1] == 0)
