@@ -27,6 +27,10 @@ _ABOVE = 1.25
 """Modes up to this multiple of the highest wanted one are corrected where their error may hide a lower one."""
 _SAME = 1e-5
 """Relative distance of eigenvalues below which a correction leaves their shapes alone."""
+_REACH = 2.5
+"""Undamped modes up to this multiple of the highest wanted frequency are kept where static corrections must suffice."""
+_NEGLIGIBLE = 1e-10
+"""Relative size of a static correction that is dropped."""
 _PARALLEL = 1e-6
 """Least eigenvalue of the states' Gram matrix: smaller where two corrections led to one mode."""
 
@@ -105,6 +109,61 @@ def corrected_eigenpairs(problem: DampedProblem, count: int, accuracy: float) ->
     return values, motions
 
 
+def static_eigenpairs(problem: DampedProblem, count: int, accuracy: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """The lowest eigenpairs by modal truncation with static corrections, for problems too small for the above.
+
+    All undamped modes up to `_REACH` times the highest wanted frequency are kept. The others follow
+    ``(I + lambda C + lambda^2 M) z = -lambda C_hl z_low``: a power series in lambda gives the static response and its
+    corrections by mass and damping (quasi-static correction as by MacNeal 1971, carried one term further). None where
+    an eigenvalue's error by its residual is not below ``accuracy``, or nothing is left out.
+
+    Parameters and results are those of `corrected_eigenpairs`.
+    """
+    mass, damping, n = problem.mass, problem.damping, problem.size
+    squares = 1.0 / np.maximum(mass, 1e-300) - problem.shift**2
+    first = int(np.count_nonzero(is_zero(squares, problem.shift)))
+    highest = squares[min(first + count + 1, n - 1)]
+    low = max(int(np.count_nonzero(squares <= _REACH**2 * highest)), min(first + count + 4, n))
+    if low == n:
+        return None
+    across, among = damping[low:, :low], damping[low:, low:]
+    largest = max(float(np.abs(np.diag(damping)).max()), 1e-300)
+    static = _span(across, largest, np.zeros((n - low, 0)))
+    more = _span(np.hstack([mass[low:, None] * static / mass[low], among @ static / largest]), 1.0, static)
+    responses = np.hstack([static, more])
+    size = low + responses.shape[1]
+    if size == n:
+        return None
+    kept = np.zeros((n, size))
+    kept[np.arange(low), np.arange(low)] = 1.0
+    kept[low:, low:] = responses
+    smaller = DampedProblem(kept.T @ (mass[:, None] * kept), kept.T @ damping @ kept, problem.shift)
+    inverses, states = la.eig(smaller.inverse_matrix(), overwrite_a=True, check_finite=False)
+    values = problem.shift + 1.0 / np.where(inverses == 0, 1e-300, inverses)
+    found = np.flatnonzero(vibrates(values, problem.shift))
+    found = found[np.argsort(np.abs(values[found]))[:count]]
+    if len(found) < count:
+        return None
+    motions = real_times(kept, states[:size, found])
+    if not np.max(Eigenpairs(problem, values[found], motions, real_times(damping, motions)).errors) < accuracy:
+        return None
+    others = np.abs(values) <= np.abs(values[found[-1]])
+    others &= ~vibrates(values, problem.shift) & ~vibrates(values.conj(), problem.shift)
+    if not np.any(others):
+        return values[found], motions
+    return np.concatenate([values[found], values[others]]), np.hstack(
+        [motions, real_times(kept, states[:size, others])]
+    )
+
+
+def _span(vectors: np.ndarray, size: float, beside: np.ndarray) -> np.ndarray:
+    """Orthonormal directions of vectors, others projected out and negligible ones dropped."""
+    rest = vectors - beside @ (beside.T @ vectors)
+    rest = rest - beside @ (beside.T @ rest)
+    left, sizes, _ = la.svd(rest, full_matrices=False, check_finite=False)
+    return np.asarray(left[:, sizes > _NEGLIGIBLE * size])
+
+
 @dataclass(frozen=True, eq=False)
 class _Space:
     """The smaller problem: the lowest undamped modes, and orthonormal responses of the others.
@@ -166,7 +225,7 @@ class _Space:
 
 
 def _space(problem: DampedProblem, count: int) -> _Space | None:
-    """The smaller problem; None where it would be nearly as large as the whole one."""
+    """The smaller problem; None where it would be nearly as large as the whole one, or incomplete."""
     mass, damping, n = problem.mass, problem.damping, problem.size
     squares = 1.0 / np.maximum(mass, 1e-300) - problem.shift**2
     least = int(np.count_nonzero(is_zero(squares, problem.shift))) + count + _BESIDE[0]
@@ -187,7 +246,9 @@ def _space(problem: DampedProblem, count: int) -> _Space | None:
     small_mass[np.arange(low), np.arange(low)] = mass[:low]
     small_mass[low:, low:] = responses.T @ (mass[low:, None] * responses)
     small_damping = np.concatenate([dissipation[:low], responses.T @ dissipation[low:]])
-    return _Space(problem, DampedProblem(small_mass, small_damping, problem.shift), low, responses, dissipation)
+    space = _Space(problem, DampedProblem(small_mass, small_damping, problem.shift), low, responses, dissipation)
+    # The wanted modes mostly reach at least as high as equally many undamped ones: what fails there costs no solution.
+    return space if space.is_complete(float(np.sqrt(squares[least - _BESIDE[0] - 1]))) else None
 
 
 def _corrected(

@@ -68,7 +68,7 @@ class DampedProblem:
         mass = np.diag(self.mass) if self.mass.ndim == 1 else self.mass
         both = np.hstack([self.damping + self.shift * mass, self._speed * mass])
         factor = np.eye(self.size) + self.shift * self.damping
-        return np.asfortranarray(-la.solve(factor, both, assume_a="pos", check_finite=False))
+        return np.asfortranarray(-np.linalg.solve(factor, both))
 
     def overdamped(self, speed: float) -> int:
         """Number of real eigenvalues ``lambda > -speed``, except pairs with both members in that range.

@@ -7,7 +7,7 @@ import scipy.linalg as la
 import scipy.sparse.linalg as spla
 
 from calib.errors import EvaluationError
-from calib.structure.compression import corrected_eigenpairs
+from calib.structure.compression import corrected_eigenpairs, static_eigenpairs
 from calib.structure.damped_problem import DampedProblem, real_times
 from calib.structure.eigenvalues import RotationalShare, damped_modes, is_zero, real_modes, vibrates
 from calib.structure.krylov import lowest_eigenpairs
@@ -16,6 +16,8 @@ from calib.structure.modes import Modes
 _SHIFT = 1e-10
 ACCURACY = 1e-9
 """Relative error of damped eigenvalues, by their residual, at which corrections of a smaller problem end."""
+_LARGE = 100
+"""Coordinates from which corrections of a smaller problem cost less than they save."""
 _FEW = 8
 """Up to this many coordinates for each wanted mode a full eigensolution is as fast as a partial one."""
 
@@ -82,7 +84,8 @@ def _damped(
     inverse, shapes = la.eigh(mass, stiffness + shift**2 * mass, check_finite=False)
     inverse, shapes = np.maximum(inverse[::-1], 0.0), shapes[:, ::-1]
     problem = DampedProblem(inverse, shapes.T @ damping @ shapes, shift)
-    eigenvalues, motions = corrected_eigenpairs(problem, count, ACCURACY) or _eigenpairs(problem, count)
+    smaller = static_eigenpairs if problem.size < _LARGE else corrected_eigenpairs
+    eigenvalues, motions = smaller(problem, count, ACCURACY) or _eigenpairs(problem, count)
     # Real eigenvalues beyond the wanted modes are incomplete.
     wanted = np.sort(np.abs(eigenvalues[vibrates(eigenvalues, shift)]))[:count]
     near = np.abs(eigenvalues) <= (1 + 1e-9) * wanted[-1] if len(wanted) else np.ones(len(eigenvalues), dtype=bool)
