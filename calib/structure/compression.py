@@ -16,6 +16,8 @@ _COUPLED = 0.05
 """Responses of the other modes to damping forces smaller than this are left to the corrections."""
 _NEAREST = 0.05
 """Least ``1 - (omega/omega_j)^2`` in the response of an undamped mode at omega_j."""
+_STRONG = 0.3
+"""Damping force over stiffness above which a direction of the modes left out is added where they are not regular."""
 _WORTHWHILE = 0.55
 """Largest size of the smaller problem over that of the whole one."""
 _START = 0.1
@@ -85,7 +87,7 @@ def corrected_eigenpairs(problem: DampedProblem, count: int, accuracy: float) ->
     top = last * (1 + 2 * float(np.max(error[:count])))
     near = np.abs(start.values) * (1 - 2 * error) <= top
     near[:count] = True
-    if not np.max(error[near]) < _START or not space.is_complete(top):
+    if not np.max(error[near]) < _START or not _is_regular(problem, space.low, space.responses, top):
         return None
     if problem.overdamped(last) != space.problem.overdamped(last):
         return None
@@ -93,16 +95,15 @@ def corrected_eigenpairs(problem: DampedProblem, count: int, accuracy: float) ->
     size = np.abs(lam[aperiodic])
     rigid = is_zero(size**2, problem.shift)
     zero, real = aperiodic[rigid], aperiodic[~rigid & (size <= last)]
-    modes = _corrected(space, lam, shapes, upper[near], start if np.all(near) else start.subset(near), accuracy)
+    modes = _corrected(space, lam, shapes, upper[near], count, accuracy)
     if modes is None or not np.all(vibrates(modes.values, problem.shift)) or not _independent(modes):
         return None
-    order = np.argsort(np.abs(modes.values), kind="stable")[:count]
-    values, motions = modes.values[order], modes.motions[:, order]
+    values, motions = modes.values, modes.motions
     if len(zero):
         still = space.lifted(lam, shapes, zero)
         values, motions = np.concatenate([values, still.values]), np.hstack([motions, still.motions])
     if len(real):
-        roots = _corrected(space, lam, shapes, real, space.lifted(lam, shapes, real), _ROOTS)
+        roots = _corrected(space, lam, shapes, real, len(real), _ROOTS)
         if roots is None:
             return None
         values, motions = np.concatenate([values, roots.values.real]), np.hstack([motions, roots.motions])
@@ -210,22 +211,28 @@ class _Space:
         """Motions of the left-out modes (n - low, m) with the responses projected out."""
         return motions - real_times(self.responses, real_times(self.responses.T, motions))
 
-    def is_complete(self, speed: float) -> bool:
-        """Whether the left-out part is regular at every ``|lambda| <= speed``: its field of values excludes zero.
 
-        For any unit x, ``|x^H Z x| >= 1 - |lambda| x^H C x - (|lambda|^2 + shift^2) x^H M x``, which is positive where
-        the Cholesky factor of that matrix exists.
-        """
-        low, q = self.low, self.responses
-        matrix = -speed * self.whole.damping[low:, low:]
-        matrix[np.diag_indices_from(matrix)] += 1 - (speed**2 + self.whole.shift**2) * self.whole.mass[low:]
-        across = matrix @ q
-        matrix += q @ ((q.T @ across + np.eye(q.shape[1])) @ q.T) - across @ q.T - q @ across.T
-        return bool(la.lapack.dpotrf(matrix, lower=1)[1] == 0)
+def _left_out(matrix: np.ndarray, responses: np.ndarray) -> np.ndarray:
+    """A matrix of the left-out modes with the responses projected out of both sides."""
+    across = matrix @ responses
+    return matrix + responses @ ((responses.T @ across) @ responses.T) - across @ responses.T - responses @ across.T
+
+
+def _is_regular(problem: DampedProblem, low: int, responses: np.ndarray, speed: float) -> bool:
+    """Whether the left-out part of Z is regular at every ``|lambda| <= speed``: its field of values excludes zero.
+
+    For any unit x, ``|x^H Z(lambda) x| >= 1 - |lambda| x^H C x - (|lambda|^2 + shift^2) x^H M x``, which is positive
+    where the Cholesky factor of that matrix exists.
+    """
+    matrix = -speed * problem.damping[low:, low:]
+    matrix[np.diag_indices_from(matrix)] -= (speed**2 + problem.shift**2) * problem.mass[low:]
+    matrix = _left_out(matrix, responses)
+    matrix[np.diag_indices_from(matrix)] += 1.0
+    return bool(la.lapack.dpotrf(matrix, lower=1)[1] == 0)
 
 
 def _space(problem: DampedProblem, count: int) -> _Space | None:
-    """The smaller problem; None where it would be nearly as large as the whole one, or incomplete."""
+    """The smaller problem; None where it would be nearly as large as the whole one."""
     mass, damping, n = problem.mass, problem.damping, problem.size
     squares = 1.0 / np.maximum(mass, 1e-300) - problem.shift**2
     least = int(np.count_nonzero(is_zero(squares, problem.shift))) + count + _BESIDE[0]
@@ -238,6 +245,12 @@ def _space(problem: DampedProblem, count: int) -> _Space | None:
     dynamic = static / np.maximum(1 - speed**2 * mass[low:], _NEAREST)[:, None]
     basis, triangle, _ = la.qr(np.hstack([static, dynamic]), mode="economic", pivoting=True, check_finite=False)
     responses = np.ascontiguousarray(basis[:, np.abs(np.diag(triangle)) > _COUPLED])
+    # The wanted modes mostly reach as high as equally many undamped ones.
+    speed = float(np.sqrt(squares[least - _BESIDE[0] - 1]))
+    if not _is_regular(problem, low, responses, speed):
+        heavy = _left_out(damping[low:, low:], responses)
+        strong = la.eigh(heavy, subset_by_value=(_STRONG / speed, np.inf), check_finite=False)[1]
+        responses = np.hstack([responses, strong])
     size = low + responses.shape[1]
     if size > _WORTHWHILE * n:
         return None
@@ -246,19 +259,22 @@ def _space(problem: DampedProblem, count: int) -> _Space | None:
     small_mass[np.arange(low), np.arange(low)] = mass[:low]
     small_mass[low:, low:] = responses.T @ (mass[low:, None] * responses)
     small_damping = np.concatenate([dissipation[:low], responses.T @ dissipation[low:]])
-    space = _Space(problem, DampedProblem(small_mass, small_damping, problem.shift), low, responses, dissipation)
-    # The wanted modes mostly reach at least as high as equally many undamped ones: what fails there costs no solution.
-    return space if space.is_complete(float(np.sqrt(squares[least - _BESIDE[0] - 1]))) else None
+    return _Space(problem, DampedProblem(small_mass, small_damping, problem.shift), low, responses, dissipation)
 
 
 def _corrected(
-    space: _Space, lam: np.ndarray, shapes: np.ndarray, which: np.ndarray, start: Eigenpairs, accuracy: float
+    space: _Space, lam: np.ndarray, shapes: np.ndarray, which: np.ndarray, count: int, accuracy: float
 ) -> Eigenpairs | None:
-    """Some eigenpairs of the smaller problem, corrected in the whole space; None where `_STEPS` do not suffice."""
-    whole, low, found, known = space.whole, space.low, start, lam.copy()
+    """The ``count`` lowest of some eigenpairs, corrected in the whole space; None where `_STEPS` do not suffice.
+
+    The others need only be accurate enough to lie above those.
+    """
+    whole, low, found, known = space.whole, space.low, space.lifted(lam, shapes, which), lam.copy()
     for step in range(_STEPS + 1):
-        if np.max(found.errors, initial=0.0) < accuracy:
-            return found
+        size = np.abs(found.values)
+        last = np.partition(size, count - 1)[count - 1]
+        if not np.any((found.errors >= accuracy) & (size * (1 - 2 * found.errors) <= last)):
+            return found.subset(np.argsort(size, kind="stable")[:count])
         if step == _STEPS:
             break
         flexibility = 1.0 / (1.0 + (found.values**2 - whole.shift**2) * whole.mass[low:, None])

@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg as la
 
 from calib.structure import compression as module
-from calib.structure.compression import corrected_eigenpairs
+from calib.structure.compression import corrected_eigenpairs, static_eigenpairs
 from calib.structure.damped_problem import DampedProblem, Eigenpairs, real_times
 from calib.structure.derivatives import eigen_derivatives
 from calib.structure.eigenvalues import damped_modes, vibrates
@@ -78,16 +78,23 @@ def test_one_damper_on_one_mode_follows_the_closed_form():
     np.testing.assert_allclose(roots, [-omega[3] * (1.5 - np.sqrt(1.25))], rtol=1e-6)
 
 
-def test_a_slow_motion_of_the_part_left_out_is_not_missed():
-    """A stiff coordinate on so strong a damper that it creeps, uncoupled from the modes kept."""
+def test_a_slow_motion_among_the_modes_left_out_is_not_missed(monkeypatch):
+    """A stiff coordinate on so strong a damper that it creeps, uncoupled from the lowest modes."""
     one = problem(1, strength=0.3)
     damping = one.damping.copy()
     damping[-1, :] = damping[:, -1] = 0.0
-    assert corrected_eigenpairs(DampedProblem(one.mass, damping, one.shift), COUNT, ACCURACY) is not None
     damping[-1, -1] = 1 / 15.0  # a root at about -15 rad/s, among the lowest modes
     creeping = DampedProblem(one.mass, damping, one.shift)
     lam, _, real = whole(creeping)
     assert np.any(np.abs(real + 15.0) < 0.1) and abs(lam[COUNT - 1]) > 15.0
+    found = corrected_eigenpairs(creeping, COUNT, ACCURACY)
+    assert found is not None
+    values, _, roots = split(creeping, found)
+    np.testing.assert_allclose(values, lam[:COUNT], rtol=1e-7)
+    assert np.any(np.abs(roots + 15.0) < 0.1)
+    # Without its direction added the smaller problem knows nothing of it, and that is noticed.
+    monkeypatch.setattr(module, "_STRONG", 1e6)
+    monkeypatch.setattr(DampedProblem, "overdamped", lambda self, speed: 0)
     assert corrected_eigenpairs(creeping, COUNT, ACCURACY) is None
 
 
@@ -161,3 +168,13 @@ def test_derivatives_of_corrected_modes_are_those_of_exact_ones():
     sign = np.sign(np.einsum("pij,pij->pj", mine.shapes.conj(), theirs.shapes).real)[:, None]
     size = np.linalg.norm(theirs.shapes, axis=1, keepdims=True)
     assert np.max(np.linalg.norm(mine.shapes * sign - theirs.shapes, axis=1, keepdims=True) / size) < 1e-3
+
+
+def test_static_corrections_suffice_for_small_problems_or_give_nothing():
+    one = problem(7, dampers=2, strength=0.3, structural=0.0)
+    lam = whole(one)[0]
+    found = static_eigenpairs(one, COUNT, 1e-6)
+    assert found is not None
+    np.testing.assert_allclose(split(one, found)[0], lam[:COUNT], rtol=1e-5)
+    assert static_eigenpairs(one, COUNT, 0.0) is None
+    assert static_eigenpairs(one, SIZE, ACCURACY) is None
