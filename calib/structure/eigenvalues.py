@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy.sparse as sp
 
+from calib.structure.damped_problem import real_times
 from calib.structure.modes import EigenvalueKind, ExcludedEigenvalue, Modes
 
 _REAL = 1e-7
@@ -87,7 +88,7 @@ def damped_modes(
     found = np.flatnonzero(vibrates(eigenvalues, shift))
     order = found[np.argsort(np.abs(eigenvalues[found]), kind="stable")[:count]]
     eigenvalues, shapes = eigenvalues[order], displacement(order)
-    inertia, dissipation = (np.einsum("ij,ij->j", shapes, matrix @ shapes) for matrix in (mass, damping))
+    inertia, dissipation = (np.einsum("ij,ij->j", shapes, real_times(matrix, shapes)) for matrix in (mass, damping))
     scale = 2 * eigenvalues * inertia + dissipation
     size = np.abs(eigenvalues)
     return Modes(
