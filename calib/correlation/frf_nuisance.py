@@ -1,5 +1,7 @@
 """What a test of FRFs may get wrong, as parameters with priors: of channels, transducers, added masses, stingers.
 
+Beside these stands what a model may be off by at its resonances (`calib.correlation.frf_resonances`).
+
 A measured function is modelled as ``H c_response / c_reference`` with the factor ``c = (1 + gain) exp(i phase - i omega
 delay)`` of each channel. Masses and stingers change the model; wrong places, turned axes and cross-talk change which
 of its motions is asked for (see `calib.correlation.frf_rows`). At zero nothing changes.
@@ -16,6 +18,7 @@ import numpy as np
 from calib.correlation.frf_cross_talk import CrossTalkError
 from calib.correlation.frf_parameter import LIMIT, Side, in_test, require_positive
 from calib.correlation.frf_places import PlaceError
+from calib.correlation.frf_resonances import ResonanceError, of_every_resonance
 from calib.correlation.frf_rotation import RotationError
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
@@ -87,6 +90,11 @@ class ChannelError:
     def place(self) -> str:
         """As messages name it."""
         return f"error of channel {self.sensor}"
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """What it is, for a fingerprint."""
+        return self.kind, self.sensor, self.side
 
     def among(self, measured: MeasuredFRFs) -> tuple[str, ...]:
         """Names of all channels of its side."""
@@ -221,13 +229,15 @@ class Stinger:
         return Load(self.parameter, "stiffness", rows)
 
 
-Nuisance = ChannelError | PlaceError | RotationError | CrossTalkError | AddedMass | Stinger
+Nuisance = ChannelError | PlaceError | RotationError | CrossTalkError | AddedMass | Stinger | ResonanceError
 NUISANCES = get_args(Nuisance)
 """All kinds."""
 LOADING = (AddedMass, Stinger)
 """Those that change the matrices."""
 OF_ROWS = (PlaceError, RotationError, CrossTalkError)
 """Those that change the motions of transducers."""
+FACTORS = (ChannelError, ResonanceError)
+"""Those that multiply functions."""
 
 
 def of_every_channel(
@@ -237,8 +247,9 @@ def of_every_channel(
     delay: float | None = None,
     accelerometer: float | None = None,
     stinger: float | None = None,
+    resonance: float | None = None,
 ) -> tuple[Nuisance, ...]:
-    """The same nuisances for all channels of a test; without a number there is none of that kind.
+    """The same nuisances for all channels, and at all resonances; without a number there is none of that kind.
 
     Parameters
     ----------
@@ -249,6 +260,9 @@ def of_every_channel(
         Mass at every node with a response, kg.
     stinger : float, optional
         Prior standard deviation of the stiffness at every reference, N/m.
+    resonance : float, optional
+        Standard deviation of what the model is off by at the peak of every resonance, % of the modulus; see
+        `calib.correlation.frf_resonances.ResonanceError`.
     """
     out: list[Nuisance] = []
     sds: dict[ChannelKind, float | None] = {"gain": gain, "phase": phase, "delay": delay}
@@ -261,6 +275,8 @@ def of_every_channel(
         out += [AddedMass(sensor, accelerometer) for sensor in reversed(nodes.values())]
     if stinger is not None:
         out += [Stinger(sensor, stinger) for sensor in measured.references]
+    if resonance is not None:
+        out += of_every_resonance(measured, resonance)
     return tuple(out)
 
 
@@ -273,14 +289,16 @@ def belonging_to(test: str, nuisances: Sequence[Nuisance]) -> tuple[Nuisance, ..
 
 
 def concerned(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> tuple[Nuisance, ...]:
-    """Those that concern some of the data: of channels and transducers of its functions, and all that load a model."""
+    """Those that concern some of the data: of its channels, transducers and lines, and all that load a model."""
     return tuple(n for n in nuisances if isinstance(n, LOADING) or n.name in n.among(measured))
 
 
 def require_channels(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> None:
-    """InputError for the error of a channel, or of a transducer, that was not measured."""
+    """InputError for the error of a channel, of a transducer or of a resonance that was not measured."""
     for error in nuisances:
         if not isinstance(error, LOADING) and error.name not in (names := error.among(measured)):
+            if isinstance(error, ResonanceError):
+                raise InputError("no line is near it", place=error.place, remedy="give one that was measured")
             what = f"{error.side} " if isinstance(error, ChannelError | RotationError) else ""
             raise InputError(
                 f"{what}{error.name!r} was not measured", place=error.place,

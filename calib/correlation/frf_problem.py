@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.correlation.frf_channels import Channels
 from calib.correlation.frf_comparison import frac_and_amplitude
-from calib.correlation.frf_nuisance import LOADING, OF_ROWS, ChannelError, Nuisance, require_channels
+from calib.correlation.frf_nuisance import FACTORS, LOADING, OF_ROWS, Nuisance, require_channels
 from calib.correlation.frf_rows import Rows
 from calib.correlation.mesh_error import MeshError
 from calib.errors import InputError
@@ -51,7 +51,8 @@ class FRFProblem:
         Of the structure alone.
     measured : MeasuredFRFs
     nuisances : tuple of Nuisance
-        Errors of channels and transducers, masses of accelerometers, stingers; their parameters follow the model's.
+        Errors of channels, transducers and resonances, masses of accelerometers, stingers; their parameters follow the
+        model's.
     mesh : MeshError or None
         Error of the mesh, whose multiple is the last parameter; None for an exact mesh.
 
@@ -78,7 +79,7 @@ class FRFProblem:
         require_channels(self.nuisances, self.measured)
         whole = self.model.model if isinstance(self.model, ReducedModel) else self.model
         loads = [n.load(whole) for n in self.nuisances if isinstance(n, LOADING)]
-        errors = tuple(n for n in self.nuisances if isinstance(n, ChannelError))
+        errors = tuple(n for n in self.nuisances if isinstance(n, FACTORS))
         rows = Rows.of([n for n in self.nuisances if isinstance(n, OF_ROWS)], self.measured, self.model)
         model, own = loaded(self.model, loads), self.model.space
         parameters = (*model.space.parameters, *(e.parameter for e in errors), *(e.parameter for e in rows.errors))
@@ -157,7 +158,7 @@ class FRFProblem:
     @cached_property
     def fingerprint(self) -> str:
         """Hash that changes whenever the responses at the same values could, which measured values enter."""
-        channels = sorted((e.kind, e.sensor, e.side) for e in self._channels.errors)
+        channels = sorted(e.key for e in self._channels.errors)
         known = self.loaded_model.fingerprint, self.measured.fingerprint
         mesh = [] if self.mesh is None else [self.mesh.fingerprint]
         return digest_of(DEFINITION, *known, channels, *self._rows.content, *mesh)[:16]
