@@ -133,3 +133,16 @@ def test_modes_name_the_hidden_effect_and_predict_what_was_held_out(tmp_path, un
     for group in ("held_out_sensors", "held_out_modes"):
         assert errors["p"][group, "after"] > 0.01
     assert errors["rms"]["held_out_modes", "after"] < errors["rms"]["held_out_modes", "before"]
+
+
+@pytest.mark.slow
+def test_frfs_name_it_with_an_interval_that_holds_the_truth(tmp_path, undrawn):
+    """The error of the model at resonances is a nuisance: without it something systematic is left."""
+    assert cli.execute(["explain", str(FRFS), "--results", str(tmp_path)]) == 0
+    results = Results.at(tmp_path, FRFS.name).path
+    summary = json.loads((results / "explanation.json").read_text("utf-8"))
+    assert summary["verdict"] == "effect" and summary["credible_set"] == TRUTH["effects"]
+    (name,) = TRUTH["effects"]
+    effects = pd.read_csv(results / "effects.csv").set_index("name")
+    low, high = effects.loc[name, ["magnitude_low", "magnitude_high"]]
+    assert low <= TRUTH["magnitudes"][name] <= high and high - low < 0.1 * TRUTH["magnitudes"][name]

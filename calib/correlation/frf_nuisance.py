@@ -1,5 +1,7 @@
 """What a test of FRFs may get wrong, as parameters with priors: of channels, transducers, added masses, stingers.
 
+Beside these stands what a model may be off by at its resonances (`calib.correlation.frf_resonances`).
+
 A measured function is modelled as ``H c_response / c_reference`` with the factor ``c = (1 + gain) exp(i phase - i omega
 delay)`` of each channel. Masses and stingers change the model; wrong places, turned axes and cross-talk change which
 of its motions is asked for (see `calib.correlation.frf_rows`). At zero nothing changes.
@@ -18,6 +20,7 @@ from calib.correlation.fault_rules import RULES
 from calib.correlation.frf_cross_talk import CrossTalkError
 from calib.correlation.frf_parameter import Side, in_test, require_positive
 from calib.correlation.frf_places import PlaceError
+from calib.correlation.frf_resonances import ResonanceError, of_every_resonance
 from calib.correlation.frf_rotation import RotationError
 from calib.correlation.frf_rows import RowError
 from calib.errors import InputError
@@ -86,9 +89,19 @@ class ChannelError:
         """As messages name it."""
         return f"error of channel {self.sensor}"
 
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """What it is, for a fingerprint."""
+        return self.kind, self.sensor, self.side
+
     def among(self, measured: MeasuredFRFs) -> tuple[str, ...]:
         """Names of all channels of its side."""
         return channel_names(measured, self.side)
+
+    def functions_of(self, measured: MeasuredFRFs) -> tuple[slice | int, ...]:
+        """Those of its channel, as an index that leaves (n_freq, n_others)."""
+        index = self.among(measured).index(self.sensor)
+        return (slice(None), index) if self.side == "response" else (slice(None), slice(None), index)
 
     @property
     def of_channel(self) -> tuple[ChannelError, ...]:
@@ -262,7 +275,7 @@ class Stinger(Loading):
         return Load(self.parameter, "stiffness", rows)
 
 
-Nuisance = ChannelError | PlaceError | RotationError | CrossTalkError | AddedMass | Stinger
+Nuisance = ChannelError | PlaceError | RotationError | CrossTalkError | AddedMass | Stinger | ResonanceError
 NUISANCES = get_args(Nuisance)
 """All kinds."""
 
@@ -274,8 +287,9 @@ def of_every_channel(
     delay: float | None = None,
     accelerometer: float | None = None,
     stinger: float | None = None,
+    resonance: float | None = None,
 ) -> tuple[Nuisance, ...]:
-    """The same nuisances for all channels of a test; without a number there is none of that kind.
+    """The same nuisances for all channels, and at all resonances; without a number there is none of that kind.
 
     Parameters
     ----------
@@ -286,6 +300,9 @@ def of_every_channel(
         Mass at every node with a response, kg.
     stinger : float, optional
         Prior standard deviation of the stiffness at every reference, N/m.
+    resonance : float, optional
+        Standard deviation of what the model is off by at the peak of every resonance, % of the modulus; see
+        `calib.correlation.frf_resonances.ResonanceError`.
     """
     out: list[Nuisance] = []
     sds: dict[ChannelKind, float | None] = {"gain": gain, "phase": phase, "delay": delay}
@@ -298,6 +315,8 @@ def of_every_channel(
         out += [AddedMass(sensor, accelerometer) for sensor in reversed(nodes.values())]
     if stinger is not None:
         out += [Stinger(sensor, stinger) for sensor in measured.references]
+    if resonance is not None:
+        out += of_every_resonance(measured, resonance)
     return tuple(out)
 
 
@@ -310,19 +329,20 @@ def belonging_to(test: str, nuisances: Sequence[Nuisance]) -> tuple[Nuisance, ..
 
 
 def concerned(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> tuple[Nuisance, ...]:
-    """Those that concern some of the data: of channels and transducers of its functions, and all that load a model."""
+    """Those that concern some of the data: of its channels, transducers and lines, and all that load a model."""
     return tuple(n for n in nuisances if n.concerns(measured))
 
 
 def require_channels(nuisances: Sequence[Nuisance], measured: MeasuredFRFs) -> None:
-    """InputError for the error of a channel, or of a transducer, that was not measured."""
+    """InputError for the error of a channel, of a transducer or of a resonance that was not measured."""
     found: list[Any] = [own for n in nuisances for own in (*n.of_channel, *n.of_rows)]
     for error in found:
         if not error.concerns(measured):
             names = error.among(measured)
+            there = f"there {'are' if len(names) > 1 else 'is'} {', '.join(names)}"
             raise InputError(
                 f"{error.side_words}{error.name!r} was not measured", place=error.place,
-                remedy=f"there {'are' if len(names) > 1 else 'is'} {', '.join(names)}",
+                remedy=there if names else "give one that was measured",
             )  # fmt: skip
 
 

@@ -48,7 +48,8 @@ class FRFProblem:
         Of the structure alone.
     measured : MeasuredFRFs
     nuisances : tuple of Nuisance
-        Errors of channels and transducers, masses of accelerometers, stingers; their parameters follow the model's.
+        Errors of channels, transducers and resonances, masses of accelerometers, stingers; their parameters follow the
+        model's.
     mesh : MeshError or None
         Error of the mesh, whose multiple is the last parameter; None for an exact mesh.
 
@@ -172,7 +173,7 @@ class FRFProblem:
     @cached_property
     def fingerprint(self) -> str:
         """Hash that changes whenever the responses at the same values could, which measured values enter."""
-        channels = sorted((e.kind, e.sensor, e.side) for e in self._channels.errors)
+        channels = sorted(e.key for e in self._channels.errors)
         known = self.loaded_model.fingerprint, self.measured.fingerprint
         mesh = [] if self.mesh is None else [self.mesh.fingerprint]
         return digest_of(DEFINITION, *known, channels, *self._rows.content, *mesh)[:16]

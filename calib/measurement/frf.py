@@ -13,7 +13,7 @@ from calib.errors import InputError
 from calib.fingerprint import digest_of
 from calib.measurement.accuracy import NOTHING, Claim
 from calib.measurement.disagreements import Disagreement
-from calib.measurement.frf_lines import in_bands, resonances
+from calib.measurement.frf_lines import Resonance, in_bands, resonances
 from calib.measurement.modal import Sensor
 from calib.measurement.places import Misplaced
 from calib.measurement.rules import RULES
@@ -208,6 +208,14 @@ class MeasuredFRFs:
         """Sum of squared moduli over all functions, (n_freq,), whose peaks are resonances."""
         return np.asarray(np.nansum(np.abs(self.values) ** 2, axis=(1, 2)))
 
+    def resonances(self, prominence: float = RULES.prominence) -> tuple[Resonance, ...]:
+        """Peaks of `power` above the valleys beside them, dB, and above the noise of the repeats, in ascending order.
+
+        See `calib.measurement.frf_lines.resonances`.
+        """
+        noise = 2 * np.nansum(np.where(np.isfinite(self.values), self.std, 0.0) ** 2, axis=(1, 2))
+        return resonances(self.freq, self.power, prominence, noise)
+
     def lines_near_resonances(
         self, widths: float = RULES.resonance_widths, prominence: float = RULES.prominence
     ) -> MeasuredFRFs:
@@ -229,8 +237,7 @@ class MeasuredFRFs:
         """
         if not widths > 0:
             raise InputError(f"the window is {widths:g} half-power widths", place="FRFs", remedy="give a positive one")
-        noise = 2 * np.nansum(np.where(np.isfinite(self.values), self.std, 0.0) ** 2, axis=(1, 2))
-        found = resonances(self.freq, self.power, prominence, noise)
+        found = self.resonances(prominence)
         if not found:
             raise InputError(
                 f"no resonance rises {prominence:g} dB above its surroundings", place=self._place,

@@ -34,6 +34,8 @@ def anew(
 ) -> list[CandidateFit]:
     """Fit single effects from the nominal values with every magnitude of their grid; best first.
 
+    Where the data have a linear start (FRFs), each effect is started from its own as well: at the nominal values
+    resonances may be off by more than their width, so that no first-order prediction tells which effect is promising.
     Starts are ranked by the sum of squares left after a first-order update of the parameters. The most promising ones
     are fitted, and integer parameters are chosen again for the best fit. A fit replaces an earlier one of the same
     effect only if its sum of squares is smaller.
@@ -80,7 +82,23 @@ def _starts(fits: Refits, effects: Sequence[Candidate]) -> list[_Start]:
         if not by_name[name].grid and not fits.spent():
             sign = -1.0 if by_name[name].signed and found.z[found.best(name)] < 0 else 1.0
             out += _at_magnitudes(fits, nominal, by_name[name], sign)
+    for effect in (e for e in effects if e.name in found.owners):
+        point = dict(found.points[found.best(effect.name)]) or {effect.name: effect.plausible}
+        out += _linear(fits, nominal, effect, point)
     return sorted(out, key=lambda s: s[:2])
+
+
+def _linear(fits: Refits, nominal: LinearisedFit, effect: Candidate, point: Mapping[str, float]) -> Iterator[_Start]:
+    """The linear start of a model with an effect, about a point of it; nothing where the data have none."""
+    start = fits.hypotheses.linear_start((effect.name,), {**nominal.values, **point})
+    if start is None:
+        return
+    try:
+        there = linearised(fits.fit_problem((effect.name,)), (effect.name,), start)
+    except EvaluationError:
+        return
+    predicted = there.relinearised({}, there.residual).misfit
+    yield predicted if math.isfinite(predicted) else math.inf, effect.name, start
 
 
 def _at_magnitudes(fits: Refits, nominal: LinearisedFit, effect: Candidate, sign: float) -> Iterator[_Start]:

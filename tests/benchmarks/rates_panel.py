@@ -1,8 +1,9 @@
 """Blind solar arrays, each explained four ways: from its modes, and from its FRFs with and without errors of the test.
 
 The ways are modes; FRFs; FRFs with errors of channels and masses of accelerometers that the fit frees; and that it
-ignores. Every array is measured as in ``studies/hidden_panel``, whose generator builds the hidden effect into the finer
-mesh. Questions are asked at full order, as the studies ask them.
+ignores. In all FRFs the fit frees the errors of the model at resonances that the study of the FRFs states. Every array
+is measured as in ``studies/hidden_panel``, whose generator builds the hidden effect into the finer mesh. Questions are
+asked at full order, as the studies ask them.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.repeats import Repeat, ShapeSet, combine_repeats
 from calib.missing.explain import explain
+from calib.settings import MeasurementSettings
 from calib.space import ParameterSpace
 from calib.structure.extend import extend
 from calib.structure.perturbations import perturbations
@@ -207,14 +209,19 @@ class PanelWorld:
         return mean.without(held, (), bands), true.without(held, (), bands)
 
     @cached_property
+    def by_frfs(self) -> MeasurementSettings:
+        """What the study of the FRFs claims of them and of the model."""
+        return Study.load(ROOT / f"{self.subject.study}_frf").settings.measurement
+
+    @cached_property
     def accuracy(self) -> Claim:
-        """Claimed by the study of the FRFs."""
-        claimed = Study.load(ROOT / f"{self.subject.study}_frf").settings.measurement.accuracy
-        assert isinstance(claimed, str)
-        return Claim.of(claimed)
+        """Claimed by that study."""
+        assert isinstance(self.by_frfs.accuracy, str)
+        return Claim.of(self.by_frfs.accuracy)
 
     def _pair(self, measured: MeasuredFRFs, way: str) -> FRFResidual:
-        nuisances = of_every_channel(measured, **FREED) if way == "freed" else ()
+        channels = FREED if way == "freed" else {}
+        nuisances = of_every_channel(measured, **channels, resonance=self.by_frfs.nuisances.resonance)
         return FRFResidual(FRFProblem(self.maker.base(), measured, nuisances))
 
     def _space(self, pair: Any) -> ParameterSpace:

@@ -5,13 +5,16 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import pytest
 
+from calib.missing import anew as anew_module
 from calib.missing import explain as decision
 from calib.missing.anew import led_astray
 from calib.missing.explain import explain
 from calib.missing.linearised_fit import fitted
 from calib.missing.plausible import pulls
+from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.space import Parameter, ParameterSpace
+from calib.stage import unheard
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 
@@ -99,3 +102,30 @@ def test_integers_are_chosen_again(toy):
     found = explain(one)
     assert found.base.fit.values["place"] != 0 and found.begun_anew
     assert found.credible == ("E0",) and found.chosen.fit.values["place"] == 0
+
+
+def test_every_effect_is_started_from_its_linear_solution(toy):
+    """No first-order prediction at the base or the nominal values leads to E0: its linear solution does."""
+    far = TRUTH | {"P0": 2.5}
+    one = turning(toy, 150.0, 30.0).drawn(np.random.default_rng(1), far)
+
+    @dataclass(frozen=True, eq=False)
+    class Solved(type(one)):
+        def linear_start(self, names, values):
+            return {**values, **far} if names == ("E0",) else None
+
+    solved = Solved(**{f.name: getattr(one, f.name) for f in fields(one)} | {"count": [0]})
+    found = {}
+    for made in (one, solved):
+        fits = Refits(made, decision.DEFAULT, 1.0, unheard)
+        base = fits.candidate_fit((), made.base.values)
+        others = [fits.candidate_fit(("E1",), base.fit.values)]
+        effects = [e for e in made.effects if e.name in ("E0", "E1")]
+        found[made is solved] = (anew_module._starts(fits, effects), anew_module.anew(fits, base, others, effects))
+    (without, astray), (starts, fitted_anew) = found[False], found[True]
+    assert len(starts) == len(without) + 1
+    predicted, name, start = starts[0]
+    assert name == "E0" and start["P0"] == far["P0"] and start["E0"] == far["E0"]
+    enough = 1.5 * len(one.rows)
+    assert predicted < enough < min(found.fit.misfit for found in astray)
+    assert fitted_anew[0].names == ("E0",) and fitted_anew[0].fit.misfit < enough
