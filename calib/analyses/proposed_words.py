@@ -34,6 +34,30 @@ def proposals_table(found: Proposals) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
+PLACES = ("rank", "kind", "at", "fitted", "close", "evidence", "x", "y", "z")
+
+
+def places_table(found: Proposals) -> pd.DataFrame:
+    """One row per place of every proposal, and of compositions alike: the columns of ``proposal_places.csv``."""
+    rows = []
+    for rank, p in enumerate(found.ranked, 1):
+        close = p in found.close
+        rows += [(rank, p.composed.kind, p.composed.at, True, close, p.evidence, *at) for at in p.composed.places]
+        for other in p.alike:
+            rows += [(rank, other.kind, other.at, False, close, math.nan, *at) for at in other.places]
+    return pd.DataFrame(rows, columns=list(PLACES))
+
+
+def lost_words(found: Proposals) -> tuple[str, ...]:
+    """What could not be tried, in a sentence."""
+    if not found.lost:
+        return ()
+    first, count = found.lost[0], len(found.lost)
+    title = f"{first.title[:1].lower()}{first.title[1:]}"
+    others = f", and {count - 1} more (see proposals.json)" if count > 1 else ""
+    return (f"Not tried: {title} ({first.reason}){others}.",)
+
+
 def sized(p: Proposal) -> str:
     """A proposal in words, such as ``a mass at node 3, about 0.26 kg (95 %: 0.24 to 0.27)``."""
     effect: Candidate = p.composed.effect
@@ -85,6 +109,11 @@ def answer_of(found: Proposals) -> Answer:
 def no_proposals() -> pd.DataFrame:
     """The table without a row."""
     return pd.DataFrame(columns=list(COLUMNS))
+
+
+def no_places() -> pd.DataFrame:
+    """The table of places without a row."""
+    return pd.DataFrame(columns=list(PLACES))
 
 
 def not_sought(verdict: str, named: Sequence[str], remedy: str) -> Answer:

@@ -12,8 +12,9 @@ import calib
 from calib.analyses.compositions import compositions
 from calib.analyses.proposed_code import library_text
 from calib.missing.proposal import Proposal
-from calib.structure.compositions import Names, hung_at
+from calib.structure.composition import Names
 from calib.structure.extend import addition_of, extend
+from calib.structure.point_compositions import hung_at
 
 FLOORS, MASS, STIFF, DAMPING = 6, 2000.0, 4e6, 4e3
 HELD = ("M5",)
@@ -158,9 +159,9 @@ def padded(model, like):
 def test_every_kind_of_composition_is_written_as_it_is_built():
     model, seen = chain(), measured(mass=[(4, 300.0)])
     own = compositions(model, [seen], model.space.values)
-    every = {c.kind: c for c in (*own.plain, *(one.composed for one in own.hung))}
+    every = {c.kind: c for c in (*own.plain, *own.mounts, *(one.composed for one in own.hung))}
     assert set(every) == {
-        "stiffness", "damping", "mass", "dissipation", "added mass", "hung mass", "spring to ground",
+        "stiffness", "damping", "mass", "dissipation", "damper mount", "added mass", "hung mass", "spring to ground",
         "damper to ground", "spring between", "damper between",
     }  # fmt: skip
     proposals = [Proposal(c, _Fitted(c), 1.0, 1.0, 1) for c in every.values()]
@@ -213,7 +214,7 @@ def test_names_are_free_and_identifiers():
 def test_a_hung_mass_is_neutral_without_mass():
     model = chain()
     sensor = measured().sensors[2]
-    hung = hung_at(model, sensor, {}, Names(()), (1.0, 10.0)).effect
+    hung = hung_at(model, sensor, 0, {}, Names(()), (1.0, 10.0)).effect
     assert addition_of(model, hung).n_added == 1
     found = extend(model, [hung]).modes({hung.name: hung.magnitude.lower, f"{hung.name}_freq": 30.0}, FLOORS)
     assert found.natural_freq[:4] == pytest.approx(model.modes({}, 4).natural_freq, rel=1e-3)
