@@ -117,7 +117,7 @@ class Search:
             proposal = self._fitted(base, composed, own, choices[composed.family], lost)
             ranked += [] if proposal is None else [proposal]
         ranked.sort(key=lambda one: -one.evidence)
-        ranked = self._refined(base, ranked, found, choices)
+        ranked = self._refined(base, ranked, (found, at_mounts, at_hung), choices)
         if not ranked or ranked[0].evidence <= 0:
             return self._none(base, p, len(all_of_them), lost)
         best = ranked[0].candidate_fit
@@ -250,7 +250,11 @@ class Search:
         return [{**base.fit.values, **moved, effect.name: size}, *out]
 
     def _refined(
-        self, base: CandidateFit, ranked: Sequence[Proposal], found: Scores, choices: Mapping[tuple[str, bool], int]
+        self,
+        base: CandidateFit,
+        ranked: Sequence[Proposal],
+        known: tuple[Scores, Scores, Scores],
+        choices: Mapping[tuple[str, bool], int],
     ) -> list[Proposal]:
         """The same with those near the best fitted until they converge, and with what is equal to them."""
         out, near = [], near_to(ranked[0].evidence) if ranked else 0.0
@@ -261,26 +265,32 @@ class Search:
             out.append(replace(one, candidate_fit=fit, ln_bayes=fit.ln_evidence - base.ln_evidence))
         out.sort(key=lambda one: (bool(one.candidate_fit.implausible), -one.evidence))
         fitted = {one.composed.effect.name for one in out}
-        return [replace(one, alike=self._alike(one, found, choices, fitted)) for one in out]
+        return [replace(one, alike=self._alike(one, known, choices, fitted)) for one in out]
 
     def _alike(
-        self, one: Proposal, found: Scores, choices: Mapping[tuple[str, bool], int], fitted: Collection[str]
+        self,
+        one: Proposal,
+        known: tuple[Scores, Scores, Scores],
+        choices: Mapping[tuple[str, bool], int],
+        fitted: Collection[str],
     ) -> tuple[Composed, ...]:
         """Compositions that were not fitted, and whose signatures are predicted to explain about as much.
 
-        At the fitted magnitude one of a signature with the correlation rho is expected to lose ``z^2 (1 - rho^2)/2`` of
-        the log evidence.
+        One of a signature with the correlation rho is expected to lose ``z^2 (1 - rho^2)/2`` of the log evidence, at
+        the score z of the proposal. ``known`` are the scores of those without a grid, of mounts and of hung masses.
         """
-        name = one.composed.effect.name
-        if name not in found.owners:
+        name, found = one.composed.effect.name, known[0]
+        own = next((scores for scores in known if name in scores.owners), None)
+        if own is None or not found.owners:
             return ()
-        k = found.best(name)
-        rho = found.unit.T @ found.unit[:, k]
-        own = np.log([choices[self.of[owner].family] for owner in found.owners])
-        lost = one.score**2 * (1 - rho**2) / 2 + own - own[k]
+        rho = found.unit.T @ own.unit[:, own.best(name)]
+        counts = np.log([choices[self.of[owner].family] for owner in found.owners])
+        lost = one.score**2 * (1 - rho**2) / 2 + counts - math.log(one.choices)
         possible = (found.signed | (np.sign(found.z) > 0)) & (found.size > 0) & (lost < RULES.equal)
         return tuple(
-            self.of[owner] for j, owner in enumerate(found.owners) if possible[j] and j != k and owner not in fitted
+            self.of[owner]
+            for k, owner in enumerate(found.owners)
+            if possible[k] and owner != name and owner not in fitted
         )
 
     @cached_property

@@ -40,9 +40,8 @@ def test_the_dynamic_stiffness_of_mounted_dampers_is_that_of_maxwell_elements(bo
     rows = [row for name in parts for row in mount_rows(part_of(bogie, "damping", name))]
     assert addition.n_added == len(rows) == 2 and not addition.mass
     n = bogie.n_dof
-    k, c = (
-        sum(t.coefficient(values) * t.matrix.toarray() for t in terms) for terms in (addition.stiffness, addition.damping)
-    )  # fmt: skip
+    both = (addition.stiffness, addition.damping)
+    k, c = (sum(t.coefficient(values) * t.matrix.toarray() for t in terms) for terms in both)
     for lam in (3j, -2 + 60j, 700j):
         z = lam * c + k
         condensed = z[:n, :n] - z[:n, n:] @ np.linalg.solve(z[n:, n:], z[n:, :n])
