@@ -139,6 +139,16 @@ class Search:
         problems = {c.effect.name: self._problem(base, c) for c in composed}
         return scores(fit, [c.effect for c in composed], problems)
 
+    def _unsolved(self, base: CandidateFit, composed: Composed) -> Lost:
+        """A composition that no point of its grid could be solved with, and why."""
+        effect, reason = composed.effect, "the model cannot be solved with it"
+        for point in effect.grid[:1]:
+            try:
+                self._problem(base, composed).residual({**base.fit.values, **point})
+            except EvaluationError as fault:
+                reason = str(fault)
+        return Lost(effect.title, reason)
+
     # -- which are fitted ----------------------------------------------------------------------------------------------
 
     def _leading(self, found: Scores, choices: Mapping[tuple[str, bool], int]) -> list[Composed]:
@@ -176,7 +186,7 @@ class Search:
         for composed in tried:
             name = composed.effect.name
             if name not in at_grid.owners:
-                lost.append(Lost(composed.effect.title, "the model cannot be solved with it"))
+                lost.append(self._unsolved(base, composed))
                 continue
             drops.append((_drop(at_grid, name), composed))
         drops.sort(key=lambda pair: -pair[0])
@@ -219,7 +229,7 @@ class Search:
         """A composition, fitted; None where it is not supported, and where it cannot be solved, which is kept."""
         fits, name = self.fits, composed.effect.name
         if name not in found.owners:
-            lost.append(Lost(composed.effect.title, "the model cannot be solved with it"))
+            lost.append(self._unsolved(base, composed))
             return None
         fits.tell(f"fitting {composed.effect.title}")
         try:
