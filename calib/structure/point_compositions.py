@@ -88,10 +88,11 @@ def of_sensors(
     def size(row: np.ndarray) -> float:
         return LOCAL / float(row @ factor.solve(row))
 
-    spots = [_at_node(own[0]) for own in _by_place(sensors).values()]
+    spots = [spot for own in _by_place(sensors).values() if moving(model, (spot := _at_node(own[0])).place)]
     spots += further_spots(model, sensors)
     points = [spot.point for spot in spots]
-    for group in (*((k,) for k in range(len(spots))), *mirrored(model, [(p,) for p in points])):
+    free = [str(moving(model, spot.place)) for spot in spots]
+    for group in (*((k,) for k in range(len(spots))), *mirrored(model, [(p,) for p in points], free)):
         yield _masses(model, [spots[k] for k in group], names, heavy(model, mass))
     kinds = {"spring": 1.0, "damper": 1 / (2 * np.pi * middle)}
     ground = [(s.point,) for s in sensors if s.point is not None]
@@ -111,7 +112,7 @@ def of_sensors(
 
 
 def further_spots(model: StructuralModel, sensors: Sequence[Sensor]) -> list[Spot]:
-    """Nodes of a model between its sensors, each as far as possible from all that are known before it."""
+    """Nodes of a model between its sensors that can move, each as far as possible from all known before it."""
     sensors = _placed(model, sensors)
     if not sensors:
         return []
@@ -123,7 +124,8 @@ def further_spots(model: StructuralModel, sensors: Sequence[Sensor]) -> list[Spo
         n = int(distance.argmax())
         x, y, z = (round(float(c), 4) + 0.0 for c in points[n])
         distance = np.minimum(distance, np.linalg.norm(points - points[n], axis=1))
-        out.append(Spot((None, (x, y, z)), f"the point ({x:.2f}, {y:.2f}, {z:.2f})", f"point {len(out) + 1}"))
+        spot = Spot((None, (x, y, z)), f"the point ({x:.2f}, {y:.2f}, {z:.2f})", f"point {len(out) + 1}")
+        out += [spot] if moving(model, spot.place) else []
     return out
 
 
@@ -183,7 +185,7 @@ def moving(model: StructuralModel, place: Place) -> tuple[int, ...]:
 def mirrored(
     model: StructuralModel, ends: Sequence[tuple[Point, ...]], directions: Sequence[str] | None = None
 ) -> Iterator[tuple[int, int]]:
-    """Pairs of which one mirrors the other at a middle plane of the model, of one direction where these are given.
+    """Pairs of which one mirrors the other at a middle plane of the model, of the same directions where they are given.
 
     Parameters
     ----------
@@ -216,8 +218,7 @@ def _masses(model: StructuralModel, spots: Sequence[Spot], names: Names, size: f
     at = _all_at([spot.at for spot in spots])
     name = names.free(f"added mass {' '.join(spot.label for spot in spots)}")
     magnitude = Parameter(name, 0.0, 0.0, 20 * size, unit, prior_sd=size, description=f"{what.lower()} at {at}")
-    directions = tuple(sorted(set.intersection(*(set(moving(model, spot.place)) for spot in spots))))
-    build = AddedMass(name, tuple(spot.place for spot in spots), directions)
+    build = AddedMass(name, tuple(spot.place for spot in spots), moving(model, spots[0].place))
     each = "" if len(spots) == 1 else " each"
     effect = Effect(
         name, f"{what}{each} at {at}", f"Nothing more is mounted at {at}.", f"{look_for} near {at}.", magnitude, build,
