@@ -10,7 +10,7 @@ import pandas as pd
 from calib.answer import Answer
 from calib.candidate import Candidate
 from calib.missing.local import fault_words, interval_words
-from calib.missing.proposal import Proposal, Proposals
+from calib.missing.proposal import Proposal, Proposals, told
 from calib.missing.worst_misfit import p_words
 
 COLUMNS = (
@@ -25,7 +25,7 @@ def proposals_table(found: Proposals) -> pd.DataFrame:
     for rank, p in enumerate(found.ranked, 1):
         effect, values = p.composed.effect, p.candidate_fit.fit.values
         freq = values[effect.nuisance[0].name] if effect.nuisance else math.nan
-        alike = "; ".join(f"{c.kind} of {c.at}" for c in p.alike)
+        alike = "; ".join(map(told, p.alike))
         rows.append((
             rank, effect.name, p.composed.kind, p.composed.at, *p.composed.place, p.value, p.low, p.high,
             effect.magnitude.unit, freq, p.evidence, p.ln_bayes, p.score, p.choices,
@@ -94,7 +94,7 @@ def answer_of(found: Proposals) -> Answer:
     if others:
         words += f" About as well explained by: {'; '.join(map(sized, others))}."
     if best.alike:
-        words += f" Not to be told from it: {'; '.join(f'{c.kind} of {c.at}' for c in best.alike[:3])}."
+        words += f" Not to be told from it: {'; '.join(map(told, best.alike[:3]))}."
     if found.datum is not None:
         words += f" Or {found.datum.told} explains about as well: check it first."
     beside = f" beside {' and '.join(found.base.names)}" if found.base.names else ""

@@ -46,6 +46,14 @@ class Composed(Protocol):
         ...
 
 
+def told(composed: Composed) -> str:
+    """A composition in words, such as ``mass of floor 4`` or ``hung mass at sensor 3y``."""
+    if composed.kind.endswith("between"):
+        return f"{composed.kind} {composed.at}"
+    at = "at" if composed.kind.endswith((" mass", "ground", "turning spring")) else "of"
+    return f"{composed.kind} {at} {composed.at}"
+
+
 @dataclass(frozen=True, eq=False)
 class HungBy:
     """A hung mass, and the candidate that is the same mass held fast.

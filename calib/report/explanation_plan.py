@@ -75,7 +75,7 @@ def plan_explanation(folder: Folder) -> Iterator[Drawing]:
         complete=["rank", *PLACE],
     )  # fmt: skip
     if rest is not None and placed is not None and len(drawn(placed)):
-        caption = "what is proposed and where: places to inspect, not causes"
+        caption = "proposed effects and their places"
         yield Drawing("proposals", caption, bound(proposals_figure, placed, rest), ("proposals", "proposal_places"))
     gains = [f"{name}{end}" for name in ("gain", "ln_bayes") for end in ("", "_low", "_high")]
     candidates = _read(folder, "next_measurement", ["measurement", "kind"], gains, unbounded=gains, blank=["effect"])

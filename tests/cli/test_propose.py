@@ -47,7 +47,7 @@ def test_a_proposal_is_named_added_and_predicts_better(without_guy, capsys, expl
     (first,) = table.to_dict("records")
     # The rope acts along x at 4.5 m, where no sensor is.
     assert first["kind"].startswith("spring") and 3.0 <= first["y"] <= 6.0 and first["at"].endswith("x")
-    assert first["kind"] == "spring to ground" or "spring to ground of sensor 4x" in first["alike"]
+    assert first["kind"] == "spring to ground" or "spring to ground at sensor 4x" in first["alike"]
     told = json.loads(Path("results/mast/proposals.json").read_text())
     assert told["proposed"] and told["found"] in " ".join(out.split())
     study = "results/mast/mast_proposed"

@@ -127,4 +127,3 @@ def test_further_places_lie_on_the_model_and_apart(bogie, sensors):
     assert far[~np.eye(len(points), dtype=bool)].min() > 0.1 * np.ptp(bogie.mesh.points, axis=0).max() - 1e-3
     near = np.linalg.norm(bogie.mesh.points[:, None] - points[len(sensors) :], axis=2).min(axis=0)
     assert near.max() < 1e-3
-
