@@ -115,11 +115,11 @@ def _alike(parts: Sequence[N]) -> Iterator[tuple[N, ...]]:
     for part in parts:
         own = [word for word in re.split(r"[,\s_]+", part.name) if word]
         at = [k for k, word in enumerate(own) if _POSITION.fullmatch(word)]
-        left = {
+        left = dict.fromkeys(  # in this order, whatever the seed of Python's hashes
             tuple(word for k, word in enumerate(own) if k not in gone)
             for dropped in range(min(len(at), len(own) - 1) + 1)
             for gone in combinations(at, dropped)
-        }
+        )
         for words in left:
             found[words].append(part)
     for group in sorted(found.values(), key=len):

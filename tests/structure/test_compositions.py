@@ -1,5 +1,8 @@
 """What is composed of a model: mounts in series, supports, joints, groups of parts and symmetric places."""
 
+import os
+import subprocess
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,3 +130,18 @@ def test_further_places_lie_on_the_model_and_apart(bogie, sensors):
     assert far[~np.eye(len(points), dtype=bool)].min() > 0.1 * np.ptp(bogie.mesh.points, axis=0).max() - 1e-3
     near = np.linalg.norm(bogie.mesh.points[:, None] - points[len(sensors) :], axis=2).min(axis=0)
     assert near.max() < 1e-3
+
+
+def test_compositions_come_in_one_order_whatever_the_seed_of_hashes():
+    names = [f"rod {a} {b} {c}" for a in ("upper", "lower") for b in ("front", "rear") for c in ("left", "x")]
+    words = (
+        "from calib.structure.part_compositions import _alike\nfrom types import SimpleNamespace as N\n"
+        f"print([[p.name for p in group] for group in _alike([N(name=n) for n in {names}])])"
+    )
+    out = {
+        subprocess.run(
+            [sys.executable, "-c", words], env={**os.environ, "PYTHONHASHSEED": seed}, capture_output=True, check=True
+        ).stdout
+        for seed in ("1", "2", "3")
+    }
+    assert len(out) == 1 and len(out.pop()) > 100
