@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
+from calib.analyses.hypotheses import ModelHypotheses
 from calib.effect import Effect
 from calib.function import FunctionModel
 from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.modal import MeasuredModes, Sensor
+from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
+from calib.missing.hypotheses import Hypotheses
+from calib.missing.joint import JointHypotheses
 from calib.missing.proposal import HungBy
-from calib.structure.compositions import Composition, Names, hung_at, of_function, of_parts, of_sensors
+from calib.structure.composition import Composition, Names
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
+from calib.structure.part_compositions import of_function, of_joints, of_mounts, of_parts, of_supports
+from calib.structure.point_compositions import further_spots, heavy, held_at, hung_at, moving, of_sensors
 
 Measured = MeasuredModes | MeasuredFRFs
 
@@ -32,21 +37,25 @@ class Compositions:
     ----------
     plain : tuple of Composition
         Without degrees of freedom of their own.
+    mounts : tuple of Composition
+        Soft mounts of dampers.
     hung : tuple of HungBy
         Hung masses.
-    freqs : mapping from str to float
-        Measured frequency of each mode, Hz.
+    held : tuple of Effect
+        Masses held fast, from which the hung ones between the sensors follow.
     """
 
     plain: tuple[Composition, ...]
+    mounts: tuple[Composition, ...] = ()
     hung: tuple[HungBy, ...] = ()
-    freqs: Mapping[str, float] = field(default_factory=dict)
+    held: tuple[Effect, ...] = ()
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """All of them."""
+        """All that a search evaluates."""
         hung = (one.composed.effect for one in self.hung)
-        return (*(c.effect for c in self.plain), *(effect for effect in hung if isinstance(effect, Effect)))
+        composed = (*(c.effect for c in (*self.plain, *self.mounts)), *(e for e in hung if isinstance(e, Effect)))
+        return (*composed, *self.held)
 
 
 def compositions(
@@ -75,18 +84,39 @@ def compositions(
     sensors = _sensors(measured)
     band = _band(model, measured, values)
     middle = float(np.sqrt(band[0] * band[1]))
-    plain = (*of_parts(model, names, middle), *of_sensors(model, sensors, values, names, middle))
-    modal = [one for one in measured if isinstance(one, MeasuredModes)]
-    if len(modal) != 1 or len(measured) != 1:
-        return Compositions(plain)
+    plain = (
+        *of_parts(model, names, middle), *of_supports(model, names), *of_joints(model, values, names, middle),
+        *of_sensors(model, sensors, values, names, middle),
+    )  # fmt: skip
+    mounts = tuple(of_mounts(model, names, middle))
     placed = {c.at for c in plain if c.kind == "added mass"}
-    hung = tuple(
-        HungBy(hung_at(model, sensor, values, names, band), f"added mass at sensor {sensor.name}")
+    hung = [
+        HungBy(
+            hung_at(model, sensor, DIRECTIONS.index(sensor.direction), values, names, band),
+            f"added mass at sensor {sensor.name}",
+        )
         for sensor in sensors
-        if f"node {sensor.node}" in placed and sensor.direction in "xyz"
-    )
-    (one,) = modal
-    return Compositions(plain, hung, dict(zip(one.names, one.natural_freq.tolist(), strict=True)))
+        if f"node {sensor.node}" in placed and sensor.direction in DIRECTIONS[:3]
+    ]
+    held, mass = [], heavy(model, model.matrices(values)[2])
+    for spot in further_spots(model, sensors):
+        for direction in moving(model, spot.place):
+            held.append(held_at(model, spot, direction, mass, names))
+            hung.append(HungBy(hung_at(model, spot, direction, values, names, band), held[-1].name))
+    return Compositions(plain, mounts, tuple(hung), tuple(held))
+
+
+def row_freqs(hypotheses: Hypotheses) -> np.ndarray:
+    """Frequency of each row of the residual, (n_rows,), Hz: of its measured mode or its line; NaN where it has none."""
+    if isinstance(hypotheses, JointHypotheses):
+        return np.concatenate([row_freqs(part) for part in hypotheses.parts.values()])
+    assert isinstance(hypotheses, ModelHypotheses)
+    problem = getattr(hypotheses.pair, "problem", None)
+    measured = getattr(problem, "measured", None)
+    modes: dict[str, float] = {}
+    if isinstance(measured, MeasuredModes):
+        modes = dict(zip(measured.names, measured.natural_freq.tolist(), strict=True))
+    return np.array([float(getattr(row, "freq", modes.get(row.mode, np.nan))) for row in hypotheses.rows])
 
 
 def _band(model: StructuralModel, measured: Sequence[Measured], values: Mapping[str, float]) -> tuple[float, float]:

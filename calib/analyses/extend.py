@@ -107,6 +107,16 @@ def put_among(draft: Path, new: Path, folder: Path) -> Path | None:
     return folder.with_name(aside.name) if there and not own else None
 
 
+def set_aside(folder: Path) -> Path | None:
+    """Move a study that was written among results out of its place, to the returned one; None where there is none."""
+    new = folder.parent.resolve() / folder.name
+    if not os.path.lexists(new):
+        return None
+    aside = free_name(new, EARLIER)
+    _put(new, aside, folder)
+    return folder.with_name(aside.name)
+
+
 def found_among(study: StudyFile, results: Path) -> Path | None:
     """The study file that `extend_among` wrote into a folder of results; None without one."""
     file = _place_among(study, results) / NAME

@@ -17,12 +17,20 @@ import pandas as pd
 import tomlkit
 
 from calib.analyses.adapter import Adapter
-from calib.analyses.compositions import Measured, compositions
+from calib.analyses.compositions import Measured, compositions, row_freqs
 from calib.analyses.explain import adapter_for, require_usable
 from calib.analyses.explained_fit import explained_fit
-from calib.analyses.extend import NAME, anywhere, draft_of, put_among, require_valid, unwritable
+from calib.analyses.extend import NAME, anywhere, draft_of, put_among, require_valid, set_aside, unwritable
 from calib.analyses.proposed_code import FUNCTION, library_text
-from calib.analyses.proposed_words import answer_of, no_proposals, not_sought, proposals_table
+from calib.analyses.proposed_words import (
+    answer_of,
+    lost_words,
+    no_places,
+    no_proposals,
+    not_sought,
+    places_table,
+    proposals_table,
+)
 from calib.analyses.record import begin_analysis, write_record
 from calib.analyses.stale import stale_answers
 from calib.answer import Answer
@@ -30,7 +38,8 @@ from calib.errors import EvaluationError, InputError
 from calib.loading import Model
 from calib.missing.collinear import Group
 from calib.missing.explanation import OPEN, Explanation
-from calib.missing.proposal import Proposals, Search
+from calib.missing.proposal import Proposals
+from calib.missing.proposal_search import Search
 from calib.missing.recommendation import recommend, recommendation
 from calib.missing.refits import Refits, Settings
 from calib.named_values import read_json
@@ -57,18 +66,21 @@ class ProposalResult:
     answer : Answer
     table : DataFrame
         ``proposals.csv``.
+    places : DataFrame
+        ``proposal_places.csv``.
     sentences : tuple of str
-        What would tell apart what the data do not.
+        What would tell apart what the data do not, and what could not be tried.
     seconds : float
     folder : Path or None
         Of the study whose library has the proposals; None where there are none.
     aside : Path or None
-        Where a changed study was moved that stood in its place.
+        Where a study was moved that stood in its place: one that had been changed, or any where there are none.
     """
 
     proposals: Proposals | None
     answer: Answer
-    table: pd.DataFrame
+    table: pd.DataFrame = field(default_factory=no_proposals)
+    places: pd.DataFrame = field(default_factory=no_places)
     sentences: tuple[str, ...] = ()
     seconds: float = 0.0
     folder: Path | None = None
@@ -140,9 +152,8 @@ def propose(
     if explained.verdict not in OPEN:
         names = " ".join(explained.named)
         remedy = f"add what was named: calib extend {shell_argument(study.file)} {names} --into FOLDER"
-        found = ProposalResult(None, not_sought(explained.verdict, explained.named, remedy), no_proposals())
-        _keep(study, results, found)
-        return found
+        found = ProposalResult(None, not_sought(explained.verdict, explained.named, remedy))
+        return _kept(study, results, found, count)
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
     adapter = adapter_for(study, results, progress, homes)
     measured = [data for one in tests for data in one.tested.sensed]
@@ -151,8 +162,7 @@ def propose(
     found = composed(adapter, model, measured, taken, study.settings.explain, explained, count, progress)
     if found.proposals is not None and found.proposals.ranked and not found.proposals.measurement:
         found = _written(study, results, found)
-    _keep(study, results, found)
-    return found
+    return _kept(study, results, found, count)
 
 
 def composed(
@@ -171,11 +181,11 @@ def composed(
     if not own.plain:
         words = "Nothing can be proposed: the model names no parts, and has no matrices from which to compose effects."
         then = "Give it parts that its function scales: calib.structure.scaled_part.ScaledPart."
-        return ProposalResult(None, Answer(words, "Nothing was tested.", then), no_proposals())
+        return ProposalResult(None, Answer(words, "Nothing was tested.", then))
     hypotheses = adapter.with_effects(own.effects)
     settings = Settings(given.alpha, given.refits, given.merge, given.seed, math.inf)
     fits = Refits(hypotheses, settings, explained.scale, progress)
-    search = Search(fits, own.plain, own.hung, own.freqs)
+    search = Search(fits, own.plain, own.mounts, own.hung, own.held, row_freqs(hypotheses))
     start = explained.base or hypotheses.fit_problem(()).space.values
     try:
         found = search.proposals((), start)
@@ -187,9 +197,9 @@ def composed(
     progress("intervals")
     found = found.settled(count)
     advice = _advice(adapter, hypotheses, found, progress)
-    answer = answer_of(found)
-    table = proposals_table(found)
-    return ProposalResult(found, answer, table, advice, time.perf_counter() - started)
+    told = (*advice, *lost_words(found))
+    seconds = time.perf_counter() - started
+    return ProposalResult(found, answer_of(found), proposals_table(found), places_table(found), told, seconds)
 
 
 def _reached(found: Proposals) -> float:
@@ -242,9 +252,12 @@ def _explained(study: AnyStudy, results: Results) -> Found:
 # -- writing -----------------------------------------------------------------------------------------------------------
 
 
-def _keep(study: AnyStudy, results: Results, found: ProposalResult) -> None:
-    """Write ``proposals.csv``, ``proposals.json`` and the record."""
+def _kept(study: AnyStudy, results: Results, found: ProposalResult, count: int) -> ProposalResult:
+    """Write tables, ``proposals.json`` and the record; earlier proposals are set aside where there are none now."""
+    if found.folder is None:
+        found = replace(found, aside=set_aside(_folder(study, results)))
     results.write_table("proposals", found.table)
+    results.write_table("proposal_places", found.places)
     p = found.proposals
     fault = None if p is None or p.fault is None else p.fault.names[0]
     results.write_json(
@@ -253,6 +266,7 @@ def _keep(study: AnyStudy, results: Results, found: ProposalResult) -> None:
             "study": study.name, "synthetic": study.synthetic, "proposed": found.folder is not None,
             **found.answer.plain, "sentences": list(found.sentences),
             "beside": [] if p is None else list(p.base.names), "p_family": np.nan if p is None else p.p_family,
+            "lost": [] if p is None else [{"title": one.title, "reason": one.reason} for one in p.lost],
             "tested": 0 if p is None else p.tested, "evaluations": 0 if p is None else p.evaluations,
             "adequacy_p_family": np.nan if p is None or p.left is None else p.left.p_family,
             "adequacy_p_fit": np.nan if p is None or p.left is None else p.left.p_fit,
@@ -260,13 +274,21 @@ def _keep(study: AnyStudy, results: Results, found: ProposalResult) -> None:
             "written": "" if found.folder is None else str(found.folder), "seconds": found.seconds,
         },
     )  # fmt: skip
-    write_record(study, results, "propose", {"probabilities": study.settings.explain.seed}, answer=found.answer)
+    options = () if count == RANKED else ("--rank", str(count))
+    seeds = {"probabilities": study.settings.explain.seed}
+    write_record(study, results, "propose", seeds, options=options, answer=found.answer)
+    return found
+
+
+def _folder(study: AnyStudy, results: Results) -> Path:
+    """Of the study with the proposals."""
+    return results.path / f"{study.name}{PROPOSED}"
 
 
 def _written(study: AnyStudy, results: Results, found: ProposalResult) -> ProposalResult:
     """The result with its study: it builds on the given one, and has the proposals in its library too."""
     assert found.proposals is not None
-    folder = results.path / f"{study.name}{PROPOSED}"
+    folder = _folder(study, results)
     new = folder.parent.resolve() / folder.name
     source = study.file.resolve()
     libraries = [_seen_from(new, source.parent, name) for name in study.settings.libraries]

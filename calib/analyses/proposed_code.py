@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from calib.effect import Effect
 from calib.missing.local import range_words
 from calib.missing.proposal import Proposal
+from calib.missing.proposal import told as in_words
 from calib.space import Parameter
 from calib.structure.composed import Builder, quoted
 
@@ -80,7 +81,7 @@ def _effect(rank: int, proposal: Proposal, beside: Sequence[str]) -> list[str]:
         f"{' with ' + ' and '.join(beside) if beside else ''}, one of {proposal.choices} of its kind."
     )
     if proposal.alike:
-        others = "; ".join(f"{other.kind} of {other.at}" for other in proposal.alike[:3])
+        others = "; ".join(map(in_words, proposal.alike[:3]))
         told += f" These data do not tell it from: {others}{'; ...' if len(proposal.alike) > 3 else ''}."
     lines = [f"# {line}" for line in textwrap.wrap(told, _WIDE - 12)]
     lines += ["Effect("]

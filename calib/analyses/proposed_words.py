@@ -10,7 +10,7 @@ import pandas as pd
 from calib.answer import Answer
 from calib.candidate import Candidate
 from calib.missing.local import fault_words, interval_words
-from calib.missing.proposal import Proposal, Proposals
+from calib.missing.proposal import Proposal, Proposals, told
 from calib.missing.worst_misfit import p_words
 
 COLUMNS = (
@@ -25,13 +25,37 @@ def proposals_table(found: Proposals) -> pd.DataFrame:
     for rank, p in enumerate(found.ranked, 1):
         effect, values = p.composed.effect, p.candidate_fit.fit.values
         freq = values[effect.nuisance[0].name] if effect.nuisance else math.nan
-        alike = "; ".join(f"{c.kind} of {c.at}" for c in p.alike)
+        alike = "; ".join(map(told, p.alike))
         rows.append((
             rank, effect.name, p.composed.kind, p.composed.at, *p.composed.place, p.value, p.low, p.high,
             effect.magnitude.unit, freq, p.evidence, p.ln_bayes, p.score, p.choices,
             p in found.close, p.candidate_fit.implausible, alike, effect.title,
         ))  # fmt: skip
     return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+PLACES = ("rank", "kind", "at", "fitted", "close", "evidence", "x", "y", "z")
+
+
+def places_table(found: Proposals) -> pd.DataFrame:
+    """One row per place of every proposal, and of compositions alike: the columns of ``proposal_places.csv``."""
+    rows = []
+    for rank, p in enumerate(found.ranked, 1):
+        close = p in found.close
+        rows += [(rank, p.composed.kind, p.composed.at, True, close, p.evidence, *at) for at in p.composed.places]
+        for other in p.alike:
+            rows += [(rank, other.kind, other.at, False, close, math.nan, *at) for at in other.places]
+    return pd.DataFrame(rows, columns=list(PLACES))
+
+
+def lost_words(found: Proposals) -> tuple[str, ...]:
+    """What could not be tried, in a sentence."""
+    if not found.lost:
+        return ()
+    first, count = found.lost[0], len(found.lost)
+    title = f"{first.title[:1].lower()}{first.title[1:]}"
+    others = f", and {count - 1} more (see proposals.json)" if count > 1 else ""
+    return (f"Not tried: {title} ({first.reason}){others}.",)
 
 
 def sized(p: Proposal) -> str:
@@ -70,7 +94,7 @@ def answer_of(found: Proposals) -> Answer:
     if others:
         words += f" About as well explained by: {'; '.join(map(sized, others))}."
     if best.alike:
-        words += f" Not to be told from it: {'; '.join(f'{c.kind} of {c.at}' for c in best.alike[:3])}."
+        words += f" Not to be told from it: {'; '.join(map(told, best.alike[:3]))}."
     if found.datum is not None:
         words += f" Or {found.datum.told} explains about as well: check it first."
     beside = f" beside {' and '.join(found.base.names)}" if found.base.names else ""
@@ -85,6 +109,11 @@ def answer_of(found: Proposals) -> Answer:
 def no_proposals() -> pd.DataFrame:
     """The table without a row."""
     return pd.DataFrame(columns=list(COLUMNS))
+
+
+def no_places() -> pd.DataFrame:
+    """The table of places without a row."""
+    return pd.DataFrame(columns=list(PLACES))
 
 
 def not_sought(verdict: str, named: Sequence[str], remedy: str) -> Answer:

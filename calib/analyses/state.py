@@ -40,7 +40,7 @@ GEOMETRY = ("mesh_points.csv", "mesh_elements.csv", "model_places.csv")
 ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv", "comparison_added.csv",
          "frf_added.csv", "frf_lines_added.csv", "where_it_fails_added.csv")  # fmt: skip
 """Files of `calib.analyses.added`, removed with the calibration or the explanation that they rest on."""
-PROPOSED = ("proposals.csv", "proposals.json")
+PROPOSED = ("proposals.csv", "proposal_places.csv", "proposals.json")
 """Files of `calib.analyses.propose`, removed with the explanation that they rest on."""
 _MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivity_samples", "input_correlation")
 _CALIBRATED = ("parameters", "points", "suspects_calibrated", "verdicts", "posterior_correlation", "confounded",

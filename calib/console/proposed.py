@@ -23,7 +23,8 @@ def entries(result: ProposalResult, root: Path) -> list[Entry]:
     out: list[Entry] = [Rows.of(title, heads, rows, left=("effect", "kind", "at", "remark"))]
     out += [Words(sentence, when="always") for sentence in result.sentences]
     if result.aside is not None:
-        out.append(Warned(f"The study that was there had been changed, and is kept as {result.aside}."))
+        there = "The study that was there had been changed, and is" if result.folder else "Earlier proposals are"
+        out.append(Warned(f"{there} kept as {result.aside}."))
     if result.folder is not None:
         place = "" if root == RESULTS else f" --results {shell_argument(root)}"
         study, first = shell_argument(result.folder), result.table["name"].iloc[0]

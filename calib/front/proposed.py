@@ -11,7 +11,7 @@ import pandas as pd
 from calib.analyses.adapter import Adapter
 from calib.analyses.propose import Found, ProposalResult, composed
 from calib.analyses.proposed_code import library_text
-from calib.analyses.proposed_words import no_proposals, not_sought
+from calib.analyses.proposed_words import not_sought
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.front.shown import Shown
@@ -81,9 +81,7 @@ def proposed(
         )  # fmt: skip
     if found.verdict not in OPEN:
         named = (*found.credible, *(fault.names[0] for fault in found.blamed))
-        return Proposed(
-            ProposalResult(None, not_sought(found.verdict, named, "add what was named: with_named()"), no_proposals())
-        )
+        return Proposed(ProposalResult(None, not_sought(found.verdict, named, "add what was named: with_named()")))
     ((model, tests),) = problem.by_model
     explained = Found(found.verdict, (), found.noise_scale, found.base.fit.values)
     if found.verdict == "partial" and found.chosen is not None:

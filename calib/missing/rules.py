@@ -122,8 +122,14 @@ class Rules:
         Posterior probability that the common size of unexplained candidates is not larger than assumed.
     unexplained_seen : float
         Unabsorbed part of a signature below which the data cannot tell its size.
-    proposed, proposed_of_a_kind, proposed_hung : int
-        Compositions that are fitted, by predicted evidence; of one kind among them; places of a hung mass.
+    proposed, proposed_of_a_kind, proposed_hung, proposed_mounts : int
+        Compositions that are fitted, by predicted evidence; of one kind among them; places of a hung mass; damper
+        mounts.
+    tried_mounts : int
+        Damper mounts of which signatures are taken, those at the dampers with the largest scores.
+    equal : float
+        Log evidence, less the logarithm of the choices, within which proposals count as equal, whether it is that of a
+        fit or predicted from a signature.
     """
 
     credible: float = 3.0
@@ -183,6 +189,9 @@ class Rules:
     proposed: int = 10
     proposed_of_a_kind: int = 3
     proposed_hung: int = 3
+    proposed_mounts: int = 2
+    tried_mounts: int = 12
+    equal: float = 3.0
 
 
 RULES = Rules()

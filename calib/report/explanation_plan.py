@@ -14,6 +14,7 @@ from calib.report.frf import draw_frf_misfit
 from calib.report.mesh import rest_lines
 from calib.report.misfit import draw_pulls, where_it_fails_figure
 from calib.report.predictions import NUMBERS, draw_predictions
+from calib.report.proposals import drawn, proposals_figure
 from calib.report.responses import draw_response_misfit
 from calib.report.scene import PLACE
 from calib.report.shown import Folder
@@ -77,6 +78,13 @@ def plan_explanation(folder: Folder) -> Iterator[Drawing]:
     if versions is not None:
         caption = "errors over the versions of the model"
         yield Drawing("errors_over_versions", caption, bound(draw_error_versions, versions), ("versions",))
+    placed = _read(
+        folder, "proposal_places", ["kind", "at"], ["rank", "evidence", *PLACE], flags=["fitted", "close"],
+        complete=["rank", *PLACE],
+    )  # fmt: skip
+    if rest is not None and placed is not None and len(drawn(placed)):
+        caption = "proposed effects and their places"
+        yield Drawing("proposals", caption, bound(proposals_figure, placed, rest), ("proposals", "proposal_places"))
     gains = [f"{name}{end}" for name in ("gain", "ln_bayes") for end in ("", "_low", "_high")]
     candidates = _read(folder, "next_measurement", ["measurement", "kind"], gains, unbounded=gains, blank=["effect"])
     if candidates is not None:

@@ -41,6 +41,8 @@ KEYS = {
     "partial": ("parameter",),
     "posterior_correlation": ("parameter",),
     "predictions": ("mode",),
+    "proposals": ("rank",),
+    "proposal_places": ("rank", "kind", "at", "x", "y", "z"),
     "response_misfit": ("stage", "response"),
     "selection": ("parameter",),
     "self_orthogonality": ("mode",),

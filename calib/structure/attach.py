@@ -11,13 +11,16 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 from calib.errors import InputError
-from calib.structure.affine import Coefficient, Monomial, SeriesLoss, StretchPower, Term, parameter
+from calib.structure.affine import Coefficient, Monomial, SelectedTerm, SeriesLoss, StretchPower, Term, parameter
 from calib.structure.extend import Addition
 from calib.structure.model import Part, PartKind, StructuralModel
 
 GRAVITY = 9.81
+_ENDS = 48
+"""Most degrees of freedom that a spring or a damper with ends takes part in."""
 
 Place = tuple[str | None, tuple[float, float, float]]
 """Part that carries a point (None for the nearest), and the point in m."""
@@ -247,6 +250,108 @@ def soft_mounts(rows: Sequence[np.ndarray], damping: str, flexibility: str) -> A
         ),
         n_added=count,
     )
+
+
+def mount_rows(part: Part) -> list[np.ndarray]:
+    """Motions b (n_dof,) of a part's matrix, which is the sum of their ``b b^T``; empty for a large part."""
+    matrix = sp.csr_array(part.matrix)
+    used = np.unique(matrix.indices)
+    if not 0 < len(used) <= _ENDS:
+        return []
+    own, vectors = np.linalg.eigh(matrix[used][:, used].toarray())
+    rows = []
+    for k in np.flatnonzero(own > 1e-9 * own.max()).tolist():
+        row = np.zeros(matrix.shape[0])
+        row[used] = np.sqrt(own[k]) * vectors[:, k]
+        rows.append(row)
+    return rows
+
+
+def mounted_dampers(model: StructuralModel, names: Sequence[str], lag: str) -> Addition:
+    """Springs in series with dampers of a model (Maxwell elements), one degree of freedom for each motion they damp.
+
+    The lag t of a damper c on a spring k is ``c/k``; as a function of the frequency its damping is ``c/(1 + (2 pi f
+    t)^2)``. With b the elongation and ``g = x sqrt(c/t)`` for the deflection x of the spring, the balance of forces is
+    ``g + t g' - sqrt(c t) b' = 0``: regular at lag 0, where g is 0.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Parts of damping; InputError for another name.
+    lag : str
+        Name of the parameter.
+    """
+    parts = [part_of(model, "damping", name) for name in names]
+    rows = [mount_rows(part) for part in parts]
+    count, first, damping = sum(map(len, rows)), 0, []
+    own, _ = _beside([row for one in rows for row in one])
+    for part, motions in zip(parts, rows, strict=True):
+        still = np.zeros(model.n_dof)
+        _, cross = _beside([*[still] * first, *motions, *[still] * (count - first - len(motions))])
+        half = tuple((name, power / 2) for name, power in part.coefficient.powers)
+        size = -math.sqrt(part.coefficient.factor)
+        damping.append(Term(f"{lag}: {part.name}", cross, Monomial(size, (*half, (lag, 0.5)))))
+        first += len(motions)
+    return Addition(
+        stiffness=(Term(f"{lag}: springs", own),),
+        damping=(Term(f"{lag}: own", own, parameter(lag)), *damping),
+        n_added=count,
+    )
+
+
+def softened_supports(model: StructuralModel, names: Sequence[str], flexibility: str) -> Addition:
+    """Flexibilities in series with supports whose position discrete parameters select."""
+    chosen = [term for term in model.stiffness.selected if term.name in names]
+    if len(chosen) != len(names):
+        raise InputError(f"the model {model.name} lacks one of the supports {', '.join(names)}", place="effect")
+    soft = parameter(flexibility)
+    return Addition(
+        selected=tuple(
+            SelectedTerm(f"{flexibility}: {t.name}", SeriesLoss(t.coefficient, soft), t.selectors, t.vectors)
+            for t in chosen
+        )
+    )
+
+
+def joined_nodes(model: StructuralModel, part: Part) -> dict[int, int]:
+    """By the bodies that a spring joins, its node that is nearest to its midpoint; of one body if it is grounded.
+
+    Bodies are groups of nodes that lines of the mesh connect; they are numbered. Empty for a large part, and for a
+    spring within a single body.
+    """
+    matrix = sp.csr_array(part.matrix)
+    used = np.unique(matrix.indices)
+    nodes = np.unique(model.dofs.node[used]) if 0 < len(used) <= _ENDS else np.zeros(0, dtype=int)
+    nodes = nodes[nodes >= 0]
+    if not len(nodes):
+        return {}
+    count, lines = len(model.mesh.points), np.reshape(model.mesh.lines, (-1, 2))
+    joined = sp.coo_array((np.ones(len(lines)), (lines[:, 0], lines[:, 1])), shape=(count, count))
+    body = connected_components(joined, directed=False)[1]
+    far = np.linalg.norm(model.mesh.points[nodes] - np.array(part.place), axis=1)
+    ends = {int(one): int(nodes[np.where(body[nodes] == one, far, np.inf).argmin()]) for one in np.unique(body[nodes])}
+    grounded = _strained(model, used, matrix[used][:, used].toarray())
+    return ends if len(ends) == 2 or (len(ends) == 1 and grounded) else {}
+
+
+def relative_rotation(model: StructuralModel, part: Part, direction: int) -> np.ndarray | None:
+    """Rotation of the bodies that a spring joins against each other, (n_dof,), or of one body against the ground.
+
+    None where there are no such bodies (`joined_nodes`) or they have no such rotation; direction 3, 4, 5 for rx, ry,
+    rz.
+    """
+    nodes = joined_nodes(model, part).values()
+    rows = [model.dofs.expansion[[6 * node + direction]].toarray()[0] for node in nodes]
+    if not rows or any(np.abs(row).max(initial=0.0) < 1e-9 for row in rows):
+        return None
+    row = rows[0] - rows[1] if len(rows) == 2 else rows[0]
+    return row if np.abs(row).max() > 1e-9 else None
+
+
+def _strained(model: StructuralModel, used: np.ndarray, own: np.ndarray) -> bool:
+    """Whether translations of everything strain a spring, so that it stands on the ground."""
+    moves = [(model.dofs.direction[used] == d).astype(float) for d in range(3)]
+    return any(float(np.linalg.norm(own @ move)) > 1e-6 * float(np.abs(own).max()) for move in moves)
 
 
 def elongation(model: StructuralModel, one: Place, other: Place) -> np.ndarray:

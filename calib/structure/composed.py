@@ -5,12 +5,23 @@ Every builder adds to a model what its code, run as the body of ``def build(mode
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from calib.structure.affine import Term, parameter
-from calib.structure.attach import Place, between, hung_masses, motion, outer_term, scaled_part
+from calib.structure.attach import (
+    Place,
+    between,
+    hung_masses,
+    motion,
+    mounted_dampers,
+    outer_term,
+    part_of,
+    relative_rotation,
+    scaled_part,
+    softened_supports,
+)
 from calib.structure.extend import Addition
 from calib.structure.model import PartKind, StructuralModel
 from calib.structure.rules import RULES
@@ -90,31 +101,132 @@ class ScaledParts:
 
 
 @dataclass(frozen=True)
-class AddedMass:
-    """A mass at a point, in all directions in which the point moves.
+class MountedDampers:
+    """Springs in series with dampers of a model.
 
     Attributes
     ----------
     name : str
-    place : Place
-    directions : tuple of int
+        Of their lag.
+    parts : tuple of str
+        Parts of damping.
     """
 
     name: str
-    place: Place
-    directions: tuple[int, ...]
+    parts: tuple[str, ...]
 
     def __call__(self, model: StructuralModel) -> Addition:
-        """One mass term."""
-        rows = [motion(model, self.place, d) for d in self.directions]
-        return Addition(mass=(outer_term(self.name, rows, parameter(self.name)),))
+        """See `calib.structure.attach.mounted_dampers`."""
+        return mounted_dampers(model, self.parts, self.name)
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """See `Builder`."""
+        return (f'return mounted_dampers(model, {_names(self.parts)}, "{self.name}")',)
+
+    @property
+    def needs(self) -> Mapping[str, tuple[str, ...]]:
+        """See `Builder`."""
+        return {_ATTACH: ("mounted_dampers",)}
+
+
+@dataclass(frozen=True)
+class SoftSupports:
+    """Flexibilities in series with supports whose position parameters select.
+
+    Attributes
+    ----------
+    name : str
+        Of the flexibility.
+    supports : tuple of str
+    """
+
+    name: str
+    supports: tuple[str, ...]
+
+    def __call__(self, model: StructuralModel) -> Addition:
+        """See `calib.structure.attach.softened_supports`."""
+        return softened_supports(model, self.supports, self.name)
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """See `Builder`."""
+        return (f'return softened_supports(model, {_names(self.supports)}, "{self.name}")',)
+
+    @property
+    def needs(self) -> Mapping[str, tuple[str, ...]]:
+        """See `Builder`."""
+        return {_ATTACH: ("softened_supports",)}
+
+
+@dataclass(frozen=True)
+class TurningSprings:
+    """Turning springs about one axis between the bodies that springs of a model join.
+
+    Attributes
+    ----------
+    name : str
+        Of their stiffness.
+    parts : tuple of str
+        Springs of the model.
+    direction : int
+        3, 4, 5 for rx, ry, rz.
+    """
+
+    name: str
+    parts: tuple[str, ...]
+    direction: int
+
+    def __call__(self, model: StructuralModel) -> Addition:
+        """One term."""
+        rows = [relative_rotation(model, part_of(model, "stiffness", part), self.direction) for part in self.parts]
+        kept = [row for row in rows if row is not None]
+        return Addition(stiffness=(outer_term(self.name, kept, parameter(self.name)),))
 
     @property
     def code(self) -> tuple[str, ...]:
         """See `Builder`."""
         return (
-            f"place = {_literal(self.place)}",
-            f"rows = [motion(model, place, direction) for direction in {_tuple(self.directions)}]  # 0, 1, 2: x, y, z",
+            f'joints = [part_of(model, "stiffness", name) for name in {_names(self.parts)}]',
+            f"rows = [relative_rotation(model, joint, {self.direction}) for joint in joints]  # 3, 4, 5: rx, ry, rz",
+            f'return Addition(stiffness=(outer_term("{self.name}", rows, parameter("{self.name}")),))',
+        )
+
+    @property
+    def needs(self) -> Mapping[str, tuple[str, ...]]:
+        """See `Builder`."""
+        names = ("outer_term", "part_of", "relative_rotation")
+        return {_ATTACH: names, _AFFINE: ("parameter",), _EXTEND: ("Addition",)}
+
+
+@dataclass(frozen=True)
+class AddedMass:
+    """Masses at points, in all directions in which the points move.
+
+    Attributes
+    ----------
+    name : str
+    places : tuple of Place
+        Each has one mass.
+    directions : tuple of int
+    """
+
+    name: str
+    places: tuple[Place, ...]
+    directions: tuple[int, ...]
+
+    def __call__(self, model: StructuralModel) -> Addition:
+        """One mass term."""
+        rows = [motion(model, place, d) for place in self.places for d in self.directions]
+        return Addition(mass=(outer_term(self.name, rows, parameter(self.name)),))
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """See `Builder`."""
+        over = f"for place in places for direction in {_tuple(self.directions)}"
+        return (
+            f"places = {_literals(self.places)}",
+            f"rows = [motion(model, place, direction) {over}]  # 0, 1, 2: x, y, z",
             f'return Addition(mass=(outer_term("{self.name}", rows, parameter("{self.name}")),))',
         )
 
@@ -179,51 +291,55 @@ class HungMass:
 
 @dataclass(frozen=True)
 class Connection:
-    """A spring or a damper in one direction, between two points or from one to the ground.
+    """Springs or dampers in one direction, between two points each or from one to the ground.
 
     Attributes
     ----------
     name : str
     matrix : {"stiffness", "damping"}
-    place : Place
-    other : Place or None
-        None for the ground.
+    ends : tuple of (Place, Place or None)
+        Of each; None for the ground.
     direction : int
     """
 
     name: str
     matrix: str
-    place: Place
-    other: Place | None
+    ends: tuple[tuple[Place, Place | None], ...]
     direction: int
 
     def __call__(self, model: StructuralModel) -> Addition:
         """One term."""
-        if self.other is None:
-            row = motion(model, self.place, self.direction)
-        else:
-            row = between(model, self.place, self.other, self.direction)
-        term = (outer_term(self.name, [row], parameter(self.name)),)
+        rows = [
+            motion(model, one, self.direction) if other is None else between(model, one, other, self.direction)
+            for one, other in self.ends
+        ]
+        term = (outer_term(self.name, rows, parameter(self.name)),)
         return Addition(stiffness=term) if self.matrix == "stiffness" else Addition(damping=term)
 
     @property
     def code(self) -> tuple[str, ...]:
         """See `Builder`."""
-        first = _literal(self.place)
-        row = [f"row = motion(model, {first}, {self.direction})"]
-        if self.other is not None:
-            row = [
-                f"one = {first}",
-                f"other = {_literal(self.other)}",
-                f"row = between(model, one, other, {self.direction})",
-            ]
-        return (*row, f'return Addition({self.matrix}=(outer_term("{self.name}", [row], parameter("{self.name}")),))')
+        if self._grounded:
+            lines = [f"places = {_literals([one for one, _ in self.ends])}"]
+            lines += [f"rows = [motion(model, place, {self.direction}) for place in places]"]
+        else:
+            lines = ["ends = ("]
+            for one, other in self.ends:
+                assert other is not None
+                lines += ["    (", f"        {_literal(one)},", f"        {_literal(other)},", "    ),"]
+            lines += [")", f"rows = [between(model, one, other, {self.direction}) for one, other in ends]"]
+        term = f'outer_term("{self.name}", rows, parameter("{self.name}"))'
+        return (*lines, f"return Addition({self.matrix}=({term},))")
 
     @property
     def needs(self) -> Mapping[str, tuple[str, ...]]:
         """See `Builder`."""
-        move = "motion" if self.other is None else "between"
+        move = "motion" if self._grounded else "between"
         return {_ATTACH: (move, "outer_term"), _AFFINE: ("parameter",), _EXTEND: ("Addition",)}
+
+    @property
+    def _grounded(self) -> bool:
+        return all(other is None for _, other in self.ends)
 
 
 @dataclass(frozen=True)
@@ -266,3 +382,11 @@ def quoted(text: str) -> str:
 
 def _tuple(numbers: tuple[int, ...]) -> str:
     return f"({', '.join(map(str, numbers))}{',' * (len(numbers) == 1)})"
+
+
+def _literals(places: Sequence[Place]) -> str:
+    return f"({', '.join(map(_literal, places))}{',' * (len(places) == 1)})"
+
+
+def _names(names: Sequence[str]) -> str:
+    return f"({', '.join(map(quoted, names))}{',' * (len(names) == 1)})"

@@ -27,6 +27,19 @@ class ModelRules:
         Largest spring or mass at a sensor, over the plausible one.
     lossy : float
         Plausible loss factor of a part at the middle of the measured band.
+    lagging : float
+        Plausible lag of a damper on its mount, over that at which it has half of its damping at the middle of the
+        measured band.
+    mount_grid : tuple of float
+        Magnitudes, over the plausible one, at which the signature of a damper mount is taken.
+    soft : float
+        Plausible flexibility in series with a support, over that of the support.
+    same_joint : float
+        Distance of springs between the same bodies that count as one joint, over the size of the model.
+    further_places : int
+        Most places between sensors at which a composed mass may be.
+    further_apart : float
+        Their least distance from others, over the size of the model.
     neighbours : int
         Nearest sensors of the same direction to which a sensor may be joined in a composed effect.
     hung_points : int
@@ -47,6 +60,12 @@ class ModelRules:
     heavy: float = 0.01
     added_most: float = 20.0
     lossy: float = 0.1
+    lagging: float = 0.5
+    mount_grid: tuple[float, ...] = (0.5, 2.0)
+    soft: float = 5.0
+    same_joint: float = 0.1
+    further_places: int = 12
+    further_apart: float = 0.1
     neighbours: int = 3
     hung_points: int = 7
     hung_ratio: float = 0.03

@@ -28,27 +28,28 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from rates_outcome import Measured
 from rates_scenarios import OWN, Scenario
 from rates_subject import ROOT, SUBJECTS
 from rates_world import World, code_digest
 from scipy.stats import beta
 
-from calib.analyses.compositions import compositions
+from calib.analyses.compositions import compositions, row_freqs
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.correlation.residual import ModalResidual
-from calib.missing.proposal import Composed, Search
+from calib.missing.proposal import Composed
+from calib.missing.proposal_search import Search
 from calib.missing.refits import Refits, Settings
 from calib.stage import unheard
-from calib.structure.attach import parts_of
-from calib.structure.composed import ScaledParts
 
 VISIBLE = 6.0
 NEAR = 0.7
 """Metres; the bogie is 4 m long and 2.6 m wide, and its sensors stand about a metre apart."""
-ELASTIC = ("stiffness", "section", "spring to ground", "spring between")
+ELASTIC = ("stiffness", "section", "spring to ground", "spring between", "turning spring", "soft support")
 INERTIAL = ("mass", "added mass")
 DISSIPATIVE = ("damping", "dissipation", "damper to ground", "damper between")
 HUNG = ("hung mass",)
+MOUNTS = ("damper mount",)
 
 Points = tuple[tuple[float, float, float], ...]
 
@@ -77,7 +78,7 @@ TRUTH = {
     "brake_unit": Truth(HUNG, ((1.11, 0.62, 0.45),)),  # a body on bushes
     "primary_uneven": Truth(ELASTIC, _FRONT_LEFT),  # springs of that corner
     "weak_damper": Truth(DISSIPATIVE, _FRONT_LEFT),  # the damper of that corner
-    "damper_mount": Truth(DISSIPATIVE, _CORNERS),  # dampers that lose their effect with frequency
+    "damper_mount": Truth((*DISSIPATIVE, *MOUNTS), _CORNERS),  # dampers that lose their effect with frequency
     "wheel_contact": Truth(ELASTIC, _all((1.45,), 0.43, (-0.87, 0.87))),  # contacts of the front axle
     "rolling_wheels": Truth(INERTIAL, _all((-1.45, 1.45), 0.43, (-0.87, 0.87))),  # polar inertia that acts as mass
     "gear_case_offset": Truth(INERTIAL, _all((1.45,), 0.43, (-1.05, -0.5, 0.0, 0.5, 1.05))),  # a mass elsewhere on it
@@ -131,19 +132,26 @@ def _case(world: World, scenario: Scenario, number: int) -> dict[str, Any] | Non
     started = time.perf_counter()
     measured = world.measure(scenario, number)
     (score,) = world._truth(scenario, measured)["visible"]
-    if score < VISIBLE:
-        return None
+    return row_of(world, scenario, number, score, measured, started) if score >= VISIBLE else None
+
+
+def row_of(
+    world: World, scenario: Scenario, number: int, score: float, measured: Measured, started: float | None = None
+) -> dict[str, Any]:
+    """What is proposed for one measurement, beside the truth."""
+    started = time.perf_counter() if started is None else started
     problem, library = world.specimen.problem(measured.whole), world.libraries[OWN]
     base = ModelHypotheses(ModalResidual(problem), library, world.space, without=tuple(e.name for e in world.library))
     taken = [name for effect in world.effects.values() for name in effect.names]
     own = compositions(world.model, [problem.measured], world.space.values, taken)
     hypotheses = base.with_more(own.effects)
     fits = Refits(hypotheses, Settings(budget=math.inf), 1.0, unheard)
-    found = Search(fits, own.plain, own.hung, own.freqs).proposals((), base.space.values)
+    search = Search(fits, own.plain, own.mounts, own.hung, own.held, row_freqs(hypotheses))
+    found = search.proposals((), base.space.values)
     truth, (hidden,) = TRUTH[measured.hidden[0]], measured.hidden
     ranked = found.ranked
     close = [] if not ranked else [c for p in found.close for c in (p.composed, *p.alike)]
-    near = [_is_near(world, p.composed, truth) for p in ranked]
+    near = [_is_near(p.composed, truth) for p in ranked]
     return {
         "scenario": scenario.name, "number": number, "hidden": hidden, "score": score, "group": scenario.group,
         "magnitude": measured.values[hidden], "p_family": found.p_family, "measurement": found.measurement,
@@ -152,20 +160,17 @@ def _case(world: World, scenario: Scenario, number: int) -> dict[str, Any] | Non
         "kind_told": any(c.kind in truth.kinds for c in close),
         "place": bool(near) and near[0], "place_in_three": any(near[:3]),
         "both_in_three": any(n and p.composed.kind in truth.kinds for n, p in zip(near[:3], ranked[:3], strict=True)),
+        "told": [[c.kind, c.at] for c in close],
+        "lost": [[one.title, one.reason] for one in found.lost],
         "left": None if found.left is None else found.left.p_family,
         "seconds": round(time.perf_counter() - started, 1),
     }  # fmt: skip
 
 
-def _is_near(world: World, composed: Composed, truth: Truth) -> bool:
+def _is_near(composed: Composed, truth: Truth) -> bool:
     """Whether at least half of its places are near a true one."""
-    build = composed.effect.build  # type: ignore[attr-defined]
-    places = [composed.place]
-    if isinstance(build, ScaledParts):
-        wanted = set(build.parts)
-        places = [p.place for p in parts_of(world.model) if (p.kind, p.name) in wanted]
-    near = [min(math.dist(place, true) for true in truth.places) <= NEAR for place in places]
-    return sum(near) * 2 >= len(near)
+    near = [min(math.dist(place, true) for true in truth.places) <= NEAR for place in composed.places]
+    return bool(near) and sum(near) * 2 >= len(near)
 
 
 WORDS = {

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from calib import cli
+from calib.missing.rules import RULES
 from calib.study import Study
 
 
@@ -46,7 +47,7 @@ def test_a_proposal_is_named_added_and_predicts_better(without_guy, capsys, expl
     (first,) = table.to_dict("records")
     # The rope acts along x at 4.5 m, where no sensor is.
     assert first["kind"].startswith("spring") and 3.0 <= first["y"] <= 6.0 and first["at"].endswith("x")
-    assert first["kind"] == "spring to ground" or "spring to ground of sensor 4x" in first["alike"]
+    assert first["kind"] == "spring to ground" or "spring to ground at sensor 4x" in first["alike"]
     told = json.loads(Path("results/mast/proposals.json").read_text())
     assert told["proposed"] and told["found"] in " ".join(out.split())
     study = "results/mast/mast_proposed"
@@ -88,3 +89,33 @@ def test_nothing_is_proposed_where_the_library_explains(guyed, capsys):
     assert "Nothing is proposed: effects of the library explain the data, guy." in out
     assert not Path("results/mast/mast_proposed").exists()
     assert pd.read_csv("results/mast/proposals.csv").empty
+
+
+@pytest.mark.slow
+def test_the_number_of_proposals_is_recorded_and_places_are_a_table(without_guy, capsys):
+    assert cli.execute(["explain", "mast"]) == 0 and cli.execute(["propose", "mast", "--rank", "2"]) == 0
+    record = json.loads(Path("results/mast/record.json").read_text())["analyses"]["propose"]
+    assert record["options"] == ["--rank", "2"] and record["rules"]["missing"]["equal"] == RULES.equal
+    table = pd.read_csv("results/mast/proposals.csv", keep_default_na=False)
+    places = pd.read_csv("results/mast/proposal_places.csv")
+    assert len(table) == 2
+    own = places[places["fitted"]].groupby("rank")[["x", "y", "z"]].mean()
+    for r in table.to_dict("records"):
+        assert own.loc[r["rank"]].tolist() == pytest.approx([float(r[c]) for c in "xyz"])
+
+
+@pytest.mark.slow
+def test_earlier_proposals_are_set_aside_where_there_are_none_now(without_guy, capsys, edit):
+    assert cli.execute(["explain", "mast"]) == 0 and cli.execute(["propose", "mast"]) == 0
+    written = Path("results/mast/mast_proposed/proposed_effects.py").read_text()
+    (without_guy / "taken_over.py").write_text(written)
+    edit(without_guy, 'effects = "effects.py:library"', 'effects = "taken_over.py:proposed_effects"')
+    assert cli.execute(["explain", "mast"]) == 0
+    capsys.readouterr()
+    assert cli.execute(["propose", "mast"]) == 0
+    said = capsys.readouterr()
+    words = " ".join((said.out + said.err).split())
+    assert "Nothing is proposed: effects of the library explain the data" in words
+    assert "Earlier proposals are kept as results/mast/mast_proposed_earlier." in words
+    assert not Path("results/mast/mast_proposed").exists()
+    assert Path("results/mast/mast_proposed_earlier/proposed_effects.py").read_text() == written

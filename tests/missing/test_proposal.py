@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.missing.proposal import hung_over_fixed
+from calib.missing.proposal_search import hung_over_fixed
 
 
 def test_a_hung_mass_moves_with_its_carrier_below_its_frequency_and_against_it_above():

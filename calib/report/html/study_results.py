@@ -46,6 +46,7 @@ ADDED = {
     "sentence": str, "conclusion": str, "own": str, "effects": [{"name": str}], "study": str, "mean_freq_error": float,
     "mean_mac": float,
 }  # fmt: skip
+PROPOSALS = {"sentences": [str]}
 """Types of the named values that the page reads, by file."""
 
 
@@ -91,6 +92,11 @@ class StudyResults:
         if found.get("effects") and not {"study", "mean_freq_error", "mean_mac"} <= found.keys():
             raise InputError("it is incomplete", place=self.folder / "added.json", remedy="run the analysis again")
         return found
+
+    @cached_property
+    def proposals(self) -> dict[str, Any]:
+        """``proposals.json``."""
+        return self._json("proposals", PROPOSALS)
 
     @cached_property
     def figures(self) -> Figures:
