@@ -50,26 +50,35 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "structure/inertia.py": "_BACKWARD",
     "structure/matrices.py": "_ROUNDING",
     "structure/places.py": "_LITTLE",
+    "structure/point_compositions.py": "_SAME",
     "structure/refinement.py": "ACCURACY _CLEAR _SHIFT",
     "structure/solve.py": "_COPY _SHIFT _TURNING",
-    "structure/solve_dense.py": "_SHIFT _EXACT _SAME",
+    "structure/solve_dense.py": "_SHIFT",
+    "structure/relaxation.py": "_ELASTIC",
     "structure/soundness.py": "_ROUNDING",
     "structure/static_reduction.py": "_SINGULAR _ALIKE",
 }
 
 ACCURACY = {  # of solutions, reduced bases and differences, which are checked against full order
-    "analyses/reduction.py": "WORTHWHILE_DOFS FIRST_ORDER DAMPING_MAX",
+    "analyses/reduction.py": "WORTHWHILE_DOFS FIRST_ORDER",
     "differences.py": "STEP",
+    "correlation/problem.py": "DAMPING_MAX",
     "structure/certificate.py": "_CLUSTER _LOST",
+    "structure/compression.py": "_BESIDE _COUPLED _NEAREST _STRONG _START _ROOTS _ABOVE _SAME _REACH _NEGLIGIBLE "
+    "_PARALLEL",
     "structure/effect_basis.py": "_POINTS _STRONG _ERROR _REFINED _BATCH _MODES _TOGETHER",
     "structure/frf_target.py": "TOLERANCE _BEYOND _SHAPE _LINES",
     "structure/growth.py": "SAFETY POD _STATIC VERIFIED",
     "structure/mode_target.py": "_NEAR _REFINED",
     "structure/mounted.py": "GROWN_SAG",
+    "structure/relaxation.py": "BRANCHES _BEYOND _LINES",
+    "structure/rubber.py": "_MOST_LOSS",
+    "structure/solve_dense.py": "ACCURACY",
     "structure/training.py": "_FRESH _FIRST _ROUNDS",
 }
 
 EFFORT = {  # of iterations and searches that end by themselves, and of quick runs, which say that they are quick
+    "analyses/compositions.py": "MODES RIGID",
     "analyses/frf_start.py": "EQUATION_ERROR LEVEL ROUNDS",
     "analyses/places.py": "QUICK_SAMPLES QUICK_POPULATION QUICK_GENERATIONS QUICK_STARTS QUICK_TRAJECTORIES QUICK_BASE "
     "QUICK_SAMPLED",
@@ -82,12 +91,13 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "missing/discrepancy.py": "_LEAST _POINTS",
     "missing/linearised_fit.py": "_TURNS",
     "missing/profile.py": "_TRIES",
-    "missing/proposal.py": "_DAMPED _FREQS",
+    "missing/proposal_search.py": "_DAMPED _FREQS",
     "missing/samples.py": "_TRIES",
     "missing/visible.py": "_ASKED _CLOSE _INWARD _LEAST",
     "modal_analysis/ambient.py": "DECIMATED_MOST",
     "modal_analysis/model.py": "ROUNDS EVALUATIONS SMALLEST_STEP BEYOND BEYOND_DAMPING FARTHEST",
     "sampling.py": "_FEWEST _TRIES",
+    "structure/compression.py": "_STEPS",
     "structure/refinement.py": "STEPS",
 }
 
@@ -109,8 +119,12 @@ SPEED = {  # memory, time, processes; results are the same
     "structure/frf.py": "_ORDER _DENSE _LOW_RANK",
     "structure/modal_function.py": "REMEMBERED",
     "structure/places.py": "_FEW",
+    "structure/attach.py": "_ENDS",
+    "structure/compression.py": "_WORTHWHILE",
+    "structure/part_compositions.py": "_FEW",
+    "structure/relaxation.py": "MOST_MOTIONS",
     "structure/solve.py": "DENSE_LIMIT",
-    "structure/solve_dense.py": "_REACH _FEW",
+    "structure/solve_dense.py": "_FEW _LARGE",
     "study_file.py": "_KEPT",
     "team.py": "_MOST _WORTH _LARGE",
     "worker.py": "_KEPT",
@@ -157,8 +171,9 @@ FORMATS = {  # units, codes of files, and what a file may hold
     "measurement/uff_frf_write.py": "_NUMERATOR _FORCE _FREQUENCY _FRF",
     "measurement/uff_record.py": "TIME_RESPONSE _TIME _COMPLEX",
     "measurement/uff_sets.py": "SI_UNITS _LARGEST_NODE",
-    "settings.py": "LONGEST_NAME",
-    "space.py": "MOST FINEST_PRIOR",
+    "parameter.py": "MOST FINEST_PRIOR",
+    "section.py": "LONGEST_NAME",
+    "structure/amplitude.py": "_LEFT",
     "structure/attach.py": "GRAVITY",
     "units.py": "SI_FACTORS",
 }

@@ -120,7 +120,7 @@ def test_each_makes_another_problem_and_concerns_its_lines(pair):
     assert len(prints) == 5
     low = data.in_band(0.0, 1.1 * errors[0].freq)
     assert concerned(errors, low) == errors[:2]
-    with pytest.raises(InputError, match="no line is near it"):
+    with pytest.raises(InputError, match="was not measured"):
         FRFProblem(pair, low, errors)
 
 

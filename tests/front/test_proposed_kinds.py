@@ -7,7 +7,7 @@ import calib
 from calib.errors import EvaluationError
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
-from calib.structure.perturbations import RELATIVE
+from calib.structure import rules as model_rules
 from tests.front.storeys import chain, frfs, measured, posed
 
 
@@ -40,7 +40,7 @@ def test_a_change_beyond_the_plausible_size_is_fitted_from_there_too(softened, m
     monkeypatch.setattr(Refits, "best_of", watched)
     softened.propose()
     first, *others = seen["stiffness_storey_3"]
-    assert first == pytest.approx(-RELATIVE) and others and min(others) < -RELATIVE
+    assert first == pytest.approx(-model_rules.RULES.relative) and others and min(others) < -model_rules.RULES.relative
 
 
 def test_ranks_and_equals_follow_one_threshold(softened):
