@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 from other_methods import answers, hypotheses_of
 from rates_subject import ROOT
-from rates_table import Rate, methods_file, report_methods, write_rates
+from rates_table import Rate, codes, methods_file, report_methods, write_rates
 from rates_world import digest_of
 from scipy.stats import beta
 
@@ -160,7 +160,7 @@ def report(given: argparse.Namespace) -> None:
     """Counts by design with 95 % bounds of their sums (Clopper and Pearson 1934)."""
     rows = lines(given.folder / "runs.jsonl")
     if given.write is not None:
-        write_rates(rates(rows), given.write, rows[-1]["code"], rows[-1]["date"])
+        write_rates(rates(rows), given.write, codes(rows), rows[-1]["date"])
     report_methods([as_row(r) for r in rows], methods_file(given.write), rows[-1]["date"] if rows else "")
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
