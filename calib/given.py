@@ -27,6 +27,15 @@ def names(given: Any, place: str) -> tuple[str, ...]:
     return tuple(str(name) for name in found)
 
 
+def parts_once(given: Any, place: str) -> tuple[str, ...]:
+    """Names of parts, each once; InputError for one that occurs twice, which would count double."""
+    found = names(given, place)
+    twice = next((name for k, name in enumerate(found) if name in found[:k]), None)
+    if twice is not None:
+        raise InputError(f"{twice!r} occurs twice", place=place, remedy="name each part once")
+    return found
+
+
 def number(given: Any, place: str) -> float:
     """A number; InputError for text, None and arrays."""
     try:

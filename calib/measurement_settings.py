@@ -37,7 +37,7 @@ class NuisanceSettings(Section):
     """Mass of the accelerometer at every node with a response, kg; its standard deviation is a tenth of it."""
     stinger: float | None = Field(default=None, gt=0, le=1e12)
     """Standard deviation of the stiffness of the exciter's stinger at every reference, N/m."""
-    resonance: float | None = Field(default=None, gt=0, le=100)
+    resonance: float | None = Field(default=None, gt=0, le=5)
     """Standard deviation of what the model is off by at the peak of every resonance, % of the modulus."""
 
 

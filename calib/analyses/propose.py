@@ -271,7 +271,8 @@ def _kept(study: AnyStudy, results: Results, found: ProposalResult, count: int) 
             "adequacy_p_family": np.nan if p is None or p.left is None else p.left.p_family,
             "adequacy_p_fit": np.nan if p is None or p.left is None else p.left.p_fit,
             "measurement_fault": fault, "wrong_datum": None if p is None or p.datum is None else p.datum.what,
-            "written": "" if found.folder is None else str(found.folder), "seconds": found.seconds,
+            "written": "" if found.folder is None else str(found.folder),
+            "set_aside": "" if found.aside is None else str(found.aside), "seconds": found.seconds,
         },
     )  # fmt: skip
     options = () if count == RANKED else ("--rank", str(count))

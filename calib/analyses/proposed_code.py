@@ -82,7 +82,7 @@ def _effect(rank: int, proposal: Proposal, beside: Sequence[str]) -> list[str]:
     )
     if proposal.alike:
         others = "; ".join(map(in_words, proposal.alike[:3]))
-        told += f" These data do not tell it from: {others}{'; ...' if len(proposal.alike) > 3 else ''}."
+        told += f" The data cannot discriminate it from: {others}{'; ...' if len(proposal.alike) > 3 else ''}."
     lines = [f"# {line}" for line in textwrap.wrap(told, _WIDE - 12)]
     lines += ["Effect("]
     lines += [f"    name={quoted(effect.name)},"]

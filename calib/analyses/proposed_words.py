@@ -49,13 +49,13 @@ def places_table(found: Proposals) -> pd.DataFrame:
 
 
 def lost_words(found: Proposals) -> tuple[str, ...]:
-    """What could not be tried, in a sentence."""
+    """What could not be fitted, in a sentence."""
     if not found.lost:
         return ()
     first, count = found.lost[0], len(found.lost)
     title = f"{first.title[:1].lower()}{first.title[1:]}"
     others = f", and {count - 1} more (see proposals.json)" if count > 1 else ""
-    return (f"Not tried: {title} ({first.reason}){others}.",)
+    return (f"Not fitted: {title} ({first.reason}){others}.",)
 
 
 def sized(p: Proposal) -> str:
@@ -94,7 +94,7 @@ def answer_of(found: Proposals) -> Answer:
     if others:
         words += f" About as well explained by: {'; '.join(map(sized, others))}."
     if best.alike:
-        words += f" Not to be told from it: {'; '.join(map(told, best.alike[:3]))}."
+        words += f" The data cannot discriminate it from: {'; '.join(map(told, best.alike[:3]))}."
     if found.datum is not None:
         words += f" Or {found.datum.told} explains about as well: check it first."
     beside = f" beside {' and '.join(found.base.names)}" if found.base.names else ""

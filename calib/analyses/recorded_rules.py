@@ -17,7 +17,7 @@ from calib.sensitivity import rules as sensitivity
 from calib.structure import rules as models
 
 _COMPARED = ("reading", "degrees_of_freedom", "floors", "comparison")
-# A calibration judges its fit, single data and held-out data as an explanation does.
+# A calibration tests its fit, single data and held-out data as an explanation does.
 _FITTED = (*_COMPARED, "faults", "models", "limits", "inference", "missing", "analyses")
 _USED: Mapping[str, tuple[str, ...]] = {
     "compare": (*_COMPARED, "analyses"),

@@ -106,7 +106,7 @@ def _errors(result: ExplanationResult, followed: bool) -> list[Rows]:
 
 def _predictions(result: ExplanationResult) -> list[Rows]:
     """Held-out data by the base model with what a misfit that nothing explains does to them."""
-    if ERRORS_WITH not in result.tables:
+    if ERRORS_WITH not in result.tables or PREDICTIONS not in result.tables:
         return []
     table, several = result.tables[PREDICTIONS], TEST in result.tables[ERRORS_WITH]
     rows = []

@@ -56,6 +56,8 @@ class FaultRules:
     limit : float
         Distance of the limits of errors that a fit frees, and of delays, in prior standard deviations: they exclude
         nothing that the prior allows.
+    resonance_most : float
+        Largest stated error of the model at its resonances, %: the factor of the functions is linear in it.
     """
 
     gain: float = 1.0
@@ -79,6 +81,7 @@ class FaultRules:
     gain_weakest: float = -90.0
     mass_sd: float = 0.1
     limit: float = 10.0
+    resonance_most: float = 5.0
 
 
 RULES = FaultRules()

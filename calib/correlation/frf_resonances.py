@@ -64,6 +64,11 @@ class ResonanceError:
                 remedy="give positive numbers in Hz",
             )  # fmt: skip
         require_positive(self.share, self.place)
+        if self.share > RULES.resonance_most:
+            raise InputError(
+                f"the model may be off by {self.share:g} % at it, where its factor is no longer linear",
+                place=self.place, remedy=f"give {RULES.resonance_most:g} % or less, and fit the rest as a parameter",
+            )  # fmt: skip
 
     @property
     def name(self) -> str:

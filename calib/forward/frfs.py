@@ -13,6 +13,7 @@ from calib.correlation.frf_nuisance import Nuisance, belonging_to, concerned, of
 from calib.correlation.frf_places import of_every_place
 from calib.correlation.frf_problem import FRFProblem
 from calib.correlation.frf_residual import FRFResidual
+from calib.correlation.frf_resonances import of_every_resonance
 from calib.errors import InputError
 from calib.forward.misfit import misfit
 from calib.forward.tested import Tested
@@ -70,7 +71,9 @@ class TestedFRFs(Tested):
     def nuisances(self, model: StructuralModel) -> tuple[Nuisance, ...]:
         """Those that the study names, of all channels and transducers of the test, held-out ones included."""
         given, whole = self.study.settings.measurement.nuisances, self.given
-        found: tuple[Nuisance, ...] = of_every_channel(whole, **given.model_dump(exclude={"place"}))
+        found: tuple[Nuisance, ...] = of_every_channel(whole, **given.model_dump(exclude={"place", "resonance"}))
+        if given.resonance is not None:
+            found += of_every_resonance(self.used, given.resonance)  # what is held out enters no fit
         if given.place is not None:
             found += of_every_place(whole, given.place, model)
         return belonging_to(self.study.test, found)

@@ -13,7 +13,7 @@ from calib.missing.rules import RULES
 
 
 class Composed(Protocol):
-    """An effect composed of local perturbations, such as `calib.structure.compositions.Composition`."""
+    """An effect composed of local perturbations, such as `calib.structure.composition.Composition`."""
 
     @property
     def effect(self) -> Candidate:

@@ -198,10 +198,10 @@ class Search:
         A mass m on a spring acts at a frequency f as ``m/(1 - (f/f0)^2)`` does, so that the signature of a fixed one,
         row by row times this factor, is that of a hung one to first order.
         """
-        if not self.hung or np.isnan(self.freqs).any():
+        if not self.hung or np.isnan(self.freqs).any() or not (self.freqs > 0).any():
             return []
         held = scores(fit, self.held, {})
-        natural = np.geomspace(0.7 * self.freqs.min(), 1.4 * self.freqs.max(), _FREQS)
+        natural = np.geomspace(0.7 * self.freqs[self.freqs > 0].min(), 1.4 * self.freqs.max(), _FREQS)
         factor = hung_over_fixed(self.freqs, natural)
         best: list[tuple[float, int]] = []
         for k, one in enumerate(self.hung):

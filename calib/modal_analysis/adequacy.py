@@ -77,7 +77,7 @@ def _window(frfs: MeasuredFRFs, pole: complex) -> np.ndarray:
     away = np.abs(frfs.freq - own)
     reach = max(
         0.5 * reading.RULES.resonance_widths * 2 * (-pole.real / abs(pole)) * own,
-        float(np.sort(away)[min(RULES.judged_lines, len(away)) - 1]),
+        float(np.sort(away)[min(RULES.compared_lines, len(away)) - 1]),
     )
     return np.asarray(away <= reach)
 

@@ -32,8 +32,8 @@ class IdentifyRules:
         The same, over all orders.
     overdamped : float
         Above this ratio a pole of FRFs has no resonance and stands for other errors of the fit.
-    judged_lines : int
-        Fewest lines by which a mode is judged; the nearest, where its half-power width holds fewer.
+    compared_lines : int
+        Fewest lines by which a mode is checked; the nearest, where its half-power width holds fewer.
     excess_most : float
         Largest error beyond noise around a mode, over the FRF: the FRAC is then about 0.99.
     excess_sure : float
@@ -79,7 +79,7 @@ class IdentifyRules:
     orders_least: int = 5
     orders_share: float = 0.25
     overdamped: float = 0.9
-    judged_lines: int = 5
+    compared_lines: int = 5
     excess_most: float = 0.1
     excess_sure: float = 5.0
     record_order_most: int = 60

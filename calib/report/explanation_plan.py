@@ -59,7 +59,9 @@ def plan_explanation(folder: Folder) -> Iterator[Drawing]:
         yield Drawing("errors_before_after", "errors before and after", draw, ("errors",))
     flags = ["inside", "inside_unexplained"]
     labels = ["mode", "sensor", "part"]
-    predicted = _read(folder, "unexplained_predictions", ["group", "kind"], NUMBERS, flags=flags, blank=labels)
+    predicted = _read(
+        folder, "unexplained_predictions", ["group", "kind"], NUMBERS, flags=flags, blank=labels, unbounded=NUMBERS
+    )
     if predicted is not None:
         caption = "predictions of held-out data"
         draw = bound(draw_predictions, predicted)

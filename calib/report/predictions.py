@@ -43,6 +43,9 @@ def draw_predictions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax = own_axes(ax, 3.8)
     if table.empty:
         return blank(ax, "no value is held out")
+    table = table[np.isfinite(table[NUMBERS].to_numpy(float)).all(axis=1)]
+    if table.empty:
+        return blank(ax, "no prediction has a finite interval")
     step = -(-len(table) // _MOST)
     parts = [own.iloc[::step] for _, own in table.groupby("group", sort=False)]
     shown = pd.concat(parts, ignore_index=True)

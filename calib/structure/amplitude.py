@@ -14,7 +14,7 @@ from typing import get_args
 
 from calib.effect import Effect
 from calib.errors import InputError
-from calib.given import names
+from calib.given import parts_once
 from calib.space import Parameter, ParameterSpace
 from calib.structure.affine import Monomial, Term
 from calib.structure.attach import part_of
@@ -100,6 +100,11 @@ def amplitude_terms(
             f"the model {model.name} has no parameter {at!r}, the level of a test",
             remedy="add the level to the model, see calib.structure.amplitude",
         )
+    if magnitude in model.space and not 0 < model.space[magnitude].upper * model.space[at].upper < 1:
+        raise InputError(
+            f"at the largest level of {model.name}, {model.space[at].upper:g}, nothing would be left of its parts",
+            place=f"effect {magnitude}", remedy="give the effect the level that the model has",
+        )  # fmt: skip
     terms = []
     for part in (part_of(model, kind, name) for name in parts):
         powers = (*part.coefficient.powers, (magnitude, 1.0), (at, 1.0))
@@ -151,7 +156,7 @@ def amplitude_dependence(
             f"its level {at.name!r} reaches from {at.lower:g} to {at.upper:g} {at.unit}", place=place,
             remedy="make it by calib.structure.amplitude.level",
         )  # fmt: skip
-    listed = names(parts, f"{place}, parts")
+    listed = parts_once(parts, f"{place}, parts")
     if not listed:
         raise InputError("it names no part", place=place, remedy=f"name parts of {kind} of the model")
     most = (1 - _LEFT) / at.upper

@@ -24,7 +24,7 @@ _START = 0.1
 """Largest error by the residual from which corrections are tried."""
 _STEPS = 6
 _ROOTS = 0.02
-"""Largest error of overdamped roots: their number matters, and is exact."""
+"""Largest error of overdamped roots: their number matters, and is compared by its changes of sign."""
 _ABOVE = 1.25
 """Modes up to this multiple of the highest wanted one are corrected where their error may hide a lower one."""
 _SAME = 1e-5
@@ -51,10 +51,11 @@ def corrected_eigenpairs(problem: DampedProblem, count: int, accuracy: float) ->
     - no field of values of the left-out part holds zero up to the highest wanted modulus, so that no mode lies in it
       alone;
     - the whole problem has as many overdamped roots there as the smaller one, by Sylvester's law of inertia;
-    - every wanted eigenvalue has an estimated error below ``accuracy``, no other one may lie among them, and their
-      states are independent.
+    - every wanted eigenvalue has an estimated error below ``accuracy``, no other one up to 1.25 times the highest
+      may lie among them, and their states are independent.
 
-    The first two are exact. The last rests on residuals, as error estimates of reduced models do.
+    The first two are exact, the second by changes of sign. The last rests on residuals, as error estimates of reduced
+    models do.
 
     Parameters
     ----------

@@ -242,7 +242,7 @@ def _connection(kind: str, ends: Sequence[tuple[Sensor, Sensor | None]], names: 
         _builder(name, matrix, places, direction), phrase=words[:1].lower() + words[1:],
     )  # fmt: skip
     middles = [np.mean([_place(s)[1] for s in pair if s is not None], axis=0).tolist() for pair in ends]
-    return Composition(effect, kind, at, tuple((x, y, z) for x, y, z in middles), len(ends))
+    return Composition(effect, kind, at, tuple(dict.fromkeys((x, y, z) for x, y, z in middles)), len(ends))
 
 
 def _builder(name: str, matrix: str, ends: tuple[tuple[Place, Place | None], ...], direction: int) -> Builder:

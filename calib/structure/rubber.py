@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.effect import Effect
 from calib.errors import InputError
-from calib.given import names
+from calib.given import parts_once
 from calib.space import Parameter
 from calib.structure.relaxation import band_of, lossy_parts, relaxing_parts
 
@@ -116,7 +116,7 @@ def relaxing_rubber(
 
 def _listed(name: str, parts: Sequence[str]) -> tuple[str, ...]:
     """Names of parts, at least one, each once."""
-    listed = names(parts, f"effect {name}, parts")
+    listed = parts_once(parts, f"effect {name}, parts")
     if not listed:
         raise InputError("it names no part", place=f"effect {name}", remedy="name parts of stiffness of the model")
     return listed

@@ -14,7 +14,7 @@ _ERRORS = ["rms", "expected", "expected_unexplained", "p", "p_unexplained"]
 def predictions(results: StudyResults) -> list[Block]:
     """Intervals and errors with and without the unexplained misfit; nothing where everything is explained."""
     flags = ["inside", "inside_unexplained"]
-    table = results.table("unexplained_predictions", ["group", "kind"], NUMBERS, flags=flags)
+    table = results.table("unexplained_predictions", ["group", "kind"], NUMBERS, flags=flags, unbounded=NUMBERS)
     errors = results.table("unexplained_errors", ["group"], ["rows", *_ERRORS])
     if table is None or errors is None:
         return []
@@ -29,9 +29,9 @@ def predictions(results: StudyResults) -> list[Block]:
         numbers = [chance(r[name]) if name.startswith("p") else fixed(r[name], 2) for name in _ERRORS]
         rows.append((GROUPS.get(group, group), f"{alone} of {total}", f"{beside} of {total}", *numbers))
     words = (
-        "A misfit that nothing explains reaches data that were not fitted too. The intervals with it take every effect "
-        "of the library and every local perturbation as present a little, as much as the misfit says, and have the "
-        "noise of the measurement in them."
+        "A misfit that nothing explains reaches data that were not fitted too. The intervals with it assume that "
+        "every effect of the library and every local perturbation is present with a small magnitude, scaled to the "
+        "misfit. They include the noise of the measurement."
     )
     heads = ("data", "inside alone", "inside with it", "rms, σ", "expected, σ", "with it, σ", "p", "p with it")
     caption = "Held-out data by the base model, alone and with the unexplained misfit"
