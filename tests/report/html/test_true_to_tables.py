@@ -246,3 +246,12 @@ def test_the_limits_of_the_search_are_told_beside_those_of_the_sensitivity(folde
     assert rows[1][search] == "held"
     space.drop(columns=["search_lower", "search_upper"]).to_csv(folder / "parameter_space.csv", index=False)
     assert "limits" in reader(page(StudyResults(folder, "mast", True))).tables["Parameters of the model"][0]
+
+
+def test_every_comparison_has_its_own_limit_beside_it(everything, read, reader):
+    known = pd.read_csv(everything / "where_it_fails_added.csv")
+    (rows,) = [t for caption, t in read.tables.items() if caption.startswith("Every comparison in standard deviations")]
+    at = rows[0].index("its limit, σ")
+    found = [reader.number(row[at]) for row in rows[1:] if row[at] != "–"]
+    np.testing.assert_allclose(found, known["limit"].dropna(), atol=0.00501)
+    assert known["limit"].nunique() > 1
