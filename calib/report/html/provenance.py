@@ -34,7 +34,7 @@ def _parameters(results: StudyResults) -> list[Block]:
         ["value", "lower", "upper", "prior_sd"],
         if_there=["search_lower", "search_upper"],
         flags=["integer"],
-        blank=["unit", "description", "source"],
+        blank=["unit", "description", "source", "distribution"],
     )
     if space is None:
         return []
@@ -44,8 +44,8 @@ def _parameters(results: StudyResults) -> list[Block]:
             str(r["parameter"]),
             str(r["description"]),
             with_unit(r["value"], str(r["unit"])),
-            f"{significant(r['lower'])} to {significant(r['upper'])}",
-            *([_searched(r["search_lower"], r["search_upper"])] if told else []),
+            _between(math.nan if told and r["distribution"] == "fixed" else r["lower"], r["upper"]),
+            *([_between(r["search_lower"], r["search_upper"])] if told else []),
             significant(r["prior_sd"], 3),
             yes(r["integer"]),
             str(r["source"]),
@@ -62,8 +62,8 @@ def _parameters(results: StudyResults) -> list[Block]:
     return [Words(note), table] if told else [table]
 
 
-def _searched(lower: float, upper: float) -> str:
-    """Limits of the search, in the unit of the nominal value."""
+def _between(lower: float, upper: float) -> str:
+    """Limits in the unit of the nominal value; held where there are none."""
     return "held" if math.isnan(lower) else f"{significant(lower)} to {significant(upper)}"
 
 

@@ -239,11 +239,12 @@ def test_the_limits_of_the_search_are_told_beside_those_of_the_sensitivity(folde
     space = pd.read_csv(folder / "parameter_space.csv")
     space.loc[0, ["lower", "upper", "search_lower", "search_upper"]] = 11.0, 12.0, 1.0, 22.0
     space.loc[1, ["search_lower", "search_upper"]] = np.nan
+    space.loc[1, "distribution"] = "fixed"
     space.to_csv(folder / "parameter_space.csv", index=False)
     head, *rows = reader(page(StudyResults(folder, "mast", True))).tables["Parameters of the model"]
     sensitivity, search = (head.index(name) for name in ("limits of the sensitivity", "search limits"))
     assert (rows[0][sensitivity], rows[0][search]) == ("11 to 12", "1 to 22")
-    assert rows[1][search] == "held"
+    assert rows[1][sensitivity] == rows[1][search] == "held"
     space.drop(columns=["search_lower", "search_upper"]).to_csv(folder / "parameter_space.csv", index=False)
     assert "limits" in reader(page(StudyResults(folder, "mast", True))).tables["Parameters of the model"][0]
 
