@@ -20,7 +20,7 @@ from PIL import Image
 
 from calib.loading import module_of
 from calib.report.figures import Figures
-from calib.report.style import DPI, add_heading, style, take_dollars_literally
+from calib.report.style import DPI, add_heading, legend_above, style, take_dollars_literally
 from calib.report.tables import read_table
 from calib.report.worst import draw_worst
 
@@ -124,10 +124,15 @@ def before_and_after(base: Path, extended: Path) -> Figure | None:
         return None
     record = _record(base)
     (effect,) = json.loads((base / "added.json").read_text("utf-8"))["effects"]
-    added = f"a {effect['title'][:1].lower()}{effect['title'][1:]}, {effect['value']:.3g} {effect['unit']}"
+    name = effect["name"].replace("_", " ")
+    labels = (f"without the {name}", f"with it ({effect['value']:.3g} {effect['unit']})")
     with style():
         without, having = (read_table(file, ["kind", "what"], ["in_std"]) for file in files)
-        ax = draw_worst(None, without, added=having, effects=added)
+        ax = draw_worst(None, without, added=having)
+        dots = [marks for marks in ax.collections if not str(marks.get_label()).startswith("_")]
+        for marks, label in zip(dots, labels, strict=True):
+            marks.set_label(label)
+        legend_above(ax)
         low, high = ax.get_xlim()
         ax.set_xticks([tick for tick in TICKS if low <= tick <= high])
         ax.xaxis.set_minor_locator(NullLocator())

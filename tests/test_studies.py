@@ -47,7 +47,7 @@ def test_wide_limits_let_several_solutions_appear_and_the_tool_says_so(tmp_path,
     results = summary(tmp_path / "four_storey_rig_wide")
     assert all(case["mean_freq_error_after"] < 1e-5 for case in results["cases"].values())
     verdicts = pd.read_csv(tmp_path / "four_storey_rig_wide/verdicts.csv").set_index("parameter")
-    apart = verdicts["sentence"].str.extract(r"differ by (\d+) % of its range")[0].astype(float)
+    apart = verdicts["sentence"].str.extract(r"differ by (\d+) % of its search range")[0].astype(float)
     assert apart["k1"] > 11 and apart.notna().all()  # equal frequencies from clearly different storeys: k1 by over 0.3
     assert not verdicts["identified"].any() and set(verdicts["not_identified"]) == {"solutions"}
 

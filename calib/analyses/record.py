@@ -25,6 +25,7 @@ from calib.measurement.disagreements import COLUMNS, Disagreement
 from calib.named_values import ANY, read_json
 from calib.results import Results
 from calib.several import AnyStudy
+from calib.space import ParameterSpace
 from calib.structure.model import Assumption
 from calib.study import Study
 from calib.study_file import Measured
@@ -92,7 +93,8 @@ def write_record(
     for name, own in tables.items():
         if own:
             results.write_table(name, stacked(own) if len(tests) > 1 else own[study.test])
-    results.write_table("parameter_space", study.space.frame())
+    limits = [one.sensitivity_space for one in tests]
+    results.write_table("parameter_space", parameters_table(study.search_space, study.space, limits))
     given, measured = study.settings, [one.settings.measurement for one in tests]
     notes = said({one.test: (*one.measurement_notes, *std_notes(one)) for one in tests})
     record = {
@@ -131,6 +133,39 @@ def _axes(study: Study) -> str:
     """What the axes of the model mean, in words; empty where it does not say."""
     mesh = getattr(study.model, "mesh", None)  # a function of scalar responses has none
     return "" if mesh is None else mesh.axes
+
+
+def parameters_table(
+    search: ParameterSpace, space: ParameterSpace, sensitivity: Sequence[ParameterSpace] = ()
+) -> pd.DataFrame:
+    """Every parameter of a model with the limits of the sensitivity beside those of the calibration.
+
+    Parameters
+    ----------
+    search : ParameterSpace
+        Parameters within the limits of the calibration; free are those that it varies.
+    space : ParameterSpace
+        The parameters to list.
+    sensitivity : sequence of ParameterSpace
+        Spaces whose limits the sensitivity keeps, one for each test: of several limits the narrowest. Without one, or
+        where none leaves a parameter free, the limits are those of ``space``.
+
+    Returns
+    -------
+    DataFrame
+        Columns of `calib.space.ParameterSpace.frame`, with ``search_lower, search_upper`` after ``upper``: limits of
+        calibration and explanation, which every position in a range and share of a range refers to; NaN where they hold
+        the parameter at its value.
+    """
+    table = space.frame()
+    own = [[one[name] for one in sensitivity if name in one.free_names] or [space[name]] for name in space.names]
+    table["lower"] = [max(p.lower for p in alike) for alike in own]
+    table["upper"] = [min(p.upper for p in alike) for alike in own]
+    varied = [search[name] if name in search.free_names else None for name in space.names]
+    after = list(table.columns).index("upper") + 1
+    table.insert(after, "search_lower", [np.nan if p is None else p.lower for p in varied])
+    table.insert(after + 1, "search_upper", [np.nan if p is None else p.upper for p in varied])
+    return table
 
 
 def made_with(analysis: str) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from calib.structure.modes import Modes
 
 _MOTION = ["u", "v", "w"]
 
-_Row = tuple[str, str, float, float, str]
+_Row = tuple[str, str, float, float, float, str]
 
 BEYOND, WITHIN, UNKNOWN, UNPAIRED = (
     "beyond measurement uncertainty",
@@ -259,8 +259,8 @@ class Comparison:
         The standard deviations are those of the residual of a fit, see `calib.correlation.standard_deviations.std_for`:
         of the mean over the repeats, pooled where they are few, with systematic errors added.
 
-        Columns ``kind, what, value, in_std, verdict``. Unpaired modes come first, comparisons of unknown standard
-        deviation last. ``value`` and ``in_std`` for each kind:
+        Columns ``kind, what, value, in_std, limit, verdict``. Unpaired modes come first, comparisons of unknown
+        standard deviation last. ``value`` and ``in_std`` for each kind:
 
         - frequency: signed frequency error; ``|ln(model/measured)|`` over the relative standard deviation.
         - damping: ``ln(model/measured)`` of the damping ratio; its absolute value over the relative standard deviation.
@@ -269,14 +269,14 @@ class Comparison:
         - sensor: CoMAC; root mean square over the paired modes of the residual after alignment, over its own standard
         deviation.
 
-        A correctly specified model gives about 1 everywhere. The verdict compares ``in_std`` with its 95 % quantile
-        (square root of an F variate with the degrees of freedom of the comparison and of the repeats behind its
-        standard deviation), so about one comparison in twenty exceeds it by chance.
+        A correctly specified model gives about 1 everywhere. The verdict compares ``in_std`` with ``limit``, its 95 %
+        quantile (square root of an F variate with the degrees of freedom of the comparison and of the repeats behind
+        its standard deviation), so about one comparison in twenty exceeds it by chance.
         """
         rows = self._unpaired_rows() + self._frequency_rows() + self._damping_rows()
         if self.measured.has_shapes:
             rows += self._shape_rows() + self._sensor_rows()
-        table = pd.DataFrame(rows, columns=["kind", "what", "value", "in_std", "verdict"])
+        table = pd.DataFrame(rows, columns=["kind", "what", "value", "in_std", "limit", "verdict"])
         rank = np.where(table["verdict"] == UNPAIRED, np.inf, table["in_std"])
         order = np.lexsort((np.arange(len(table)), table["verdict"] != UNPAIRED, -rank))
         return table.iloc[order].reset_index(drop=True)
@@ -323,14 +323,17 @@ class Comparison:
     ) -> list[_Row]:
         limit = np.broadcast_to(self._limit(kind, dof), in_std.shape)
         verdicts = np.where(np.isnan(in_std), UNKNOWN, np.where(in_std > limit, BEYOND, WITHIN))
-        return [(kind, w, float(v), float(s), str(t)) for w, v, s, t in zip(what, value, in_std, verdicts, strict=True)]
+        rows = zip(what, value, in_std, limit, verdicts, strict=True)
+        return [(kind, w, float(v), float(s), float(most), str(t)) for w, v, s, most, t in rows]
 
     def _names(self, which: np.ndarray) -> list[str]:
         return [self.measured.names[i] for i in which]
 
     def _unpaired_rows(self) -> list[_Row]:
         kind = "shape" if self.measured.has_shapes else "frequency"
-        return [(kind, name, math.nan, math.nan, UNPAIRED) for name in self._names(self.pairing.unpaired_measured)]
+        return [
+            (kind, name, math.nan, math.nan, math.nan, UNPAIRED) for name in self._names(self.pairing.unpaired_measured)
+        ]
 
     def _frequency_rows(self) -> list[_Row]:
         i = self.pairing.paired

@@ -11,7 +11,7 @@ import pandas as pd
 from calib.analyses.answers import of_fit
 from calib.analyses.calibration_tables import tables_of
 from calib.analyses.compare import ComparisonResult, before_and_after, comparison_of, write_comparison
-from calib.analyses.record import assumptions_of, made_with, sensors_table
+from calib.analyses.record import assumptions_of, made_with, parameters_table, sensors_table
 from calib.correlation.expansion import orthogonality
 from calib.errors import InputError
 from calib.front.checked import place_of
@@ -119,7 +119,8 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
         folder.write_table(name, table)
     errors = fit.errors
     folder.write_table("data_errors", errors[errors["test"] == test.name].drop(columns="test"))
-    folder.write_table("parameter_space", fit.problem.space.frame())
+    space = fit.problem.space
+    folder.write_table("parameter_space", parameters_table(space, space))
     folder.write_table("assumptions", assumptions_of(model, test.assumed))
     if isinstance(test, ModalTest) and test.modes.has_shapes:
         folder.write_table(

@@ -88,13 +88,13 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
         more = f" and {len(widths) - _NAMED} more by at least {100 * RULES.stable:.0f} %" * (len(widths) > _NAMED)
         sentence = (
             f"The solution is not unique: {len(groups)} sets of parameters fit equally well, {ways}. These data do not "
-            f"determine what differs between them: {', '.join(widths[:_NAMED])}{more} of the range.{left}"
+            f"determine what differs between them: {', '.join(widths[:_NAMED])}{more} of the search range.{left}"
         )
     elif len(good) > 1:
         verdict = "one solution"
         sentence = (
             f"The cases {described(good)} agree on one solution: their parameters differ by "
-            f"{_at_most(float(spread.max()))} of the range.{left}"
+            f"{_at_most(float(spread.max()))} of the search range.{left}"
         )
     else:
         verdict = "not settled"
@@ -145,8 +145,8 @@ def _before(searched: Agreement, own: Agreement) -> str:
         return _alone(searched)
     name, width = next(iter(searched.differing.items()))
     return (
-        f"The searches alone had ended in {len(searched.solutions)} places, up to {100 * width:.0f} % of the range "
-        f"apart ({name}); least squares led from all of them to that solution."
+        f"The searches alone had ended in {len(searched.solutions)} places, up to {100 * width:.0f} % of the "
+        f"search range apart ({name}); least squares led from all of them to that solution."
     )
 
 

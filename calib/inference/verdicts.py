@@ -173,14 +173,14 @@ def _sentence(
     words = []
     if side is not None:
         cure = f"widen it to {limit:.4g}{scale} if possible" if math.isfinite(limit) else "the limit is physical"
-        words.append(f"Sits on its {side} limit: {cure}, or suspect something missing in the model.")
+        words.append(f"Sits on its {side} search limit: {cure}, or suspect something missing in the model.")
     if why is None:
         kind = "is an integer and is not assessed by derivatives" if p.integer else "was not assessed"
         words.append(f"It {kind}.")
     elif not why and p.integer:
         words.append("Identified: its other values fit much worse.")
     elif not why:
-        part = f"{std:.3g}{scale} ({100 * std / span:.1f} % of its range{wider})"
+        part = f"{std:.3g}{scale} ({100 * std / span:.1f} % of its search range{wider})"
         words.append(f"Identified, standard deviation {part}.")
     elif math.isinf(std):
         words.append("Not identified: neither data nor prior say anything on it.")
@@ -191,7 +191,7 @@ def _sentence(
     if trade is not None:
         words.append(f"It trades most with {trade[0]} (correlation {trade[1]:.2f}).")
     if apart is None and width is not None and width > RULES.stable:
-        words.append(f"Its spread over the cases is {100 * width:.0f} % of its range.")
+        words.append(f"Its spread over the cases is {100 * width:.0f} % of its search range.")
     return " ".join(words)
 
 
@@ -200,9 +200,9 @@ def _reasons(
 ) -> list[str]:
     given = "less than 1" if share < 0.01 else f"only {100 * share:.0f}"
     words = {
-        "wide": f"standard deviation {std:.3g}{scale}, {100 * std / span:.0f} % of its range{wider}",
+        "wide": f"standard deviation {std:.3g}{scale}, {100 * std / span:.0f} % of its search range{wider}",
         "prior": f"the data give {given} % of the information on it",
         "limit": "a limit holds it",
-        "solutions": f"solutions that fit equally well differ by {100 * (apart or 0.0):.0f} % of its range",
+        "solutions": f"solutions that fit equally well differ by {100 * (apart or 0.0):.0f} % of its search range",
     }
     return [words[reason] for reason in why]

@@ -81,7 +81,7 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
     for i in range(1, len(names)):
         other = units[i] != units[i - 1]
         ax.axhline(i - 0.5, color=GREY if other else "#E3E3E3", linewidth=1.0 if other else 0.6)
-    ax.set_xlabel("position between the lower (0) and the upper limit (100) (%)")
+    ax.set_xlabel("position between the lower (0) and the upper search limit (100) (%)")
     for row, name in enumerate(names):
         if unstable[name]:
             spread = table.loc[table["parameter"] == name, "spread"].max()
@@ -146,7 +146,7 @@ def _legend(ax: Axes, cases: list[str], best_case: str | None, any_unstable: boo
         handles.append(Patch(facecolor=GREY, edgecolor="white", hatch="/////", label="not stable: cases disagree"))
     if any_bound:
         handles.append(
-            Line2D([], [], linestyle="none", marker=">", color="black", markersize=4.5, label="ends at a limit")
+            Line2D([], [], linestyle="none", marker=">", color="black", markersize=4.5, label="ends at a search limit")
         )
     legend_above(ax, handles)
 

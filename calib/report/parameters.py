@@ -73,7 +73,7 @@ def draw_parameters(
         text = f"{significant(value['value'])} ± {with_unit(width, unit, 2)}"
         text = with_unit(value["value"], unit) if math.isnan(width) else text
         ax.text(1.05, row, text, va="center", fontsize=8, color=GREY if known[row] is False else BLACK)
-        words.append(f"{name}, {best_case}: {text}, at {fixed(place[row], 2)} of its range")
+        words.append(f"{name}, {best_case}: {text}, at {fixed(place[row], 2)} of its search range")
         if row:
             ax.axhline(row - 0.5, color="#E3E3E3", linewidth=0.6)
     hover_points(ax, place, rows, words)
@@ -81,7 +81,7 @@ def draw_parameters(
     ax.tick_params(axis="y", length=0)
     ax.set(xlim=(-0.03, 1.03), ylim=(len(names) - 0.45, -0.55))
     ax.set_xticks(np.linspace(0.0, 1.0, 6))
-    ax.set_xlabel("position between the lower limit (0) and the upper limit (1)")
+    ax.set_xlabel("position between the lower (0) and the upper search limit (1)")
     for side in (0.0, 1.0):
         ax.axvline(side, color=BLACK, linewidth=0.9)
     ax.grid(axis="x")
@@ -96,7 +96,7 @@ def draw_parameters(
     if len(others):
         handles.append(Line2D([], [], linestyle="none", marker="x", color=GREY, label="other cases"))
     if bound.any():
-        handles.append(Line2D([], [], linestyle="none", marker="d", color=VERMILLION, label="at a limit"))
+        handles.append(Line2D([], [], linestyle="none", marker="d", color=VERMILLION, label="at a search limit"))
     legend_above(ax, handles)
     return ax
 

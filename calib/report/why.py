@@ -258,8 +258,8 @@ def why_figure(
     height = float(figure.get_size_inches()[1])
     if places is not None:
         show_axes(figure)
-        colour_bar(figure, ScalarMappable(CORRELATION, "RdBu_r"), "ρ with local perturbations (–)", TICKS)
-    handles = [*(_handles(attempt) if len(bars) else []), *(_equal() if shapes else [])]
+        colour_bar(figure, ScalarMappable(CORRELATION, "RdBu_r"), "ρ with local perturbations (–; area: |ρ|)", TICKS)
+    handles = [*(_handles(attempt) if len(bars) else []), *(_dots(table["part"], attempt) if shapes else [])]
     if any(map(len, stars.values())):
         handles.append(Line2D([], [], linestyle="none", label="where it acts", **STAR))
     looks: dict[str, Any] = {"ncols": 2 if places is not None else len(handles), "borderaxespad": 0.0}
@@ -280,14 +280,19 @@ def _signature(attempt: bool) -> dict[str, Any]:
 
 def _handles(attempt: bool) -> list[Artist]:
     return [
-        Patch(label="residual (base model)", **_RESIDUAL),
+        Patch(label="residual (test − model)", **_RESIDUAL),
         Patch(label="signature", **_signature(attempt)),
         Line2D([], [], label="remaining", **_LEFT),
     ]
 
 
-def _equal() -> list[Artist]:
-    return [Line2D([], [], color=BLACK, linewidth=0.9, linestyle="--", label="equal")]
+def _dots(parts: pd.Series[str], attempt: bool) -> list[Artist]:
+    """What stands in the panels of shapes and FRFs: the diagonal, and open dots where there are imaginary parts."""
+    out: list[Artist] = [Line2D([], [], color=BLACK, linewidth=0.9, linestyle="--", label="equal")]
+    if (parts == "im").any():
+        look: dict[str, Any] = {"color": GREY if attempt else WITH, "markerfacecolor": "white", "markersize": 3.6}
+        out.append(Line2D([], [], linestyle="none", marker="o", label="imaginary", **look))
+    return out
 
 
 def _names(table: pd.DataFrame) -> list[str]:
@@ -309,8 +314,8 @@ def further_parameters(parameters: pd.DataFrame | None, effect: str) -> list[str
         return []
     rows = parameters[(parameters["effect"] == effect) & (parameters["parameter"] != effect)]
     return [
-        f"{r['parameter']} = {with_unit(r['value'], str(r['unit']))}"
-        + (f": {about}" if (about := r["description"]) else "")
+        f"{r['parameter']} = {with_unit(r['value'], str(r['unit']))} as fitted"
+        + (f"; in the library: {about}" if (about := r["description"]) else "")
         for r in rows.to_dict("records")
     ]
 

@@ -11,6 +11,8 @@ from calib.report.svg import hover
 
 SHOWN = 15
 """Comparisons that are drawn."""
+NOISE = "noise: 1 standard deviation"
+"""Label of the line at 1."""
 _MARKS = {"before": ("s", BEFORE), "after": ("o", AFTER), "added": ("D", WITH)}
 
 
@@ -60,7 +62,7 @@ def draw_worst(
         words = stage_words(stage, effects)
         dots = ax.scatter(sizes[known], places[known], s=36, marker=mark, color=colour, label=words, zorder=3)
         hover(dots, *(f"{names[k]}, {words}: {plain(sizes[k])} standard deviations" for k in known))
-    ax.axvline(1.0, color=BLACK, linestyle="--", linewidth=1.0)
+    ax.axvline(1.0, color=BLACK, linestyle="--", linewidth=1.0, label=NOISE, gid="noise")
     ax.set_yticks(places, names)
     ax.set_ylim(len(names) - 0.5, -0.5)
     ax.tick_params(axis="y", length=0)

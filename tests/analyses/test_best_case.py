@@ -62,7 +62,7 @@ def test_searches_that_least_squares_leads_to_one_solution_are_no_second_solutio
     apart, one = agreed(-1.0, 1.0), agreed(0.5, 0.5)
     first, second = agreement_sentences(one, apart)
     assert "one solution" in first and "not unique" not in first + second
-    assert "2 places" in second and "33 % of the range" in second and "(a)" in second
+    assert "2 places" in second and "33 % of the search range" in second and "(a)" in second
     assert "not unique" in " ".join(agreement_sentences(apart, apart))
     assert agreement_sentences(one, None) == (one.sentence,)
     lonely = agreed(0.5)

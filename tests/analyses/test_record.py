@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,13 +10,17 @@ import pytest
 
 from calib import __version__
 from calib.analyses.compare import compare
-from calib.analyses.record import measured_table, sensors_table, write_record
+from calib.analyses.record import measured_table, parameters_table, sensors_table, write_record
 from calib.analyses.recorded_rules import every_rule
 from calib.correlation import rules as comparison
+from calib.parameter import Parameter
 from calib.results import Results
 from calib.sensitivity import rules as sensitivity
 from calib.settings import AdoptedSettings
+from calib.space import ParameterSpace
 from calib.study import Study
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def record(results):
@@ -84,3 +89,25 @@ def test_a_damaged_record_is_replaced(guyed, tmp_path, content):
     (results.path / "record.json").write_text(content)
     write_record(guyed[0], results, "compare", {})
     assert list(record(results)["analyses"]) == ["compare"]
+
+
+def test_the_limits_of_the_search_stand_beside_those_of_the_sensitivity():
+    space = ParameterSpace(
+        (Parameter("k", 2.0, 1.0, 3.0), Parameter("m", 5.0, 4.0, 6.0), Parameter("c", 1.0, 0.5, 2.0))
+    )
+    search = space.widen({"k": (0.5, 9.0), "m": (2.0, 8.0)}).keep(("k", "m"))
+    other = space.replace("k", lower=1.5)
+    table = parameters_table(search, search, (space, other)).set_index("parameter")
+    assert table.loc["k", ["lower", "upper", "search_lower", "search_upper"]].tolist() == [1.5, 3.0, 0.5, 9.0]
+    assert table.loc["m", ["lower", "upper", "search_lower", "search_upper"]].tolist() == [4.0, 6.0, 2.0, 8.0]
+    assert table.loc["c", ["lower", "upper"]].tolist() == [0.5, 2.0]
+    assert table.loc["c", ["search_lower", "search_upper"]].isna().all()  # the calibration holds it
+
+
+def test_the_record_of_a_study_tells_both_limits(tmp_path):
+    results = Results.at(tmp_path, "hidden_bogie")
+    write_record(Study.load(ROOT / "studies/hidden_bogie"), results, "compare", {})
+    table = pd.read_csv(results.path / "parameter_space.csv").set_index("parameter")
+    limits = ["lower", "upper", "search_lower", "search_upper"]
+    assert table.loc["K_contact", limits].tolist() == [15250.0, 35250.0, 5000.0, 60000.0]
+    assert table.loc["m_axle", limits[2:]].isna().all()

@@ -206,7 +206,12 @@ def test_a_wrong_model_is_located(build, twin):
     wrong = ModalProblem(model, measured, mode_count=6).compare({**TRUTH, "k_across": 10.5})
     table = wrong.where_it_fails()
     ratio = table["in_std"].to_numpy()
-    assert list(table.columns) == ["kind", "what", "value", "in_std", "verdict"]
+    assert list(table.columns) == ["kind", "what", "value", "in_std", "limit", "verdict"]
+    tested = table[table["verdict"].isin([BEYOND, WITHIN])]
+    assert ((tested["in_std"] > tested["limit"]) == (tested["verdict"] == BEYOND)).all()
+    assert (
+        tested.loc[tested["kind"] == "sensor", "limit"].max() < tested.loc[tested["kind"] == "frequency", "limit"].min()
+    )
     assert np.all(np.diff(ratio) <= 0) and table.loc[0, "kind"] == "frequency" and table.loc[0, "verdict"] == BEYOND
     error = wrong.comparison_table().set_index("mode")["freq_error"]
     worst = table.iloc[0]

@@ -318,9 +318,9 @@ def test_verdicts_say_what_is_wrong():
     assert table.loc["zero", "confounded_with"] == "low" and table.loc["low", "confounded_with"] == "zero"
     assert table.loc["good", "identified"] is True and table.loc["place", "identified"] is True
     assert table.loc["spot", "identified"] is None
-    assert table.loc["good", "sentence"] == "Identified, standard deviation 0.0999 MN/m (1.0 % of its range)."
-    assert "Sits on its upper limit: widen it to 14 kg" in table.loc["top", "sentence"]
-    assert "Its spread over the cases is 30 % of its range." in table.loc["top", "sentence"]
+    assert table.loc["good", "sentence"] == "Identified, standard deviation 0.0999 MN/m (1.0 % of its search range)."
+    assert "Sits on its upper search limit: widen it to 14 kg" in table.loc["top", "sentence"]
+    assert "Its spread over the cases is 30 % of its search range." in table.loc["top", "sentence"]
     assert "the limit is physical" in table.loc["zero", "sentence"]
     assert "is confounded with low" in table.loc["zero", "sentence"]
     assert table.loc["place", "sentence"] == "Identified: its other values fit much worse."

@@ -60,7 +60,7 @@ def test_a_value_at_a_limit_has_a_marker_beside_its_bar(parameters):
     bar = ax.containers[1][1]
     assert marks["on_limit GB2 >"].get_ydata() == pytest.approx([bar.get_y() + bar.get_height() / 2])
     assert marks["on_limit GB2 >"].get_xdata()[0] > 100.0
-    assert "ends at a limit" in legend(ax)
+    assert "ends at a search limit" in legend(ax)
 
 
 def test_a_search_that_ended_at_a_limit_is_marked_wherever_least_squares_went(parameters):

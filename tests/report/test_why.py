@@ -205,4 +205,15 @@ def test_further_parameters_of_an_effect_stand_in_its_heading(table, places):
         for t in ax.texts
         if ax.get_label() == "heading"
     )
-    assert "arb_freq = 14.3 Hz: natural frequency of it" in heading.split("\n")
+    assert "arb_freq = 14.3 Hz as fitted; in the library: natural frequency of it" in heading.split("\n")
+
+
+def test_open_dots_of_imaginary_parts_are_in_the_legend(table, places):
+    def legend(rows):
+        figure = why_figure(rows, places, REST)
+        (found,) = figure.legends
+        return dict(zip([t.get_text() for t in found.get_texts()], found.legend_handles, strict=True))
+
+    complex_ = legend(table)
+    assert complex_["imaginary"].get_markerfacecolor() == "white"
+    assert "imaginary" not in legend(table[table["part"] != "im"])

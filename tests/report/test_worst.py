@@ -39,3 +39,10 @@ def test_a_comparison_that_a_stage_lacks_is_still_joined_and_drawn():
         "before calibration": {"frequency B": 30.0, "frequency A": 2.0},
         "after calibration": {"frequency B": 5.0},
     }
+
+
+def test_the_dashed_line_is_in_the_legend():
+    ax = draw_worst(table(A=2.0, B=30.0))
+    (line,) = [line for line in ax.lines if line.get_gid() == "noise"]
+    assert line.get_xdata()[0] == 1.0
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["before calibration", line.get_label()]

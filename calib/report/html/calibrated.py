@@ -31,8 +31,13 @@ TERMS = (
     ),
     (
         "identified",
-        "the data give at least half of the information, std is at most 2.5 % of the range, no limit is active, and "
-        "solutions that fit equally well do not differ in it",
+        "the data give at least half of the information, std is at most 2.5 % of the search range, no search limit is "
+        "active, and solutions that fit equally well do not differ in it",
+    ),
+    (
+        "range, limit",
+        "of a parameter: its search limits, between which the calibration varies it, and the range between them; the "
+        "sensitivity may have others, see the table of the parameters of the model",
     ),
     (
         "seen",
@@ -40,7 +45,7 @@ TERMS = (
         "standard deviations; a parameter can be seen and yet not be identified, with a wide std or a model that does "
         "not fit",
     ),
-    ("spread", "largest difference of a parameter between the searches, before least squares, over its range"),
+    ("spread", "largest difference of a parameter between the searches, before least squares, over its search range"),
 )
 
 
@@ -125,7 +130,7 @@ def _known(value: float | None) -> float:
 
 
 def _verdicts(results: StudyResults, best: str) -> list[Block]:
-    numbers = ["value", "ratio", "std", "spread"]
+    numbers = ["value", "lower", "upper", "ratio", "std", "spread"]
     table = results.table("verdicts", ["parameter", "unit", "sentence"], numbers, flags=["identified"])
     if table is None:
         return []
@@ -134,6 +139,7 @@ def _verdicts(results: StudyResults, best: str) -> list[Block]:
             str(r["parameter"]),
             with_unit(r["value"], str(r["unit"]), 5),
             with_unit(r["std"], str(r["unit"]), 3),
+            f"{significant(r['lower'])} to {significant(r['upper'])}",
             percent(r["ratio"], 0),
             percent(r["spread"], 0),
             yes(r["identified"]),
@@ -141,8 +147,9 @@ def _verdicts(results: StudyResults, best: str) -> list[Block]:
         )
         for r in table.to_dict("records")
     )
-    heads = ("parameter", f"value in {best}", "std", "position in its range, %", "spread, %", "identified", "verdict")
-    return [Table("Identifiability of the parameters", heads, rows, (5, 6))]
+    heads = ("parameter", f"value in {best}", "std", "search limits", "position between them, %", "spread, %",
+             "identified", "verdict")  # fmt: skip
+    return [Table("Identifiability of the parameters", heads, rows, (6, 7))]
 
 
 def _of_all_tests(results: StudyResults) -> list[Block]:
@@ -175,11 +182,13 @@ def _by_test(results: StudyResults) -> list[Block]:
 
 def _parameter_picture(results: StudyResults, table: pd.DataFrame, best: str) -> list[Picture]:
     bound = table[(table["case"] == best) & table["on_limit"].map(flag)]["parameter"].tolist()
-    note = f"At a limit: {', '.join(bound)}." if bound else "None is at a limit."
+    note = f"At a search limit: {', '.join(bound)}." if bound else "None is at a search limit."
     rows = table[table["case"] == best]
     positions = ", ".join(f"{n} {fixed(v, 2)}" for n, v in zip(rows["parameter"], rows["ratio"], strict=True))
-    caption = f"Calibrated parameters between their limits: prior, value and 95 % interval of case {best}. {note}"
-    ends = "Ends of the searches, before least squares. Hatched: they differ by more than a tenth of the range."
+    caption = (
+        f"Calibrated parameters between their search limits: prior, value and 95 % interval of case {best}. {note}"
+    )
+    ends = "Ends of the searches, before least squares. Hatched: they differ by more than a tenth of the search range."
     return [
         *results.picture("parameters", caption, f"Dots. Positions in case {best}: {positions}. {note}"),
         *results.picture("searches", ends, f"Bars, {counted(table['case'].nunique(), 'case')}."),

@@ -36,6 +36,10 @@ TERMS = (
     ("credible set", "the effects that remain possible explanations"),
 )
 _SHOWN_PERTURBATIONS = 12
+_DOTS = (
+    "Dots on the structure are local perturbations; colour and area show the correlation ρ of their signature with "
+    "that of the effect, and 1 marks the largest."
+)
 _SHOWN_PLACES = 4
 """Places of an effect: one at each corner of a structure."""
 
@@ -93,13 +97,15 @@ def _why(results: StudyResults) -> list[Picture]:
     fitted = results.table("why_parameters", ["effect", "parameter"], ["value"], blank=["description", "unit"])
     names = list(dict.fromkeys(table["effect"]))
     told += [words for name in names for words in further_parameters(fitted, name)]
+    alike = results.table("why_places", ["effect", "perturbation", "kind"], ["x", "y", "z", "correlation"])
+    dots = "" if alike is None else f" {_DOTS}"
     star = " The star is where the effect acts in the library's model." if results.has("effect_places") else ""
     caption = (
-        "Residual of the calibrated base model, signature of the effect at its fitted magnitude, and what is left, in "
-        "standard deviations σ, less what the parameters absorb. An effect that is there has the pattern of the "
-        f"residual. {'. '.join(told)}.{star} {results.axes}"
+        "Residual (measurement minus calibrated base model), signature of the effect at its fitted magnitude, and what "
+        "is left, in standard deviations σ, less what the parameters absorb. Open dots are imaginary parts, im. An "
+        "effect that is there has the pattern of the residual. "
+        f"{'. '.join(told)}.{dots}{star} {results.axes}"
     )
-    alike = results.table("why_places", ["effect", "perturbation", "kind"], ["x", "y", "z", "correlation"])
     if alike is not None:
         told += [f"{n}: {words}" for n in names if (words := place_words(alike, n))]
     return results.picture("why_this_effect", caption, f"Bars, dots and places. {'; '.join(told)}.")

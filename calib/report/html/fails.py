@@ -52,25 +52,31 @@ def _worst(results: StudyResults) -> list[Block]:
     tables = {
         s: t
         for s in results.stages
-        if (t := results.table(f"where_it_fails_{s}", ["kind", "what", "verdict"], columns)) is not None
+        if (t := results.table(f"where_it_fails_{s}", ["kind", "what", "verdict"], columns, if_there=["limit"]))
+        is not None
     }
     if not tables:
         return []
     sentences = [Words(words, "reported") for words in results.sentences("compare")[-1:]]
+    if sentences:
+        sentences.insert(0, Words("Before calibration, at the values of the study:"))
     stages = {stage: results.in_words(stage) for stage in tables}
     newest = list(tables)[-1]
     in_std = pd.concat({s: t.set_index(["kind", "what"])["in_std"] for s, t in tables.items()}, axis=1)
+    limited = "limit" in tables[newest]  # a table of an earlier version lacks it
     rows = tuple(
         (
             f"{r['kind']} {r['what']}",
-            *(fixed(in_std.loc[(r["kind"], r["what"]), stage], 1) for stage in stages),
+            *(fixed(in_std.loc[(r["kind"], r["what"]), stage], 2) for stage in stages),
+            *([fixed(r["limit"], 2)] if limited else []),
             significant(r["value"], 3),
             str(r["verdict"]),
         )
         for r in tables[newest].to_dict("records")
     )
-    heads = ("comparison", *(f"{words}, σ" for words in stages.values()), "value", "verdict")
-    caption = f"Every comparison in standard deviations; value, verdict and order: {stages[newest]}"
+    own = ["its limit, σ"] if limited else []
+    heads = ("comparison", *(f"{words}, σ" for words in stages.values()), *own, "value", "verdict")
+    caption = f"Every comparison in standard deviations; limit, value, verdict and order: {stages[newest]}"
     return [*sentences, *_worst_picture(results, tables), Table(caption, heads, rows, (len(heads) - 1,))]
 
 

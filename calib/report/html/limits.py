@@ -65,7 +65,8 @@ def _comparisons(results: StudyResults) -> list[tuple[str, ...]]:
     ]
     meaning = (
         f"{100 * WITHIN:g} % of the comparisons of a correctly specified model lie within it. It is about 2 for a "
-        "single number, and nearer to 1 for a shape or a sensor, of which the rms of many numbers counts"
+        "single number, and nearer to 1 for a shape or a sensor, of which the rms of many numbers counts; the table of "
+        "every comparison tells the limit of each"
     )
     return [("comparison, in standard deviations σ", "about 2 σ", meaning, "; ".join(counts))]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from calib.report.html.page import Block, Section, Table, Words
@@ -31,25 +32,39 @@ def _parameters(results: StudyResults) -> list[Block]:
         "parameter_space",
         ["parameter"],
         ["value", "lower", "upper", "prior_sd"],
+        if_there=["search_lower", "search_upper"],
         flags=["integer"],
-        blank=["unit", "description", "source"],
+        blank=["unit", "description", "source", "distribution"],
     )
     if space is None:
         return []
+    told = "search_lower" in space  # a table of an earlier version lacks them
     rows = tuple(
         (
             str(r["parameter"]),
             str(r["description"]),
             with_unit(r["value"], str(r["unit"])),
-            f"{significant(r['lower'])} to {significant(r['upper'])}",
+            _between(math.nan if told and r["distribution"] == "fixed" else r["lower"], r["upper"]),
+            *([_between(r["search_lower"], r["search_upper"])] if told else []),
             significant(r["prior_sd"], 3),
             yes(r["integer"]),
             str(r["source"]),
         )
         for r in space.to_dict("records")
     )
-    heads = ("parameter", "what it is", "nominal", "limits", "prior std", "integer", "source")
-    return [Table("Parameters of the model", heads, rows, (1, 5, 6))]
+    limits = ["limits of the sensitivity", "search limits"] if told else ["limits"]
+    heads = ("parameter", "what it is", "nominal", *limits, "prior std", "integer", "source")
+    table = Table("Parameters of the model", heads, rows, (1, len(heads) - 2, len(heads) - 1))
+    note = (
+        "Calibration and explanation vary a parameter between its search limits: every position in its range, share of "
+        "its range and remark on a limit refers to these. Held: they keep the nominal value."
+    )
+    return [Words(note), table] if told else [table]
+
+
+def _between(lower: float, upper: float) -> str:
+    """Limits in the unit of the nominal value; held where there are none."""
+    return "held" if math.isnan(lower) else f"{significant(lower)} to {significant(upper)}"
 
 
 def versions(results: StudyResults) -> Section | None:

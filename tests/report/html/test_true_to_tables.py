@@ -10,7 +10,7 @@ import pytest
 
 from calib.report.html.page import Picture, Table, Words
 from calib.report.html.study_results import StudyResults
-from calib.report.html.write import sections
+from calib.report.html.write import page, sections
 from calib.report.numbers import fixed, percent, with_unit
 from calib.report.verification import GROUPS
 
@@ -233,3 +233,26 @@ def test_held_out_sensors_are_a_candidate_to_be_used(everything):
     held = sensors.loc[sensors["held_out"], "sensor"]
     own = candidates[candidates["kind"] == "sensor"]["measurement"].unique()
     assert [name for name in own if "held out" in name] == [f"sensors {', '.join(held)}, held out so far"]
+
+
+def test_the_limits_of_the_search_are_told_beside_those_of_the_sensitivity(folder, reader):
+    space = pd.read_csv(folder / "parameter_space.csv")
+    space.loc[0, ["lower", "upper", "search_lower", "search_upper"]] = 11.0, 12.0, 1.0, 22.0
+    space.loc[1, ["search_lower", "search_upper"]] = np.nan
+    space.loc[1, "distribution"] = "fixed"
+    space.to_csv(folder / "parameter_space.csv", index=False)
+    head, *rows = reader(page(StudyResults(folder, "mast", True))).tables["Parameters of the model"]
+    sensitivity, search = (head.index(name) for name in ("limits of the sensitivity", "search limits"))
+    assert (rows[0][sensitivity], rows[0][search]) == ("11 to 12", "1 to 22")
+    assert rows[1][sensitivity] == rows[1][search] == "held"
+    space.drop(columns=["search_lower", "search_upper"]).to_csv(folder / "parameter_space.csv", index=False)
+    assert "limits" in reader(page(StudyResults(folder, "mast", True))).tables["Parameters of the model"][0]
+
+
+def test_every_comparison_has_its_own_limit_beside_it(everything, read, reader):
+    known = pd.read_csv(everything / "where_it_fails_added.csv")
+    (rows,) = [t for caption, t in read.tables.items() if caption.startswith("Every comparison in standard deviations")]
+    at = rows[0].index("its limit, σ")
+    found = [reader.number(row[at]) for row in rows[1:] if row[at] != "–"]
+    np.testing.assert_allclose(found, known["limit"].dropna(), atol=0.00501)
+    assert known["limit"].nunique() > 1
