@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 import pandas as pd
@@ -145,7 +145,10 @@ class ModalAdapter(OneTest):
         self, names: tuple[str, ...], values: Mapping[str, float], by: Sequence[str]
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """See `calib.correlation.held_out.held_out_rows`."""
-        pair = self.hypotheses.fit_problem(names).pair
+        hypotheses, variants = self.hypotheses, cast(Any, self.hypotheses.variants)
+        if self.whole is not None and variants.basis is not None and self.whole.mode_count > variants.basis.count:
+            hypotheses = replace(hypotheses, variants=replace(variants, basis=None))  # held-out modes may be higher
+        pair = hypotheses.fit_problem(names).pair
         whole = self._whole(names, pair.problem.model)
         if whole is None:
             return {}
