@@ -72,7 +72,7 @@ def test_a_mount_whose_mode_the_model_lacks_is_told(softened):
     proposed = softened.propose()
     lost = {one.title: one.reason for one in proposed.result.proposals.lost}
     assert lost["Soft mount of damper 2"].endswith("only 6 vibration modes, 7 were requested")
-    assert any(words.startswith("Not tried: soft mount of damper") for words in proposed.sentences)
+    assert any(words.startswith("Not fitted: soft mount of damper") for words in proposed.sentences)
 
 
 def test_what_cannot_be_solved_is_told(softened, monkeypatch):
