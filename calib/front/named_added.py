@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any, TypeVar
 
 from calib.analyses import added
 from calib.analyses import extend as extension
@@ -11,12 +11,20 @@ from calib.analyses.joint_calibration import Fitted
 from calib.analyses.versions import write_versions
 from calib.missing.explanation import Explanation
 
-if TYPE_CHECKING:
-    from calib.front.study import Study
+S = TypeVar("S", bound=Any)
+"""A study of this folder."""
 
 
-def with_named(study: Study, before: Fitted, found: Explanation) -> Study | None:
-    """The study extended by the named effects and calibrated; None when none is named."""
+def with_named(study: S, before: Fitted, found: Explanation) -> S | None:
+    """The study extended by the named effects and calibrated; None when none is named.
+
+    Parameters
+    ----------
+    study : Study
+        See `calib.front.study.Study`, which asks this.
+    before : Fitted
+    found : Explanation
+    """
     loaded, named = study.loaded, added.to_add(found)
     if named is None:
         study.listener.nothing_added(added.nothing_added(found))
@@ -29,7 +37,7 @@ def with_named(study: Study, before: Fitted, found: Explanation) -> Study | None
     begin_at = {name: value for name, value in named.fit.values.items() if name in fitted}
     written = extension.extend_among(loaded, named.names, study.folder.path, begin_at)
     study.listener.extended(written)
-    extended = replace(study, path=written.file, read=None)
+    extended: S = replace(study, path=written.file, read=None)
     after = extended._fit()
     study.listener.begins(loaded, "before and after")
     for own, other in zip(study.tests, extended.tests, strict=True):
