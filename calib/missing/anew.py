@@ -78,13 +78,17 @@ def _starts(fits: Refits, effects: Sequence[Candidate]) -> list[_Start]:
         out.append(_start(nominal, effect, point, nominal.residual - found.raw[:, k] * point[name]))
     order = list(dict.fromkeys(name for _, name, _ in sorted(out, key=lambda s: s[:2])))[: fits.settings.refits]
     out = [start for start in out if start[1] in order]
+    sign = {
+        e.name: -1.0 if e.signed and found.z[found.best(e.name)] < 0 else 1.0 for e in effects if e.name in found.owners
+    }
     for name in order:
         if not by_name[name].grid and not fits.spent():
-            sign = -1.0 if by_name[name].signed and found.z[found.best(name)] < 0 else 1.0
-            out += _at_magnitudes(fits, nominal, by_name[name], sign)
-    for effect in (e for e in effects if e.name in found.owners):
-        point = dict(found.points[found.best(effect.name)]) or {effect.name: effect.plausible}
-        out += _linear(fits, nominal, effect, point)
+            out += _at_magnitudes(fits, nominal, by_name[name], sign[name])
+    for name, side in sign.items():
+        if not fits.spent():
+            effect = by_name[name]
+            point = dict(found.points[found.best(name)]) or {name: side * effect.plausible}
+            out += _linear(fits, nominal, effect, point)
     return sorted(out, key=lambda s: s[:2])
 
 
