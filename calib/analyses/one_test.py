@@ -152,7 +152,7 @@ class OneTest(ABC):
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Whitened residual of held-out data by group, (n,), and its derivatives by some parameters, (n, n_by).
 
-        Of the model with the named effects as the search solves it, on its reduced basis.
+        Of the model with the named effects, on its reduced basis where that has modes enough.
         """
 
     def predictions(

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.correlation.frf_nuisance import ChannelError
-from calib.correlation.frf_resonances import ResonanceError
+from calib.correlation.frf_factor import FactorError
 from calib.measurement.frf import MeasuredFRFs
 
 
@@ -18,12 +17,12 @@ class Channels:
 
     Attributes
     ----------
-    errors : tuple of ChannelError or ResonanceError
+    errors : tuple of FactorError
         Of sensors and lines that were measured; see `require_channels`.
     measured : MeasuredFRFs
     """
 
-    errors: tuple[ChannelError | ResonanceError, ...]
+    errors: tuple[FactorError, ...]
     measured: MeasuredFRFs
 
     def factors(self, si: Mapping[str, float]) -> np.ndarray:

@@ -18,6 +18,7 @@ import numpy as np
 
 from calib.correlation.fault_rules import RULES
 from calib.correlation.frf_cross_talk import CrossTalkError
+from calib.correlation.frf_factor import FactorError
 from calib.correlation.frf_parameter import Side, in_test, require_positive
 from calib.correlation.frf_places import PlaceError
 from calib.correlation.frf_resonances import ResonanceError, of_every_resonance
@@ -40,7 +41,7 @@ ChannelKind = Literal["gain", "phase", "delay"]
 
 
 @dataclass(frozen=True)
-class ChannelError:
+class ChannelError(FactorError):
     """Gain, phase or delay of one channel, the same on all lines.
 
     Attributes
@@ -104,24 +105,6 @@ class ChannelError:
         return (slice(None), index) if self.side == "response" else (slice(None), slice(None), index)
 
     @property
-    def of_channel(self) -> tuple[ChannelError, ...]:
-        """Itself: it is a factor of measured functions."""
-        return (self,)
-
-    @property
-    def of_rows(self) -> tuple[RowError, ...]:
-        """None: it changes no motion of a transducer."""
-        return ()
-
-    def loads(self, model: StructuralModel) -> tuple[Load, ...]:
-        """None: it changes no matrix."""
-        return ()
-
-    def concerns(self, measured: MeasuredFRFs) -> bool:
-        """Whether its channel is among those measured."""
-        return self.name in self.among(measured)
-
-    @property
     def side_words(self) -> str:
         """Its side, as a message names it before the channel."""
         return f"{self.side} "
@@ -156,7 +139,7 @@ class ChannelError:
 class Loading(ABC):
     """What changes the matrices of the model during the whole test, whichever functions were measured."""
 
-    of_channel: ClassVar[tuple[ChannelError, ...]] = ()
+    of_channel: ClassVar[tuple[FactorError, ...]] = ()
     of_rows: ClassVar[tuple[RowError, ...]] = ()
 
     @abstractmethod

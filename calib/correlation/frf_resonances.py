@@ -12,19 +12,17 @@ from typing import Literal
 import numpy as np
 
 from calib.correlation.fault_rules import RULES
+from calib.correlation.frf_factor import FactorError
 from calib.correlation.frf_parameter import in_test, require_positive
-from calib.correlation.frf_rows import RowError
 from calib.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.space import Parameter
-from calib.structure.loaded import Load
-from calib.structure.model import StructuralModel
 
 ResonanceKind = Literal["frequency", "damping"]
 
 
 @dataclass(frozen=True)
-class ResonanceError:
+class ResonanceError(FactorError):
     """Relative error of the natural frequency or of the damping ratio of one resonance of the model.
 
     A mode with natural frequency f_r and damping ratio z has functions proportional to ``1/D`` with
@@ -98,24 +96,6 @@ class ResonanceError:
     def functions_of(self, measured: MeasuredFRFs) -> tuple[slice | int, ...]:
         """All, as an index."""
         return (slice(None),)
-
-    @property
-    def of_channel(self) -> tuple[ResonanceError, ...]:
-        """Itself: it is a factor of measured functions."""
-        return (self,)
-
-    @property
-    def of_rows(self) -> tuple[RowError, ...]:
-        """None: it changes no motion of a transducer."""
-        return ()
-
-    def loads(self, model: StructuralModel) -> tuple[Load, ...]:
-        """None: it changes no matrix."""
-        return ()
-
-    def concerns(self, measured: MeasuredFRFs) -> bool:
-        """Whether a line is near it."""
-        return bool(self.among(measured))
 
     @property
     def side_words(self) -> str:
