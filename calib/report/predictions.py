@@ -68,6 +68,7 @@ def draw_predictions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.set_xlim(-0.8, len(shown) - 0.2)
     if np.abs(np.concatenate([low, high, value])).max() > 5 * _LINEAR:
         ax.set_yscale("symlog", linthresh=_LINEAR)
+        ax.yaxis.set_major_formatter("{x:g}")
     less = f"; one value in {step} is shown" if step > 1 else ""
     ax.set_ylabel("measured less predicted value,\nin half intervals of the fit alone")
     ax.set_xlabel(f"held-out values{less}")
