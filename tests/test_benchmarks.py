@@ -76,3 +76,46 @@ def test_an_option_of_the_model_is_written_into_a_study(bench, tmp_path):
         after = tomllib.loads(file.read_text("utf-8"))
         assert after.pop("model_options") == expected and after["explain"] == {}
         assert {**before, "explain": {}, "model_options": 0} == {**after, "model_options": 0}
+
+
+def _run(number, verdict="effect", best=("guy",), scenario="guy", **more):
+    return {"scenario": scenario, "number": number, "outcome": "named", "verdict": verdict, "best": list(best), **more}
+
+
+def test_two_counts_are_compared_run_by_run(bench, capsys):
+    """Failed runs and those of one count alone are left out; the order of names and of blamed data is none."""
+    before = [
+        _run(1), _run(2, best=("guy", "lamp")), _run(3, blamed=["1x", "2x"]), _run(4), _run(5) | {"outcome": "failed"},
+        _run(1, "none_explains", (), "lamp"), _run(7),
+    ]  # fmt: skip
+    after = [
+        _run(1), _run(2, best=("lamp", "guy")), _run(3, blamed=["2x", "1x"]), _run(4, "ambiguous"), _run(5),
+        _run(1, "none_explains", (), "lamp"), _run(6), _run(7) | {"outcome": "failed"},
+    ]  # fmt: skip
+    bench("rates_beside").report_alike(after, before)
+    assert capsys.readouterr().out.strip().splitlines() == [
+        "5 runs are in both counts, 4 end alike", "- guy #4: effect guy -> ambiguous guy",
+    ]  # fmt: skip
+
+
+def test_a_datum_that_is_blamed_anew_is_another_answer(bench, capsys):
+    bench("rates_beside").report_alike([_run(1, blamed=["1x"])], [_run(1)])
+    assert capsys.readouterr().out.strip().splitlines()[1:] == ["- guy #1: effect guy -> effect guy 1x"]
+
+
+def test_widths_of_two_ways_are_compared_where_both_name_the_effect(bench, capsys):
+    def named(number, low, high, over=1.0, covers=True):
+        return _run(number, interval=[low, high], magnitude_over_true=over, covers=covers)
+
+    wide = [named(1, 0.0, 4.0), named(2, 1.0, 7.0), named(3, 0.0, 8.0), named(4, 0.0, 100.0), _run(5)]
+    narrow = [named(1, 1.0, 3.0), named(2, 2.0, 4.0, 1.25, False), named(3, 0.0, 2.0, 0.9, False), named(5, 0.0, 1.0)]
+    bench("rates_beside").report_widths({"joint": wide, "modes": narrow})
+    assert capsys.readouterr().out.strip().splitlines() == [
+        "width of intervals, joint over modes: median 3.0, n 3",
+        "modes: intervals that miss the truth are off by 10.0% to 25.0%, n 2",
+    ]
+
+
+def test_without_intervals_no_widths_are_told(bench, capsys):
+    bench("rates_beside").report_widths({"joint": [_run(1)], "modes": [_run(1)]})
+    assert capsys.readouterr().out == ""

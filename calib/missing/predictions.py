@@ -121,7 +121,7 @@ def predictions(
         ``group``, the labels of the rows, ``value``, ``predicted``, `INTERVAL` and the same with `WITH`; without rows
         that have no prediction.
     errors : DataFrame
-        `ERROR_COLUMNS`, one row for each group.
+        `ERROR_COLUMNS`, one row for each group; none where no row of any group has a prediction.
     """
     tables, errors = [], []
     for group, own in held_out.items():
@@ -139,7 +139,7 @@ def predictions(
         table = pd.concat(parts, axis=1)
         table.insert(0, "group", group)
         tables.append(table if own.lost is None else table[~own.lost])
-    if not tables:
+    if not any(len(table) for table in tables):
         return pd.DataFrame(), pd.DataFrame(columns=list(ERROR_COLUMNS))
     return pd.concat(tables, ignore_index=True), pd.DataFrame(errors, columns=list(ERROR_COLUMNS))
 

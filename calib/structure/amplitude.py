@@ -76,7 +76,7 @@ def with_level(model: StructuralModel, at: Parameter) -> StructuralModel:
 
 
 def amplitude_terms(
-    model: StructuralModel, parts: Sequence[str], kind: PartKind, magnitude: str, at: str
+    model: StructuralModel, parts: Sequence[str], kind: PartKind, magnitude: Parameter, at: str
 ) -> Addition:  # fmt: skip
     """Parts times ``1 - x s`` with the level s of a test.
 
@@ -87,28 +87,30 @@ def amplitude_terms(
     parts : sequence of str
         Names of parts of that kind, or of terms where a model has no parts.
     kind : {"stiffness", "damping"}
-    magnitude, at : str
-        Names of the parameters x and s.
+    magnitude : Parameter
+        Of x.
+    at : str
+        Name of the parameter s.
 
     Raises
     ------
     InputError
-        For an unknown part, or a model without the level.
+        For an unknown part, a model without the level, or one whose largest level leaves nothing of the parts.
     """
     if at not in model.space:
         raise InputError(
             f"the model {model.name} has no parameter {at!r}, the level of a test",
             remedy="add the level to the model, see calib.structure.amplitude",
         )
-    if magnitude in model.space and not 0 < model.space[magnitude].upper * model.space[at].upper < 1:
+    if magnitude.upper * model.space[at].upper >= 1:
         raise InputError(
             f"at the largest level of {model.name}, {model.space[at].upper:g}, nothing would be left of its parts",
-            place=f"effect {magnitude}", remedy="give the effect the level that the model has",
+            remedy="give the effect the level that the model has",
         )  # fmt: skip
     terms = []
     for part in (part_of(model, kind, name) for name in parts):
-        powers = (*part.coefficient.powers, (magnitude, 1.0), (at, 1.0))
-        terms.append(Term(f"{magnitude}: {part.name}", part.matrix, Monomial(-part.coefficient.factor, powers)))
+        powers = (*part.coefficient.powers, (magnitude.name, 1.0), (at, 1.0))
+        terms.append(Term(f"{magnitude.name}: {part.name}", part.matrix, Monomial(-part.coefficient.factor, powers)))
     return Addition(stiffness=tuple(terms)) if kind == "stiffness" else Addition(damping=tuple(terms))
 
 
@@ -165,15 +167,16 @@ def amplitude_dependence(
             f"its plausible size is {plausible:g} at levels up to {at.upper:g}", place=place,
             remedy=f"give a positive number up to {most:.3g}, of which something is left at the largest level",
         )  # fmt: skip
+    magnitude = Parameter(
+        name, 0.0, -10 * plausible, most, "-", prior_sd=plausible,
+        description=f"share of the {kind} that {of} lose from level 0 to level 1",
+    )  # fmt: skip
     return Effect(
         name=name,
         title=f"{kind.capitalize()} of {of} by level of excitation",
         phrase=f"a {kind} of {of} that depends on the level of the test",
         lacks=f"The {kind} of {of} is the same at all levels of excitation.",
         look_for=f"Rubber, gaps, friction or bolted joints in {of}; frequencies that shift with the exciting force.",
-        magnitude=Parameter(
-            name, 0.0, -10 * plausible, most, "-", prior_sd=plausible,
-            description=f"share of the {kind} that {of} lose from level 0 to level 1",
-        ),
-        build=partial(amplitude_terms, parts=listed, kind=kind, magnitude=name, at=at.name),
-    )  # fmt: skip
+        magnitude=magnitude,
+        build=partial(amplitude_terms, parts=listed, kind=kind, magnitude=magnitude, at=at.name),
+    )

@@ -8,12 +8,14 @@ import pytest
 import calib
 from calib.analyses.explain import adapter_for, decided
 from calib.errors import EvaluationError
+from calib.front import basis_of_test
 from calib.front.explained import _adapters, library_of
 from calib.loading import module_of
 from calib.missing.discrepancy import discrepancy
 from calib.results import Results
 from calib.several import load
 from calib.stage import unheard
+from calib.study import Study
 from tests.several.conftest import write_study
 
 FRFS = module_of(__file__.rsplit("/", 2)[0] + "/template/frf_chain.py")
@@ -86,6 +88,29 @@ def test_a_change_of_held_out_rows_is_the_difference_that_the_candidate_makes(gu
             np.testing.assert_allclose(
                 changes[group][:, k], difference, rtol=0.05, atol=0.05 * np.abs(difference).max()
             )
+
+
+def test_held_out_modes_above_the_reach_of_a_reduced_basis_are_predicted_at_full_order(mast, tmp_path, monkeypatch):
+    """The basis is trained for the modes that are fitted, of which there are fewer."""
+    study = Study.load(mast.write_study(tmp_path / "mast", {"guy": 12000.0}))
+    test = calib.ModalTest(study.problem.measured, clusters=study.problem.mode_clusters, held_out=["B3x", "B3z"])
+    problem = calib.Problem(mast.mast(), test)
+    plain = _adapter(problem, mast)
+    monkeypatch.setattr(basis_of_test, "WORTHWHILE_DOFS", 10)
+    reduced = _adapter(problem, mast)
+    basis = reduced.hypotheses.variants.basis
+    assert plain.hypotheses.variants.basis is None and reduced.whole.mode_count > basis.count > 0
+    values = problem.space.values
+    for names, by, at in (((), ("guy", "K_base"), {}), (("platform",), ("platform",), {"platform": 30.0})):
+        expected, found = (one.residuals_held_out(names, {**values, **at}, by) for one in (plain, reduced))
+        assert set(found) == {"held_out_modes"} == set(expected)
+        for k in (0, 1):
+            np.testing.assert_allclose(found["held_out_modes"][k], expected["held_out_modes"][k], rtol=1e-9, atol=1e-9)
+
+
+def _adapter(problem, mast):
+    (adapter,) = _adapters(problem, library_of(problem, list(mast.library())), 1).values()
+    return adapter
 
 
 def test_frfs_held_out_are_predicted_with_the_misfit(frfs):

@@ -14,7 +14,7 @@ from rich.console import Console
 from calib import cli, terminal
 from calib.analyses import explain as explaining
 from calib.analyses.sensitivity import Screening
-from calib.console.explained import _steps
+from calib.console.explained import _predictions, _steps
 from calib.console.printing import printing
 from calib.results import Results
 
@@ -167,3 +167,19 @@ def test_every_step_of_a_search_for_several_effects_is_a_row(named):
     assert rows.rows[0] == ("0", "none", "0.0", "1.50", "2.00")
     assert rows.rows[1:] == (("1", "a", "12.2", "1.20", "1.40"), ("2", "a + b", "30.0", "1.00", "1.10"))
     assert _steps(SimpleNamespace(tables={}, explanation=None)) == []
+
+
+# -- predictions of held-out data --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("of_tests", [{}, {"test": ["loaded"]}])
+def test_predictions_are_counted_and_errors_alone_are_no_table(of_tests):
+    numbers = {"rows": [2], "rms": [3.5], "expected": [1.1], "expected_unexplained": [1.3], "p_unexplained": [0.4]}
+    errors = pd.DataFrame({**of_tests, "group": ["held_out_modes"], **numbers})
+    inside = {"inside": [True, False], "inside_unexplained": [True, True]}
+    predicted = pd.DataFrame({**{k: 2 * v for k, v in of_tests.items()}, "group": 2 * ["held_out_modes"], **inside})
+    tables = {"unexplained_errors": errors}
+    assert _predictions(SimpleNamespace(tables=tables)) == []
+    (rows,) = _predictions(SimpleNamespace(tables={**tables, "unexplained_predictions": predicted}))
+    ((data, *told),) = rows.rows
+    assert told[:5] == ["1 of 2", "2 of 2", "3.50", "1.10", "1.30"] and ("loaded" in data) == bool(of_tests)

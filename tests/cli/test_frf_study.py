@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -138,6 +139,7 @@ def test_report_draws_it_from_tables_alone(ran, here, unrendered, drawn, monkeyp
         ("synthetic = true", 'band = [2.0, 3.5]\nlines = "resonances"', ("no resonance rises",), "lines = "),
         ("synthetic = true", "nuisances = { gain = -1.0 }", ("gain",), "gain"),
         ("synthetic = true", "nuisances = { mass = 0.1 }", ("mass",), "mass"),
+        ("synthetic = true", "nuisances = { resonance = 5.1 }", ("5.1", "5"), "resonance"),
         ("synthetic = true", 'lines = "peaks"', ("lines",), "lines = "),
         ("synthetic = true", 'quantity = "mobility"', ("mobility", "accelerance"), ""),
         ("synthetic = true", 'accuracy = { freq = "1 %" }', ("accuracy",), "accuracy"),
@@ -187,3 +189,20 @@ def test_a_transducer_loads_the_structure_though_its_function_is_held_out(tmp_pa
     assert masses <= set(fitted.space.names) and masses <= set(study.search_space.free_names)
     assert "gain_3x" not in fitted.space and set(held_out.unfitted(fitted.space.values)) == {"gain_3x", "gain_force_4x"}
     assert set(calib.Study(file.parent).problem.space.names) == set(study.search_space.names)
+
+
+def test_a_resonance_that_only_held_out_data_show_frees_nothing(tmp_path):
+    """What is held out would enter the fit by the frequency and the width of its peak."""
+    file = WORLD.write_study(tmp_path / "chain") / "study.toml"
+    own = 'kind = "frf"\nnuisances = { resonance = 2.0 }'
+    file.write_text(file.read_text().replace('kind = "frf"', own))
+    study = calib.Study(file.parent).loaded
+    given = study.tested.given
+    at = [response.name for response in given.responses].index("3x")
+    values = given.values.copy()
+    values[:, at] += 50.0 / (1 - (given.freq / 35.0) ** 2 + 0.02j * given.freq / 35.0)[:, None]
+    tested = replace(study.tested, given=replace(given, values=values))
+    peaks = tested.given.resonances()
+    assert min(abs(r.freq - 35.0) for r in peaks) < 1.0 < min(abs(r.freq - 35.0) for r in tested.used.resonances())
+    freed = {error.freq for error in tested.nuisances(study.model)}
+    assert len(freed) == 3 and freed == {r.freq for r in tested.used.resonances()}

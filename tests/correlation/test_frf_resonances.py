@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calib.correlation.fault_rules import RULES
 from calib.correlation.frf_nuisance import ChannelError, concerned, of_every_channel
 from calib.correlation.frf_problem import FRFProblem
 from calib.correlation.frf_residual import FRFResidual
@@ -131,8 +132,13 @@ def test_each_makes_another_problem_and_concerns_its_lines(pair):
         (("damping", 0.0, 0.1, 1.0), "at 0 Hz"),
         (("damping", 3.0, -0.1, 1.0), "-0.1 Hz wide"),
         (("frequency", 3.0, 0.1, 0.0), "standard deviation is 0"),
+        (("frequency", 3.0, 0.1, 1.01 * RULES.resonance_most), r"off by 5\.05 % at it.*give 5 % or less"),
     ],
 )
 def test_wrong_ones_are_refused(given, words):
     with pytest.raises(InputError, match=words):
         ResonanceError(*given)
+
+
+def test_the_largest_share_is_taken():
+    assert ResonanceError("frequency", 3.0, 0.1, RULES.resonance_most).share == 5.0

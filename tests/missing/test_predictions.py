@@ -1,5 +1,6 @@
 """Predictions of held-out data with and without an unexplained misfit, against closed forms and known truths."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -93,6 +94,17 @@ def test_frequencies_have_intervals_of_their_logarithm_and_lost_modes_none():
     np.testing.assert_allclose(table["low"], [10.0 * np.exp(-0.02 - 0.0196), 0.46 - 0.0392])
     np.testing.assert_allclose(table["high"], [10.0 * np.exp(-0.02 + 0.0196), 0.46 + 0.0392])
     assert table["inside"].tolist() == [False, False] == table["inside_unexplained"].tolist()
+
+
+@pytest.mark.parametrize("lost", [True, False])
+def test_where_every_row_is_lost_there_are_neither_predictions_nor_errors(lost):
+    """A second group with predictions keeps the errors of both."""
+    held, wide, changes = world(4, 3.0)
+    none = replace(held, lost=np.ones(HELD, bool))
+    groups = {"held_out_modes": none, "held_out_sensors": replace(held, lost=np.full(HELD, lost))}
+    table, errors = predictions(groups, wide, dict.fromkeys(groups, changes))
+    assert len(table) == (0 if lost else HELD)
+    assert errors["group"].tolist() == ([] if lost else list(groups)) and list(errors) == list(ERROR_COLUMNS)
 
 
 def test_the_sentence_counts_what_lies_inside():

@@ -1,8 +1,13 @@
 """The shortlist of hung masses, from the signatures of masses held fast."""
 
-import numpy as np
+from types import SimpleNamespace
 
-from calib.missing.proposal_search import hung_over_fixed
+import numpy as np
+import pytest
+
+from calib.missing.proposal import HungBy
+from calib.missing.proposal_search import Search, hung_over_fixed
+from calib.missing.score import scores
 
 
 def test_a_hung_mass_moves_with_its_carrier_below_its_frequency_and_against_it_above():
@@ -24,3 +29,26 @@ def test_it_is_what_a_hung_mass_does_to_the_frequencies_of_a_carrier():
         undamped = 1 / (1 - (own / natural) ** 2)
         np.testing.assert_allclose((freq - own) / fixed, undamped, rtol=2e-3)
         assert np.sign(factor) == np.sign(undamped) and abs(factor / undamped - 1) < 0.25
+
+
+@pytest.mark.parametrize("lowest", [0.0, 2.0])
+def test_a_line_at_0_hz_hangs_a_mass_as_any_other(toy, lowest):
+    toy = toy().drawn(np.random.default_rng(4), {"E0": 8.0})
+    hung = [
+        HungBy(SimpleNamespace(effect=effect, place=(float(k), 0.0, 0.0)), effect.name)
+        for k, effect in enumerate(toy.effects)
+    ]
+    freqs, lost = np.linspace(2.0, 6.0, len(toy.rows)), []
+    freqs[0] = lowest
+    search = Search(None, (), (), hung, toy.effects, freqs)
+    fit = toy.calibrated()
+    found = search._hung(fit, scores(fit, (), {}), lost)
+    assert found[0] is hung[0].composed and lost == []
+
+
+def test_lines_at_0_hz_alone_hang_no_mass(toy):
+    toy = toy()
+    hung = [HungBy(SimpleNamespace(effect=toy.effects[0], place=(0.0, 0.0, 0.0)), toy.effects[0].name)]
+    search = Search(None, (), (), hung, toy.effects, np.zeros(len(toy.rows)))
+    fit = toy.calibrated()
+    assert search._hung(fit, scores(fit, (), {}), []) == []

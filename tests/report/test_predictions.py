@@ -67,6 +67,32 @@ def test_values_far_off_have_a_logarithmic_axis():
     assert draw_predictions(made().assign(value=[40.0, 0.1, 12.0])).get_yscale() == "symlog"
 
 
+@pytest.fixture
+def unbounded(tmp_path):
+    """Folder of results in which the interval of the first value, with the misfit, has no upper end."""
+    table = made()
+    table.loc[0, "high_unexplained"] = np.inf
+    table.to_csv(tmp_path / "unexplained_predictions.csv", index=False)
+    ERRORS.to_csv(tmp_path / "unexplained_errors.csv", index=False)
+    return tmp_path, table
+
+
+def test_a_value_without_a_finite_interval_is_counted_and_not_drawn(unbounded):
+    folder, table = unbounded
+    ax = draw_predictions(table)
+    np.testing.assert_allclose(dots(ax, "inside"), [[0, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(dots(ax, "outside"), [[1, 4.0]])
+    assert len(bars(ax)[0]) == 2
+    plan = Figures(folder, "Bogie", True).plan
+    np.testing.assert_allclose(dots(plan["held_out_predictions"].draw().axes[0], "outside"), [[1, 4.0]])
+    assert predictions(StudyResults(folder, "Bogie", True))[-1].rows[0][:3] == ("held-out sensors", "1 of 2", "2 of 2")
+
+
+def test_without_any_finite_interval_the_figure_says_so():
+    ax = draw_predictions(made().assign(low=-np.inf))
+    assert "no prediction has a finite interval" in [text.get_text() for text in ax.texts]
+
+
 def test_the_page_counts_and_tells_what_the_tables_hold(tmp_path):
     made().to_csv(tmp_path / "unexplained_predictions.csv", index=False)
     ERRORS.to_csv(tmp_path / "unexplained_errors.csv", index=False)

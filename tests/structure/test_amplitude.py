@@ -46,6 +46,21 @@ def test_something_is_left_at_the_largest_level():
     assert np.linalg.eigvalsh(stiffness).min() > 0 and effect.signed
 
 
+def test_a_model_with_a_larger_level_than_the_effect_is_refused():
+    """At level 3 a limit made for 1 would leave less than nothing of the part."""
+    base = with_level(two_masses(), level(3.0))
+    with pytest.raises(InputError, match=r"largest level of .*, 3, nothing would be left.*give the effect the level"):
+        extend(base, [amplitude_dependence("lost", "it", ["k"], level(1.0))])
+    smaller = with_level(two_masses(), level(1.0))
+    assert "lost" in extend(smaller, [amplitude_dependence("lost", "it", ["k"], level(3.0))]).space
+
+
+def test_a_part_that_is_named_twice_is_refused():
+    """It would lose its share twice."""
+    with pytest.raises(InputError, match="effect lost, parts: 'k' occurs twice; name each part once"):
+        amplitude_dependence("lost", "it", ["k", "k"], level(1.0))
+
+
 def test_what_cannot_be_is_refused():
     at = level(1.0)
     with pytest.raises(InputError, match=r"has no parameter 'level', the level of a test; add the level to the model"):

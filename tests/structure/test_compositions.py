@@ -122,6 +122,16 @@ def test_both_places_of_a_symmetric_pair_have_the_same(bogie, sensors):
     assert {c.kind for c in found} >= {"added mass", "damper to ground", "spring between", "damper between"}
 
 
+def test_crossing_connections_of_corners_have_their_common_middle_once(bogie, sensors):
+    """Each of its places is a row of the table of places, which may not be there twice."""
+    found = list(of_sensors(bogie, sensors, bogie.space.values, Names(()), MIDDLE))
+    crossing = [c for c in found if c.at == "sensors 1y and 4y and between sensors 2y and 3y"]
+    assert [c.kind for c in crossing] == ["spring between", "damper between"]
+    for composed in crossing:
+        assert composed.count == 2 and composed.places == ((0.0, 0.62, 0.0),)
+    assert all(len(set(c.places)) == len(c.places) for c in found)
+
+
 def test_further_places_lie_on_the_model_and_apart(bogie, sensors):
     spots = further_spots(bogie, sensors)
     points = np.array([s.point for s in (*sensors, *spots)])

@@ -291,6 +291,9 @@ def test_a_band_that_is_none_is_refused(band):
 def test_wrong_parts_are_refused():
     with pytest.raises(InputError, match="names no part"):
         structural_damping("loss", "it", [], BAND)
+    for make in (structural_damping, relaxing_rubber):
+        with pytest.raises(InputError, match="effect loss, parts: 'link' occurs twice; name each part once"):
+            make("loss", "it", ["link", "last", "link"], BAND)
     with pytest.raises(InputError, match="0 parts 'lnk' of stiffness"):
         lossy(three_masses(), ["lnk"])
     part = Part("it", "stiffness", sp.csr_array(np.diag([1.0, -1.0])), Monomial(), (0.0, 0.0, 0.0))
