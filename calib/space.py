@@ -195,6 +195,17 @@ class ParameterSpace:
             space = space.replace(name, value=number(value, name), distribution="fixed")
         return space
 
+    def held(self, condition: Mapping[str, float]) -> ParameterSpace:
+        """Same space with the parameters of a test's condition fixed; InputError for a value outside the limits."""
+        for name, value in condition.items():
+            p = self[name]
+            if p.lower < p.upper and not p.lower <= number(value, name) <= p.upper:
+                raise InputError(
+                    f"{name} = {value:g} {p.unit} is outside its limits {p.lower:g} to {p.upper:g}",
+                    remedy="correct the value, or widen the limits in the model",
+                )
+        return self.freeze(condition)
+
     def without(self, values: Mapping[str, float]) -> ParameterSpace:
         """Same space without the named parameters, fixed at the given values in the constraints."""
         if not values:

@@ -219,6 +219,12 @@ def _study(
     included = sources.included(library)
     model = with_effects(base, included, file.place("with_effects"))
     elsewhere = {name for _, name in file.settings.mentioned} if file.test else ()
+    for name, value in file.condition.items():
+        if name in model.space:
+            try:
+                model.space.held({name: value})
+            except InputError as fault:
+                raise InputError(fault.problem, place=file.place("set", name), remedy=fault.remedy) from None
     space = sensitivity_space(model.space, file.settings, file.place, adopted, elsewhere)
     hints = parameter_hints(model.space, file.settings)
     taken = file.settings.adopted.parameters if file.settings.adopted else ()

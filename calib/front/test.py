@@ -232,6 +232,6 @@ def model_of(study: Study) -> Model:
 def under(model: Model, test: str, condition: Mapping[str, float]) -> Model:
     """A model with the parameters of a test's condition fixed; InputError for one that it lacks."""
     try:
-        return replace(model, space=model.space.freeze(condition))
+        return replace(model, space=model.space.held(condition))
     except InputError as fault:
         raise InputError(fault.problem, place=f"condition of test {test}", remedy=fault.remedy) from None

@@ -197,11 +197,12 @@ class StretchPower:
 
 @dataclass(frozen=True)
 class Term:
-    """One affine term: a coefficient times a constant symmetric matrix, shape (n_dof, n_dof)."""
+    """A coefficient times a constant symmetric matrix, (n_dof, n_dof); ``part`` of stiffness is what it changes."""
 
     name: str
     matrix: sp.csr_array
     coefficient: Coefficient = Monomial()
+    part: str = ""
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,8 @@ def amplitude_terms(
     terms = []
     for part in (part_of(model, kind, name) for name in parts):
         powers = (*part.coefficient.powers, (magnitude.name, 1.0), (at, 1.0))
-        terms.append(Term(f"{magnitude.name}: {part.name}", part.matrix, Monomial(-part.coefficient.factor, powers)))
+        lost = Monomial(-part.coefficient.factor, powers)
+        terms.append(Term(f"{magnitude.name}: {part.name}", part.matrix, lost, part.name))
     return Addition(stiffness=tuple(terms)) if kind == "stiffness" else Addition(damping=tuple(terms))
 
 

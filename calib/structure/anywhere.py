@@ -10,42 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.errors import InputError
-from calib.structure.affine import Coefficient, Grown, Monomial, StretchPower, Term, parameter
+from calib.structure.affine import Grown, Monomial, StretchPower, Term, parameter
 from calib.structure.attach import moved_masses
 from calib.structure.extend import Addition
-
-
-@dataclass(frozen=True)
-class Product:
-    """Product of two coefficients.
-
-    Attributes
-    ----------
-    one, other : Coefficient
-    """
-
-    one: Coefficient
-    other: Coefficient
-
-    @property
-    def names(self) -> frozenset[str]:
-        """Parameters it depends on."""
-        return self.one.names | self.other.names
-
-    @property
-    def roots(self) -> frozenset[str]:
-        """Parameters raised to a power below 1 in one of them."""
-        return frozenset(name for c in (self.one, self.other) for name in getattr(c, "roots", ()))
-
-    def __call__(self, values: Mapping[str, float]) -> float:
-        """Value at parameters in SI."""
-        return self.one(values) * self.other(values)
-
-    def derivative(self, values: Mapping[str, float], name: str) -> float:
-        """Derivative with respect to one parameter in SI."""
-        one = self.one.derivative(values, name) if name in self.one.names else 0.0
-        other = self.other.derivative(values, name) if name in self.other.names else 0.0
-        return one * self.other(values) + self.one(values) * other
+from calib.structure.products import Product
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,7 @@ def scaled_part(model: StructuralModel, kind: PartKind, name: str, magnitude: st
     """Term that scales a part by ``1 + factor * magnitude``."""
     part = part_of(model, kind, name)
     powers = (*part.coefficient.powers, (magnitude, 1.0))
-    return Term(f"{magnitude}: {name}", part.matrix, Monomial(factor * part.coefficient.factor, powers))
+    return Term(f"{magnitude}: {name}", part.matrix, Monomial(factor * part.coefficient.factor, powers), name)
 
 
 def softened_part(model: StructuralModel, name: str, flexibility: str) -> Term:
@@ -90,7 +90,7 @@ def softened_part(model: StructuralModel, name: str, flexibility: str) -> Term:
     The part's coefficient is the stiffness of each spring; no two springs share an end.
     """
     part = part_of(model, "stiffness", name)
-    return Term(f"{flexibility}: {name}", part.matrix, SeriesLoss(part.coefficient, parameter(flexibility)))
+    return Term(f"{flexibility}: {name}", part.matrix, SeriesLoss(part.coefficient, parameter(flexibility)), name)
 
 
 def moved_masses(motions: Callable[[float], np.ndarray], shift: str, reach: float, stretches: int) -> tuple[Term, ...]:

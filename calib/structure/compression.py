@@ -117,7 +117,8 @@ def static_eigenpairs(problem: DampedProblem, count: int, accuracy: float) -> tu
     All undamped modes up to `_REACH` times the highest wanted frequency are kept. The others follow
     ``(I + lambda C + lambda^2 M) z = -lambda C_hl z_low``: a power series in lambda gives the static response and its
     corrections by mass and damping (quasi-static correction as by MacNeal 1971, carried one term further). None where
-    an eigenvalue's error by its residual is not below ``accuracy``, or nothing is left out.
+    an eigenvalue's error by its residual is not below ``accuracy``, the whole problem has more or fewer overdamped
+    roots up to the highest wanted modulus, or nothing is left out.
 
     Parameters and results are those of `corrected_eigenpairs`.
     """
@@ -149,7 +150,10 @@ def static_eigenpairs(problem: DampedProblem, count: int, accuracy: float) -> tu
     motions = real_times(kept, states[:size, found])
     if not np.max(Eigenpairs(problem, values[found], motions, real_times(damping, motions)).errors) < accuracy:
         return None
-    others = np.abs(values) <= np.abs(values[found[-1]])
+    last = float(np.abs(values[found[-1]]))
+    if problem.overdamped(last) != smaller.overdamped(last):
+        return None
+    others = np.abs(values) <= last
     others &= ~vibrates(values, problem.shift) & ~vibrates(values.conj(), problem.shift)
     if not np.any(others):
         return values[found], motions

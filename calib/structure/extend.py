@@ -15,6 +15,7 @@ from calib.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, SelectedTerm, Term
 from calib.structure.geometry import DofMap, Locator
 from calib.structure.model import Assumption, StructuralModel
+from calib.structure.products import following
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,8 @@ class Addition:
 def extend(model: StructuralModel, effects: Sequence[Effect]) -> StructuralModel:
     """The model with effects, their magnitudes and nuisance parameters after its own parameters.
 
-    Every effect is built from the base model, so that results do not depend on their order.
+    Every effect is built from the base model, so that results do not depend on their order. Where one adds shares of a
+    part's stiffness that another changes, the shares follow the change.
 
     Raises
     ------
@@ -66,6 +68,8 @@ def extend(model: StructuralModel, effects: Sequence[Effect]) -> StructuralModel
         own: AffineMatrix = getattr(model, kind)
         terms = [base.term(t) for t in own.terms]
         terms += [p.term(t) for p in placed for t in getattr(p.addition, kind)]
+        if kind == "stiffness":
+            terms = list(following(terms))
         selected = [base.selected(t) for t in own.selected]
         if kind == "stiffness":
             selected += [p.selected(t) for p in placed for t in p.addition.selected]

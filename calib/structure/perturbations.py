@@ -88,7 +88,7 @@ def _scaled(part: Part, suffix: str) -> Perturbation:
     coefficient = replace(part.coefficient, powers=(*part.coefficient.powers, (name, 1.0)))
 
     def build(model: StructuralModel) -> Addition:
-        term = (Term(name, _wider(part.matrix, model.n_dof), coefficient),)
+        term = (Term(name, _wider(part.matrix, model.n_dof), coefficient, part.name),)
         if part.kind == "stiffness":
             return Addition(stiffness=term)
         return Addition(damping=term) if part.kind == "damping" else Addition(mass=term)

@@ -21,10 +21,10 @@ from scipy.optimize import nnls
 from calib.errors import InputError
 from calib.given import numbers
 from calib.structure.affine import Coefficient, Monomial, Term, parameter
-from calib.structure.anywhere import Product
 from calib.structure.attach import part_of
 from calib.structure.extend import Addition
 from calib.structure.model import Assumption, Part, StructuralModel
+from calib.structure.products import OfPart
 
 BRANCHES = 3
 """Springs with dampers in series per decade of frequency."""
@@ -242,11 +242,12 @@ def _beside(model: StructuralModel, parts: Sequence[str], magnitude: str, branch
     for j, branch in enumerate(branches):
         for part, row in zip(own, rows, strict=True):
             name, c = f"{magnitude}: {part.name}, branch {j + 1}", part.coefficient
-            half = Monomial(-math.sqrt(c.factor), tuple((key, power / 2) for key, power in c.powers))
             spring = sp.csr_array(sp.block_diag([part.matrix * (1 - branch.held), sp.csr_array((added, added))]))
             stiffness += [
-                Term(name, spring, Product(c, branch.share)),
-                Term(f"{name}, coupling", _coupling(row, first, n + added), Product(half, branch.root)),
+                Term(name, spring, OfPart(part.name, c, branch.share)),
+                Term(
+                    f"{name}, coupling", _coupling(row, first, n + added), OfPart(part.name, c, branch.root, 0.5, -1.0)
+                ),
             ]
             first += row.shape[0]
         mine = np.zeros(n + added)

@@ -11,13 +11,16 @@ import scipy.sparse as sp
 
 from calib.effect import Effect
 from calib.space import Parameter
-from calib.structure.affine import Monomial, Term
+from calib.structure.affine import Grown, Monomial, Term
 from calib.structure.attach import GRAVITY, maxwell_branches
 from calib.structure.extend import Addition
 from calib.structure.model import StructuralModel
 
 UNEVEN, LIGHTER = 0.3, (0.6, 1.6)
 """Plausible unevenness of mounts, and rotary inertia over that of a uniform box, where a search starts."""
+
+GROWN_AIR = 1e3
+"""Added stiffness in N/m at which the air of a surging spring has half of its mass: far below any that matters."""
 
 
 def uneven_unit(
@@ -184,11 +187,15 @@ def surging_spring(listed: Effect, rows: Callable[[StructuralModel], list[np.nda
 def _surging(
     model: StructuralModel, rows: Callable[[StructuralModel], list[np.ndarray]], name: str, corner: str, surge: str
 ) -> Addition:
-    """The stroke g of a Maxwell element with the mass of the air: ``g + g'/(2 pi f) + g''/(2 pi s)^2`` balances it."""
+    """The stroke g of a Maxwell element with the mass of the air: ``g + g'/(2 pi f) + g''/(2 pi s)^2`` balances it.
+
+    The air grows with the stiffness, see `GROWN_AIR`: without stiffness it has no mode beside those of the base model.
+    """
     elongations = rows(model)
     branches = maxwell_branches(elongations, name, corner)
     own = np.concatenate([np.zeros(model.n_dof), np.ones(len(elongations))])
     diagonal = sp.csr_array(sp.diags_array(own))
     diagonal.eliminate_zeros()
-    air = Term(f"{name}: air in the pipes", diagonal, Monomial((2 * math.pi) ** -2, ((surge, -2.0),)))
+    mass = Grown(Monomial((2 * math.pi) ** -2, ((surge, -2.0),)), name, GROWN_AIR)
+    air = Term(f"{name}: air in the pipes", diagonal, mass)
     return Addition(branches.stiffness, branches.damping, (air,), n_added=branches.n_added)

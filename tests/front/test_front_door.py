@@ -220,6 +220,12 @@ def test_an_explanation_prints_its_answer_in_four_lines(explained):
     assert escape(answer.found) in html and "<table" in html
 
 
+def test_a_condition_outside_the_limits_is_refused():
+    test = calib.ResponseTest({"w2": (4000.0, 4.0)}, name="wild", condition={"load": 1e4})
+    with pytest.raises(calib.InputError, match=r"condition of test wild: load = 10000 .* is outside its limits 0 to "):
+        calib.Problem(oscillator(), test).compare()
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

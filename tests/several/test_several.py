@@ -234,6 +234,16 @@ def test_conditions_hold_for_their_test(own):
     assert [one.name for one in study.studies] == ["frame.empty", "frame.loaded"]
 
 
+def test_a_condition_outside_the_limits_is_refused_at_its_line(own):
+    text = STUDY.replace("set = { load = 1500.0 }", "set = { load = 1e9 }")
+    (own / "study.toml").write_text(text)
+    line = next(k for k, one in enumerate(text.splitlines(), 1) if "load = 1e9" in one)
+    with pytest.raises(
+        calib.InputError, match=rf"study\.toml, line {line}: load = 1e\+09 kg is outside its limits 0 to "
+    ):
+        load(own)
+
+
 def test_one_test_is_a_study_as_ever(own):
     text = STUDY[: STUDY.index('[[tests]]\nname = "loaded"')] + STUDY[STUDY.index("[sensitivity]") :]
     (own / "study.toml").write_text(text)

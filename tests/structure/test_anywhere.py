@@ -6,9 +6,10 @@ import scipy.linalg as la
 
 from calib.errors import InputError
 from calib.structure.affine import AffineMatrix, Monomial, StretchPower, parameter
-from calib.structure.anywhere import Chosen, Product, at_one_of, sliding_mass
+from calib.structure.anywhere import Chosen, at_one_of, sliding_mass
 from calib.structure.attach import hung_masses, outer_term
 from calib.structure.extend import Addition
+from calib.structure.products import Product
 
 
 def matrix(terms, values):

@@ -178,3 +178,15 @@ def test_static_corrections_suffice_for_small_problems_or_give_nothing():
     np.testing.assert_allclose(split(one, found)[0], lam[:COUNT], rtol=1e-5)
     assert static_eigenpairs(one, COUNT, 0.0) is None
     assert static_eigenpairs(one, SIZE, ACCURACY) is None
+
+
+def test_static_corrections_miss_no_overdamped_root():
+    """A high mode with a strong damper of its own has a slow root, and no part in the response to low ones."""
+    omega = np.linspace(10.0, 1000.0, 40)
+    zeta = np.full(40, 0.02)
+    assert static_eigenpairs(DampedProblem(1 / omega**2, np.diag(2 * zeta / omega), 1e-4), 3, ACCURACY) is not None
+    zeta[30] = 20.0  # roots near -omega/40 and -40 omega
+    one = DampedProblem(1 / omega**2, np.diag(2 * zeta / omega), 1e-4)
+    lam, _, real = whole(one)
+    assert np.count_nonzero(np.abs(real) <= np.abs(lam[2])) == 1
+    assert static_eigenpairs(one, 3, ACCURACY) is None

@@ -8,12 +8,15 @@ import scipy.linalg as la
 import scipy.sparse as sp
 
 from calib.effect import Effect
-from calib.errors import InputError
+from calib.errors import EvaluationError, InputError
 from calib.space import Parameter
 from calib.structure.affine import Monomial
+from calib.structure.amplitude import amplitude_terms, level, with_level
+from calib.structure.anywhere import at_one_of
+from calib.structure.attach import scaled_part, softened_part
 from calib.structure.basis import Basis
 from calib.structure.derivatives import mode_derivatives
-from calib.structure.extend import extend
+from calib.structure.extend import Addition, extend
 from calib.structure.frf import frf
 from calib.structure.model import Part, StructuralModel
 from calib.structure.reduced import ReducedModel
@@ -113,6 +116,62 @@ def test_parts_relax_with_the_parameters_of_their_stiffness():
         expected = condensed(base, {n: v for n, v in values.items() if n in base.space}, lam, 3)
         expected = expected + more * (link * np.outer(b, b) + last * np.outer(d, d))
         np.testing.assert_allclose(condensed(model, values, lam, 3), expected, rtol=1e-9, atol=1e-9 * link)
+
+
+@pytest.mark.filterwarnings("ignore:Mean of empty slice", "ignore:invalid value")  # parts without a place
+@pytest.mark.parametrize("order", [("at once",), ("loss", "change"), ("change", "loss")])
+@pytest.mark.parametrize("change", ["softening", "scaled", "flexibility", "one of two"])
+def test_the_loss_of_a_part_follows_its_stiffness_whatever_changes_it(order, change):
+    """``K_changed (1 + G)``, not ``K_changed + K G``, for every order in which the effects are added."""
+    size = Parameter("x", 0.0, 0.0, 0.9, "-", prior_sd=0.1)
+    builds = {
+        "softening": lambda m: amplitude_terms(m, ["link"], "stiffness", "x", "level"),
+        "scaled": lambda m: Addition(stiffness=(scaled_part(m, "stiffness", "link", "x", -0.7),)),
+        "flexibility": lambda m: Addition(stiffness=(softened_part(m, "link", "x"),)),
+        "one of two": lambda m: at_one_of(
+            [Addition(stiffness=(scaled_part(m, "stiffness", name, "x", -0.5),)) for name in ("link", "last")], "at"
+        ),
+    }
+    where = (Parameter("at", 1, 1, 2, "-", integer=True),) if change == "one of two" else ()
+    effects = {
+        "change": Effect(
+            "x", "change", "", "", size, builds[change], where, ({"x": 0.3, **({"at": 1.0} if where else {})},)
+        ),
+        "loss": structural_damping("eta", "the link", ["link"], BAND),
+    }
+    model, base = with_level(three_masses(), level(1.0)), three_masses()
+    for step in order:
+        model = extend(model, [effects["loss"], effects["change"]] if step == "at once" else [effects[step]])
+    x = 4e5 if change == "flexibility" else 0.7
+    values = {"eta": 0.3, "x": x, "level": 1.0, "e": 3.0, "t": 8.0, "k": 20.0}
+    link = 3e10 * 3.0 * 8e-3**3
+    left = {"softening": 0.3, "scaled": 1 - 0.49, "flexibility": 1 / (1 + link / 3e10 * x), "one of two": 0.65}[change]
+    for lam in (20j, 30j - 2, 400j):
+        loss = ConstantLoss(*BAND)(0.3, np.array([lam]))[0]
+        b = np.array([1.0, -1, 0])
+        more = link * (left * (1 + loss) - 1) * np.outer(b, b)
+        expected = condensed(base, {n: v for n, v in values.items() if n in base.space}, lam, 3) + more
+        np.testing.assert_allclose(condensed(model, values, lam, 3), expected, rtol=1e-9, atol=1e-9 * link)
+    k, c, m = (a.toarray() for a in model.matrices(values))
+    n = len(k)
+    massless = np.diag(m) == 0
+    inverse = -np.block([[np.linalg.solve(k, c), np.linalg.solve(k, m)], [-np.eye(n), np.zeros((n, n))]])
+    mu = la.eigvals(inverse)
+    assert massless.any() and (1 / mu[np.abs(mu) > 1e-9 * np.abs(mu).max()]).real.max() < 1e-6
+    for name in ("x", "eta", "e", "t"):
+        step = 1e-5 * values[name]
+        high, low = (model.matrices({**values, name: values[name] + s * step})[0].toarray() for s in (1, -1))
+        slope = model.matrix_derivatives(values, name)[0].toarray()
+        np.testing.assert_allclose((high - low) / (2 * step), slope, rtol=1e-6, atol=1e-6 * abs(slope).max())
+
+
+def test_a_part_of_which_nothing_is_left_cannot_be_solved():
+    size = Parameter("size", 0.0, -9.0, 9.0, prior_sd=0.1)
+    build = lambda m: Addition(stiffness=(scaled_part(m, "stiffness", "k", "size"),))  # noqa: E731
+    scale = Effect("size", "size", "", "", size, build)
+    model = extend(relaxing(one_mass(), ["k"]), [scale])
+    with pytest.raises(EvaluationError, match="nothing is left of the stiffness of 'k'"):
+        model.matrices({"x": 0.3, "size": -2.0})
 
 
 # -- constant loss -----------------------------------------------------------------------------------------------------

@@ -70,9 +70,16 @@ def test_a_surging_branch_has_the_dynamic_stiffness_of_pipe_and_orifice(alone, r
     carrier = np.random.default_rng(1).standard_normal((n, 2))
     springs = carrier.T @ (listed[:n, :n] @ carrier)
     for lam in (3j, 40j - 2, 15.0 + 0j):
-        along = lam / (2 * np.pi * 2.0) + (lam / (2 * np.pi * 5.0)) ** 2
+        along = lam / (2 * np.pi * 2.0) + (lam / (2 * np.pi * 5.0)) ** 2 / (1 + (1 / 300) ** 2)
         found = condensed(alone, "surging_air_spring", values, lam, carrier)
         np.testing.assert_allclose(found, springs * along / (1 + along), rtol=1e-7)
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 1e-3])
+def test_without_stiffness_the_air_leaves_no_mode(rigid_car, stiffness):
+    model = extend(rigid_car, [RICHER["surging_air_spring"]])
+    found = model.modes({"surging_air_spring": stiffness, "surging_air_spring_surge": 4.0}, 15).natural_freq
+    np.testing.assert_allclose(found, rigid_car.modes({}, 15).natural_freq, rtol=1e-6)
 
 
 def test_seats_that_are_stiff_sideways_are_the_listed_ones(alone, rigid_car):
