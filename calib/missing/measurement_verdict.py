@@ -8,7 +8,7 @@ from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.local import fault_words
 from calib.missing.recommendation import as_ratio
-from calib.missing.verdict_words import WORST, Words, counted_faults, ended, without, without_in_short
+from calib.missing.verdict_words import WORST, Words, counted_faults, ended, lowered, without, without_in_short
 from calib.missing.worst_misfit import p_words
 
 
@@ -22,7 +22,7 @@ def on_measurement(found: Explanation, effects: pd.DataFrame) -> Words:
     against = f" The best effect, {best.names[0]}, is {_behind(found, best)}." if best is not None else ""
     after = found.fault_adequacy
     return Words(
-        f"The measurement is what does not fit: {first}: {e.look_for[:1].lower()}{ended(e.look_for)[1:]}{also}",
+        f"The measurement is what does not fit: {first}: {lowered(ended(e.look_for))}{also}",
         f"Its log Bayes factor is {found.ln_bayes(found.fault):.1f} against the model without any fault or effect, "
         f"chosen among {counted_faults(found)}.{against} {without_in_short(found)} With it nothing else stands out "
         f"({p_words(min(after.p_family, after.p_fit))}).",

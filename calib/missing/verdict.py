@@ -24,11 +24,11 @@ from calib.missing.verdict_words import (
     Words,
     as_it_is,
     collinear,
-    ended,
     family,
     family_in_short,
     further,
     look_for,
+    look_for_one_of,
     row_of,
     sized,
     with_in_short,
@@ -194,11 +194,11 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> Words:
     known = {e.name: e for g in found.groups for e in g.effects}
     credible = [known[name] for name in rows["name"]]
     explaining = [(float(b), sized(effects, e)) for e, b in zip(credible, rows["ln_bayes"], strict=True)]
-    check = ""
+    alternatives, check = [*credible], ""
     if found.fault is not None:
         told = f"a fault of the measurement: {fault_words(found.fault)}"
         explaining.append((found.ln_bayes(found.fault), told))
-        check = "Or: " + " ".join(ended(e.look_for) for e in found.fault.effects)
+        alternatives += found.fault.effects
     if found.datum is not None:
         explaining.append((found.ln_bayes(found.datum), found.datum.told))
         check = f"Or measure the {found.datum.what} again."
@@ -216,7 +216,7 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> Words:
         f"{first}: {named}.",
         f"The odds of the first against the second are {as_ratio(ln_bayes)}. {without_in_short(found)} "
         f"{with_in_short(found)}",
-        f"{look_for(credible, ' Or: ')} {check}".strip(),
+        f"{look_for_one_of(alternatives)} {check}".strip(),
         (without(found), with_words(found), as_it_is(credible)),
     )
 

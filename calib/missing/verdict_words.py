@@ -14,6 +14,10 @@ from calib.missing.explanation import Explanation
 from calib.missing.local import WIDE, interval_words
 from calib.missing.worst_misfit import p_words
 
+_QUESTIONS = ("Whether", "Where", "How", "Which", "What")
+"""First words of a text to look for that is a question."""
+_REQUESTS = ("Look", "Check", "Measure")
+"""First words of a text to look for that is a request already."""
 WORST = "the worst kind of data or mode shape"
 """What the p-value of a fit is of, corrected for their number; see `calib.missing.goodness.overall`."""
 
@@ -126,9 +130,28 @@ def collinear(found: Explanation, effects: pd.DataFrame, chosen: CandidateFit) -
     return " ".join(out)
 
 
-def look_for(effects: Sequence[Candidate], joint: str = " ") -> str:
-    """What to look for on the structure."""
-    return f"Look for: {joint.join(ended(e.look_for) for e in effects)}"
+def look_for(effects: Sequence[Candidate]) -> str:
+    """What to look for on the structure, for effects that act together."""
+    return " ".join(map(_request, effects))
+
+
+def look_for_one_of(effects: Sequence[Candidate]) -> str:
+    """What to look for on the structure or to check of the measurement, for alternatives."""
+    first, *others = map(_request, effects)
+    return " ".join([first, *(f"Or {lowered(words)}" for words in others)])
+
+
+def _request(e: Candidate) -> str:
+    """What an effect asks for, such as `Look for a cracked weld.` or `Check whether the brakes are released.`."""
+    first, words = e.look_for.split(" ", 1)[0], ended(e.look_for)
+    if first in _REQUESTS:
+        return words
+    return f"{'Check' if first in _QUESTIONS else 'Look for'} {lowered(words)}"
+
+
+def lowered(words: str) -> str:
+    """A sentence as it continues another: an abbreviation, or a name such as ``E2``, keeps its capital."""
+    return f"{words[:1].lower()}{words[1:]}" if words[1:2].islower() or words[1:2] == " " else words
 
 
 def as_it_is(effects: Sequence[Candidate]) -> str:

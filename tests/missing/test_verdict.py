@@ -145,7 +145,7 @@ def test_collinear_effects_are_named_together(toy):
     bayes_factor = math.exp(found.singles[0].ln_evidence - found.singles[1].ln_evidence)
     assert f"The odds of the first against the second are {float(f'{bayes_factor:.2g}'):g}:1." in text
     assert "a lack of E2, " in text and "a lack of E4, " in text and "signature" not in text
-    assert f"Look at {first_of}. Or: Look at {second_of}." in text
+    assert f"Look for a broken {first_of}. Or look for a broken {second_of}." in text
 
 
 def test_a_collinear_effect_that_was_not_fitted_is_named_too(toy):
