@@ -128,7 +128,7 @@ def verdict(
     if found.names_something or found.verdict in ("partial", "unconfirmed"):
         sure.append(_OUTSIDE)
     if found.verdict == "effect" and found.chosen is not None:
-        sure.append(suspect_in_short(found.suspects))
+        sure.append(suspect_in_short(found.suspects, found.chosen.names[0]))
         support.insert(0, suspect_sentence(found.suspects, found.chosen.names[0]))
     if assumed:
         sure.append(f"These results rest on an assumed standard deviation: {assumed}.")

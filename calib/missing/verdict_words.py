@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from calib.candidate import Candidate
-from calib.missing.candidate_fit import CandidateFit
+from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.local import WIDE, interval_words
 from calib.missing.worst_misfit import p_words
@@ -54,11 +54,17 @@ def family_in_short(found: Explanation) -> str:
 
 def with_in_short(found: Explanation, them: str = "it") -> str:
     """How well the data fit with the chosen effects, for the summary."""
-    adequacy = found.chosen_adequacy
-    assert adequacy is not None
-    if adequacy.p_fit <= found.alpha:
-        return f"With {them} nothing else stands out, but the fit is poor ({p_words(adequacy.p_fit)})."
-    return f"With {them} nothing else stands out ({p_words(min(adequacy.p_family, adequacy.p_fit))})."
+    assert found.chosen_adequacy is not None
+    return fit_in_short(found.chosen_adequacy, found.alpha, them)
+
+
+def fit_in_short(adequacy: AdequacyTests, alpha: float, them: str = "it") -> str:
+    """The two tests of a fit in which nothing stands out: the largest score, and the worst kind of data."""
+    fits = "but the fit is poor" if adequacy.p_fit <= alpha else "and the data fit"
+    return (
+        f"With {them} no further effect or place stands out ({p_words(adequacy.p_family)}), {fits} "
+        f"({p_words(adequacy.p_fit)}; limit {alpha:g})."
+    )
 
 
 def family(found: Explanation) -> str:

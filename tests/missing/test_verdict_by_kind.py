@@ -61,7 +61,12 @@ def test_what_to_look_for_is_one_sentence_without_a_colon_of_its_own(cases, text
 def test_a_poor_fit_of_a_named_effect_is_stated(cases):
     found = cases["effect"]
     poor = replace(found, chosen_adequacy=replace(found.chosen_adequacy, p_fit=0.004))
-    assert f"{WORST} has p = 0.004, which is poor" in text_of(poor)
+    text, family = text_of(poor), f"p = {found.chosen_adequacy.p_family:.2g}"
+    assert f"{WORST} has p = 0.004, which is poor" in text
+    short = "With it no further effect or place stands out"
+    assert f"{short} ({family}), but the fit is poor (p = 0.004; limit 0.01)." in text
+    good = f"(p = {found.chosen_adequacy.p_fit:.2g}; limit 0.01)"
+    assert f"{short} ({family}), and the data fit {good}." in text_of(found)
 
 
 def test_data_that_can_show_no_effect_are_said_to(cases):
