@@ -56,6 +56,7 @@ from calib.missing.tables import (
     pull_table,
 )
 from calib.missing.verdict import verdict
+from calib.missing.verdict_words import elsewhere
 from calib.missing.worst_misfit import misfit_at
 from calib.outcome import as_cause, failure
 from calib.results import Results
@@ -227,7 +228,9 @@ def answered(
     stages |= {"explained": found.blamed[0]} if found.blamed else {}
     labels = adapter.labels()
     own = adapter.tables(stages)
-    left = left_of(found, adapter.places(), _acting(found, own), labels["mode"].tolist())
+    acting = _acting(found, own)
+    left = left_of(found, adapter.places(), acting, labels["mode"].tolist())
+    pointed = elsewhere(found, adapter.places(), acting)
     more = (
         correction_offered(found),
         "" if found.blamed or found.verdict == "effect" else suspect_sentence(found.suspects),
@@ -238,7 +241,7 @@ def answered(
         richer_sentence(richer, errors),
         *misfit_words,
     )
-    told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed, supposed)
+    told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed, supposed, pointed)
     words = (*told.sentences, *filter(None, more))
     errors = errors.assign(std_from="assumed" if facts.assumed else "stated")
     figures |= {

@@ -74,6 +74,7 @@ def verdict(
     disagreements: pd.DataFrame | None = None,
     assumed: str = "",
     supposed: Sequence[str] = (),
+    pointed: str = "",
 ) -> Verdict:
     """The explanation in words.
 
@@ -92,6 +93,8 @@ def verdict(
         Assumed standard deviations, in words.
     supposed : sequence of str
         What the covariance of the residual has beside the measurement, in sentences.
+    pointed : str
+        Where the data point to, in words; see `calib.missing.verdict_words.elsewhere`.
     """
     words = {
         "nothing_detectable": _nothing,
@@ -133,8 +136,8 @@ def verdict(
     if assumed:
         sure.append(f"These results rest on an assumed standard deviation: {assumed}.")
     sure += supposed
-    answer = Answer(words.found, " ".join(filter(None, sure)), f"{words.then} {short}".strip())
-    return Verdict(answer, tuple(filter(None, (answer.found, answer.sure, words.then, *support))))
+    answer = Answer(words.found, *(" ".join(filter(None, some)) for some in (sure, (words.then, pointed, short))))
+    return Verdict(answer, tuple(filter(None, (answer.found, answer.sure, words.then, pointed, *support))))
 
 
 # -- verdict by verdict ------------------------------------------------------------------------------------------------

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 
 from calib.candidate import Candidate
+from calib.effect import Effect
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.local import WIDE, interval_words
@@ -158,6 +160,39 @@ def _request(e: Candidate) -> str:
 def lowered(words: str) -> str:
     """A sentence as it continues another: an abbreviation, or a name such as ``E2``, keeps its capital."""
     return f"{words[:1].lower()}{words[1:]}" if words[1:2].islower() or words[1:2] == " " else words
+
+
+def elsewhere(
+    found: Explanation,
+    places: Mapping[str, tuple[str, tuple[float, float, float], str]],
+    acting: Sequence[tuple[float, float, float]],
+) -> str:
+    """The sensor at which a local perturbation fits best, where the named effect acts somewhere else; in words.
+
+    Empty for a verdict other than one effect, an effect whose place is fitted or unknown, perturbations that noise may
+    explain, or a best one that is a part. Elsewhere is further from the effect than the sensor nearest to it.
+
+    Parameters
+    ----------
+    found : Explanation
+    places : mapping from str to (kind, (x, y, z), sensor)
+        Of every local perturbation, by name; m.
+    acting : sequence of (x, y, z)
+        Where the effect acts, m; empty where that is unknown.
+    """
+    scores, chosen = found.base_adequacy.perturbations, found.chosen
+    if found.verdict != "effect" or chosen is None or not len(acting) or not len(scores.owners):
+        return ""
+    fitted_place = any(isinstance(e, Effect) and e.places for e in chosen.effects)
+    best = scores.owners[int(np.argmax(scores.magnitude))]
+    at_sensors = {name: places[name][1] for name in scores.owners if name in places and places[name][2]}
+    if fitted_place or best not in at_sensors or found.base_adequacy.p_perturbations > found.alpha:
+        return ""
+    away = {name: min(math.dist(at, own) for own in acting) for name, at in at_sensors.items()}
+    known = [distance for distance in away.values() if math.isfinite(distance)]
+    if not known or not away[best] > min(known):
+        return ""
+    return f"The place is the library's; the data point most to {best}."
 
 
 def as_it_is(effects: Sequence[Candidate]) -> str:
