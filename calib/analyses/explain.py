@@ -43,7 +43,7 @@ from calib.missing.left import left_of
 from calib.missing.pattern import parameter_table, pattern_table, place_table
 from calib.missing.profile import profile_interval
 from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
-from calib.missing.recommendation import Recommendation, recommend, recommendation
+from calib.missing.recommendation import Interval, Recommendation, recommend, recommendation
 from calib.missing.richer import richer_next, richer_sentence, richer_tables
 from calib.missing.score import noise_limit
 from calib.missing.steps_table import step_fits, steps_tables
@@ -342,7 +342,11 @@ def _next(
         # The design is for the unexplained perturbation, not for undetectable effects.
         unseen = [name for name in found.perturbation.names if name in design.effects]
     named = found.chosen.names if found.names_something and found.chosen is not None else ()
-    return table, recommendation(table, pair, unseen, named)
+    rows = effects[effects["name"].isin(named) & effects["refitted"].astype(bool)].to_dict("records")
+    intervals = {
+        str(r["name"]): Interval(float(r["magnitude_low"]), float(r["magnitude_high"]), str(r["unit"])) for r in rows
+    }
+    return table, recommendation(table, pair, unseen, named, intervals)
 
 
 def _perturbations(adapter: Adapter, found: Explanation) -> pd.DataFrame:
