@@ -43,7 +43,7 @@ from calib.missing.left import left_of
 from calib.missing.pattern import parameter_table, pattern_table, place_table
 from calib.missing.profile import profile_interval
 from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
-from calib.missing.recommendation import Recommendation, recommend, recommendation
+from calib.missing.recommendation import Interval, Recommendation, recommend, recommendation
 from calib.missing.richer import richer_next, richer_sentence, richer_tables
 from calib.missing.score import noise_limit
 from calib.missing.steps_table import step_fits, steps_tables
@@ -56,6 +56,7 @@ from calib.missing.tables import (
     pull_table,
 )
 from calib.missing.verdict import verdict
+from calib.missing.verdict_words import elsewhere
 from calib.missing.worst_misfit import misfit_at
 from calib.outcome import as_cause, failure
 from calib.results import Results
@@ -227,7 +228,9 @@ def answered(
     stages |= {"explained": found.blamed[0]} if found.blamed else {}
     labels = adapter.labels()
     own = adapter.tables(stages)
-    left = left_of(found, adapter.places(), _acting(found, own), labels["mode"].tolist())
+    acting = _acting(found, own)
+    left = left_of(found, adapter.places(), acting, labels["mode"].tolist())
+    pointed = elsewhere(found, adapter.places(), acting)
     more = (
         correction_offered(found),
         "" if found.blamed or found.verdict == "effect" else suspect_sentence(found.suspects),
@@ -238,7 +241,7 @@ def answered(
         richer_sentence(richer, errors),
         *misfit_words,
     )
-    told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed, supposed)
+    told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed, supposed, pointed)
     words = (*told.sentences, *filter(None, more))
     errors = errors.assign(std_from="assumed" if facts.assumed else "stated")
     figures |= {
@@ -339,7 +342,11 @@ def _next(
         # The design is for the unexplained perturbation, not for undetectable effects.
         unseen = [name for name in found.perturbation.names if name in design.effects]
     named = found.chosen.names if found.names_something and found.chosen is not None else ()
-    return table, recommendation(table, pair, unseen, named)
+    rows = effects[effects["name"].isin(named) & effects["refitted"].astype(bool)].to_dict("records")
+    intervals = {
+        str(r["name"]): Interval(float(r["magnitude_low"]), float(r["magnitude_high"]), str(r["unit"])) for r in rows
+    }
+    return table, recommendation(table, pair, unseen, named, intervals)
 
 
 def _perturbations(adapter: Adapter, found: Explanation) -> pd.DataFrame:

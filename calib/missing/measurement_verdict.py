@@ -8,7 +8,16 @@ from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.local import fault_words
 from calib.missing.recommendation import as_ratio
-from calib.missing.verdict_words import WORST, Words, counted_faults, ended, without, without_in_short
+from calib.missing.verdict_words import (
+    WORST,
+    Words,
+    counted_faults,
+    ended,
+    fit_in_short,
+    lowered,
+    without,
+    without_in_short,
+)
 from calib.missing.worst_misfit import p_words
 
 
@@ -22,14 +31,15 @@ def on_measurement(found: Explanation, effects: pd.DataFrame) -> Words:
     against = f" The best effect, {best.names[0]}, is {_behind(found, best)}." if best is not None else ""
     after = found.fault_adequacy
     return Words(
-        f"The measurement is what does not fit: {first}: {e.look_for[:1].lower()}{ended(e.look_for)[1:]}{also}",
+        f"The measurement is what does not fit: {first}: {lowered(ended(e.look_for))}{also}",
         f"Its log Bayes factor is {found.ln_bayes(found.fault):.1f} against the model without any fault or effect, "
-        f"chosen among {counted_faults(found)}.{against} {without_in_short(found)} With it nothing else stands out "
-        f"({p_words(min(after.p_family, after.p_fit))}).",
+        f"chosen among {counted_faults(found)}.{against} {without_in_short(found)} "
+        f"{fit_in_short(after, found.alpha)}",
         "Correct the measurement, or take it out, before the model is changed; nothing is added to the model.",
         (
             without(found),
-            f"With it nothing else stands out ({p_words(after.p_family)}) and {WORST} has {p_words(after.p_fit)}.",
+            f"With it no effect or place stands out ({p_words(after.p_family)}), and {WORST} has "
+            f"{p_words(after.p_fit)}.",
             f"It takes for granted: {ended(e.lacks)}",
         ),
     )

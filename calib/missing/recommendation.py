@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -13,6 +15,7 @@ import scipy.linalg as la
 
 from calib.missing.candidate_measurement import CandidateMeasurement, at_effect
 from calib.missing.competing import EIGHT_OF_TEN, BayesFactor, CompetingModels
+from calib.missing.local import unit_words
 from calib.missing.rules import RULES
 
 MOST = 3
@@ -170,6 +173,14 @@ def rounded(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
+class Interval(NamedTuple):
+    """95 % interval of a magnitude, in its unit."""
+
+    low: float
+    high: float
+    unit: str
+
+
 @dataclass(frozen=True)
 class Recommendation:
     """The best next measurement in words.
@@ -187,7 +198,11 @@ class Recommendation:
 
 
 def recommendation(
-    table: pd.DataFrame, pair: tuple[str, str] | None, unseen: Sequence[str], named: Sequence[str] = ()
+    table: pd.DataFrame,
+    pair: tuple[str, str] | None,
+    unseen: Sequence[str],
+    named: Sequence[str] = (),
+    intervals: Mapping[str, Interval] = MappingProxyType({}),
 ) -> Recommendation | None:
     """The best next measurements in words, by gain; None when none is worthwhile.
 
@@ -205,16 +220,19 @@ def recommendation(
         Effects that are not visible; used without a pair.
     named : sequence of str
         Effects that are named; used without a pair.
+    intervals : mapping from str to Interval
+        Present 95 % intervals of their magnitudes, as far as they are known.
     """
     if table.empty:
         return None
     if pair is None and named:
         more = recommendation(table, None, [name for name in unseen if name not in named])
-        parts = [_narrowing(table, name) for name in named]
+        parts = [_narrowing(table, name, intervals) for name in named]
         return Recommendation(
             " ".join([*parts, *([] if more is None else [more.sentence])]),
             " ".join(
-                _narrowing_in_short(table, named) or ([_no_need(n) for n in named] if more is None else [more.short])
+                _narrowing_in_short(table, named, intervals)
+                or ([_no_need(n) for n in named] if more is None else [more.short])
             ),
         )
     if pair is not None:
@@ -240,35 +258,54 @@ def recommendation(
     return Recommendation(f"{purpose}, {told}. {AVERAGED} {USED}", f"{purpose}, {_in_short(names)}.")
 
 
-def _narrowing(table: pd.DataFrame, name: str) -> str:
+def _narrowing(table: pd.DataFrame, name: str, intervals: Mapping[str, Interval]) -> str:
     """What narrows the magnitude of a named effect most: its standard deviation falls as its expected score rises."""
     own = table[table["effect"] == name]
     there = own[own["measurement"].str.startswith(at_effect(name)) & (own["gain"] < RULES.worthwhile)]
     little = "".join(
-        f" Sensors where {name} acts are not needed: {gain:.3g} times its score." for gain in there["gain"]
+        f" More sensors where {name} acts add little ({gain:.3g} times its score)." for gain in there["gain"]
     )
     own = own[own["gain"] >= RULES.worthwhile]
     if own.empty:
         return f"{_no_need(name)}{little}"
-    return f"To narrow the magnitude of {name}, {_used_or_measured(own)}.{little}"
+    first = own.iloc[0]
+    width = _widths(intervals.get(name), float(first["gain"]), str(first["measurement"]).removesuffix(HELD_OUT))
+    narrower = f" Its 95 % interval is {width}." if width else ""
+    return f"To narrow the magnitude of {name}, {_used_or_measured(own)}.{narrower}{little}"
+
+
+def _widths(interval: Interval | None, gain: float, it: str = "it") -> str:
+    """Width of an interval now and with a measurement, such as ``about 20 kg wide now, about 12 kg with it``.
+
+    The standard deviation falls as the expected score rises. Empty where the present interval is not known.
+    """
+    width = math.nan if interval is None else interval.high - interval.low
+    if interval is None or not (math.isfinite(width) and width > 0):
+        return ""
+    unit = unit_words(interval.unit)
+    return f"about {rounded(width)}{unit} wide now, about {rounded(width / gain)}{unit} with {it}"
 
 
 def _no_need(name: str) -> str:
     return f"{name} needs no further measurement: none looked at raises its score {RULES.worthwhile:g} times."
 
 
-def _narrowing_in_short(table: pd.DataFrame, named: Sequence[str]) -> list[str]:
+def _narrowing_in_short(table: pd.DataFrame, named: Sequence[str], intervals: Mapping[str, Interval]) -> list[str]:
     """The best measurement for each magnitude that needs one; those that need the same one share a sentence."""
-    best: dict[str, list[str]] = {}
+    best: dict[str, dict[str, str]] = {}
     for name in named:
         own = table[(table["effect"] == name) & (table["gain"] >= RULES.worthwhile)]
-        best.setdefault("" if own.empty else str(own["measurement"].iloc[0]), []).append(name)
-    best.pop("", None)
-    told = [
-        (f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0], m) for m, names in best.items()
-    ]
-    many = {measurement: "s" * (len(names) > 1) for measurement, names in best.items()}
-    return [f"To narrow the magnitude{many[m]} of {names}, {_in_short([m])}." for names, m in told]
+        if len(own):
+            width = _widths(intervals.get(name), float(own["gain"].iloc[0]))
+            best.setdefault(str(own["measurement"].iloc[0]), {})[name] = width
+    out = []
+    for measurement, widths in best.items():
+        *others, last = widths
+        names = f"{', '.join(others)} and {last}" if others else last
+        told = "; ".join(f"{name} {width}" if others else width for name, width in widths.items() if width)
+        narrower = f" (95 % interval {told})" if told else ""
+        out.append(f"To narrow the magnitude{'s' * bool(others)} of {names}, {_in_short([measurement])}{narrower}.")
+    return out
 
 
 def _in_short(names: Sequence[str]) -> str:

@@ -155,13 +155,18 @@ def suspects(
     return table.iloc[order].reset_index(drop=True)
 
 
-def in_short(table: pd.DataFrame) -> str:
-    """The datum that a named effect rests on, for the summary; empty where it rests on more than one."""
+def in_short(table: pd.DataFrame, named: str) -> str:
+    """The datum without which everything fits and the effect that is named all the same, for the summary.
+
+    Empty where no datum alone explains the misfit.
+    """
     explaining = table[table["explains"].astype(bool)]
     if explaining.empty:
         return ""
-    what = explaining["what"].iloc[0]
-    return f"It rests on {what}, without which the base model would fit too: check that measurement."
+    return (
+        f"Without {explaining['what'].iloc[0]} the base model would fit too, but {named} explains the misfit better, "
+        f"by odds of more than {as_ratio(RULES.credible)}: check that measurement."
+    )
 
 
 def sentence(table: pd.DataFrame, named: str = "") -> str:

@@ -24,11 +24,11 @@ from calib.missing.verdict_words import (
     Words,
     as_it_is,
     collinear,
-    ended,
     family,
     family_in_short,
     further,
     look_for,
+    look_for_one_of,
     row_of,
     sized,
     with_in_short,
@@ -74,6 +74,7 @@ def verdict(
     disagreements: pd.DataFrame | None = None,
     assumed: str = "",
     supposed: Sequence[str] = (),
+    pointed: str = "",
 ) -> Verdict:
     """The explanation in words.
 
@@ -92,6 +93,8 @@ def verdict(
         Assumed standard deviations, in words.
     supposed : sequence of str
         What the covariance of the residual has beside the measurement, in sentences.
+    pointed : str
+        Where the data point to, in words; see `calib.missing.verdict_words.elsewhere`.
     """
     words = {
         "nothing_detectable": _nothing,
@@ -128,13 +131,13 @@ def verdict(
     if found.names_something or found.verdict in ("partial", "unconfirmed"):
         sure.append(_OUTSIDE)
     if found.verdict == "effect" and found.chosen is not None:
-        sure.append(suspect_in_short(found.suspects))
+        sure.append(suspect_in_short(found.suspects, found.chosen.names[0]))
         support.insert(0, suspect_sentence(found.suspects, found.chosen.names[0]))
     if assumed:
         sure.append(f"These results rest on an assumed standard deviation: {assumed}.")
     sure += supposed
-    answer = Answer(words.found, " ".join(filter(None, sure)), f"{words.then} {short}".strip())
-    return Verdict(answer, tuple(filter(None, (answer.found, answer.sure, words.then, *support))))
+    answer = Answer(words.found, *(" ".join(filter(None, some)) for some in (sure, (words.then, pointed, short))))
+    return Verdict(answer, tuple(filter(None, (answer.found, answer.sure, words.then, pointed, *support))))
 
 
 # -- verdict by verdict ------------------------------------------------------------------------------------------------
@@ -194,11 +197,11 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> Words:
     known = {e.name: e for g in found.groups for e in g.effects}
     credible = [known[name] for name in rows["name"]]
     explaining = [(float(b), sized(effects, e)) for e, b in zip(credible, rows["ln_bayes"], strict=True)]
-    check = ""
+    alternatives, check = [*credible], ""
     if found.fault is not None:
         told = f"a fault of the measurement: {fault_words(found.fault)}"
         explaining.append((found.ln_bayes(found.fault), told))
-        check = "Or: " + " ".join(ended(e.look_for) for e in found.fault.effects)
+        alternatives += found.fault.effects
     if found.datum is not None:
         explaining.append((found.ln_bayes(found.datum), found.datum.told))
         check = f"Or measure the {found.datum.what} again."
@@ -216,7 +219,7 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> Words:
         f"{first}: {named}.",
         f"The odds of the first against the second are {as_ratio(ln_bayes)}. {without_in_short(found)} "
         f"{with_in_short(found)}",
-        f"{look_for(credible, ' Or: ')} {check}".strip(),
+        f"{look_for_one_of(alternatives)} {check}".strip(),
         (without(found), with_words(found), as_it_is(credible)),
     )
 

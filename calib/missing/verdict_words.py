@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 
 from calib.candidate import Candidate
-from calib.missing.candidate_fit import CandidateFit
+from calib.effect import Effect
+from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.local import WIDE, interval_words
 from calib.missing.worst_misfit import p_words
 
+_QUESTIONS = ("Whether", "Where", "How", "Which", "What")
+"""First words of a text to look for that is a question."""
+_REQUESTS = ("Look", "Check", "Measure")
+"""First words of a text to look for that is a request already."""
 WORST = "the worst kind of data or mode shape"
 """What the p-value of a fit is of, corrected for their number; see `calib.missing.goodness.overall`."""
 
@@ -50,11 +56,17 @@ def family_in_short(found: Explanation) -> str:
 
 def with_in_short(found: Explanation, them: str = "it") -> str:
     """How well the data fit with the chosen effects, for the summary."""
-    adequacy = found.chosen_adequacy
-    assert adequacy is not None
-    if adequacy.p_fit <= found.alpha:
-        return f"With {them} nothing else stands out, but the fit is poor ({p_words(adequacy.p_fit)})."
-    return f"With {them} nothing else stands out ({p_words(min(adequacy.p_family, adequacy.p_fit))})."
+    assert found.chosen_adequacy is not None
+    return fit_in_short(found.chosen_adequacy, found.alpha, them)
+
+
+def fit_in_short(adequacy: AdequacyTests, alpha: float, them: str = "it") -> str:
+    """The two tests of a fit in which nothing stands out: the largest score, and the worst kind of data."""
+    fits = "but the fit is poor" if adequacy.p_fit <= alpha else "and the data fit"
+    return (
+        f"With {them} no further effect or place stands out ({p_words(adequacy.p_family)}), {fits} "
+        f"({p_words(adequacy.p_fit)}; limit {alpha:g})."
+    )
 
 
 def family(found: Explanation) -> str:
@@ -126,9 +138,61 @@ def collinear(found: Explanation, effects: pd.DataFrame, chosen: CandidateFit) -
     return " ".join(out)
 
 
-def look_for(effects: Sequence[Candidate], joint: str = " ") -> str:
-    """What to look for on the structure."""
-    return f"Look for: {joint.join(ended(e.look_for) for e in effects)}"
+def look_for(effects: Sequence[Candidate]) -> str:
+    """What to look for on the structure, for effects that act together."""
+    return " ".join(map(_request, effects))
+
+
+def look_for_one_of(effects: Sequence[Candidate]) -> str:
+    """What to look for on the structure or to check of the measurement, for alternatives."""
+    first, *others = map(_request, effects)
+    return " ".join([first, *(f"Or {lowered(words)}" for words in others)])
+
+
+def _request(e: Candidate) -> str:
+    """What an effect asks for, such as `Look for a cracked weld.` or `Check whether the brakes are released.`."""
+    first, words = e.look_for.split(" ", 1)[0], ended(e.look_for)
+    if first in _REQUESTS:
+        return words
+    return f"{'Check' if first in _QUESTIONS else 'Look for'} {lowered(words)}"
+
+
+def lowered(words: str) -> str:
+    """A sentence as it continues another: an abbreviation, or a name such as ``E2``, keeps its capital."""
+    return f"{words[:1].lower()}{words[1:]}" if words[1:2].islower() or words[1:2] == " " else words
+
+
+def elsewhere(
+    found: Explanation,
+    places: Mapping[str, tuple[str, tuple[float, float, float], str]],
+    acting: Sequence[tuple[float, float, float]],
+) -> str:
+    """The sensor at which a local perturbation fits best, where the named effect acts somewhere else; in words.
+
+    Empty for a verdict other than one effect, an effect whose place is fitted or unknown, perturbations that noise may
+    explain, or a best one that is a part. Elsewhere is further from the effect than the sensor nearest to it.
+
+    Parameters
+    ----------
+    found : Explanation
+    places : mapping from str to (kind, (x, y, z), sensor)
+        Of every local perturbation, by name; m.
+    acting : sequence of (x, y, z)
+        Where the effect acts, m; empty where that is unknown.
+    """
+    scores, chosen = found.base_adequacy.perturbations, found.chosen
+    if found.verdict != "effect" or chosen is None or not len(acting) or not len(scores.owners):
+        return ""
+    fitted_place = any(isinstance(e, Effect) and e.places for e in chosen.effects)
+    best = scores.owners[int(np.argmax(scores.magnitude))]
+    at_sensors = {name: places[name][1] for name in scores.owners if name in places and places[name][2]}
+    if fitted_place or best not in at_sensors or found.base_adequacy.p_perturbations > found.alpha:
+        return ""
+    away = {name: min(math.dist(at, own) for own in acting) for name, at in at_sensors.items()}
+    known = [distance for distance in away.values() if math.isfinite(distance)]
+    if not known or not away[best] > min(known):
+        return ""
+    return f"The place is the library's; the data point most to {best}."
 
 
 def as_it_is(effects: Sequence[Candidate]) -> str:

@@ -273,6 +273,16 @@ def threshold(count: int) -> float:
     return math.log(max(count, 1)) + LEAST_BAYES_FACTOR
 
 
+def only_predicted(table: pd.DataFrame) -> pd.Series:
+    """Which effects are above the limit of the evidence by a linear estimate only: not refitted, and not credible.
+
+    An effect for which a collinear one was fitted has its evidence.
+    """
+    stood_for = {name for names in table["stands_for"].astype(str) for name in names.split(", ")}
+    chosen = table["credible"].map(flag) | table["refitted"].map(flag) | table["name"].isin(stood_for)
+    return ~chosen.astype(bool) & (table["ln_bayes"] > threshold(len(table)))
+
+
 def _flags(column: pd.Series) -> list[bool]:
     return [flag(value) for value in column]
 

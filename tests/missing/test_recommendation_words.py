@@ -13,6 +13,7 @@ from calib.missing.recommendation import (
     COLUMNS,
     HELD_OUT,
     USED,
+    Interval,
     recommend,
     recommendation,
 )
@@ -69,10 +70,27 @@ def test_what_narrows_a_named_effect_is_told_first():
     table = table_of(("A", "E0", 1.7), (at, "E0", 1.02), ("B", "E1", 9.0), ("A", "E1", 3.0))
     found = recommendation(table, None, ["E1"], ["E0"])
     assert found.short == "To narrow the magnitude of E0, measure A." and "To see further effects" in found.sentence
-    words = "measure A: 1.7 times the score of E0. Sensors where E0 acts are not needed: 1.02 times its score."
+    words = "measure A: 1.7 times the score of E0. More sensors where E0 acts add little (1.02 times its score)."
     assert found.sentence.startswith(f"To narrow the magnitude of E0, {words} To see further effects, measure next: B")
     held = table_of((f"mode 4BT{HELD_OUT}", "E0", 5.0), ("A", "E0", 2.0))
     assert recommendation(held, None, [], ["E0"]).short == f"To narrow the magnitude of E0, {USE_4BT}."
+
+
+def test_the_width_of_the_interval_is_told_now_and_with_the_measurement():
+    held = f"mode 4BT{HELD_OUT}"
+    intervals = {"E0": Interval(54.4, 74.2, "kg"), "E1": Interval(-0.5, 0.7, "-"), "E2": Interval(1.0, math.nan, "kg")}
+    table = table_of(("A", "E0", 1.7))
+    found = recommendation(table, None, [], ["E0"], intervals)
+    width = "about 20 kg wide now, about 12 kg with"
+    assert found.short == f"To narrow the magnitude of E0, measure A (95 % interval {width} it)."
+    assert found.sentence.endswith(f"1.7 times the score of E0. Its 95 % interval is {width} A.")
+    both = recommendation(table_of((held, "E0", 5.0), ("A", "E0", 1.7)), None, [], ["E0"], intervals)
+    assert both.short == f"To narrow the magnitude of E0, {USE_4BT} (95 % interval {width[:-10]}4 kg with it)."
+    assert both.sentence.endswith(f"Its 95 % interval is {width[:-10]}4 kg with mode 4BT.")
+    several = table_of(("A", "E0", 1.7), ("A", "E1", 2.0), ("A", "E2", 3.0))
+    short = recommendation(several, None, [], ["E0", "E1", "E2"], intervals).short
+    told = f"E0 {width} it; E1 about 1.2 wide now, about 0.6 with it"
+    assert short == f"To narrow the magnitudes of E0, E1 and E2, measure A (95 % interval {told})."
 
 
 def test_a_named_effect_that_no_measurement_narrows_is_said_to_need_none():

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from calib.missing.local import interval_words
-from calib.missing.suspect import sentence
+from calib.missing.suspect import in_short, sentence
 from tests.missing.verdict_cases import VERDICTS, WORST, chance, dressed, errors, first, text_of
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
@@ -96,6 +96,7 @@ def test_a_datum_on_which_all_rests_is_stated_with_how_sure(cases):
     asked = replace(found, suspects=table.assign(p=1e-9, p_fit_without=0.1))
     words = sentence(asked.suspects, "E2")
     assert "Without frequency of M2" in words and words in text_of(asked) and "frequency of M2" not in text_of(found)
+    assert in_short(asked.suspects, "E2") in text_of(asked)
     assert "frequency of M2" not in text_of(replace(asked, suspects=asked.suspects.assign(explains=False)))
 
 
@@ -145,7 +146,7 @@ def test_collinear_effects_are_named_together(toy):
     bayes_factor = math.exp(found.singles[0].ln_evidence - found.singles[1].ln_evidence)
     assert f"The odds of the first against the second are {float(f'{bayes_factor:.2g}'):g}:1." in text
     assert "a lack of E2, " in text and "a lack of E4, " in text and "signature" not in text
-    assert f"Look at {first_of}. Or: Look at {second_of}." in text
+    assert f"Look for a broken {first_of}. Or look for a broken {second_of}." in text
 
 
 def test_a_collinear_effect_that_was_not_fitted_is_named_too(toy):

@@ -11,6 +11,7 @@ from calib.missing.nearly import is_nearly, spread_of
 from calib.missing.tables import effects_table
 from calib.missing.verdict import MOST
 from calib.missing.verdict import verdict as verdict_of
+from calib.missing.verdict_words import look_for, look_for_one_of
 from tests.missing.verdict_cases import VERDICTS, WORST, dressed, errors, first, sized, text_of, with_p
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
@@ -30,17 +31,42 @@ def test_one_effect_is_named_with_magnitude_interval_and_where_to_look(cases):
     assert text.startswith(f"The model lacks a lack of E2, {magnitude}. ")
     probable = 100 * row["model_probability"]
     assert (f"more than {MOST:g} % probable" if probable > MOST else f"{probable:.0f} % probable") in text
-    assert "The model assumes: No E2." in text and "Look for: Look at E2." in text
+    assert "The model assumes: No E2." in text and "Look for a broken E2." in text
     assert text.count("a lack of") == 1
     after = found.chosen_adequacy
     assert f"(p = {after.p_family:.2g})" in text and "which is poor" not in text
     assert f"p = {after.p_fit:.2g} ({found.alpha:g} or less would be poor)." in text
 
 
+@pytest.mark.parametrize(
+    ("text", "request_of"),
+    [
+        ("A brake unit: knock on it.", "Look for a brake unit: knock on it."),
+        ("FRF peaks that split", "Look for FRF peaks that split."),
+        ("E2 modulus of the skin.", "Look for E2 modulus of the skin."),
+        ("Whether the brakes are released.", "Check whether the brakes are released."),
+        ("Where the gear case sits.", "Check where the gear case sits."),
+        ("How it was measured.", "Check how it was measured."),
+        ("Look at 4.5 m.", "Look at 4.5 m."),
+        ("Measure where it sits.", "Measure where it sits."),
+    ],
+)
+def test_what_to_look_for_is_one_sentence_without_a_colon_of_its_own(cases, text, request_of):
+    (e,) = cases["effect"].chosen.effects
+    assert look_for((replace(e, look_for=text),)) == request_of
+    lower = request_of[0].lower() + request_of[1:]
+    assert look_for_one_of((e, replace(e, look_for=text))) == f"Look for a broken E2. Or {lower}"
+
+
 def test_a_poor_fit_of_a_named_effect_is_stated(cases):
     found = cases["effect"]
     poor = replace(found, chosen_adequacy=replace(found.chosen_adequacy, p_fit=0.004))
-    assert f"{WORST} has p = 0.004, which is poor" in text_of(poor)
+    text, family = text_of(poor), f"p = {found.chosen_adequacy.p_family:.2g}"
+    assert f"{WORST} has p = 0.004, which is poor" in text
+    short = "With it no further effect or place stands out"
+    assert f"{short} ({family}), but the fit is poor (p = 0.004; limit 0.01)." in text
+    good = f"(p = {found.chosen_adequacy.p_fit:.2g}; limit 0.01)"
+    assert f"{short} ({family}), and the data fit {good}." in text_of(found)
 
 
 def test_data_that_can_show_no_effect_are_said_to(cases):
@@ -96,7 +122,7 @@ def test_a_measurement_fault_is_stated_beside_the_effect(toy):
     assert f"a fault of the measurement: {local_perturbation(found.fault).told}" in text
     bayes_factor = math.exp(abs(found.chosen.ln_evidence - found.fault.ln_evidence))
     assert f"The odds of the first against the second are {bayes_factor:.2g}:1." in text and 1 <= bayes_factor < 20.1
-    assert "Look for: Look at E2. Or: How A5 was measured." in text
+    assert "Look for a broken E2. Or check how A5 was measured." in text
 
 
 def test_two_effects_are_named_with_both_magnitudes_and_places(cases):
@@ -108,7 +134,7 @@ def test_two_effects_are_named_with_both_magnitudes_and_places(cases):
         value, own = found.chosen.fit.values[name], next(e.magnitude for e in found.chosen.effects if e.name == name)
         ends = (max(value - 1.96 * std, own.lower), min(value + 1.96 * std, own.upper))
         assert f"a lack of {name}, {interval_words(value, *ends, unit.strip() or '-')}" in text
-        assert f"Look at {name}." in text
+        assert f"Look for a broken {name}." in text
 
 
 def test_a_partial_explanation_is_stated_as_such(cases):
@@ -142,7 +168,7 @@ def test_something_like_an_effect_is_told_with_a_range(nearly):
     low, high = spread_of(nearly)
     value, std = nearly.chosen.magnitude("E1")
     assert low <= value - 1.9 * std and high >= value + 1.9 * std
-    assert range_words(low, high, nearly.chosen.effects[0].magnitude.unit) in text and "Look for: Look at E1." in text
+    assert range_words(low, high, nearly.chosen.effects[0].magnitude.unit) in text and "Look for a broken E1." in text
     assert not nearly.names_something and not nearly.credible
 
 

@@ -24,7 +24,7 @@ def dressed(toy):
     effects = tuple(
         replace(
             e, title=f"Title of {e.name}", phrase=f"a lack of {e.name}",
-            lacks=f"No {e.name}.", look_for=f"Look at {e.name}.",
+            lacks=f"No {e.name}.", look_for=f"A broken {e.name}.",
             magnitude=replace(e.magnitude, unit=UNITS.get(e.name, "kg")),
         )
         for e in toy.effects

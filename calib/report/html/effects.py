@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from calib.report.alike import place_words
-from calib.report.explanation import COLLINEAR, ranked
+from calib.report.explanation import COLLINEAR, only_predicted, ranked
 from calib.report.html.page import Block, Picture, Section, Table, Terms, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import counted, fixed, flag, place, places, probability, significant, with_unit
@@ -123,7 +123,7 @@ def _effect_picture(results: StudyResults, table: pd.DataFrame) -> list[Picture]
 
 
 def _effect_rows(table: pd.DataFrame) -> Table:
-    rows, grey = [], []
+    rows, grey, predicted = [], [], only_predicted(table)
     for k, r in enumerate(table.to_dict("records")):
         unit = str(r["unit"])
         magnitude = "not refitted"
@@ -133,6 +133,7 @@ def _effect_rows(table: pd.DataFrame) -> Table:
         plausible = with_unit(r["plausible"], unit, 2)
         remarks = [
             *(["credible"] if flag(r["credible"]) else []),
+            *([_behind(table, float(r["ln_bayes"]))] if predicted.iloc[k] else []),
             *([] if flag(r["visible"]) else [f"not visible at a plausible magnitude of {plausible}"]),
             *([str(r["implausible"])] if r["implausible"] else []),
             *([f"confounded with {r['confounded_with']}"] if r["confounded_with"] else []),
@@ -156,6 +157,14 @@ def _effect_rows(table: pd.DataFrame) -> Table:
     heads = ("effect", "name", "z", "ln Bayes", "model probability", "γ", "magnitude (95 %)", "smallest visible",
              "remark")  # fmt: skip
     return Table("Every effect of the library, ranked", heads, tuple(rows), (1, 8), tuple(grey))
+
+
+def _behind(table: pd.DataFrame, ln_bayes: float) -> str:
+    """Why an effect with evidence was not refitted, in words: that of the best credible one is larger."""
+    best = next((r for r in table.to_dict("records") if flag(r["credible"])), None)
+    lead = 0.0 if best is None else float(best["ln_bayes"]) - ln_bayes
+    less = f"ln Bayes less than {best['name']} by {fixed(lead, 1)}; " if best is not None and lead > 0 else ""
+    return f"{less}linear prediction only"
 
 
 def _physics(results: StudyResults, table: pd.DataFrame) -> list[Block]:

@@ -7,9 +7,6 @@ from calib.report.html.page import Block, Section, Table, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import chance, fixed, flag, with_unit, yes
 
-_OF_VERDICT = 2
-"""Number of sentences that state the verdict; the others support it."""
-
 
 def pulls(results: StudyResults) -> Section | None:
     """Standardised shifts of the parameters, without and with the candidate effects."""
@@ -86,9 +83,10 @@ def verdict(results: StudyResults) -> Section | None:
     notes = [Words(str(note), "reported") for note in explanation.get("notes", [])]
     sentences = explanation.get("sentences", [explanation.get("sentence", "")])
     parts = [str(words).replace(" -> ", " → ") for words in sentences]
-    supports = [Words(words, "reported") for words in parts[_OF_VERDICT:]]
+    sure = results.answer("explain").get("sure", "").replace(" -> ", " → ")  # it stands at the top of the page
+    supports = [Words(words, "reported") for words in parts[1:] if words != sure]
     table = Table("Tests of the explanation", ("test", "p"), rows)
-    blocks: list[Block] = [Words(" ".join(parts[:_OF_VERDICT]), "verdict"), *supports, *notes, table]
+    blocks: list[Block] = [Words(parts[0], "verdict"), *supports, *notes, table]
     return Section("verdict", "Verdict", tuple(blocks))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from calib.report.explanation import LEAST_BAYES_FACTOR, threshold
+from calib.report.explanation import LEAST_BAYES_FACTOR, only_predicted, threshold
 from calib.report.html.page import Table
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, flag
@@ -86,14 +86,19 @@ def _pulls(results: StudyResults) -> list[tuple[str, ...]]:
 
 
 def _evidence(results: StudyResults) -> list[tuple[str, ...]]:
-    table = results.table("effects", ["name"], ["ln_bayes"], flags=["credible"])
+    flags, blank = ["credible", "refitted"], ["stands_for"]
+    table = results.table("effects", ["name"], ["ln_bayes"], flags=flags, blank=blank)
     if table is None:
         return []
     limit, count = threshold(len(table)), len(table)
     beyond = table[table["ln_bayes"] > limit].sort_values("ln_bayes", ascending=False, kind="stable")
-    credible = beyond["credible"].map(flag).astype(bool)
-    kept, refused = (", ".join(map(str, beyond.loc[some, "name"])) for some in (credible, ~credible))
-    told = [*([kept] if kept else []), *([f"not credible: {refused}"] if refused else [])]
+    credible, predicted = beyond["credible"].map(flag).astype(bool), only_predicted(table)[beyond.index]
+    groups = {
+        "": credible,
+        "not credible: ": ~credible & ~predicted,
+        "not credible, linear prediction only: ": predicted,
+    }
+    told = [f"{words}{', '.join(map(str, beyond.loc[some, 'name']))}" for words, some in groups.items() if some.any()]
     meaning = (
         f"an effect is named only above it: {LEAST_BAYES_FACTOR:g} for odds of 20 to 1, and ln {count} for the choice "
         f"among {count}, the best of which fits noise too"

@@ -52,8 +52,10 @@ def test_what_lies_beyond_a_limit_is_named_or_counted(everything, blocks):
     effects, found = pd.read_csv(everything / "effects.csv"), json.loads((everything / "explanation.json").read_text())
     known = effects.sort_values("ln_bayes", ascending=False)
     beyond = known[known["ln_bayes"] > 3 + math.log(len(effects))]
-    named, others = (", ".join(beyond["name"][beyond["credible"] == flag]) for flag in (True, False))
-    assert rows["ln"][3] == f"{named}; not credible: {others}" and named and others
+    told = {"": beyond["credible"], "not credible: ": ~beyond["credible"] & beyond["refitted"]}
+    told["not credible, linear prediction only: "] = ~beyond["credible"] & ~beyond["refitted"]
+    parts = [f"{words}{', '.join(beyond['name'][some])}" for words, some in told.items() if some.any()]
+    assert rows["ln"][3] == "; ".join(parts) and len(parts) > 1
     below = [words for name, words in TESTS.items() if found[name] <= 0.01]
     assert below and rows["p-value"][3] == "; ".join(below) and len(below) < len(TESTS)
     tables = [pd.read_csv(everything / f"where_it_fails_{stage}.csv") for stage in ("before", "after", "added")]
@@ -71,6 +73,23 @@ def test_an_effect_below_the_limit_of_the_evidence_is_not_beyond_it(folder, bloc
     table["ln_bayes"] = [*values, *[-1.0] * (len(table) - 3)]
     table.to_csv(folder / "effects.csv", index=False)
     assert key(folder, blocks)["ln"][3] == table["name"][0]
+
+
+def test_effects_above_the_limit_that_were_not_refitted_are_said_to_be_predicted_only(folder, blocks):
+    table = pd.read_csv(folder / "effects.csv")
+    assert len(table) >= 4
+    table["ln_bayes"] = [204.5, 67.3, 51.0, 51.0, *[-1.0] * (len(table) - 4)]
+    table["credible"] = [True, *[False] * (len(table) - 1)]
+    table["refitted"] = [True, True, *[False] * (len(table) - 2)]
+    table["implausible"], table["confounded_with"], table["stands_for"] = "", "", ""
+    table.loc[1, "stands_for"] = table.loc[3, "name"]  # it has the evidence of the fitted one
+    table.to_csv(folder / "effects.csv", index=False)
+    first, second, third, fourth, *_ = table["name"]
+    told = f"{first}; not credible: {second}, {fourth}; not credible, linear prediction only: {third}"
+    assert key(folder, blocks)["ln"][3] == told
+    shown = {row[1]: row[-1] for row in blocks(folder, Table)["Every effect of the library, ranked"].rows}
+    words = f"ln Bayes less than {first} by 153.5; linear prediction only"
+    assert words in shown[third] and not any("linear" in remark for name, remark in shown.items() if name != third)
 
 
 def test_the_levels_are_those_of_the_analyses():

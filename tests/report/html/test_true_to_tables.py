@@ -117,9 +117,11 @@ def test_the_added_effect_is_reported_by_parameter_and_by_mode(everything, text,
 
 
 def test_the_sentences_are_those_in_the_record(everything, read):
-    sentence = json.loads((everything / "explanation.json").read_text())["sentence"]
-    assert " ".join(sentence.replace("->", "→").split()) in read.text
+    told = [s.replace("->", "→") for s in json.loads((everything / "explanation.json").read_text())["sentences"]]
     record = json.loads((everything / "record.json").read_text())
+    sure = record["analyses"]["explain"]["answer"]["sure"]
+    assert sure in told and all(" ".join(s.split()) in read.text for s in told)
+    assert read.text.count(" ".join(sure.split())) == 1  # at the top, and not again beside the verdict
     for analysis in ("compare", "sensitivity", "calibrate", "extend"):
         sentences = record["analyses"][analysis]["sentences"]
         assert sentences and all(" ".join(s.replace("->", "→").split()) in read.text for s in sentences)
