@@ -125,7 +125,7 @@ def test_the_loss_of_a_part_follows_its_stiffness_whatever_changes_it(order, cha
     """``K_changed (1 + G)``, not ``K_changed + K G``, for every order in which the effects are added."""
     size = Parameter("x", 0.0, 0.0, 0.9, "-", prior_sd=0.1)
     builds = {
-        "softening": lambda m: amplitude_terms(m, ["link"], "stiffness", "x", "level"),
+        "softening": lambda m: amplitude_terms(m, ["link"], "stiffness", size, "level"),
         "scaled": lambda m: Addition(stiffness=(scaled_part(m, "stiffness", "link", "x", -0.7),)),
         "flexibility": lambda m: Addition(stiffness=(softened_part(m, "link", "x"),)),
         "one of two": lambda m: at_one_of(
