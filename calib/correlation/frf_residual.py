@@ -128,6 +128,11 @@ class FRFResidual:
         return FRFComparison(self.problem.measured, self.solve(values), self._std)
 
     @property
+    def row_freqs(self) -> np.ndarray:
+        """Line of every row, (n_rows,), Hz."""
+        return np.array([row.freq for row in self.rows])
+
+    @property
     def relative_std(self) -> np.ndarray:
         """Standard deviation of every row over the modulus of its FRF, (n_rows,)."""
         size = self._stacked(np.abs(self.problem.measured.values) * (1 + 1j))
