@@ -107,7 +107,7 @@ def test_widths_of_two_ways_are_compared_where_both_name_the_effect(bench, capsy
     def named(number, low, high, over=1.0, covers=True):
         return _run(number, interval=[low, high], magnitude_over_true=over, covers=covers)
 
-    wide = [named(1, 0.0, 4.0), named(2, 1.0, 7.0), named(3, 0.0, 8.0), named(4, 0.0, 100.0), _run(5)]
+    wide = [named(1, 0.0, 4.0), named(2, 1.0, 7.0), named(3, 0.0, 12.0), named(4, 0.0, 100.0), _run(5)]
     narrow = [named(1, 1.0, 3.0), named(2, 2.0, 4.0, 1.25, False), named(3, 0.0, 2.0, 0.9, False), named(5, 0.0, 1.0)]
     bench("rates_beside").report_widths({"joint": wide, "modes": narrow})
     assert capsys.readouterr().out.strip().splitlines() == [

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.analyses.hypotheses import ModelHypotheses
 from calib.effect import Effect
 from calib.function import FunctionModel
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
-from calib.missing.hypotheses import Hypotheses
-from calib.missing.joint import JointHypotheses
 from calib.missing.proposal import HungBy
 from calib.structure.composition import Composition, Names
 from calib.structure.modal_function import ModalFunctionModel
@@ -104,19 +101,6 @@ def compositions(
             held.append(held_at(model, spot, direction, mass, names))
             hung.append(HungBy(hung_at(model, spot, direction, values, names, band), held[-1].name))
     return Compositions(plain, mounts, tuple(hung), tuple(held))
-
-
-def row_freqs(hypotheses: Hypotheses) -> np.ndarray:
-    """Frequency of each row of the residual, (n_rows,), Hz: of its measured mode or its line; NaN where it has none."""
-    if isinstance(hypotheses, JointHypotheses):
-        return np.concatenate([row_freqs(part) for part in hypotheses.parts.values()])
-    assert isinstance(hypotheses, ModelHypotheses)
-    problem = getattr(hypotheses.pair, "problem", None)
-    measured = getattr(problem, "measured", None)
-    modes: dict[str, float] = {}
-    if isinstance(measured, MeasuredModes):
-        modes = dict(zip(measured.names, measured.natural_freq.tolist(), strict=True))
-    return np.array([float(getattr(row, "freq", modes.get(row.mode, np.nan))) for row in hypotheses.rows])
 
 
 def _band(model: StructuralModel, measured: Sequence[Measured], values: Mapping[str, float]) -> tuple[float, float]:

@@ -103,6 +103,11 @@ class VariantPair(Pair, Protocol):
         ...
 
     @property
+    def row_freqs(self) -> np.ndarray:
+        """Frequency of every row, (n_rows,), Hz: of its measured mode or its line; NaN where it has none."""
+        ...
+
+    @property
     def faults(self) -> Sequence[Fault]:
         """Faults of this measurement; their magnitudes are in its space."""
         ...
@@ -240,6 +245,11 @@ class ModelHypotheses(Generic[P]):
     def relative_std(self) -> np.ndarray:
         """Standard deviation of every row over its value, of shapes over the largest entry, (n_rows,)."""
         return self.fit_problem(()).relative_std
+
+    @property
+    def row_freqs(self) -> np.ndarray:
+        """Frequency of every row, (n_rows,), Hz: of its measured mode or its line; NaN where it has none."""
+        return self.pair.row_freqs
 
     @cached_property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:

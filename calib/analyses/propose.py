@@ -17,7 +17,7 @@ import pandas as pd
 import tomlkit
 
 from calib.analyses.adapter import Adapter
-from calib.analyses.compositions import Measured, compositions, row_freqs
+from calib.analyses.compositions import Measured, compositions
 from calib.analyses.explain import adapter_for, require_usable
 from calib.analyses.explained_fit import explained_fit
 from calib.analyses.extend import NAME, anywhere, draft_of, put_among, require_valid, set_aside, unwritable
@@ -185,7 +185,7 @@ def composed(
     hypotheses = adapter.with_effects(own.effects)
     settings = Settings(given.alpha, given.refits, given.merge, given.seed, math.inf)
     fits = Refits(hypotheses, settings, explained.scale, progress)
-    search = Search(fits, own.plain, own.mounts, own.hung, own.held, row_freqs(hypotheses))
+    search = Search(fits, own.plain, own.mounts, own.hung, own.held, hypotheses.row_freqs)
     start = explained.base or hypotheses.fit_problem(()).space.values
     try:
         found = search.proposals((), start)

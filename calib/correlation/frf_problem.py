@@ -52,6 +52,8 @@ class FRFProblem:
         model's.
     mesh : MeshError or None
         Error of the mesh, whose multiple is the last parameter; None for an exact mesh.
+    suspects : tuple of Nuisance
+        Those of the nuisances that are faults to be found, which no reduced basis represents.
 
     Raises
     ------
@@ -63,6 +65,7 @@ class FRFProblem:
     measured: MeasuredFRFs
     nuisances: tuple[Nuisance, ...] = ()
     mesh: MeshError | None = None
+    suspects: tuple[Nuisance, ...] = ()
     space: ParameterSpace = field(init=False, repr=False)
     loaded_model: StructuralModel | ReducedModel = field(init=False, repr=False)
     _channels: Channels = field(init=False, repr=False)
@@ -136,8 +139,8 @@ class FRFProblem:
 
     @property
     def basis_names(self) -> tuple[str, ...]:
-        """Parameters over which a basis must serve: those of the model and of what loads it."""
-        return self.loaded_model.space.names
+        """Parameters over which a basis must serve: those of the model and of what loads it, without suspects."""
+        return self._without_suspects.loaded_model.space.names
 
     @cached_property
     def entry_std(self) -> np.ndarray:
@@ -146,24 +149,30 @@ class FRFProblem:
         return np.where(np.isfinite(total), total, RULES.unknown_frf_std * np.abs(self.measured.values))
 
     def basis_target(self, tolerance: float) -> FRFTarget:
-        """All FRFs in use, with `calib.structure.frf_target.TOLERANCE` whatever the one of eigenvalues."""
-        return self.target(self.entry_std)
+        """All FRFs in use in units of their standard deviations, without suspects, at full order.
+
+        With `calib.structure.frf_target.TOLERANCE` whatever the one of eigenvalues.
+        """
+        own, measured = self._without_suspects, self.measured
+        loads = tuple(load for n in own.nuisances for load in n.loads(self.model.whole))
+        unit = np.where(np.isfinite(measured.values), self.entry_std, np.inf)
+        rows = own._rows
+        return FRFTarget(
+            measured.freq, rows.responses, rows.references, unit, measured.quantity, loads, moved=rows.moved
+        )
+
+    @cached_property
+    def _without_suspects(self) -> FRFProblem:
+        if not self.suspects:
+            return self
+        fitted = tuple(n for n in self.nuisances if n not in self.suspects)
+        return replace(self, nuisances=fitted, suspects=())
 
     def reduced(self, basis: Basis) -> FRFProblem:
         """The same problem with a reduced model; InputError when the basis belongs to another model."""
         if self.reducible is None:
             raise InputError("the model is reduced already", place=self.model.name)
         return replace(self, model=ReducedModel(self.reducible, basis))
-
-    def target(self, std: np.ndarray) -> FRFTarget:
-        """What a basis for these FRFs must represent, of a model at full order.
-
-        ``std`` is the standard deviation of every entry, (n_freq, n_responses, n_references).
-        """
-        loads = tuple(load for n in self.nuisances for load in n.loads(self.model.whole))
-        unit = np.where(np.isfinite(self.measured.values), std, np.inf)
-        rows, quantity = self._rows, self.measured.quantity
-        return FRFTarget(self.measured.freq, rows.responses, rows.references, unit, quantity, loads, moved=rows.moved)
 
     @property
     def n_measured(self) -> int:

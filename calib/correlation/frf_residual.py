@@ -17,7 +17,6 @@ from calib.errors import InputError
 from calib.fingerprint import digest_of
 from calib.outcome import answered
 from calib.space import ParameterSpace
-from calib.structure.frf_target import FRFTarget
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
 
@@ -129,11 +128,9 @@ class FRFResidual:
         return FRFComparison(self.problem.measured, self.solve(values), self._std)
 
     @property
-    def target(self) -> FRFTarget:
-        """What a reduced basis must represent: these FRFs, in units of their standard deviations, without faults."""
-        suspects = {fault.error for fault in self.faults}
-        fitted = tuple(n for n in self.problem.nuisances if n not in suspects)
-        return replace(self.problem, nuisances=fitted).target(self._std)
+    def row_freqs(self) -> np.ndarray:
+        """Line of every row, (n_rows,), Hz."""
+        return np.array([row.freq for row in self.rows])
 
     @property
     def relative_std(self) -> np.ndarray:
@@ -172,8 +169,9 @@ class FRFResidual:
     def suspected(self, test: str = "") -> FRFResidual:
         """The same with every fault that it may have as parameters of value 0, which bear the name of a test."""
         faults = frf_faults(self.problem.model, self.problem.measured, self.problem.nuisances, test)
-        errors = (*self.problem.nuisances, *(fault.error for fault in faults))
-        return replace(self, problem=replace(self.problem, nuisances=errors), faults=faults)
+        suspects = tuple(fault.error for fault in faults)
+        problem = replace(self.problem, nuisances=(*self.problem.nuisances, *suspects), suspects=suspects)
+        return replace(self, problem=problem, faults=faults)
 
     def within(self, space: ParameterSpace) -> FRFResidual:
         """The same: derivatives of matrices keep to no limits."""

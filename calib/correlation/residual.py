@@ -111,6 +111,13 @@ class ModalResidual:
         return np.concatenate(blocks)
 
     @property
+    def row_freqs(self) -> np.ndarray:
+        """Natural frequency of the measured mode of every row, (n_rows,), Hz."""
+        measured = self.problem.measured
+        known = dict(zip(measured.names, measured.natural_freq.tolist(), strict=True))
+        return np.array([known[row.mode] for row in self.rows])
+
+    @property
     def n_rows(self) -> int:
         """Number of comparisons."""
         return len(self.rows)
@@ -123,11 +130,7 @@ class ModalResidual:
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:
         """Fitted factors by mode and kind."""
-        counts: dict[tuple[str, str], int] = {}
-        for i, _ in self._parts:
-            block = (self.problem.measured.names[i], "shape")
-            counts[block] = counts.get(block, 0) + 1
-        return counts
+        return dict(Counter((self.problem.measured.names[i], "shape") for i, _ in self._parts))
 
     @property
     def std_dof(self) -> dict[str, float]:

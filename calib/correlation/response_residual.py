@@ -69,6 +69,11 @@ class ResponseResidual:
         return response_rows(self.problem.targets)
 
     @property
+    def row_freqs(self) -> np.ndarray:
+        """NaN: a scalar response stands for no frequency, (n_rows,), Hz."""
+        return np.full(len(self.rows), np.nan)
+
+    @property
     def relative_std(self) -> np.ndarray:
         """Relative standard deviation of every row, (n_rows,); infinite for a value of 0."""
         values, std = self.measured_values, self.std

@@ -50,6 +50,11 @@ class Hypotheses(Labelled, Protocol):
         ...
 
     @property
+    def row_freqs(self) -> np.ndarray:
+        """Frequency of every row, (n_rows,), Hz: of its measured mode or its line; NaN where it has none."""
+        ...
+
+    @property
     def evaluations(self) -> int:
         """Number of model evaluations so far."""
         ...

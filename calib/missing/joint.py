@@ -45,6 +45,11 @@ class JointHypotheses(JointRows):
         return tuple({e.name: e for part in self.parts.values() for e in part.faults}.values())
 
     @property
+    def row_freqs(self) -> np.ndarray:
+        """Frequency of every row of all tests, (n_rows,), Hz; NaN where it has none."""
+        return np.concatenate([part.row_freqs for part in self.parts.values()])
+
+    @property
     def evaluations(self) -> int:
         """Number of model evaluations so far, over all tests."""
         return sum(part.evaluations for part in self.parts.values())

@@ -34,7 +34,7 @@ from rates_subject import ROOT, SUBJECTS
 from rates_world import World, code_digest
 from scipy.stats import beta
 
-from calib.analyses.compositions import compositions, row_freqs
+from calib.analyses.compositions import compositions
 from calib.analyses.hypotheses import ModelHypotheses
 from calib.correlation.residual import ModalResidual
 from calib.missing.proposal import Composed
@@ -146,7 +146,7 @@ def row_of(
     own = compositions(world.model, [problem.measured], world.space.values, taken)
     hypotheses = base.with_more(own.effects)
     fits = Refits(hypotheses, Settings(budget=math.inf), 1.0, unheard)
-    search = Search(fits, own.plain, own.mounts, own.hung, own.held, row_freqs(hypotheses))
+    search = Search(fits, own.plain, own.mounts, own.hung, own.held, hypotheses.row_freqs)
     found = search.proposals((), base.space.values)
     truth, (hidden,) = TRUTH[measured.hidden[0]], measured.hidden
     ranked = found.ranked

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import calib
+from calib.analyses.reduction import Wanted
 from calib.correlation.frf_cross_talk import CrossTalkError
-from calib.correlation.frf_nuisance import ChannelError, belonging_to
+from calib.correlation.frf_nuisance import AddedMass, ChannelError, belonging_to
 from calib.correlation.frf_places import PlaceError
 from calib.correlation.frf_problem import FRFProblem
 from calib.correlation.frf_residual import FRFResidual
@@ -150,9 +151,18 @@ def test_suspects_change_no_target_of_a_basis_but_fitted_errors_do(bogie):
     for nuisances, forces in (((), 0), (fitted, 2), ((EVERY[1], EVERY[5]), 0)):
         plain = FRFResidual(FRFProblem(bogie, empty(), nuisances))
         suspected = plain.suspected()
-        assert len(plain.target.moved) == len(suspected.target.moved) == forces
-        assert suspected.target.request == plain.target.request and len(suspected.faults) > 10
-    free = FRFResidual(FRFProblem(bogie, empty(), fitted)).target
+        targets = [pair.problem.basis_target(1e-5) for pair in (plain, suspected)]
+        assert [len(target.moved) for target in targets] == [forces, forces]
+        assert targets[0].request == targets[1].request and len(suspected.faults) > 10
+        assert plain.problem.basis_names == suspected.problem.basis_names
+        # A richer effect is added to the basis by the problem with suspects.
+        one, other = (Wanted.of(pair.problem, 1e-5, 1).key(bogie, bogie.space) for pair in (plain, suspected))
+        assert one == other
+    mass = AddedMass(GIRDER, 0.1)
+    loaded = FRFProblem(bogie, empty(), (mass,), suspects=(mass,))
+    assert mass.parameter.name in loaded.space and loaded.basis_names == bogie.space.names
+    assert not loaded.basis_target(1e-5).loads
+    free = FRFProblem(bogie, empty(), fitted).basis_target(1e-5)
     (row,) = bogie.sensor_rows([replace(REFERENCES[1], direction="y")])
     np.testing.assert_array_equal(free.moved[1], row)
 

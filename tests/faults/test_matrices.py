@@ -126,7 +126,13 @@ def test_a_mesh_that_does_not_fit_is_refused(bare, mesh, said):
 
 def test_a_mesh_whose_points_are_unknown_is_sound(bare):
     model = Study.load(bare()).model
-    require_sound(replace(model, mesh=replace(model.mesh, points=np.full((3, 3), np.nan))))
+    unknown = replace(model, mesh=replace(model.mesh, points=np.full((3, 3), np.nan)))
+    require_sound(unknown)
+    np.testing.assert_array_equal(unknown.modes({}, 1).natural_freq, model.modes({}, 1).natural_freq)
+    points = np.full((3, 3), np.nan)
+    points[0] = 0.0
+    with pytest.raises(InputError, match="point 1 is"):  # all or none
+        require_sound(replace(model, mesh=replace(model.mesh, points=points)))
 
 
 @pytest.mark.parametrize("lines", ["np.zeros((0, 2), int)", "{}", "q.lines + 9", "q.lines, groups=()"])
