@@ -13,9 +13,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.effect import Effect
+from calib.errors import InputError
 from calib.space import Parameter
 from calib.structure.affine import Monomial, SelectedTerm
-from calib.structure.attach import joined_nodes, mount_rows, parts_of, relative_rotation
+from calib.structure.attach import ENDS, joined_nodes, parts_of, relative_rotation
 from calib.structure.composed import (
     Builder,
     MountedDampers,
@@ -25,6 +26,7 @@ from calib.structure.composed import (
     TurningSprings,
 )
 from calib.structure.composition import Composition, Names, in_words
+from calib.structure.elongations import elongations
 from calib.structure.inertia import symmetric_factor
 from calib.structure.model import Part, PartKind, StructuralModel
 from calib.structure.perturbations import LEAST
@@ -162,7 +164,7 @@ def of_mounts(model: StructuralModel, names: Names, middle: float) -> Iterator[C
     Their magnitude is the lag of a damper on its spring, the damping constant over the stiffness. A part that damps
     more than a few motions has no ends on which it could be mounted.
     """
-    dampers = [p for p in parts_of(model) if p.kind == "damping" and 0 < len(mount_rows(p)) <= _FEW]
+    dampers = [p for p in parts_of(model) if p.kind == "damping" and _has_ends(p)]
     size = 1e3 * RULES.lagging / (2 * math.pi * middle)
     for group in (*((part,) for part in dampers), *_alike(dampers)):
         own = [part.name for part in group]
@@ -251,6 +253,16 @@ def _joints(model: StructuralModel) -> list[Part]:
         if bodies and not any(own == bodies and math.dist(one.place, part.place) <= near for own, one in out):
             out.append((bodies, part))
     return [part for _, part in out]
+
+
+def _has_ends(damper: Part) -> bool:
+    """Whether a part damps few motions, of few degrees of freedom."""
+    if not 0 < len(np.unique(sp.csr_array(damper.matrix).indices)) <= ENDS:
+        return False
+    try:
+        return 0 < elongations(damper).shape[0] <= _FEW
+    except InputError:  # no damper: its damping is negative
+        return False
 
 
 # -- functions ---------------------------------------------------------------------------------------------------------
