@@ -20,10 +20,10 @@ from calib.structure.attach import ENDS, joined_nodes, parts_of, relative_rotati
 from calib.structure.composed import (
     Builder,
     MountedDampers,
+    RotationalSprings,
     ScaledByFunction,
     ScaledParts,
     SoftSupports,
-    TurningSprings,
 )
 from calib.structure.composition import Composition, Names, in_words
 from calib.structure.elongations import elongations
@@ -49,14 +49,14 @@ _PARTS: Mapping[str, tuple[str, str]] = {
     "dissipation": ("is elastic without loss", "Rubber, friction in joints, and whatever gets warm"),
     "damper mount": ("is mounted rigidly", "Soft or worn bushes and thin brackets at the ends of dampers"),
     "soft support": ("stands as firmly as drawn", "Soft foundations, oil columns, clearances and thin packings"),
-    "turning spring": ("turns freely where bodies are joined", "Wide seats, stiff bushes and tight joints"),
+    "rotational spring": ("rotates freely where bodies are joined", "Wide seats, stiff bushes and tight joints"),
 }
 """What the model assumes, and where to look, by kind."""
 _TITLES: Mapping[str, tuple[str, str]] = {
     "dissipation": ("Dissipation of {}", "dissipation in {}"),
     "damper mount": ("Soft mount of {}", "a soft mount of {}"),
     "soft support": ("Flexibility in series with {}", "a flexibility in series with {}"),
-    "turning spring": ("Resistance to turning at {}", "a resistance to turning at {}"),
+    "rotational spring": ("Rotational spring at {}", "a rotational spring at {}"),
 }
 
 
@@ -211,7 +211,7 @@ def _acting(
 def of_joints(
     model: StructuralModel, values: Mapping[str, float], names: Names, middle: float
 ) -> Iterator[Composition]:
-    """Turning springs about each axis between bodies that a spring joins, of single joints and of those of one kind.
+    """Rotational springs about each axis between bodies that a spring joins, of single joints and of those of one kind.
 
     Springs of the same bodies near each other are one joint. Plausible sizes as for springs at sensors, see
     `calib.structure.point_compositions.of_sensors`.
@@ -228,7 +228,7 @@ def of_joints(
         for group in (*((part,) for part in single), *_alike(single)):
             own = [part.name for part in group]
             at, axis = in_words(own), "xyz"[direction - 3]
-            name, size = names.free(f"turning {axis} {_common(own)}"), max(local[n] for n in own)
+            name, size = names.free(f"rotation {axis} {_common(own)}"), max(local[n] for n in own)
             magnitude = Parameter(
                 name,
                 0.0,
@@ -238,10 +238,10 @@ def of_joints(
                 prior_sd=size,
                 description=f"stiffness about {axis} of each joint",
             )
-            build = TurningSprings(name, tuple(own), direction)
-            effect = _part_effect("turning spring", f"{at}, about {axis}", magnitude, build)
+            build = RotationalSprings(name, tuple(own), direction)
+            effect = _part_effect("rotational spring", f"{at}, about {axis}", magnitude, build)
             places = tuple(dict.fromkeys(part.place for part in group))
-            yield Composition(effect, "turning spring", f"{at}, about {axis}", places, len(own))
+            yield Composition(effect, "rotational spring", f"{at}, about {axis}", places, len(own))
 
 
 def _joints(model: StructuralModel) -> list[Part]:

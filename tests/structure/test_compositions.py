@@ -109,6 +109,8 @@ def test_a_joint_turns_about_each_axis_and_several_springs_are_one_joint(bogie):
     found = list(of_joints(bogie, bogie.space.values, Names(()), MIDDLE))
     single = [c.at for c in found if c.count == 1 and "front left" in c.at and c.at.endswith("about z")]
     assert len(single) == len(set(single)) and 1 <= len(single) <= 3
+    assert {c.kind for c in found} == {"rotational spring"} and found[0].effect.name.startswith("rotation_x_")
+    assert all(c.effect.title.startswith(f"Rotational spring at {c.at}") for c in found)
     stiffer = extend(bogie, [c.effect for c in found[:1]]).modes({found[0].effect.name: 1e7}, 12)
     rise = stiffer.natural_freq / bogie.modes({}, 12).natural_freq - 1
     assert rise.min() > -1e-4 and rise.max() > 0.02  # damping lets some fall a little
