@@ -27,9 +27,12 @@ def names(given: Any, place: str) -> tuple[str, ...]:
     return tuple(str(name) for name in found)
 
 
-def parts_once(given: Any, place: str) -> tuple[str, ...]:
-    """Names of parts, each once; InputError for one that occurs twice, which would count double."""
+def parts_once(given: Any, effect: str, kind: str = "stiffness") -> tuple[str, ...]:
+    """Names of the parts of an effect; InputError for none, or one that occurs twice, which would count double."""
+    place = f"effect {effect}, parts"
     found = names(given, place)
+    if not found:
+        raise InputError("it names no part", place=f"effect {effect}", remedy=f"name parts of {kind} of the model")
     twice = next((name for k, name in enumerate(found) if name in found[:k]), None)
     if twice is not None:
         raise InputError(f"{twice!r} occurs twice", place=place, remedy="name each part once")

@@ -159,9 +159,7 @@ def amplitude_dependence(
             f"its level {at.name!r} reaches from {at.lower:g} to {at.upper:g} {at.unit}", place=place,
             remedy="make it by calib.structure.amplitude.level",
         )  # fmt: skip
-    listed = parts_once(parts, f"{place}, parts")
-    if not listed:
-        raise InputError("it names no part", place=place, remedy=f"name parts of {kind} of the model")
+    listed = parts_once(parts, name, kind)
     most = (1 - _LEFT) / at.upper
     if not 0 < plausible <= most:
         raise InputError(

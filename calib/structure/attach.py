@@ -15,11 +15,12 @@ from scipy.sparse.csgraph import connected_components
 
 from calib.errors import InputError
 from calib.structure.affine import Coefficient, Monomial, SelectedTerm, SeriesLoss, StretchPower, Term, parameter
+from calib.structure.elongations import elongations
 from calib.structure.extend import Addition
 from calib.structure.model import Part, PartKind, StructuralModel
 
 GRAVITY = 9.81
-_ENDS = 48
+ENDS = 48
 """Most degrees of freedom that a spring or a damper with ends takes part in."""
 
 Place = tuple[str | None, tuple[float, float, float]]
@@ -252,21 +253,6 @@ def soft_mounts(rows: Sequence[np.ndarray], damping: str, flexibility: str) -> A
     )
 
 
-def mount_rows(part: Part) -> list[np.ndarray]:
-    """Motions b (n_dof,) of a part's matrix, which is the sum of their ``b b^T``; empty for a large part."""
-    matrix = sp.csr_array(part.matrix)
-    used = np.unique(matrix.indices)
-    if not 0 < len(used) <= _ENDS:
-        return []
-    own, vectors = np.linalg.eigh(matrix[used][:, used].toarray())
-    rows = []
-    for k in np.flatnonzero(own > 1e-9 * own.max()).tolist():
-        row = np.zeros(matrix.shape[0])
-        row[used] = np.sqrt(own[k]) * vectors[:, k]
-        rows.append(row)
-    return rows
-
-
 def mounted_dampers(model: StructuralModel, names: Sequence[str], lag: str) -> Addition:
     """Springs in series with dampers of a model (Maxwell elements), one degree of freedom for each motion they damp.
 
@@ -277,12 +263,12 @@ def mounted_dampers(model: StructuralModel, names: Sequence[str], lag: str) -> A
     Parameters
     ----------
     names : sequence of str
-        Parts of damping; InputError for another name.
+        Parts of damping; InputError for another name, or for one as by `calib.structure.elongations.elongations`.
     lag : str
         Name of the parameter.
     """
     parts = [part_of(model, "damping", name) for name in names]
-    rows = [mount_rows(part) for part in parts]
+    rows = [elongations(part).toarray() for part in parts]
     count, first, damping = sum(map(len, rows)), 0, []
     own, _ = _beside([row for one in rows for row in one])
     for part, motions in zip(parts, rows, strict=True):
@@ -321,7 +307,7 @@ def joined_nodes(model: StructuralModel, part: Part) -> dict[int, int]:
     """
     matrix = sp.csr_array(part.matrix)
     used = np.unique(matrix.indices)
-    nodes = np.unique(model.dofs.node[used]) if 0 < len(used) <= _ENDS else np.zeros(0, dtype=int)
+    nodes = np.unique(model.dofs.node[used]) if 0 < len(used) <= ENDS else np.zeros(0, dtype=int)
     nodes = nodes[nodes >= 0]
     if not len(nodes):
         return {}

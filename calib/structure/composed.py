@@ -160,8 +160,8 @@ class SoftSupports:
 
 
 @dataclass(frozen=True)
-class TurningSprings:
-    """Turning springs about one axis between the bodies that springs of a model join.
+class RotationalSprings:
+    """Rotational springs about one axis between the bodies that springs of a model join.
 
     Attributes
     ----------

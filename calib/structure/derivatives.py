@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Protocol, Self
 
 import numpy as np
-import scipy.linalg as la
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
-from calib.errors import EvaluationError, InputError
+from calib.errors import InputError
 from calib.space import ParameterSpace
-from calib.structure.inertia import symmetric_factor
+from calib.structure.bordered import bordered
 from calib.structure.modes import Modes
 from calib.structure.solve import DENSE_LIMIT
 from calib.tasks import each
@@ -34,9 +31,6 @@ _BESIDE = 1e-6
 Modes and FRFs depend smoothly on the parameter: so close to 0 their derivative equals that at 0 to about 1e-6. It is a
 difference of terms that grow with the inverse square root, here a thousandfold, which leaves twelve digits.
 """
-
-_RESIDUAL = 1e-6
-"""Largest relative residual of a bordered solve; beyond it an unsolved close mode makes the matrix singular."""
 
 
 class DifferentiableModel(Protocol):
@@ -286,7 +280,7 @@ class _Damped:
         inertia = self.m @ group
         border = (lam + others) * inertia + self.c @ group
         matrix = lam * (lam * self.m + self.c) + self.k
-        rest, good = _bordered(matrix, border, -(force - border @ part), (group.T @ inertia) @ part)
+        rest, good = bordered(matrix, border, -(force - border @ part), (group.T @ inertia) @ part)
         for j in range(1, len(near)):
             if not same[j]:
                 rest -= np.outer(group[:, j], part[j] / (lam - others[j]))
@@ -324,7 +318,7 @@ class _Undamped:
         if without_shape:
             return slope, np.zeros_like(force), True
         border = self.m @ group
-        rest, good = _bordered(self.k - omega**2 * self.m, border, -(force - border @ part), np.zeros_like(part))
+        rest, good = bordered(self.k - omega**2 * self.m, border, -(force - border @ part), np.zeros_like(part))
         for j in range(1, len(near)):
             if not same[j]:
                 rest += np.outer(group[:, j], part[j] / (omega**2 - self.omega[near[j]] ** 2))
@@ -367,42 +361,3 @@ def _coupled(part: np.ndarray, group: np.ndarray, force: np.ndarray) -> bool:
 
 def _has_entries(matrix: Matrix) -> bool:
     return bool(abs(matrix).max() > 0)
-
-
-def _bordered(matrix: Matrix, border: np.ndarray, top: np.ndarray, bottom: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Solution x of ``[Z, B; B^T, 0] [x; mu] = [top; bottom]`` and whether it is accurate."""
-    n, g = border.shape
-    # The border is scaled to the size of the matrix, or pivoting would prefer one of them.
-    largest = abs(matrix).max()
-    scale = largest / np.abs(border).max(axis=0)
-    edge = border * scale
-    right = np.vstack([top, bottom * scale[:, None]])
-    bordered: Any
-    solve: Callable[[np.ndarray], np.ndarray]
-    if sp.issparse(matrix):
-        blocks: list[list[Any]] = [[matrix, sp.csc_array(edge)], [sp.csc_array(edge.T), None]]
-        bordered = sp.csc_matrix(sp.block_array(blocks, format="csc"))
-        try:
-            lu = symmetric_factor(bordered, 0.01)
-        except RuntimeError as fault:
-            raise EvaluationError(f"the derivative of a mode shape could not be solved ({fault})") from fault
-        solve = partial(_sparse_solve, lu, bordered.dtype)
-    else:
-        bordered = np.block([[matrix, edge], [edge.T, np.zeros((g, g))]])
-        solve = partial(la.lu_solve, la.lu_factor(bordered, check_finite=False), check_finite=False)
-
-    def solved(b: np.ndarray) -> np.ndarray:
-        if np.iscomplexobj(b) and not np.iscomplexobj(bordered):
-            return solve(b.real) + 1j * solve(b.imag)
-        return solve(b)
-
-    x = solved(right)
-    x = x + solved(right - bordered @ x)  # one iterative refinement makes up for the relaxed pivoting
-    miss = np.linalg.norm(right - bordered @ x, axis=0)
-    size = np.linalg.norm(right, axis=0)
-    good = bool(np.all(np.isfinite(x))) and bool(np.all(miss <= _RESIDUAL * np.maximum(size, 1e-300)))
-    return x[:n], good
-
-
-def _sparse_solve(lu: spla.SuperLU, dtype: np.dtype, b: np.ndarray) -> np.ndarray:
-    return lu.solve(np.ascontiguousarray(b, dtype=dtype))

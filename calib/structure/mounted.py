@@ -17,6 +17,8 @@ from calib.structure.extend import Addition
 
 GROWN_SAG = 1e-4
 """Sag in m (50 Hz vertically) at which a body has half of its offset and a quarter of its moments of inertia."""
+_AT_POINT = 1e-6
+"""Distance of a mount from the point along x, over that of the farthest, that is rounding."""
 
 _Part: TypeAlias = tuple[str, np.ndarray, Mapping[str, float], int]
 """Name, matrix (6, 6), powers of parameters, and power of the growing distance of the centre below the point."""
@@ -147,7 +149,7 @@ def mount_stiffness(mounts: np.ndarray, up: int, lower: str, sideways: str, unev
 
     Yields the name, the matrix (6, 6), the powers of the parameters, and that of the distance of the centre below the
     point, with which it grows. ``uneven`` names a parameter by which mounts beyond the point along x are stiffer than
-    the mean, and those before it softer.
+    the mean, and those before it softer; the mean stays.
     """
     upright = np.eye(3)[up]
 
@@ -170,8 +172,19 @@ def mount_stiffness(mounts: np.ndarray, up: int, lower: str, sideways: str, unev
 
     yield from parts("", {}, flat, tilt)
     if uneven:
-        beyond = np.sign(np.asarray(mounts, dtype=float)[:, 0])[:, None, None]
+        beyond = _sides(np.asarray(mounts, dtype=float)[:, 0])[:, None, None]
         yield from parts(", uneven", {uneven: 1.0}, beyond * flat, beyond * tilt)
+
+
+def _sides(along: np.ndarray) -> np.ndarray:
+    """Gain of each mount per unevenness, (n_mounts,), from its distance beyond the point: 1 or -1, 0 at the point.
+
+    The mean of all is 0. Where one side has more mounts than the other, those of the side with fewer have 1 or -1, and
+    the others less.
+    """
+    side = np.where(np.abs(along) > _AT_POINT * np.abs(along).max(), np.sign(along), 0.0)
+    side = side - side.mean()
+    return np.asarray(side / (np.abs(side).max() or 1.0))
 
 
 def _scaled(factor: float, powers: Mapping[str, float], sag: str, grow: int) -> Coefficient:

@@ -13,18 +13,20 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.effect import Effect
+from calib.errors import InputError
 from calib.space import Parameter
 from calib.structure.affine import Monomial, SelectedTerm
-from calib.structure.attach import joined_nodes, mount_rows, parts_of, relative_rotation
+from calib.structure.attach import ENDS, joined_nodes, parts_of, relative_rotation
 from calib.structure.composed import (
     Builder,
     MountedDampers,
+    RotationalSprings,
     ScaledByFunction,
     ScaledParts,
     SoftSupports,
-    TurningSprings,
 )
 from calib.structure.composition import Composition, Names, in_words
+from calib.structure.elongations import elongations
 from calib.structure.inertia import symmetric_factor
 from calib.structure.model import Part, PartKind, StructuralModel
 from calib.structure.perturbations import LEAST
@@ -47,14 +49,14 @@ _PARTS: Mapping[str, tuple[str, str]] = {
     "dissipation": ("is elastic without loss", "Rubber, friction in joints, and whatever gets warm"),
     "damper mount": ("is mounted rigidly", "Soft or worn bushes and thin brackets at the ends of dampers"),
     "soft support": ("stands as firmly as drawn", "Soft foundations, oil columns, clearances and thin packings"),
-    "turning spring": ("turns freely where bodies are joined", "Wide seats, stiff bushes and tight joints"),
+    "rotational spring": ("rotates freely where bodies are joined", "Wide seats, stiff bushes and tight joints"),
 }
 """What the model assumes, and where to look, by kind."""
 _TITLES: Mapping[str, tuple[str, str]] = {
     "dissipation": ("Dissipation of {}", "dissipation in {}"),
     "damper mount": ("Soft mount of {}", "a soft mount of {}"),
     "soft support": ("Flexibility in series with {}", "a flexibility in series with {}"),
-    "turning spring": ("Resistance to turning at {}", "a resistance to turning at {}"),
+    "rotational spring": ("Rotational spring at {}", "a rotational spring at {}"),
 }
 
 
@@ -162,7 +164,7 @@ def of_mounts(model: StructuralModel, names: Names, middle: float) -> Iterator[C
     Their magnitude is the lag of a damper on its spring, the damping constant over the stiffness. A part that damps
     more than a few motions has no ends on which it could be mounted.
     """
-    dampers = [p for p in parts_of(model) if p.kind == "damping" and 0 < len(mount_rows(p)) <= _FEW]
+    dampers = [p for p in parts_of(model) if p.kind == "damping" and _has_ends(p)]
     size = 1e3 * RULES.lagging / (2 * math.pi * middle)
     for group in (*((part,) for part in dampers), *_alike(dampers)):
         own = [part.name for part in group]
@@ -209,7 +211,7 @@ def _acting(
 def of_joints(
     model: StructuralModel, values: Mapping[str, float], names: Names, middle: float
 ) -> Iterator[Composition]:
-    """Turning springs about each axis between bodies that a spring joins, of single joints and of those of one kind.
+    """Rotational springs about each axis between bodies that a spring joins, of single joints and of those of one kind.
 
     Springs of the same bodies near each other are one joint. Plausible sizes as for springs at sensors, see
     `calib.structure.point_compositions.of_sensors`.
@@ -226,7 +228,7 @@ def of_joints(
         for group in (*((part,) for part in single), *_alike(single)):
             own = [part.name for part in group]
             at, axis = in_words(own), "xyz"[direction - 3]
-            name, size = names.free(f"turning {axis} {_common(own)}"), max(local[n] for n in own)
+            name, size = names.free(f"rotation {axis} {_common(own)}"), max(local[n] for n in own)
             magnitude = Parameter(
                 name,
                 0.0,
@@ -236,10 +238,10 @@ def of_joints(
                 prior_sd=size,
                 description=f"stiffness about {axis} of each joint",
             )
-            build = TurningSprings(name, tuple(own), direction)
-            effect = _part_effect("turning spring", f"{at}, about {axis}", magnitude, build)
+            build = RotationalSprings(name, tuple(own), direction)
+            effect = _part_effect("rotational spring", f"{at}, about {axis}", magnitude, build)
             places = tuple(dict.fromkeys(part.place for part in group))
-            yield Composition(effect, "turning spring", f"{at}, about {axis}", places, len(own))
+            yield Composition(effect, "rotational spring", f"{at}, about {axis}", places, len(own))
 
 
 def _joints(model: StructuralModel) -> list[Part]:
@@ -251,6 +253,16 @@ def _joints(model: StructuralModel) -> list[Part]:
         if bodies and not any(own == bodies and math.dist(one.place, part.place) <= near for own, one in out):
             out.append((bodies, part))
     return [part for _, part in out]
+
+
+def _has_ends(damper: Part) -> bool:
+    """Whether a part damps few motions, of few degrees of freedom."""
+    if not 0 < len(np.unique(sp.csr_array(damper.matrix).indices)) <= ENDS:
+        return False
+    try:
+        return 0 < elongations(damper).shape[0] <= _FEW
+    except InputError:  # no damper: its damping is negative
+        return False
 
 
 # -- functions ---------------------------------------------------------------------------------------------------------

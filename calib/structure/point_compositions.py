@@ -13,7 +13,7 @@ from calib.effect import Effect
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.space import Parameter
 from calib.structure.attach import Place, motion
-from calib.structure.composed import AddedMass, Builder, Connection, HungMass
+from calib.structure.composed import AddedMass, Connection, HungMass
 from calib.structure.composition import Composition, Names, Point, in_words
 from calib.structure.inertia import symmetric_factor
 from calib.structure.model import StructuralModel
@@ -239,14 +239,10 @@ def _connection(kind: str, ends: Sequence[tuple[Sensor, Sensor | None]], names: 
     places = tuple((_place(one), None if other is None else _place(other)) for one, other in ends)
     effect = Effect(
         name, words, f"Nothing acts there: {at}.", f"{look_for} near {at}.", magnitude,
-        _builder(name, matrix, places, direction), phrase=words[:1].lower() + words[1:],
+        Connection(name, matrix, places, direction), phrase=words[:1].lower() + words[1:],
     )  # fmt: skip
     middles = [np.mean([_place(s)[1] for s in pair if s is not None], axis=0).tolist() for pair in ends]
     return Composition(effect, kind, at, tuple(dict.fromkeys((x, y, z) for x, y, z in middles)), len(ends))
-
-
-def _builder(name: str, matrix: str, ends: tuple[tuple[Place, Place | None], ...], direction: int) -> Builder:
-    return Connection(name, matrix, ends, direction)
 
 
 def _all_at(texts: Sequence[str]) -> str:

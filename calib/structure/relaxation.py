@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg as la
 import scipy.sparse as sp
 from scipy.optimize import nnls
 
@@ -22,8 +21,9 @@ from calib.errors import InputError
 from calib.given import numbers
 from calib.structure.affine import Coefficient, Monomial, Term, parameter
 from calib.structure.attach import part_of
+from calib.structure.elongations import elongations
 from calib.structure.extend import Addition
-from calib.structure.model import Assumption, Part, StructuralModel
+from calib.structure.model import Assumption, StructuralModel
 from calib.structure.products import OfPart
 
 BRANCHES = 3
@@ -32,10 +32,6 @@ _BEYOND = 2.0
 """Factor by which their corner frequencies reach beyond the band."""
 _LINES = 200
 """Frequencies of the band at which the loss is fitted."""
-MOST_MOTIONS = 120
-"""Largest number of elastic motions of a part: each has a damper of its own in every branch."""
-_ELASTIC = 1e-10
-"""Eigenvalue of a part's matrix, over its largest, that is rounding."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +168,7 @@ def lossy_parts(
     Raises
     ------
     InputError
-        For an unknown part, or one with more than `MOST_MOTIONS` elastic motions.
+        For an unknown part, or one with more than `calib.structure.elongations.MOST_MOTIONS` elastic motions.
     """
     loss = ConstantLoss(*band)
     made = zip(
@@ -269,31 +265,6 @@ def _diagonal(entries: np.ndarray) -> sp.csr_array:
     matrix = sp.csr_array(sp.diags_array(entries))
     matrix.eliminate_zeros()
     return matrix
-
-
-def elongations(part: Part) -> sp.csr_array:
-    """Motions u of a part over the degrees of freedom, (n_motions, n_dof), whose ``u^T u`` is the part's matrix.
-
-    Raises
-    ------
-    InputError
-        When its stiffness is negative in some motion, or it has too many of them.
-    """
-    matrix, place = sp.csc_array(part.matrix), f"part {part.name!r}"
-    seen = np.unique(matrix.nonzero()[0])
-    sizes, turn = la.eigh(matrix[seen][:, seen].toarray())
-    least = _ELASTIC * max(abs(sizes).max(initial=0.0), 1e-300)
-    if part.coefficient.factor < 0 or sizes.min(initial=0.0) < -1e3 * least:
-        raise InputError("its stiffness is negative", place=place, remedy="name parts that are springs or elements")
-    kept = sizes > least
-    if np.count_nonzero(kept) > MOST_MOTIONS:
-        raise InputError(
-            f"it has {np.count_nonzero(kept)} elastic motions; at most {MOST_MOTIONS} can have dampers", place=place,
-            remedy="name springs, joints or smaller parts, or give it damping in proportion to its stiffness",
-        )  # fmt: skip
-    out = np.zeros((int(np.count_nonzero(kept)), matrix.shape[0]))
-    out[:, seen] = (np.sqrt(sizes[kept]) * turn[:, kept]).T
-    return sp.csr_array(out)
 
 
 def band_of(given: Sequence[float], place: str) -> tuple[float, float]:

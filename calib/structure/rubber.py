@@ -13,7 +13,6 @@ from functools import partial
 import numpy as np
 
 from calib.effect import Effect
-from calib.errors import InputError
 from calib.given import parts_once
 from calib.space import Parameter
 from calib.structure.relaxation import band_of, lossy_parts, relaxing_parts
@@ -50,7 +49,7 @@ def structural_damping(
     >>> effect.in_words, effect.plausible
     ('structural damping of the rubber blocks', 0.1)
     """
-    parts, band = _listed(name, parts), band_of(band, f"effect {name}, band")
+    parts, band = parts_once(parts, name), band_of(band, f"effect {name}, band")
     return Effect(
         name=name,
         title=f"Structural damping of {of}",
@@ -90,7 +89,7 @@ def relaxing_rubber(
     >>> effect.names
     ('soft_block', 'soft_block_freq')
     """
-    parts, (low, high) = _listed(name, parts), band_of(corner, f"effect {name}, corner")
+    parts, (low, high) = parts_once(parts, name), band_of(corner, f"effect {name}, corner")
     freq = f"{name}_freq"
     middle = math.sqrt(low * high)
     return Effect(
@@ -112,11 +111,3 @@ def relaxing_rubber(
         ),
         grid=tuple({name: plausible, freq: f} for f in np.geomspace(low, high, 5)[1:-1].tolist()),
     )  # fmt: skip
-
-
-def _listed(name: str, parts: Sequence[str]) -> tuple[str, ...]:
-    """Names of parts, at least one, each once."""
-    listed = parts_once(parts, f"effect {name}, parts")
-    if not listed:
-        raise InputError("it names no part", place=f"effect {name}", remedy="name parts of stiffness of the model")
-    return listed

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -52,10 +53,7 @@ def uneven_unit(
         phrase=f"{listed['phrase']}, its mounts uneven",
         lacks=listed["lacks"],
         look_for=f"{listed['look_for']} Mounts of two kinds, or a heavy end.",
-        magnitude=Parameter(
-            name, magnitude.value, magnitude.lower, magnitude.upper, magnitude.unit, prior_sd=magnitude.prior_sd,
-            description=magnitude.description,
-        ),
+        magnitude=replace(magnitude, name=name),
         build=partial(build, name=name, inertia=inertia, uneven=uneven),
         nuisance=(
             *shared,
@@ -95,10 +93,7 @@ def swaying_seats(
         phrase="passenger seats that bounce and sway on the floor",
         lacks="The seats move rigidly with the floor.",
         look_for="Light seat frames on few fixings: push a seat down and aside, let go and watch it.",
-        magnitude=Parameter(
-            name, magnitude.value, magnitude.lower, magnitude.upper, magnitude.unit, prior_sd=magnitude.prior_sd,
-            description=magnitude.description,
-        ),
+        magnitude=replace(magnitude, name=name),
         build=partial(build, name=name, sideways=sideways, ratio=ratio),
         nuisance=(
             Parameter(
@@ -168,10 +163,7 @@ def surging_spring(listed: Effect, rows: Callable[[StructuralModel], list[np.nda
         phrase="air springs with reservoirs behind pipes, beside the secondary springs",
         lacks=listed.lacks,
         look_for="Air bellows with a reservoir behind a long pipe: its length and bore.",
-        magnitude=Parameter(
-            name, 0.0, listed.magnitude.lower, listed.magnitude.upper, listed.magnitude.unit,
-            prior_sd=listed.magnitude.prior_sd, description=listed.magnitude.description,
-        ),
+        magnitude=replace(listed.magnitude, name=name),
         build=partial(_surging, rows=rows, name=name, corner=corner.name, surge=surge),
         nuisance=(
             corner,

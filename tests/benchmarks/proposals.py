@@ -45,7 +45,7 @@ from calib.stage import unheard
 VISIBLE = 6.0
 NEAR = 0.7
 """Metres; the bogie is 4 m long and 2.6 m wide, and its sensors stand about a metre apart."""
-ELASTIC = ("stiffness", "section", "spring to ground", "spring between", "turning spring", "soft support")
+ELASTIC = ("stiffness", "section", "spring to ground", "spring between", "rotational spring", "soft support")
 INERTIAL = ("mass", "added mass")
 DISSIPATIVE = ("damping", "dissipation", "damper to ground", "damper between")
 HUNG = ("hung mass",)

@@ -3,15 +3,18 @@
 import os
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
+from calib.errors import InputError
 from calib.measurement.modal import Sensor
 from calib.structure.affine import Monomial
-from calib.structure.attach import joined_nodes, mount_rows, mounted_dampers, part_of, relative_rotation
+from calib.structure.attach import joined_nodes, mounted_dampers, part_of, relative_rotation
 from calib.structure.composition import Names
+from calib.structure.elongations import elongations
 from calib.structure.extend import extend
 from calib.structure.part_compositions import _alike, of_joints, of_mounts, of_supports
 from calib.structure.point_compositions import further_spots, mirrored, of_sensors
@@ -40,7 +43,7 @@ def test_the_dynamic_stiffness_of_mounted_dampers_is_that_of_maxwell_elements(bo
     """With the damping constant c and the lag t it is ``c l/(1 + c/k l)`` along each damper, ``t = c/k``."""
     parts, lag = ("primary damper front left", "primary damper rear right"), 7e-3
     addition, values = mounted_dampers(bogie, parts, "t"), {"c_primary": 2.3e4, "t": lag}
-    rows = [row for name in parts for row in mount_rows(part_of(bogie, "damping", name))]
+    rows = [row for name in parts for row in elongations(part_of(bogie, "damping", name)).toarray()]
     assert addition.n_added == len(rows) == 2 and not addition.mass
     n = bogie.n_dof
     both = (addition.stiffness, addition.damping)
@@ -51,6 +54,20 @@ def test_the_dynamic_stiffness_of_mounted_dampers_is_that_of_maxwell_elements(bo
         with_it = condensed + sum(values["c_primary"] * lam * np.outer(b, b) for b in rows)
         exact = values["c_primary"] * lam / (1 + lag * lam)
         np.testing.assert_allclose(with_it, sum(exact * np.outer(b, b) for b in rows), rtol=1e-9, atol=1e-6)
+
+
+def test_a_damper_that_feeds_energy_in_has_no_mount(bogie):
+    own = part_of(bogie, "damping", "primary damper front left")
+    bent = sp.csr_array(sp.diags_array(np.eye(bogie.n_dof)[own.matrix.indices[0]]))
+    for wrong in (
+        replace(own, matrix=-own.matrix),
+        replace(own, coefficient=replace(own.coefficient, factor=-1.0)),
+        replace(own, matrix=own.matrix - 0.1 * bent),
+    ):
+        model = replace(bogie, parts=(wrong,))
+        with pytest.raises(InputError, match="part 'primary damper front left': its damping is negative"):
+            mounted_dampers(model, (own.name,), "t")
+        assert not list(of_mounts(model, Names(()), MIDDLE))
 
 
 def test_mounts_are_composed_of_each_damper_and_of_those_of_one_kind(bogie):
@@ -92,6 +109,8 @@ def test_a_joint_turns_about_each_axis_and_several_springs_are_one_joint(bogie):
     found = list(of_joints(bogie, bogie.space.values, Names(()), MIDDLE))
     single = [c.at for c in found if c.count == 1 and "front left" in c.at and c.at.endswith("about z")]
     assert len(single) == len(set(single)) and 1 <= len(single) <= 3
+    assert {c.kind for c in found} == {"rotational spring"} and found[0].effect.name.startswith("rotation_x_")
+    assert all(c.effect.title.startswith(f"Rotational spring at {c.at}") for c in found)
     stiffer = extend(bogie, [c.effect for c in found[:1]]).modes({found[0].effect.name: 1e7}, 12)
     rise = stiffer.natural_freq / bogie.modes({}, 12).natural_freq - 1
     assert rise.min() > -1e-4 and rise.max() > 0.02  # damping lets some fall a little

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from calib.errors import InputError
 from calib.structure.affine import Grown, Monomial
 from calib.structure.attach import GRAVITY, loosened_masses
-from calib.structure.mounted import GROWN_SAG, MountedBody
+from calib.structure.mounted import GROWN_SAG, MountedBody, mount_stiffness
 
 MASS, RATIO = 2600.0, 0.04
 HALF, ASIDE, HIGH = 1.0, 0.7, 0.4
@@ -75,6 +75,30 @@ def test_the_dynamic_stiffness_at_the_carrier_is_that_mount_by_mount(sag, lower)
         told = dynamic_stiffness((k, c, m + own), lam)
         expected = dynamic_stiffness(mount_by_mount(sag, lower, 0.7, share), lam)
         np.testing.assert_allclose(told, expected, rtol=1e-5, atol=1e-7 * abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    ("along", "gains"),
+    [
+        ((1.0, 1.0, -1.0, -1.0), (1.0, 1.0, -1.0, -1.0)),
+        ((1.0, 1.0, 1e-16, -1e-16, -1.0, -1.0), (1.0, 1.0, 0.0, 0.0, -1.0, -1.0)),
+        ((1.0, 0.7, 0.4, -1.0), (1 / 3, 1 / 3, 1 / 3, -1.0)),
+        ((1.0, 0.0, -0.5, -1.0), (1.0, 0.2, -0.6, -0.6)),
+        ((1.0, 2.0, 1.0), (0.0, 0.0, 0.0)),
+    ],
+)
+def test_uneven_mounts_keep_their_mean_stiffness(along, gains):
+    mounts = np.array([(x, HIGH, (-1) ** k * ASIDE) for k, x in enumerate(along)])
+    blocks = {name: block for name, block, *_ in mount_stiffness(mounts, 1, "lower", "sideways", "uneven")}
+    each = [dict((n, b) for n, b, *_ in _of_one(place)) for place in mounts]
+    for name in ("upright", "sideways"):
+        expected = sum(gain * own[name] for gain, own in zip(gains, each, strict=True)) / len(mounts)
+        np.testing.assert_allclose(blocks[f"{name}, uneven"], expected, atol=1e-14)
+        np.testing.assert_allclose(blocks[f"{name}, uneven"][:3, :3], 0.0, atol=1e-14)
+
+
+def _of_one(place):
+    return mount_stiffness(place[None], 1, "lower", "sideways")
 
 
 def test_uneven_mounts_and_another_inertia_are_those_mount_by_mount():

@@ -16,15 +16,14 @@ from calib.structure.anywhere import at_one_of
 from calib.structure.attach import scaled_part, softened_part
 from calib.structure.basis import Basis
 from calib.structure.derivatives import mode_derivatives
+from calib.structure.elongations import MOST_MOTIONS, elongations
 from calib.structure.extend import Addition, extend
 from calib.structure.frf import frf
 from calib.structure.model import Part, StructuralModel
 from calib.structure.reduced import ReducedModel
 from calib.structure.relaxation import (
-    MOST_MOTIONS,
     ConstantLoss,
     Graded,
-    elongations,
     lossy_parts,
     relaxing_parts,
 )
