@@ -156,7 +156,7 @@ def _test_effects() -> tuple[Effect, ...]:
             title="Air that moves with the panels",
             phrase="the air that moves with the panels",
             lacks="The array moves in a vacuum.",
-            look_for="The pressure in the test; a plate of 0.4 m width carries about 0.4 kg of air per square metre.",
+            look_for="Whether the test was made in air: a plate of 0.4 m width carries about 0.4 kg of it per m2.",
             magnitude=Parameter(
                 "air_mass", 0.0, 0.0, 3.0, "kg/m2", prior_sd=0.4, description="mass of air per area of both panels"
             ),

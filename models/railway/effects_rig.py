@@ -32,7 +32,7 @@ def rig_effects() -> tuple[Effect, ...]:
             title="Elastic blocks resist tilting across",
             phrase="the resistance of the elastic blocks to tilting across",
             lacks="The elastic blocks carry vertical force but no moment about the longitudinal axis.",
-            look_for="Width of the elastic blocks, and whether they stand on their whole face.",
+            look_for="Whether the elastic blocks have the width of the drawing and stand on their whole face.",
             magnitude=Parameter(
                 "block_tilt", 0.0, 0.0, 2000.0, "kNm/rad", prior_sd=150.0,
                 description="stiffness of one elastic block against tilting about the longitudinal axis",

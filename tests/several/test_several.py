@@ -19,18 +19,14 @@ from calib.study_text import read_settings
 from tests.front import cantilever
 from tests.several.conftest import GROUND, STIFF, STUDY, told, write_study
 
-BENCH = """
-[[tests]]
-name = "bench"
-model = "model.py:bench"
-responses = "bench.csv"
-"""
+BENCH = '\n[[tests]]\nname = "bench"\nmodel = "model.py:bench"\nresponses = "bench.csv"\n'
 
 
 def edit(folder, old, new):
-    text = (folder / "study.toml").read_text()
+    file = folder / "study.toml"
+    text = file.read_text()
     assert old in text
-    (folder / "study.toml").write_text(text.replace(old, new))
+    file.write_text(text.replace(old, new))
     return folder
 
 
@@ -235,13 +231,9 @@ def test_conditions_hold_for_their_test(own):
 
 
 def test_a_condition_outside_the_limits_is_refused_at_its_line(own):
-    text = STUDY.replace("set = { load = 1500.0 }", "set = { load = 1e9 }")
-    (own / "study.toml").write_text(text)
-    line = next(k for k, one in enumerate(text.splitlines(), 1) if "load = 1e9" in one)
-    with pytest.raises(
-        calib.InputError, match=rf"study\.toml, line {line}: load = 1e\+09 kg is outside its limits 0 to "
-    ):
-        load(own)
+    line = STUDY[: STUDY.index("load = 1500.0")].count("\n") + 1
+    with pytest.raises(InputError, match=rf"study\.toml, line {line}: load = 1e\+09 kg is outside its limits 0 to "):
+        load(edit(own, "load = 1500.0", "load = 1e9"))
 
 
 def test_one_test_is_a_study_as_ever(own):
