@@ -65,7 +65,8 @@ def _terms_as_parts(model: StructuralModel) -> Iterator[Part]:
         for term in getattr(model, kind).terms:
             if isinstance(term.coefficient, Monomial):
                 nodes = model.dofs.node[np.unique(sp.csr_array(term.matrix).indices)]
-                x, y, z = model.mesh.points[nodes[nodes >= 0]].mean(axis=0)
+                points = model.mesh.points[nodes[nodes >= 0]]
+                x, y, z = points.mean(axis=0) if len(points) else np.full(3, np.nan)  # matrices may have no nodes
                 place = (float(x), float(y), float(z))
                 yield Part(term.name, kind, sp.csr_array(term.matrix), term.coefficient, place)
 

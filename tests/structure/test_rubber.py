@@ -117,7 +117,6 @@ def test_parts_relax_with_the_parameters_of_their_stiffness():
         np.testing.assert_allclose(condensed(model, values, lam, 3), expected, rtol=1e-9, atol=1e-9 * link)
 
 
-@pytest.mark.filterwarnings("ignore:Mean of empty slice", "ignore:invalid value")  # parts without a place
 @pytest.mark.parametrize("order", [("at once",), ("loss", "change"), ("change", "loss")])
 @pytest.mark.parametrize("change", ["softening", "scaled", "flexibility", "one of two"])
 def test_the_loss_of_a_part_follows_its_stiffness_whatever_changes_it(order, change):
