@@ -56,7 +56,7 @@ from calib.missing.tables import (
     pull_table,
 )
 from calib.missing.verdict import verdict
-from calib.missing.verdict_words import elsewhere
+from calib.missing.verdict_words import elsewhere, limits_sentence
 from calib.missing.worst_misfit import misfit_at
 from calib.outcome import as_cause, failure
 from calib.results import Results
@@ -242,7 +242,8 @@ def answered(
         *misfit_words,
     )
     told = verdict(found, effects, errors, advised, facts.disagreements, facts.assumed, supposed, pointed)
-    words = (*told.sentences, *filter(None, more))
+    at_limits = limits_sentence(found)
+    words = (*told.sentences, *filter(None, (at_limits, *more)))
     errors = errors.assign(std_from="assumed" if facts.assumed else "stated")
     figures |= {
         "misfit_at": misfit_at(found.base_adequacy, facts.disagreements)
@@ -281,7 +282,10 @@ def answered(
         figures["discretisation"] = discretisation.largest
     seconds = time.perf_counter() - started
     traces = tuple(reason.first.trace for reason in reasons(adapter.failed())[:SHOWN] if reason.first.trace)
-    answer = replace(told.answer, then=f"{told.answer.then} {richer_next(richer)}".strip())
+    answer = replace(
+        told.answer, sure=f"{told.answer.sure} {at_limits}".strip(),
+        then=f"{told.answer.then} {richer_next(richer)}".strip(),
+    )  # fmt: skip
     return ExplanationResult(
         found, answer, words, tuple(notes), effects, errors, tables, figures, seconds, traces, richer
     )

@@ -55,11 +55,11 @@ def implausible(fit: LinearisedFit, added: Sequence[Candidate]) -> str:
         if pulled:
             reasons.append(f"{name} has a pull of {score:+.1f} (limit {limit:.1f})")
     for effect in added:
-        p, side = effect.magnitude, _limit(fit, effect.magnitude)
+        p, side = effect.magnitude, limit_of(fit, effect.magnitude)
         if side == "upper" or (side == "lower" and effect.signed):
             reasons.append(f"{effect.name} is on its limit of {_with_unit(getattr(p, side), p)}")
         for q in (q for q in effect.nuisance if not q.integer):  # a choice, of which the ends are as good as any
-            here, side = fit.values[q.name], _limit(fit, q)
+            here, side = fit.values[q.name], limit_of(fit, q)
             if side is not None:
                 reasons.append(f"{q.name} is on its limit of {_with_unit(getattr(q, side), q)}")
             elif abs(here - q.value) > RULES.nuisance * q.prior_width:
@@ -67,7 +67,7 @@ def implausible(fit: LinearisedFit, added: Sequence[Candidate]) -> str:
     return "; ".join(reasons)
 
 
-def _limit(fit: LinearisedFit, p: Parameter) -> Literal["lower", "upper"] | None:
+def limit_of(fit: LinearisedFit, p: Parameter) -> Literal["lower", "upper"] | None:
     """The limit that a fitted parameter is on; integers have no posterior standard deviation."""
     std = None
     if p.name in fit.names:

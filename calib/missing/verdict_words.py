@@ -14,6 +14,7 @@ from calib.effect import Effect
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.local import WIDE, interval_words
+from calib.missing.plausible import limit_of
 from calib.missing.worst_misfit import p_words
 
 _QUESTIONS = ("Whether", "Where", "How", "Which", "What")
@@ -93,6 +94,22 @@ def with_words(found: Explanation, them: str = "it") -> str:
             f"{words}, which is poor: the standard deviation may be larger than stated, or something more is missing."
         )
     return f"{words} ({found.alpha:g} or less would be poor)."
+
+
+def limits_sentence(found: Explanation) -> str:
+    """Parameters that end at a limit in the model with the named effects, in a sentence; empty for none.
+
+    A hard limit acts like a datum, and an effect may stand in for what it keeps a parameter from.
+    """
+    if not found.names_something or found.chosen is None:
+        return ""
+    fit, own = found.chosen.fit, {name for effect in found.chosen.effects for name in effect.names}
+    held = [name for name in fit.names if name not in own and limit_of(fit, fit.fit_problem.space[name]) is not None]
+    if not held:
+        return ""
+    told = held[0] if len(held) == 1 else f"{', '.join(held[:-1])} and {held[-1]}"
+    ends, them = ("ends at its limit", "it") if len(held) == 1 else ("end at their limits", "them")
+    return f"{told} {ends}: unless physical, widen {them} and explain again."
 
 
 def row_of(effects: pd.DataFrame, name: str) -> pd.Series:
