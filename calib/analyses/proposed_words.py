@@ -12,6 +12,7 @@ from calib.candidate import Candidate
 from calib.missing.local import fault_words, interval_words
 from calib.missing.proposal import Proposal, Proposals, told
 from calib.missing.worst_misfit import p_words
+from calib.units import told_in
 
 COLUMNS = (
     "rank", "name", "kind", "at", "x", "y", "z", "magnitude", "lower", "upper", "unit", "freq", "evidence", "ln_bayes",
@@ -61,10 +62,10 @@ def lost_words(found: Proposals) -> tuple[str, ...]:
 def sized(p: Proposal) -> str:
     """A proposal in words, such as ``a mass at node 3, about 0.26 kg (95 %: 0.24 to 0.27)``."""
     effect: Candidate = p.composed.effect
-    unit, factor = effect.magnitude.unit, 1.0
+    unit, factor = told_in(effect.magnitude.unit)
     sign = ""
-    if unit == "-":
-        sign, unit, factor = (" less" if p.value < 0 else " more"), "%", math.copysign(100.0, p.value)
+    if unit == "%":
+        sign, factor = (" less" if p.value < 0 else " more"), math.copysign(factor, p.value)
     low, high = sorted((factor * p.low, factor * p.high))
     return f"{effect.title[:1].lower()}{effect.title[1:]}, {interval_words(factor * p.value, low, high, unit)}{sign}"
 

@@ -39,7 +39,7 @@ _MIDDLE: Place = ("crossbar", (CROSSBAR_X, GIRDER_Y, 0.0))
 _UNIT: Place = ("crossbar", (CROSSBAR_X, GIRDER_Y, BRAKE_UNIT_Z))
 _UNIT_FREQ = Parameter(
     "brake_unit_freq", 18.0, 8.0, 40.0, "Hz", prior_sd=7.0,
-    description="natural frequency of the unit on its bushes; 8 Hz for bushes that sag by 4 mm",
+    description="natural frequency of the unit on its bushes; 8 Hz where they deflect by 4 mm under its weight",
 )  # fmt: skip
 _REASON = "where such parts usually sit"
 

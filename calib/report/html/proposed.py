@@ -11,6 +11,7 @@ from calib.report.html.page import Block, Section, Table, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, flag, significant, with_unit
 from calib.report.proposals import drawn
+from calib.units import told_in
 
 
 def section(results: StudyResults) -> Section | None:
@@ -66,7 +67,9 @@ def _table(table: pd.DataFrame) -> Table:
 
 def _size(r: Mapping[Hashable, Any]) -> str:
     """Fitted magnitude with its interval, and the natural frequency of a hung mass."""
-    size = f"{with_unit(r['magnitude'], str(r['unit']))} ({significant(r['lower'], 3)} to {significant(r['upper'], 3)})"
+    unit, factor = told_in(str(r["unit"]))
+    low, high = (significant(factor * r[key], 3) for key in ("lower", "upper"))
+    size = f"{with_unit(factor * r['magnitude'], unit)} ({low} to {high})"
     return size if r["freq"] != r["freq"] else f"{size}, at {with_unit(r['freq'], 'Hz')}"
 
 

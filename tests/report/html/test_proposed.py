@@ -44,6 +44,7 @@ def test_it_has_the_answer_what_was_not_tried_and_every_proposal(folder):
     assert table.rows[0][2] == "12.5 kg (11 to 14), at 7.25 Hz" and table.rows[0][6:8] == (
         "yes", "mass of a; mass of b; mass of c …",
     )  # fmt: skip
+    assert table.rows[1][2] == "−25 % (−30 to −20)", "a change of a part is told in percent"
     assert table.rows[1][3:7] == ("9.0", "3", "8.0", "no") and table.rows[1][8] == "K has a pull of 4"
 
 
