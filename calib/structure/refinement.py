@@ -12,6 +12,7 @@ import scipy.sparse.linalg as spla
 from calib.errors import EvaluationError
 from calib.structure.derivatives import eigenvalues
 from calib.structure.eigenvalues import is_zero
+from calib.structure.growing_space import GrowingSpace
 from calib.structure.inertia import count_below, symmetric_factor
 from calib.structure.modes import Modes
 from calib.structure.reduced import ReducedModel
@@ -75,20 +76,18 @@ def refined_modes(
         found.natural_freq, found.damped_freq, found.damping_ratio, reduced.lift(found.shapes), found.excluded
     )
     rest = _residual(modes, stiffness, damping, mass)
-    parts = [scale * reduced.lift(_rigid(reduced, values)), scale * _real(modes.shapes)]
+    space = GrowingSpace((stiffness, damping, mass), scale)
+    space.add(np.hstack([reduced.lift(_rigid(reduced, values)), _real(modes.shapes)]))
     for _ in range(STEPS):
         correction = _both_parts(factor, rest)
         before = np.abs(np.einsum("ij,ij->j", rest.conj(), correction)) / _size(modes)
-        parts.append(scale * _real(correction))
-        space = np.hstack([part / np.maximum(np.linalg.norm(part, axis=0), 1e-300) for part in parts])
-        # Orthonormal where K is nearly diagonal; columns that depend on others become any further direction.
-        basis = la.qr(space, mode="economic", check_finite=False)[0] / scale
+        space.add(_real(correction))
+        basis = space.basis
 
         def shared(shape: np.ndarray, basis: np.ndarray = basis) -> float:
             return share(basis @ shape)
 
-        projected = (basis.T @ (matrix @ basis) for matrix in (stiffness, damping, mass))
-        k, c, m = (0.5 * (one + one.T) for one in projected)
+        k, c, m = space.projected
         found = solve_dense(k, c if full.is_damped else None, m, count, shared)
         if found.n_modes < count or found.is_complex != modes.is_complex:
             return None
