@@ -146,6 +146,7 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
     "missing/competing.py": "EIGHT_OF_TEN",
     "missing/local.py": "WIDE",
     "missing/pattern.py": "MOST",
+    "missing/plausible.py": "_NAMED",
     "missing/recommendation.py": "MOST",
     "missing/verdict.py": "_REPEATS MOST",
     "missing/worst_misfit.py": "_LEAST",

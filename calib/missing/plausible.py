@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -13,6 +13,9 @@ from calib.candidate import Candidate
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.space import Parameter
+
+_NAMED = 3
+"""Pulled parameters that are told one by one."""
 
 
 def pulls(fit: LinearisedFit, added: Sequence[Candidate] = ()) -> pd.DataFrame:
@@ -50,10 +53,7 @@ def _pulls(
 
 def implausible(fit: LinearisedFit, added: Sequence[Candidate]) -> str:
     """Why a fitted model is implausible, in words; empty when it is plausible."""
-    reasons = []
-    for name, *_, score, limit, pulled in _pulls(fit, added):
-        if pulled:
-            reasons.append(f"{name} has a pull of {score:+.1f} (limit {limit:.1f})")
+    reasons = _pull_words(_pulls(fit, added))
     for effect in added:
         p, side = effect.magnitude, limit_of(fit, effect.magnitude)
         if side == "upper" or (side == "lower" and effect.signed):
@@ -65,6 +65,16 @@ def implausible(fit: LinearisedFit, added: Sequence[Candidate]) -> str:
             elif abs(here - q.value) > RULES.nuisance * q.prior_width:
                 reasons.append(f"{q.name} = {_with_unit(here, q)} is far from {q.value:.4g}")
     return "; ".join(reasons)
+
+
+def _pull_words(rows: Sequence[tuple[Any, ...]]) -> list[str]:
+    """Which parameters are pulled; of more than `_NAMED` those that are pulled most, with the number of others."""
+    told = [(name, score, limit) for name, *_, score, limit, pulled in rows if pulled]
+    if len(told) <= _NAMED:
+        return [f"{name} has a pull of {score:+.1f} (limit {limit:.1f})" for name, score, limit in told]
+    most = sorted(told, key=lambda row: -abs(row[1]))[:_NAMED]
+    named = ", ".join(f"{name} by {score:+.1f}" for name, score, _ in most)
+    return [f"{len(told)} of {len(rows)} parameters are pulled, most of all {named} (limit {told[0][2]:.1f})"]
 
 
 def limit_of(fit: LinearisedFit, p: Parameter) -> Literal["lower", "upper"] | None:

@@ -39,6 +39,17 @@ def test_a_pulled_parameter_is_named(toy):
     assert "P2 has a pull of -4." in implausible(fit, ())
 
 
+def test_of_many_pulled_parameters_the_most_pulled_are_named_with_their_number(toy):
+    shifts = {"P0": -0.9, "P1": 0.7, "P2": -0.8, "P3": 1.0}
+    toy = toy(prior=0.2, reach=10.0).drawn(np.random.default_rng(2), shifts)
+    fit = toy.calibrated()
+    table = pulls(fit).set_index("parameter")
+    assert table["pulled"].all()
+    told = implausible(fit, ())
+    assert told.startswith("4 of 4 parameters are pulled, most of all P3 by +")
+    assert [name for name in table.index if f"{name} by " in told] == ["P0", "P2", "P3"]
+
+
 def test_the_pull_is_relative_to_what_the_data_determine(toy):
     """For a parameter whose variance the data reduce by a tenth, one prior standard deviation is a strong pull."""
     toy = toy(parameters=1, reach=1 / 3)
