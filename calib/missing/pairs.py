@@ -89,22 +89,29 @@ def _left(linearisations: Sequence[tuple[LinearisedFit, Scores]], name: str) -> 
 
 
 def alone(fits: Refits, singles: list[CandidateFit], pairs: Sequence[CandidateFit]) -> list[CandidateFit]:
-    """Refit single effects from pairs in which the other effect vanished, where the pair fits better."""
-    better = {}
-    for pair in pairs:
-        if fits.spent():
+    """Refit single effects from pairs that fit better: of the best pair each one, of others one whose partner vanished.
+
+    An effect may have ended far from its optimum alone, such as at zero, so that only a pair shows how well it explains
+    the data; its partner then adds nothing.
+    """
+    better: dict[str, CandidateFit] = {}
+    for k, pair in enumerate(pairs):
+        best = k == 0 and pair.ln_evidence > singles[0].ln_evidence + RULES.credible
+        if fits.spent() and not best:
             break
         left = [e for e in pair.effects if not at_lower(pair.fit, e)]
-        if len(left) != 1 or len(pair.effects) == 1:
+        if len(pair.effects) == 1 or not (best or len(left) == 1):
             continue
-        name = left[0].name
-        known = next((t.fit.misfit for t in singles if t.names == (name,)), math.inf)
-        if pair.fit.misfit < known - 1.0:
-            gone = {n for e in pair.effects if e.name != name for n in e.names}
-            start = {n: v for n, v in pair.fit.values.items() if n not in gone}
-            found = fits.candidate_fit((name,), start, whole=1)
-            if found.fit.misfit < known:
-                better[name] = found
+        for effect in left:
+            known = min(
+                (t.fit.misfit for t in (*singles, *better.values()) if t.names == (effect.name,)), default=math.inf
+            )
+            if pair.fit.misfit < known - 1.0:
+                gone = {n for e in pair.effects if e is not effect for n in e.names}
+                start = {n: v for n, v in pair.fit.values.items() if n not in gone}
+                found = fits.candidate_fit((effect.name,), start, whole=1)
+                if found.fit.misfit < known:
+                    better[effect.name] = found
     if not better:
         return singles
     kept = [t for t in singles if t.names[0] not in better]

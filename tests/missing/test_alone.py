@@ -1,0 +1,59 @@
+"""Effects of the best pair are fitted alone too: a single fit may have ended far from its optimum."""
+
+import numpy as np
+import pytest
+
+from calib.missing.evidence import at_lower
+from calib.missing.linearised_fit import grown
+from calib.missing.pairs import alone
+from calib.missing.refits import DEFAULT, Refits
+from calib.stage import unheard
+
+TRUE = {"E0": 3.0, "E1": 0.25}
+"""The second one is too small to be seen, and yet not at its limit."""
+
+
+@pytest.fixture
+def fits(toy):
+    return Refits(toy(effects=3).drawn(np.random.default_rng(4), TRUE), DEFAULT, 1.0, unheard)
+
+
+@pytest.fixture
+def base(fits):
+    return fits.candidate_fit((), dict(fits.fit_problem(()).space.values))
+
+
+def grown_by(fits, base, name):
+    """A fit that stays where the effect does nothing."""
+    return fits._candidate_fit((name,), grown(base.fit, fits.fit_problem((name,)), (name,)))
+
+
+@pytest.fixture
+def pair(fits, base):
+    found = fits.candidate_fit(("E0", "E1"), {**base.fit.values, **TRUE})
+    assert not any(at_lower(found.fit, effect) for effect in found.effects)
+    return found
+
+
+def test_an_effect_whose_single_fit_stayed_at_zero_is_fitted_from_the_best_pair(fits, base, pair):
+    singles = [grown_by(fits, base, name) for name in ("E1", "E0")]
+    found = alone(fits, singles, [pair])
+    assert [one.names for one in found] == [("E0",), ("E1",)]
+    assert found[0].ln_evidence > pair.ln_evidence
+    assert found[0].fit.misfit < singles[1].fit.misfit - 100
+    assert found[0].fit.values["E0"] == pytest.approx(3.0, abs=0.5)
+
+
+def test_it_is_so_although_the_budget_is_spent(fits, base, pair):
+    singles = [grown_by(fits, base, name) for name in ("E1", "E0")]
+    fits.allowance.most = 0.0
+    assert fits.spent()
+    assert alone(fits, singles, [pair])[0].names == ("E0",)
+
+
+def test_nothing_is_fitted_where_the_pair_is_no_better_than_its_effect(fits, base, pair):
+    single = fits.candidate_fit(("E0",), {**base.fit.values, "E0": 3.0})
+    singles = [single, grown_by(fits, base, "E1")]
+    used = fits.hypotheses.evaluations
+    assert alone(fits, singles, [pair]) is singles
+    assert fits.hypotheses.evaluations == used
