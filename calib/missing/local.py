@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from calib.candidate import Candidate
 from calib.missing.candidate_fit import CandidateFit
+from calib.parameter import Parameter
 
 WIDE = 1.96
 """Half-width of a 95 % interval, in standard deviations; the root of the increase of the sum of squares at its ends."""
@@ -17,17 +18,22 @@ def unit_words(unit: str) -> str:
     return "" if unit == "-" else f" {unit}"
 
 
-def interval_words(value: float, low: float, high: float, unit: str) -> str:
-    """A magnitude with its 95 % interval, such as ``about 64 kg (95 %: 54 to 74)``.
+def magnitude_words(p: Parameter, value: float, low: float, high: float) -> str:
+    """A magnitude with its 95 % interval, and what it is where it has no unit to tell that."""
+    return interval_words(value, low, high, p.unit, p.description if p.unit == "-" else "")
+
+
+def interval_words(value: float, low: float, high: float, unit: str, meaning: str = "") -> str:
+    """A magnitude with its 95 % interval, such as ``about 64 kg (95 %: 54 to 74)``, and what it is if that is given.
 
     The last digit is a tenth of the leading one of the interval's width, or less.
     """
     width = high - low
     if not (math.isfinite(width) and width > 0):
-        return f"about {value:.3g}{unit_words(unit)}"
+        return f"about {value:.3g}{unit_words(unit)}{f' ({meaning})' if meaning else ''}"
     places = 1 - math.floor(math.log10(width))
     number, first, last = (f"{round(x, places):.{max(places, 0)}f}" for x in (value, low, high))
-    return f"about {number}{unit_words(unit)} (95 %: {first} to {last})"
+    return f"about {number}{unit_words(unit)} (95 %: {first} to {last}{f'; {meaning}' if meaning else ''})"
 
 
 def range_words(low: float, high: float, unit: str) -> str:

@@ -18,7 +18,7 @@ from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.hypotheses import Hypotheses
-from calib.missing.local import WIDE, interval_words
+from calib.missing.local import WIDE, magnitude_words
 from calib.missing.nearly import is_far_ahead
 from calib.missing.profile import profile_interval
 from calib.missing.refits import Refits, Settings
@@ -173,7 +173,7 @@ def richer_sentence(tried: Sequence[Richer], before: pd.DataFrame) -> str:
     if one is None:
         return ""
     e, listed = one.effect, tried[0].simpler.names[0]
-    sized = f"{e.in_words}, {interval_words(one.candidate_fit.fit.values[e.name], *one.interval, e.magnitude.unit)}"
+    sized = f"{e.in_words}, {magnitude_words(e.magnitude, one.candidate_fit.fit.values[e.name], *one.interval)}"
     squares = f"the sum of squares falls from {tried[0].simpler.fit.misfit:.0f} to {one.candidate_fit.fit.misfit:.0f}"
     if one.adequate:
         start = f"In more detail {listed} explains the data: {sized}; {squares}, and nothing systematic is left"

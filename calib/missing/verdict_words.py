@@ -13,7 +13,7 @@ from calib.candidate import Candidate
 from calib.effect import Effect
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
-from calib.missing.local import WIDE, interval_words
+from calib.missing.local import WIDE, interval_words, magnitude_words
 from calib.missing.plausible import limit_of
 from calib.missing.worst_misfit import p_words
 
@@ -117,17 +117,16 @@ def row_of(effects: pd.DataFrame, name: str) -> pd.Series:
     return effects[effects["name"] == name].iloc[0]
 
 
-def magnitude(effects: pd.DataFrame, name: str) -> str:
-    """Fitted magnitude with its interval, or the effect that it is collinear with."""
-    row = row_of(effects, name)
-    if not row["refitted"]:
-        return f"with the signature of {str(row['confounded_with']).split(', ')[0]}"
-    return interval_words(row["magnitude"], row["magnitude_low"], row["magnitude_high"], str(row["unit"]))
-
-
 def sized(effects: pd.DataFrame, e: Candidate) -> str:
-    """An effect with its magnitude, such as ``a guy rope along x, about 12 kN/m (95 %: 10 to 14)``."""
-    return f"{e.in_words}, {magnitude(effects, e.name)}"
+    """An effect with its magnitude, such as ``a guy rope along x, about 12 kN/m (95 %: 10 to 14)``.
+
+    Of an effect that was not fitted, the one that it is collinear with.
+    """
+    row = row_of(effects, e.name)
+    if not row["refitted"]:
+        return f"{e.in_words}, with the signature of {str(row['confounded_with']).split(', ')[0]}"
+    ends = float(row["magnitude_low"]), float(row["magnitude_high"])
+    return f"{e.in_words}, {magnitude_words(e.magnitude, float(row['magnitude']), *ends)}"
 
 
 def further(chosen: CandidateFit) -> str:
