@@ -1,6 +1,6 @@
 """Measures of the table of speeds, taken in a process of its own with the code of one checkout.
 
-    PYTHONPATH=CHECKOUT python tests/benchmarks/measures.py vehicle|effects|modes|opensees|calculix
+    PYTHONPATH=CHECKOUT python tests/benchmarks/measures.py vehicle|effects|modes|opensees|calculix|auto
     PYTHONPATH=CHECKOUT python tests/benchmarks/measures.py commands "explain studies/hidden_bogie" [...]
     PYTHONPATH=CHECKOUT python tests/benchmarks/measures.py finer studies/hidden_effect refine=1 [refine=4 ...]
 
@@ -53,7 +53,7 @@ def main() -> None:
     group, *more = sys.argv[1:]
     groups: dict[str, Callable[..., Taken]] = {
         "vehicle": of_vehicle, "effects": of_effects, "modes": of_modes, "opensees": of_opensees,
-        "calculix": of_calculix, "commands": ran, "finer": of_finer,
+        "calculix": of_calculix, "commands": ran, "finer": of_finer, "auto": by_auto,
     }  # fmt: skip
     report(**groups[group](*more))
 
@@ -164,6 +164,21 @@ def ran(*commands: str) -> Taken:
                 subprocess.run(words, cwd=ROOT, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
         return {"seconds": spent(every)}
+
+
+def by_auto() -> Taken:
+    """Both phases where each study's own method is ``auto``: the vehicle adopts what that finds of the bogie."""
+    with tempfile.TemporaryDirectory() as home:
+        for name in ("bogie", "vehicle"):
+            folder = Path(home) / name
+            shutil.copytree(ROOT / "studies" / name, folder)
+            file = folder / "study.toml"
+            text, count = re.subn(
+                r'^method = "genetic"', 'method = "auto"', file.read_text("utf-8"), flags=re.MULTILINE
+            )
+            assert count == 1
+            file.write_text(text, "utf-8")
+        return ran(f"calibrate {home}/vehicle")
 
 
 def of_finer(study: str, *options: str) -> Taken:

@@ -60,9 +60,7 @@ GROUPS = {
     "explain_bogie": Group(("commands", "explain studies/hidden_bogie")),
     "vehicle": Group(("vehicle",)),
     "effects": Group(("effects",)),
-    "auto": Group(
-        ("commands", "calibrate studies/bogie --method auto", "calibrate studies/vehicle --method auto"), long=True
-    ),
+    "auto": Group(("auto",), long=True),
     "explain_vehicle": Group(("commands", "explain studies/hidden_effect"), long=True),
     "genetic": Group(
         ("commands", "calibrate studies/bogie --workers 2", "calibrate studies/vehicle --workers 2"), long=True
