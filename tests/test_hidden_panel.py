@@ -43,6 +43,12 @@ def plain():
     return make_twin.built((), TRUTH["parameters"])
 
 
+def test_shapes_keep_their_signs_whatever_was_solved_before(plain):
+    """The noise of a measurement goes with them."""
+    again = make_twin.built((), TRUTH["parameters"])
+    np.testing.assert_array_equal(make_twin.named_modes(again)[2], make_twin.named_modes(plain)[2])
+
+
 def noise_free(structure, values):
     """FRFs of a structure as they would be measured without noise, with the standard deviations of the study."""
     test = make_twin.frf_test(structure)
