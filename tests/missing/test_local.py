@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from calib.missing.explain import Settings, explain
-from calib.missing.local import LocalPerturbation, interval_words, local_perturbation
+from calib.missing.local import LocalPerturbation, interval_words, local_perturbation, magnitude_words
+from calib.parameter import Parameter
 
 
 def named_part(made, *names):
@@ -107,3 +108,16 @@ def test_without_any_local_perturbation_nothing_is_named(toy):
 )
 def test_a_magnitude_has_as_many_digits_as_its_interval(value, low, high, unit, words):
     assert interval_words(value, low, high, unit) == words
+
+
+@pytest.mark.parametrize(
+    ("unit", "low", "words"),
+    [
+        ("-", 0.40, "about 0.45 (95 %: 0.40 to 0.50; share of its damping that is lost)"),
+        ("-", math.nan, "about 0.45 (share of its damping that is lost)"),
+        ("kg", 0.40, "about 0.45 kg (95 %: 0.40 to 0.50)"),
+    ],
+)
+def test_a_magnitude_without_a_unit_is_told_with_what_it_is(unit, low, words):
+    p = Parameter("weak", 0.0, 0.0, 1.0, unit, description="share of its damping that is lost")
+    assert magnitude_words(p, 0.45, low, 0.50) == words
