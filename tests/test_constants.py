@@ -47,6 +47,7 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "structure/eigenvalues.py": "_REAL _ZERO",
     "structure/energy.py": "_ZERO_ENERGY",
     "structure/expansion.py": "_ALIKE",
+    "structure/growing_space.py": "_ORTHOGONAL",
     "structure/frf.py": "_RANK _NEAR_RESONANCE _SINGULAR _THRESHOLD _BACKWARD",
     "structure/inertia.py": "_BACKWARD",
     "structure/matrices.py": "_ROUNDING",

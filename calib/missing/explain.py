@@ -14,11 +14,10 @@ from calib.missing.anew import anew, led_astray
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group, grouped
 from calib.missing.enough import require_modes, require_responses
-from calib.missing.evidence import at_lower
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.linearised_fit import nearest_whole
-from calib.missing.pairs import alone, fit_pairs
+from calib.missing.pairs import alone, fit_pairs, is_possible
 from calib.missing.refits import DEFAULT, Refits, Settings, near_to
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
@@ -131,11 +130,14 @@ class _Decision:
             return self.named(found, lead)
         pairs = fit_pairs(fits, lead.best, lead.adequacy.named, lead.singles, able)
         again = alone(fits, lead.singles, pairs)
-        lead = lead if again is lead.singles else self.lead(again, able, base)
-        if self.accepted(lead, needed):
-            return self.named(found, lead)
+        if again is not lead.singles:
+            lead = self.lead(again, able, base)
+            found = self.with_competing(found, lead.singles[0])
+            needed = self.needed(found)
         factor = measured_scale(fits, base, lead.best, found.perturbation, found.fault, *pairs[:1])
         found = replace(found, measured_scale=factor)
+        if self.accepted(lead, needed):
+            return self.named(found, lead)
         two = self.two_effects(found, lead, pairs, able)
         if two is not None:
             return two
@@ -374,7 +376,7 @@ class _Decision:
 
         It is well supported and plausible, and no other pair is nearly as good.
         """
-        credible = [t for t in pairs if not t.implausible and not any(at_lower(t.fit, e) for e in t.effects)]
+        credible = [t for t in pairs if is_possible(t)]
         if not credible or credible[0].ln_evidence <= needed:
             return ()
         leader = {name: g.effect.name for g in groups for name in g.names}

@@ -19,8 +19,13 @@ def unit_words(unit: str) -> str:
 
 
 def magnitude_words(p: Parameter, value: float, low: float, high: float) -> str:
-    """A magnitude with its 95 % interval, and what it is where it has no unit to tell that."""
-    return interval_words(value, low, high, p.unit, p.description if p.unit == "-" else "")
+    """A magnitude with its 95 % interval, and what it is."""
+    return interval_words(value, low, high, p.unit, meaning_of(p))
+
+
+def meaning_of(p: Parameter) -> str:
+    """What a magnitude is, where it has no unit to tell that."""
+    return p.description if p.unit == "-" else ""
 
 
 def interval_words(value: float, low: float, high: float, unit: str, meaning: str = "") -> str:
@@ -36,12 +41,12 @@ def interval_words(value: float, low: float, high: float, unit: str, meaning: st
     return f"about {number}{unit_words(unit)} (95 %: {first} to {last}{f'; {meaning}' if meaning else ''})"
 
 
-def range_words(low: float, high: float, unit: str) -> str:
-    """A range of a magnitude, such as ``54 to 74 kg``, rounded as `interval_words` does."""
+def range_words(low: float, high: float, unit: str, meaning: str = "") -> str:
+    """A range of a magnitude, such as ``54 to 74 kg``, rounded as `interval_words` does, and what it is if given."""
     width = high - low
     places = 1 - math.floor(math.log10(width)) if math.isfinite(width) and width > 0 else 3
     first, last = (f"{round(x, places):.{max(places, 0)}f}" for x in (low, high))
-    return f"{first} to {last}{unit_words(unit)}"
+    return f"{first} to {last}{unit_words(unit)}{f' ({meaning})' if meaning else ''}"
 
 
 @dataclass(frozen=True)

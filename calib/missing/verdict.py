@@ -11,7 +11,15 @@ from calib.answer import Answer
 from calib.candidate import Candidate
 from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
-from calib.missing.local import WIDE, fault_words, local_perturbation, magnitude_words, range_words, unit_words
+from calib.missing.local import (
+    WIDE,
+    fault_words,
+    local_perturbation,
+    magnitude_words,
+    meaning_of,
+    range_words,
+    unit_words,
+)
 from calib.missing.measurement_verdict import on_measurement
 from calib.missing.nearly import is_nearly, spread_of
 from calib.missing.recommendation import Recommendation, as_ratio, rounded
@@ -299,7 +307,7 @@ def _nearly(found: Explanation, e: Candidate) -> Words:
     left = where(found.chosen_adequacy)
     return Words(
         f"The model lacks something like {e.in_words}, but not exactly that; in the form that the library lists it "
-        f"would be {range_words(low, high, e.magnitude.unit)}.",
+        f"would be {range_words(low, high, e.magnitude.unit, meaning_of(e.magnitude))}.",
         f"It lowers the sum of squares from {before:.0f} to {after:.0f}, far more than anything else does, but leaves "
         f"{p_words(found.chosen_adequacy.p_family)}. {without_in_short(found)} A further, much smaller effect is "
         "possible too.",

@@ -8,13 +8,16 @@ import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
 
+_ORTHOGONAL = 1e-12
+"""Largest product of an old direction with a new one."""
+
 
 class GrowingSpace:
     """A growing space and the matrices projected on it; each step multiplies only the directions that are new.
 
-    Directions are orthonormal after division by ``scale``, where K is nearly diagonal. Columns that depend on others
-    become any further direction. Old directions are taken out of new ones twice, which suffices for orthogonality to
-    machine precision (Giraud, Langou, Rozloznik and van den Eshof 2005).
+    Directions times ``scale`` are orthonormal, as K is nearly diagonal after division by it. Columns that depend on
+    others become any further direction. Old directions are taken out of new ones twice, which suffices for independent
+    columns (Giraud, Langou, Rozloznik and van den Eshof 2005); where it does not, all are made orthonormal anew.
 
     Parameters
     ----------
@@ -39,11 +42,14 @@ class GrowingSpace:
         """Extend the space by columns, (n_dof, k)."""
         new, old = self._scale * columns, self._scaled
         new = new / np.maximum(np.linalg.norm(new, axis=0), 1e-300)
-        if old.shape[1] + new.shape[1] > len(old):  # more columns than directions: begin anew with all there are
-            old, new = old[:, :0], np.hstack([old, new])
-            self.projected = tuple(one[:0, :0] for one in self.projected)
+        apart = new
         for _ in range(2 if old.shape[1] else 1):
-            new = la.qr(new - old @ (old.T @ new), mode="economic", check_finite=False)[0]
+            apart = la.qr(apart - old @ (old.T @ apart), mode="economic", check_finite=False)[0]
+        every = np.hstack([old, new])
+        if every.shape[1] > len(old) or np.max(np.abs(old.T @ apart), initial=0.0) > _ORTHOGONAL:
+            old, apart = old[:, :0], la.qr(every, mode="economic", check_finite=False)[0]
+            self.projected = tuple(one[:0, :0] for one in self.projected)
+        new = apart
         self._scaled = np.hstack([old, new])
         self.projected = tuple(
             _bordered(inner, old / self._scale, new / self._scale, matrix)

@@ -1,8 +1,11 @@
 """Effects of the best pair are fitted alone too: a single fit may have ended far from its optimum."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from calib.errors import EvaluationError
 from calib.missing.evidence import at_lower
 from calib.missing.linearised_fit import grown
 from calib.missing.pairs import alone
@@ -11,11 +14,13 @@ from calib.stage import unheard
 
 TRUE = {"E0": 3.0, "E1": 0.25}
 """The second one is too small to be seen, and yet not at its limit."""
+LITTLE = {"E2": 0.4}
+"""The same of a third one."""
 
 
 @pytest.fixture
 def fits(toy):
-    return Refits(toy(effects=3).drawn(np.random.default_rng(4), TRUE), DEFAULT, 1.0, unheard)
+    return Refits(toy(effects=3).drawn(np.random.default_rng(4), TRUE | LITTLE), DEFAULT, 1.0, unheard)
 
 
 @pytest.fixture
@@ -57,3 +62,34 @@ def test_nothing_is_fitted_where_the_pair_is_no_better_than_its_effect(fits, bas
     used = fits.hypotheses.evaluations
     assert alone(fits, singles, [pair]) is singles
     assert fits.hypotheses.evaluations == used
+
+
+def test_every_pair_about_as_good_as_the_best_is_taken_apart(fits, base, pair):
+    """Effects alike make pairs alike: none of them may be forgotten."""
+    other = fits.candidate_fit(("E0", "E2"), {**base.fit.values, "E0": 3.0, **LITTLE})
+    assert abs(other.ln_evidence - pair.ln_evidence) < 3.0
+    assert not any(at_lower(other.fit, effect) for effect in other.effects)
+    singles = [grown_by(fits, base, name) for name in ("E1", "E2", "E0")]
+    tried = []
+    asked = replace(fits)
+    object.__setattr__(asked, "candidate_fit", lambda names, *more, **given: tried.append(names) or pair)
+    alone(asked, singles, sorted([pair, other], key=lambda t: -t.ln_evidence))
+    assert set(tried) >= {("E0",), ("E1",), ("E2",)}
+
+
+def test_a_pair_that_may_not_be_named_leaves_the_next_one_the_best(fits, base, pair):
+    singles = [grown_by(fits, base, name) for name in ("E1", "E0")]
+    refused = replace(pair, effects=pair.effects[::-1], ln_evidence=pair.ln_evidence + 50.0, implausible="P0 is pulled")
+    found = alone(fits, singles, [refused, pair])
+    assert found[0].names == ("E0",)
+
+
+def test_an_effect_that_cannot_be_solved_alone_is_left_as_it_was(fits, base, pair):
+    singles = [grown_by(fits, base, name) for name in ("E1", "E0")]
+
+    def fails(*given, **more):
+        raise EvaluationError("it cannot be solved there")
+
+    broken = replace(fits)
+    object.__setattr__(broken, "candidate_fit", fails)
+    assert alone(broken, singles, [pair]) is singles

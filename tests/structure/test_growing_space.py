@@ -49,6 +49,20 @@ def test_columns_that_depend_on_others_become_further_directions(matrices, scale
     assert_projected(space, matrices, scale)
 
 
+def test_a_direction_of_its_own_that_is_added_again(scale, rng):
+    """Rounding noise of a part that nothing couples to others stays in that part, however often it is projected out."""
+    apart = np.zeros((SIZE, SIZE))
+    apart[1:, 1:] = np.eye(SIZE - 1)
+    matrices = (sp.csc_array(np.eye(SIZE)), sp.csc_array(apart))
+    first = np.zeros((SIZE, 1))
+    first[0] = 1.0
+    space = GrowingSpace(matrices, scale)
+    space.add(np.hstack([first, apart @ rng.normal(size=(SIZE, 2))]))
+    space.add(np.hstack([first * (1 + 1e-16), first * 1e-17 + 1e-17 * first]))
+    assert space.basis.shape == (SIZE, 5)
+    assert_projected(space, matrices, scale)
+
+
 def test_no_more_directions_than_there_are(matrices, scale, rng):
     space = GrowingSpace(matrices, scale)
     for count in (5, 5, 5):
