@@ -3,10 +3,11 @@
     python tests/benchmarks/missing_physics.py run --workers 2 --folder results/missing_physics
     python tests/benchmarks/missing_physics.py report --folder results/missing_physics
 
-Cases follow a fixed plan with a seed each: bogies by modes, by FRFs and with faults of the test, solar arrays, tires,
-chains (functions) and frames (matrices). Started again, ``run`` goes on where it stopped. Each subject has a folder
-with ``runs.jsonl``, as `rates.py` and `tire_rates.py` write it, so that what these have run counts too. A solar array
-is counted by its modes and by FRFs whose channel errors the fit frees, a bogie measured by FRFs by these alone.
+Cases follow a fixed plan with a seed each: bogies by modes, by FRFs and with faults of the test, whole vehicles, solar
+arrays, tires, chains (functions) and frames (matrices). Started again, ``run`` goes on where it stopped. Each subject
+has a folder with ``runs.jsonl``, as `rates.py` and `tire_rates.py` write it, so that what these have run counts too. A
+solar array is counted by its modes and by FRFs whose channel errors the fit frees, a bogie measured by FRFs by these
+alone.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from rates_table import DETECTABLE, Rate, Row, bound_of, codes, methods_file, ra
 
 PLAN = {
     "bogie": 393, "bogie_fault": 39, "bogie_frf": 100, "panel": 110, "tire": 60, "chain": 250, "frame": 250,
-    "frame_fault": 25,
+    "frame_fault": 25, "vehicle": 60,
 }  # fmt: skip
 """Cases of each subject."""
 WAYS = {"bogie_frf": ("frfs",), "panel": ("modes", "freed")}
