@@ -17,7 +17,7 @@ from calib.missing.enough import require_modes, require_responses
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.linearised_fit import nearest_whole
-from calib.missing.pairs import alone, fit_pairs, is_possible
+from calib.missing.pairs import alone, fit_pairs, is_possible, no_worse
 from calib.missing.refits import DEFAULT, Refits, Settings, near_to
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
@@ -131,7 +131,7 @@ class _Decision:
         pairs = fit_pairs(fits, lead.best, lead.adequacy.named, lead.singles, able)
         again = alone(fits, lead.singles, pairs)
         if again is not lead.singles:
-            lead = self.lead(again, able, base)
+            lead, pairs = self.lead(again, able, base), no_worse(fits, pairs, again)
             found = self.with_competing(found, lead.singles[0])
             needed = self.needed(found)
         factor = measured_scale(fits, base, lead.best, found.perturbation, found.fault, *pairs[:1])

@@ -118,6 +118,15 @@ def alone(fits: Refits, singles: list[CandidateFit], pairs: Sequence[CandidateFi
     return sorted([*kept, *better.values()], key=lambda t: -t.ln_evidence)
 
 
+def no_worse(fits: Refits, pairs: Sequence[CandidateFit], singles: Sequence[CandidateFit]) -> list[CandidateFit]:
+    """The pairs, best first; one that fits worse than its effect alone becomes that fit with the other at zero."""
+    out = []
+    for pair in pairs:
+        parent = min((t for t in singles if t.names[0] in pair.names), key=lambda t: t.fit.misfit, default=pair)
+        out.append(fits.grown(pair.names, parent) if parent.fit.misfit < pair.fit.misfit else pair)
+    return sorted(out, key=lambda t: -t.ln_evidence)
+
+
 def is_possible(pair: CandidateFit) -> bool:
     """Whether a pair may be named by its values: plausible, with both effects present."""
     return not pair.implausible and not any(at_lower(pair.fit, e) for e in pair.effects)

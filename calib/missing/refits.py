@@ -220,8 +220,10 @@ class Refits:
             if best().fit.misfit <= parent.fit.misfit or self.spent():
                 break
             follow({**starts[0], **parent.fit.values, **{n: part * starts[0][n] for n in magnitudes}})
-        if best().fit.misfit <= parent.fit.misfit:
-            return best()
+        return best() if best().fit.misfit <= parent.fit.misfit else self.grown(names, parent)
+
+    def grown(self, names: tuple[str, ...], parent: CandidateFit) -> CandidateFit:
+        """The optimum of a model with fewer effects, with zero magnitude of the further ones."""
         return self._candidate_fit(names, grown(parent.fit, self.fit_problem(names), names))
 
     def followed(self, candidate_fit: CandidateFit, whole: int = 0, settings: FitSettings = FINE) -> CandidateFit:

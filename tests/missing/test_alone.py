@@ -7,8 +7,7 @@ import pytest
 
 from calib.errors import EvaluationError
 from calib.missing.evidence import at_lower
-from calib.missing.linearised_fit import grown
-from calib.missing.pairs import alone
+from calib.missing.pairs import alone, no_worse
 from calib.missing.refits import DEFAULT, Refits
 from calib.stage import unheard
 
@@ -30,7 +29,7 @@ def base(fits):
 
 def grown_by(fits, base, name):
     """A fit that stays where the effect does nothing."""
-    return fits._candidate_fit((name,), grown(base.fit, fits.fit_problem((name,)), (name,)))
+    return fits.grown((name,), base)
 
 
 @pytest.fixture
@@ -93,3 +92,12 @@ def test_an_effect_that_cannot_be_solved_alone_is_left_as_it_was(fits, base, pai
     broken = replace(fits)
     object.__setattr__(broken, "candidate_fit", fails)
     assert alone(broken, singles, [pair]) is singles
+
+
+def test_a_pair_is_no_worse_than_an_effect_of_it_alone(fits, base, pair):
+    single = fits.candidate_fit(("E0",), {**base.fit.values, "E0": 3.0})
+    worse = fits.grown(("E0", "E2"), base)
+    assert worse.fit.misfit > single.fit.misfit
+    best, other = no_worse(fits, [worse, pair], [single])
+    assert {best, other} & {pair} and next(t for t in (best, other) if t is not pair).fit.misfit == single.fit.misfit
+    assert best.ln_evidence >= other.ln_evidence
