@@ -11,7 +11,6 @@ from calib.report.html.page import Block, Section, Table, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, flag, significant, with_unit
 from calib.report.proposals import drawn
-from calib.units import told_in
 
 
 def section(results: StudyResults) -> Section | None:
@@ -67,7 +66,7 @@ def _table(table: pd.DataFrame) -> Table:
 
 def _size(r: Mapping[Hashable, Any]) -> str:
     """Fitted magnitude with its interval, and the natural frequency of a hung mass."""
-    unit, factor = told_in(str(r["unit"]))
+    unit, factor = ("%", 100.0) if r["unit"] == "-" else (str(r["unit"]), 1.0)  # a change of a part is relative
     low, high = (significant(factor * r[key], 3) for key in ("lower", "upper"))
     size = f"{with_unit(factor * r['magnitude'], unit)} ({low} to {high})"
     return size if r["freq"] != r["freq"] else f"{size}, at {with_unit(r['freq'], 'Hz')}"
