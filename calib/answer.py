@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 LABEL = 10
@@ -35,3 +36,8 @@ class Answer:
     def plain(self) -> dict[str, str]:
         """As stored in ``record.json``."""
         return asdict(self)
+
+
+def in_words(names: Sequence[str]) -> str:
+    """Names in a sentence."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -51,8 +51,3 @@ SI_FACTORS: Mapping[str, float] = {
     "ms": 1e-3,
 }
 """Factor from the named unit to SI."""
-
-
-def told_in(unit: str) -> tuple[str, float]:
-    """The unit in which a magnitude is told and the factor to it: a change of a part, without a unit, in percent."""
-    return ("%", 100.0) if unit == "-" else (unit, 1.0)

@@ -26,8 +26,8 @@ from calib.missing.discrepancy import Discrepancy
 from calib.missing.explanation import Explanation
 from calib.missing.predictions import HeldOut, predictions
 from calib.missing.recommendation import ExperimentalDesign
-from calib.missing.refits import DEFAULT
 from calib.missing.score import Scores
+from calib.missing.settings import DEFAULT
 from calib.outcome import Outcome
 from calib.problem import label_table
 from calib.space import ParameterSpace

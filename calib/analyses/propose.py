@@ -41,7 +41,8 @@ from calib.missing.explanation import OPEN, Explanation
 from calib.missing.proposal import Proposals
 from calib.missing.proposal_search import Search
 from calib.missing.recommendation import recommend, recommendation
-from calib.missing.refits import Refits, Settings
+from calib.missing.refits import Refits
+from calib.missing.settings import Settings
 from calib.named_values import read_json
 from calib.results import Results
 from calib.settings import ExplainSettings

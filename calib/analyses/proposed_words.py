@@ -12,7 +12,6 @@ from calib.candidate import Candidate
 from calib.missing.local import fault_words, interval_words
 from calib.missing.proposal import Proposal, Proposals, told
 from calib.missing.worst_misfit import p_words
-from calib.units import told_in
 
 COLUMNS = (
     "rank", "name", "kind", "at", "x", "y", "z", "magnitude", "lower", "upper", "unit", "freq", "evidence", "ln_bayes",
@@ -26,10 +25,11 @@ def proposals_table(found: Proposals) -> pd.DataFrame:
     for rank, p in enumerate(found.ranked, 1):
         effect, values = p.composed.effect, p.candidate_fit.fit.values
         freq = values[effect.nuisance[0].name] if effect.nuisance else math.nan
+        unit, factor = _told_in(effect)
         alike = "; ".join(map(told, p.alike))
         rows.append((
-            rank, effect.name, p.composed.kind, p.composed.at, *p.composed.place, p.value, p.low, p.high,
-            effect.magnitude.unit, freq, p.evidence, p.ln_bayes, p.score, p.choices,
+            rank, effect.name, p.composed.kind, p.composed.at, *p.composed.place,
+            factor * p.value, factor * p.low, factor * p.high, unit, freq, p.evidence, p.ln_bayes, p.score, p.choices,
             p in found.close, p.candidate_fit.implausible, alike, effect.title,
         ))  # fmt: skip
     return pd.DataFrame(rows, columns=list(COLUMNS))
@@ -62,12 +62,18 @@ def lost_words(found: Proposals) -> tuple[str, ...]:
 def sized(p: Proposal) -> str:
     """A proposal in words, such as ``a mass at node 3, about 0.26 kg (95 %: 0.24 to 0.27)``."""
     effect: Candidate = p.composed.effect
-    unit, factor = told_in(effect.magnitude.unit)
+    unit, factor = _told_in(effect)
     sign = ""
     if unit == "%":
         sign, factor = (" less" if p.value < 0 else " more"), math.copysign(factor, p.value)
     low, high = sorted((factor * p.low, factor * p.high))
     return f"{effect.title[:1].lower()}{effect.title[1:]}, {interval_words(factor * p.value, low, high, unit)}{sign}"
+
+
+def _told_in(effect: Candidate) -> tuple[str, float]:
+    """The unit in which a composition is told, and the factor to it: a relative change of parts in percent."""
+    unit = effect.magnitude.unit
+    return ("%", 100.0) if unit == "-" else (unit, 1.0)
 
 
 def answer_of(found: Proposals) -> Answer:

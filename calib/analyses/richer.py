@@ -5,8 +5,8 @@ from __future__ import annotations
 from calib.analyses.adapter import Adapter
 from calib.errors import EvaluationError, ToleranceError
 from calib.missing.explanation import Explanation
-from calib.missing.refits import Settings
 from calib.missing.richer import Richer, fitted_richer, nearly_explaining, told_richer
+from calib.missing.settings import Settings
 from calib.stage import Progress, unheard
 
 STAGE = "richer"

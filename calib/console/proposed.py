@@ -13,7 +13,6 @@ from calib.missing.local import unit_words
 from calib.results import RESULTS
 from calib.study_file import StudyFile, shell_argument
 from calib.terminal import count, number
-from calib.units import told_in
 
 
 def entries(result: ProposalResult, root: Path) -> list[Entry]:
@@ -42,9 +41,7 @@ def entries(result: ProposalResult, root: Path) -> list[Entry]:
 
 
 def _row(r: Mapping[Any, Any]) -> tuple[str, ...]:
-    unit, factor = told_in(r["unit"])
-    value, low, high = (f"{factor * r[key]:.3g}" for key in ("magnitude", "lower", "upper"))
-    size = f"{value} [{low}, {high}]{unit_words(unit)}"
+    size = f"{r['magnitude']:.3g} [{r['lower']:.3g}, {r['upper']:.3g}]{unit_words(r['unit'])}"
     if r["freq"] == r["freq"]:
         size += f" at {r['freq']:.3g} Hz"
     others = r["alike"].split("; ") if r["alike"] else []

@@ -9,6 +9,7 @@ import pandas as pd
 
 from calib import degrees_of_freedom
 from calib.candidate import Candidate
+from calib.missing.evidence import at_lower
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.score import Scores
 
@@ -96,6 +97,11 @@ class CandidateFit:
     def names(self) -> tuple[str, ...]:
         """Names of its effects."""
         return tuple(e.name for e in self.effects)
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether its values allow its effects to be named: plausible, and none of the effects at zero."""
+        return not self.implausible and not any(at_lower(self.fit, e) for e in self.effects)
 
     def magnitude(self, name: str) -> tuple[float, float]:
         """Fitted magnitude of an effect and its linearised standard deviation."""

@@ -17,10 +17,11 @@ from calib.missing.enough import require_modes, require_responses
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.linearised_fit import nearest_whole
-from calib.missing.pairs import alone, fit_pairs, is_possible, no_worse
-from calib.missing.refits import DEFAULT, Refits, Settings, near_to
+from calib.missing.pairs import alone, fit_pairs, no_worse
+from calib.missing.refits import Refits, near_to
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
+from calib.missing.settings import DEFAULT, Settings
 from calib.missing.stepwise import Stepwise, further_price
 from calib.missing.suspect import suspects
 from calib.missing.wrong_datum import wrong_datum
@@ -129,7 +130,7 @@ class _Decision:
         if self.accepted(lead, needed):
             return self.named(found, lead)
         pairs = fit_pairs(fits, lead.best, lead.adequacy.named, lead.singles, able)
-        again = alone(fits, lead.singles, pairs)
+        again = alone(fits, base, lead.singles, pairs)
         if again is not lead.singles:
             lead, pairs = self.lead(again, able, base), no_worse(fits, pairs, again)
             found = self.with_competing(found, lead.singles[0])
@@ -376,7 +377,7 @@ class _Decision:
 
         It is well supported and plausible, and no other pair is nearly as good.
         """
-        credible = [t for t in pairs if is_possible(t)]
+        credible = [t for t in pairs if t.is_possible]
         if not credible or credible[0].ln_evidence <= needed:
             return ()
         leader = {name: g.effect.name for g in groups for name in g.names}

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 
 import numpy as np
 
 from calib.candidate import Candidate
-from calib.errors import EvaluationError
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.collinear import grouped
 from calib.missing.evidence import at_lower
@@ -90,32 +88,44 @@ def _left(linearisations: Sequence[tuple[LinearisedFit, Scores]], name: str) -> 
     return (left[best], *linearisations[best])
 
 
-def alone(fits: Refits, singles: list[CandidateFit], pairs: Sequence[CandidateFit]) -> list[CandidateFit]:
+def alone(
+    fits: Refits, base: CandidateFit, singles: list[CandidateFit], pairs: Sequence[CandidateFit]
+) -> list[CandidateFit]:
     """Refit single effects from pairs that fit better: each effect of the best pairs, and one whose partner vanished.
 
     An effect may have ended far from its optimum alone, such as at zero, so that only a pair shows how well it explains
-    the data; its partner then adds nothing. The best pairs are those that may be named, and those about as good. As the
-    verdict rests on their effects alone, these are charged to what may be spent beyond the budget.
+    the data; its partner then adds nothing. The best pairs are those that may be named, and those about as good.
     """
-    able = [p.ln_evidence for p in pairs if is_possible(p) and p.ln_evidence > singles[0].ln_evidence + RULES.credible]
+    able = [t.ln_evidence for t in pairs if t.is_possible and t.ln_evidence > singles[0].ln_evidence + RULES.credible]
     least = max(able, default=math.inf) - RULES.credible
+    misfit = {t.names[0]: t.fit.misfit for t in singles}
     better: dict[str, CandidateFit] = {}
     for pair in pairs:
         left = [e for e in pair.effects if not at_lower(pair.fit, e)]
-        best = is_possible(pair) and pair.ln_evidence >= least
-        if len(pair.effects) == 1 or not (best or (len(left) == 1 and not fits.spent())):
+        best = pair.is_possible and pair.ln_evidence >= least
+        if not best and (len(left) != 1 or fits.spent()):
             continue
         for effect in left:
-            every = (*singles, *better.values())
-            known = min((t.fit.misfit for t in every if t.names == (effect.name,)), default=math.inf)
-            if pair.fit.misfit < known - 1.0:
-                found = _alone(fits, pair, effect)
-                if found is not None and found.fit.misfit < known:
-                    better[effect.name] = found
+            known = misfit.get(effect.name, math.inf)
+            found = _alone(fits, base, pair, effect) if pair.fit.misfit < known - 1.0 else None
+            if found is not None and found.fit.misfit < known:
+                better[effect.name], misfit[effect.name] = found, found.fit.misfit
     if not better:
         return singles
     kept = [t for t in singles if t.names[0] not in better]
     return sorted([*kept, *better.values()], key=lambda t: -t.ln_evidence)
+
+
+def _alone(fits: Refits, base: CandidateFit, pair: CandidateFit, effect: Candidate) -> CandidateFit | None:
+    """An effect of a pair fitted alone, from the pair's values; None where the model cannot be solved there.
+
+    The verdict rests on one that comes near the pair: its integers are chosen again, beyond the budget if need be.
+    """
+    (partner,) = (e for e in pair.effects if e is not effect)
+    found = fits.without(pair, partner, base)
+    if found is None or pair.ln_evidence - found.ln_evidence >= RULES.close:
+        return found
+    return fits.beside_whole(fits.finished(found))
 
 
 def no_worse(fits: Refits, pairs: Sequence[CandidateFit], singles: Sequence[CandidateFit]) -> list[CandidateFit]:
@@ -125,19 +135,3 @@ def no_worse(fits: Refits, pairs: Sequence[CandidateFit], singles: Sequence[Cand
         parent = min((t for t in singles if t.names[0] in pair.names), key=lambda t: t.fit.misfit, default=pair)
         out.append(fits.grown(pair.names, parent) if parent.fit.misfit < pair.fit.misfit else pair)
     return sorted(out, key=lambda t: -t.ln_evidence)
-
-
-def is_possible(pair: CandidateFit) -> bool:
-    """Whether a pair may be named by its values: plausible, with both effects present."""
-    return not pair.implausible and not any(at_lower(pair.fit, e) for e in pair.effects)
-
-
-def _alone(fits: Refits, pair: CandidateFit, effect: Candidate) -> CandidateFit | None:
-    """An effect of a pair fitted alone from the pair's values; None where the model cannot be solved there."""
-    gone = {n for e in pair.effects if e is not effect for n in e.names}
-    start = {n: v for n, v in pair.fit.values.items() if n not in gone}
-    with suppress(EvaluationError):
-        found = fits.candidate_fit((effect.name,), start, whole=1)
-        near = pair.ln_evidence - found.ln_evidence < RULES.close
-        return fits.beside_whole(fits.finished(found)) if near else found
-    return None

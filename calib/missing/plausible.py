@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -16,6 +16,8 @@ from calib.space import Parameter
 
 _NAMED = 3
 """Pulled parameters that are told one by one."""
+_Pull: TypeAlias = tuple[str, str, float, float, float, float, float, bool]
+"""A row of `pulls`."""
 
 
 def pulls(fit: LinearisedFit, added: Sequence[Candidate] = ()) -> pd.DataFrame:
@@ -34,9 +36,7 @@ def pulls(fit: LinearisedFit, added: Sequence[Candidate] = ()) -> pd.DataFrame:
     return pd.DataFrame(_pulls(fit, added), columns=columns)
 
 
-def _pulls(
-    fit: LinearisedFit, added: Sequence[Candidate]
-) -> list[tuple[str, str, float, float, float, float, float, bool]]:
+def _pulls(fit: LinearisedFit, added: Sequence[Candidate]) -> list[_Pull]:
     """Rows of `pulls`, without the cost of a DataFrame: a decision needs hundreds of them."""
     own = {name for effect in added for name in effect.names}
     index = [k for k, name in enumerate(fit.names) if name not in own]
@@ -67,7 +67,7 @@ def implausible(fit: LinearisedFit, added: Sequence[Candidate]) -> str:
     return "; ".join(reasons)
 
 
-def _pull_words(rows: Sequence[tuple[Any, ...]]) -> list[str]:
+def _pull_words(rows: Sequence[_Pull]) -> list[str]:
     """Which parameters are pulled; of more than `_NAMED` those that are pulled most, with the number of others."""
     told = [(name, score, limit) for name, *_, score, limit, pulled in rows if pulled]
     if len(told) <= _NAMED:

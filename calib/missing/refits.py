@@ -23,40 +23,13 @@ from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, scores
+from calib.missing.settings import Settings
 from calib.stage import Progress
 
 
 def near_to(reached: float) -> float:
     """Log evidence below the best within which a fit is refined, when the best has gained ``reached``."""
     return max(RULES.close, RULES.nearly * reached)
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Settings of an explanation.
-
-    Attributes
-    ----------
-    alpha : float
-        Family-wise level of every test.
-    refits : int
-        Number of effects that are fitted, best first.
-    merge : float
-        Correlation of signatures from which two effects are grouped, unless the data tell them apart.
-    seed : int
-        Of the samples behind family-wise p-values.
-    budget : float
-        Model evaluations of one decision, after which no further effect or pair of effects is tried.
-    """
-
-    alpha: float = 0.01
-    refits: int = 6
-    merge: float = 0.98
-    seed: int = 1
-    budget: float = 115.0
-
-
-DEFAULT = Settings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,6 +194,14 @@ class Refits:
                 break
             follow({**starts[0], **parent.fit.values, **{n: part * starts[0][n] for n in magnitudes}})
         return best() if best().fit.misfit <= parent.fit.misfit else self.grown(names, parent)
+
+    def without(self, model: CandidateFit, effect: Candidate, base: CandidateFit) -> CandidateFit | None:
+        """A model refitted without one of its effects, from its values; None where that cannot be evaluated."""
+        left = tuple(name for name in model.names if name != effect.name)
+        if not left:
+            return base
+        self.tell(f"leaving out {effect.title}")
+        return self.best_of(left, [{n: v for n, v in model.fit.values.items() if n not in effect.names}], base)
 
     def grown(self, names: tuple[str, ...], parent: CandidateFit) -> CandidateFit:
         """The optimum of a model with fewer effects, with zero magnitude of the further ones."""

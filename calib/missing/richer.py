@@ -21,7 +21,8 @@ from calib.missing.hypotheses import Hypotheses
 from calib.missing.local import WIDE, magnitude_words
 from calib.missing.nearly import is_far_ahead
 from calib.missing.profile import profile_interval
-from calib.missing.refits import Refits, Settings
+from calib.missing.refits import Refits
+from calib.missing.settings import Settings
 from calib.missing.worst_misfit import p_words
 from calib.stage import Progress, unheard
 

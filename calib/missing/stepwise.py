@@ -150,7 +150,9 @@ class Stepwise:
         step = entered
         while len(step.candidate_fit.names) > 1:
             model = step.candidate_fit
-            smaller = [(rest, e) for e in model.effects[:-1] if (rest := self._without(model, e)) is not None]
+            smaller = [
+                (rest, e) for e in model.effects[:-1] if (rest := self.fits.without(model, e, self.base)) is not None
+            ]
             smaller.sort(key=lambda one: -one[0].ln_evidence)
             price = further_price(len(self.candidates) - len(model.names) + 1)
             if not smaller or model.ln_evidence - smaller[0][0].ln_evidence > price:
@@ -160,21 +162,12 @@ class Stepwise:
             step = self._step(rest)
         return step
 
-    def _without(self, model: CandidateFit, effect: Candidate) -> CandidateFit | None:
-        """The model refitted without one of its effects; None where it cannot be evaluated."""
-        left = tuple(name for name in model.names if name != effect.name)
-        start = {name: value for name, value in model.fit.values.items() if name not in effect.names}
-        if not left:
-            return self.base
-        self.fits.tell(f"leaving out {effect.title}")
-        return self.fits.best_of(left, [start], self.base)
-
     # -- what may be named ---------------------------------------------------------------------------------------------
 
     def _assessed(self, steps: Sequence[Step]) -> Steps:
         """The search that ended with a model which leaves nothing systematic: whether it may be named."""
         model = steps[-1].candidate_fit
-        if model.implausible or any(at_lower(model.fit, e) for e in model.effects):
+        if not model.is_possible:
             return self._ended(steps, "implausible")
         if not predicts(self.fits, model, self.base):
             return self._ended(steps, "doubtful")
@@ -194,7 +187,7 @@ class Stepwise:
         One of many local perturbations, or of many faults, fits best by chance: their number is taken off.
         """
         fits, h = self.fits, self.fits.hypotheses
-        rest = self._without(model, effect)
+        rest = fits.without(model, effect, self.base)
         if rest is None:
             return []
         with fits.allowance.uncharged():

@@ -11,15 +11,7 @@ from calib.answer import Answer
 from calib.candidate import Candidate
 from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
-from calib.missing.local import (
-    WIDE,
-    fault_words,
-    local_perturbation,
-    magnitude_words,
-    meaning_of,
-    range_words,
-    unit_words,
-)
+from calib.missing.local import fault_words, local_perturbation, meaning_of, range_words, unit_words
 from calib.missing.measurement_verdict import on_measurement
 from calib.missing.nearly import is_nearly, spread_of
 from calib.missing.recommendation import Recommendation, as_ratio, rounded
@@ -237,11 +229,7 @@ _NUMBERS = {2: "two", 3: "three", 4: "four"}
 
 def _several(found: Explanation, effects: pd.DataFrame) -> Words:
     assert found.chosen is not None
-    phrases = []
-    for e in found.chosen.effects:
-        value, std = found.chosen.magnitude(e.name)
-        ends = (max(value - WIDE * std, e.magnitude.lower), min(value + WIDE * std, e.magnitude.upper))
-        phrases.append(f"{e.in_words}, {magnitude_words(e.magnitude, value, *ends)}")
+    phrases = [sized(effects, e) for e in found.chosen.effects]
     count = len(phrases)
     named = f"The model lacks {_NUMBERS[count]} effects: {'; '.join(phrases[:-1])}; and {phrases[-1]}."
     fewer = "No single effect removes" if count == 2 else "No single effect and no pair removes"

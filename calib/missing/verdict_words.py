@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from calib.answer import in_words
 from calib.candidate import Candidate
 from calib.effect import Effect
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
@@ -77,8 +78,8 @@ def family(found: Explanation) -> str:
     local = f"{perturbations} local perturbations"
     parts = [*([f"{tested} effect{'s' * (tested != 1)}"] if tested else []), local]
     parts += [] if adequacy.faults is None else [counted_faults(found)]
-    counts = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else local
-    return f"{p_words(adequacy.p_family)} for the largest score of {counts}, {p_words(adequacy.p_fit)} for {WORST}"
+    largest = f"{p_words(adequacy.p_family)} for the largest score of {in_words(parts)}"
+    return f"{largest}, {p_words(adequacy.p_fit)} for {WORST}"
 
 
 def with_words(found: Explanation, them: str = "it") -> str:
@@ -107,9 +108,9 @@ def limits_sentence(found: Explanation) -> str:
     held = [name for name in fit.names if name not in own and limit_of(fit, fit.fit_problem.space[name]) is not None]
     if not held:
         return ""
-    told = held[0] if len(held) == 1 else f"{', '.join(held[:-1])} and {held[-1]}"
-    ends, them = ("ends at its limit", "it") if len(held) == 1 else ("end at their limits", "them")
-    return f"{told} {ends}: unless physical, widen {them} and explain again."
+    if len(held) == 1:
+        return f"{held[0]} ends at its limit: unless that is a physical one, widen it and explain again."
+    return f"{in_words(held)} end at their limits: unless these are physical ones, widen them and explain again."
 
 
 def row_of(effects: pd.DataFrame, name: str) -> pd.Series:

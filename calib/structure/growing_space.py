@@ -9,7 +9,7 @@ import scipy.linalg as la
 import scipy.sparse as sp
 
 _ORTHOGONAL = 1e-12
-"""Largest product of an old direction with a new one."""
+"""Largest product of an old direction with a new one: a thousand times that of rounding."""
 
 
 class GrowingSpace:
@@ -29,32 +29,32 @@ class GrowingSpace:
 
     def __init__(self, matrices: Sequence[sp.csc_array], scale: np.ndarray) -> None:
         self._matrices, self._scale = tuple(matrices), scale
-        self._scaled = np.zeros((len(scale), 0))
+        self.basis = np.zeros((len(scale), 0))
+        """Directions, (n_dof, n)."""
         self.projected = tuple(np.zeros((0, 0)) for _ in matrices)
         """Symmetric, (n, n) each, in the order of the matrices."""
 
-    @property
-    def basis(self) -> np.ndarray:
-        """Directions, (n_dof, n)."""
-        return self._scaled / self._scale
-
     def add(self, columns: np.ndarray) -> None:
         """Extend the space by columns, (n_dof, k)."""
-        new, old = self._scale * columns, self._scaled
-        new = new / np.maximum(np.linalg.norm(new, axis=0), 1e-300)
-        apart = new
-        for _ in range(2 if old.shape[1] else 1):
-            apart = la.qr(apart - old @ (old.T @ apart), mode="economic", check_finite=False)[0]
+        scaled = self._scale * columns
+        old, new = self._scale * self.basis, scaled / np.maximum(np.linalg.norm(scaled, axis=0), 1e-300)
         every = np.hstack([old, new])
-        if every.shape[1] > len(old) or np.max(np.abs(old.T @ apart), initial=0.0) > _ORTHOGONAL:
-            old, apart = old[:, :0], la.qr(every, mode="economic", check_finite=False)[0]
-            self.projected = tuple(one[:0, :0] for one in self.projected)
-        new = apart
-        self._scaled = np.hstack([old, new])
+        for _ in range(2 if old.shape[1] else 1):
+            new = _orthonormal(new - old @ (old.T @ new))
+        if every.shape[1] > len(old) or np.max(np.abs(old.T @ new), initial=0.0) > _ORTHOGONAL:
+            new = _orthonormal(every)
+            self.basis, self.projected = self.basis[:, :0], tuple(one[:0, :0] for one in self.projected)
+        more = new / self._scale
         self.projected = tuple(
-            _bordered(inner, old / self._scale, new / self._scale, matrix)
+            _bordered(inner, self.basis, more, matrix)
             for inner, matrix in zip(self.projected, self._matrices, strict=True)
         )
+        self.basis = np.hstack([self.basis, more])
+
+
+def _orthonormal(columns: np.ndarray) -> np.ndarray:
+    directions: np.ndarray = la.qr(columns, mode="economic", check_finite=False)[0]
+    return directions
 
 
 def _bordered(inner: np.ndarray, old: np.ndarray, new: np.ndarray, matrix: sp.csc_array) -> np.ndarray:

@@ -12,6 +12,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 import scipy.sparse as sp
 
+from calib.answer import in_words
 from calib.effect import Effect
 from calib.errors import InputError
 from calib.space import Parameter
@@ -25,7 +26,7 @@ from calib.structure.composed import (
     ScaledParts,
     SoftSupports,
 )
-from calib.structure.composition import Composition, Names, in_words
+from calib.structure.composition import Composition, Names
 from calib.structure.elongations import elongations
 from calib.structure.inertia import symmetric_factor
 from calib.structure.model import Part, PartKind, StructuralModel

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from calib.answer import in_words
 from calib.effect import Effect
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.space import Parameter
 from calib.structure.attach import Place, motion
 from calib.structure.composed import AddedMass, Connection, HungMass
-from calib.structure.composition import Composition, Names, Point, in_words
+from calib.structure.composition import Composition, Names, Point
 from calib.structure.inertia import symmetric_factor
 from calib.structure.model import StructuralModel
 from calib.structure.rules import RULES

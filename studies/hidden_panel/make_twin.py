@@ -95,8 +95,8 @@ class Spanned:
     def of(cls, structure: StructuralModel, values: Mapping[str, float], layout: Sequence[Sensor]) -> Spanned:
         """Spanned by its lowest modes without damping and its deflections under a force at every sensor."""
         stiffness, _, mass = structure.matrices(values)
-        # The noise of a shape goes with its sign, and that with the first vector of the iteration.
-        first = np.random.default_rng(KEPT).standard_normal(stiffness.shape[0])
+        # A shape's sign, and with it what noise does to it, depends on the first vector of the iteration.
+        first = np.random.default_rng(0).standard_normal(stiffness.shape[0])
         shapes = spla.eigsh(stiffness, KEPT, mass, sigma=0.0, v0=first)[1]
         static = spla.splu(sp.csc_matrix(stiffness)).solve(structure.sensor_rows(layout).T)
         return cls(structure, la.qr(np.hstack([shapes, static]), mode="economic")[0], values)

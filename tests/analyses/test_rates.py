@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from calib.missing.refits import DEFAULT
 from calib.missing.rules import RULES
+from calib.missing.settings import DEFAULT
 from calib.structure.basis import Basis
 
 # test_explain.py covers the same with a mast and a chain, tests/missing/test_explain.py with toy problems.

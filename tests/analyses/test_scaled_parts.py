@@ -152,7 +152,7 @@ def test_the_wrong_part_of_a_function_is_proposed():
     problem = calib.Problem(model(), measurement())
     first = problem.explain([], seed=1, progress=False).propose().table.iloc[0]
     assert (first["kind"], first["at"]) == ("stiffness", "the second arm")
-    assert first["lower"] <= -0.3 <= first["upper"]
+    assert first["unit"] == "%" and first["lower"] <= -30.0 <= first["upper"]
     bare = calib.Problem(FunctionModel("arms", SPACE, sag), measurement())
     nothing = bare.explain([], seed=1, progress=False).propose()
     assert "Nothing can be proposed: the model names no parts" in str(nothing) and not nothing.effects

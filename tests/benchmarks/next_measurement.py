@@ -45,7 +45,8 @@ from calib.missing.competing import sharpness
 from calib.missing.explain import explain
 from calib.missing.explanation import Explanation
 from calib.missing.recommendation import recommend
-from calib.missing.refits import DEFAULT, Refits
+from calib.missing.refits import Refits
+from calib.missing.settings import DEFAULT
 from calib.stage import unheard
 
 

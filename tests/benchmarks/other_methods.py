@@ -49,8 +49,9 @@ from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Altered, Hypotheses
 from calib.missing.joint import JointHypotheses
-from calib.missing.refits import Refits, Settings
+from calib.missing.refits import Refits
 from calib.missing.score import Scores
+from calib.missing.settings import Settings
 from calib.stage import unheard
 from calib.structure.extend import addition_of
 from calib.structure.variants import Variants

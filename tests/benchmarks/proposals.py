@@ -39,7 +39,8 @@ from calib.analyses.hypotheses import ModelHypotheses
 from calib.correlation.residual import ModalResidual
 from calib.missing.proposal import Composed
 from calib.missing.proposal_search import Search
-from calib.missing.refits import Refits, Settings
+from calib.missing.refits import Refits
+from calib.missing.settings import Settings
 from calib.stage import unheard
 
 VISIBLE = 6.0

@@ -16,10 +16,10 @@ from calib.structure.point_compositions import hung_at
 from tests.front.storeys import DAMPING, FLOORS, MASS, STIFF, chain, measured, posed
 
 CASES = {
-    "mass": ({"mass": [(4, 300.0)]}, ("added mass", "mass"), "floor 4", {"added mass": 300.0, "mass": 0.15}, 12.0),
-    "spring": ({"stiffness": [(3, -0.25)]}, ("stiffness",), "storey 3", {"stiffness": -0.25}, None),
+    "mass": ({"mass": [(4, 300.0)]}, ("added mass", "mass"), "floor 4", {"added mass": 300.0, "mass": 15.0}, 12.0),
+    "spring": ({"stiffness": [(3, -0.25)]}, ("stiffness",), "storey 3", {"stiffness": -25.0}, None),
     "damper": ({"damping": [(2, 1.5)]}, ("damping", "dissipation", "damper between"), "damper 2",
-               {"damping": 1.5, "dissipation": 1e3 * 1.5 * 1.1 * DAMPING / (1.04 * STIFF)}, None),
+               {"damping": 150.0, "dissipation": 1e3 * 1.5 * 1.1 * DAMPING / (1.04 * STIFF)}, None),
     "hung": ({"hung": (5, 150.0, 6.0)}, ("hung mass",), "sensor 5x", {"hung mass": 150.0}, 15.0),
 }  # fmt: skip
 
@@ -164,5 +164,5 @@ def test_several_tests_of_one_model_are_proposed_for_together():
     )
     proposed = replace(one, beside=(two,)).explain([], seed=1).propose(1)
     (first,) = proposed.table.to_dict("records")
-    true = {("added mass", "node 4"): 300.0, ("mass", "floor 4"): 300.0 / MASS}[first["kind"], first["at"]]
+    true = {("added mass", "node 4"): 300.0, ("mass", "floor 4"): 100.0 * 300.0 / MASS}[first["kind"], first["at"]]
     assert first["lower"] <= true <= first["upper"]

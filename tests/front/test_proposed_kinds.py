@@ -27,7 +27,7 @@ def test_a_damper_on_a_soft_mount_is_told_with_its_lag():
 def test_a_loss_of_stiffness_far_beyond_one_step_is_not_told_as_damping(softened):
     first = softened.propose().table.iloc[0]
     assert (first["kind"], first["at"]) == ("stiffness", "storey 3")
-    assert first["lower"] <= -0.6 <= first["upper"]
+    assert first["unit"] == "%" and first["lower"] <= -60.0 <= first["upper"]
 
 
 def test_a_change_beyond_the_plausible_size_is_fitted_from_there_too(softened, monkeypatch):

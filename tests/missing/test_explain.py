@@ -9,7 +9,7 @@ import pytest
 
 from calib.errors import InputError
 from calib.missing.explain import Settings, explain
-from calib.missing.refits import DEFAULT
+from calib.missing.settings import DEFAULT
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 

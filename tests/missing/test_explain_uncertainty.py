@@ -8,8 +8,9 @@ import pytest
 
 from calib.missing.explain import explain
 from calib.missing.goodness import goodness, noise_scale
-from calib.missing.refits import Refits, Settings
+from calib.missing.refits import Refits
 from calib.missing.rules import RULES
+from calib.missing.settings import Settings
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 

@@ -7,7 +7,8 @@ import pytest
 
 from calib.missing.explain import explain
 from calib.missing.linearised_fit import fitted
-from calib.missing.refits import DEFAULT, Refits
+from calib.missing.refits import Refits
+from calib.missing.settings import DEFAULT
 from calib.stage import unheard
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")

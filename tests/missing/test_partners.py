@@ -8,7 +8,8 @@ import pytest
 from calib.effect import Effect
 from calib.missing.anew import _starts
 from calib.missing.partners import tried_points
-from calib.missing.refits import DEFAULT, Refits
+from calib.missing.refits import Refits
+from calib.missing.settings import DEFAULT
 from calib.space import Parameter
 from calib.stage import unheard
 

@@ -7,9 +7,10 @@ import pytest
 
 from calib.missing import pairs
 from calib.missing.explain import _Decision, explain
-from calib.missing.refits import DEFAULT, Refits, Settings
+from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.score import scores
+from calib.missing.settings import DEFAULT, Settings
 from calib.stage import unheard
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")

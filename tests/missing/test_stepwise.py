@@ -9,8 +9,9 @@ import pytest
 from calib import degrees_of_freedom
 from calib.missing.adequacy import adequacy_of, beside
 from calib.missing.explain import explain
-from calib.missing.refits import DEFAULT, Refits
+from calib.missing.refits import Refits
 from calib.missing.rules import RULES
+from calib.missing.settings import DEFAULT
 from calib.missing.steps_table import WHY, step_fits, steps_sentence, steps_tables
 from calib.missing.stepwise import Stepwise, further_price
 from calib.missing.tables import effects_table

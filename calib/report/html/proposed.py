@@ -66,9 +66,7 @@ def _table(table: pd.DataFrame) -> Table:
 
 def _size(r: Mapping[Hashable, Any]) -> str:
     """Fitted magnitude with its interval, and the natural frequency of a hung mass."""
-    unit, factor = ("%", 100.0) if r["unit"] == "-" else (str(r["unit"]), 1.0)  # a change of a part is relative
-    low, high = (significant(factor * r[key], 3) for key in ("lower", "upper"))
-    size = f"{with_unit(factor * r['magnitude'], unit)} ({low} to {high})"
+    size = f"{with_unit(r['magnitude'], str(r['unit']))} ({significant(r['lower'], 3)} to {significant(r['upper'], 3)})"
     return size if r["freq"] != r["freq"] else f"{size}, at {with_unit(r['freq'], 'Hz')}"
 
 
