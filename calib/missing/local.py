@@ -19,12 +19,12 @@ def unit_words(unit: str) -> str:
 
 
 def magnitude_words(p: Parameter, value: float, low: float, high: float) -> str:
-    """A magnitude with its 95 % interval, and what it is."""
+    """The value of a parameter with its 95 % interval, and what it is."""
     return interval_words(value, low, high, p.unit, meaning_of(p))
 
 
 def meaning_of(p: Parameter) -> str:
-    """What a magnitude is, where it has no unit to tell that."""
+    """What a parameter is, where it has no unit to tell that."""
     return p.description if p.unit == "-" else ""
 
 

@@ -14,7 +14,7 @@ from calib.candidate import Candidate
 from calib.effect import Effect
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
-from calib.missing.local import WIDE, interval_words, magnitude_words
+from calib.missing.local import WIDE, magnitude_words
 from calib.missing.plausible import limit_of
 from calib.missing.worst_misfit import p_words
 
@@ -137,7 +137,7 @@ def further(chosen: CandidateFit) -> str:
         value, k = chosen.fit.values[q.name], chosen.fit.names.index(q.name)
         reach = WIDE * math.sqrt(float(chosen.fit.covariance[k, k]))
         low, high = max(value - reach, q.lower), min(value + reach, q.upper)
-        out.append(f"{q.name}: {interval_words(value, low, high, q.unit)}.")
+        out.append(f"{q.name}: {magnitude_words(q, value, low, high)}.")
     return " ".join(out)
 
 
