@@ -65,6 +65,11 @@ def each(function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Tol
     return _in_use.get()(function, shared, items, told)
 
 
+def are_shared() -> bool:
+    """Whether somebody shares the tasks of `each`."""
+    return _in_use.get() is not alone
+
+
 @contextmanager
 def shared_by(share: Share) -> Iterator[None]:
     """While this lasts, the tasks of `each` are shared by ``share``."""

@@ -44,7 +44,7 @@ class Team:
     workers : int
         Processes, this one included.
     patience : float
-        Seconds of tasks after which the others are started: to start takes them about two seconds.
+        Seconds of tasks, done and expected, from which on the others are started: to start takes them two seconds.
 
     Raises
     ------
@@ -98,22 +98,35 @@ class Team:
         if self._within:
             return tasks.alone(function, shared, items, told)
         began = time.perf_counter()
-        alone = len(items) < 2 or self._seconds.get(function, _WORTH) * len(items) < _WORTH
-        ready = not alone and self._able and self._spent >= self._patience and function not in self._unsent
-        content = self._written(function, shared, items) if ready else None
-        self._within = content is not None
         try:
-            if content is None:
-                return self._alone(function, shared, items, told)
-            return self._together(content, function, shared, items, told)
+            return self._done(function, shared, items, told)
+        finally:
+            self._spent += time.perf_counter() - began
+
+    def _done(self, function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told) -> list[R]:
+        """Tasks of a call: together or alone; before others are started, the first one shows whether that pays off."""
+        first: list[R] = []
+        if self._able and self._patience > 0 and self._pool is None and len(items) > 1:
+            first, items = self._alone(function, shared, items[:1], told), items[1:]
+            if self._spent + self._seconds[function] * (1 + len(items)) < self._patience:
+                return first + self._alone(function, shared, items, lambda done: told(1 + done))
+        own = (lambda done: told(1 + done)) if first else told
+        worth = len(items) > 1 and self._seconds.get(function, _WORTH) * len(items) >= _WORTH
+        ready = worth and self._able and function not in self._unsent
+        content = self._written(function, shared, items) if ready else None
+        if content is None:
+            return first + self._alone(function, shared, items, own)
+        self._within = True
+        try:
+            return first + self._together(content, function, shared, items, own)
         finally:
             self._within = False
-            self._spent += time.perf_counter() - began
 
     def _alone(self, function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told) -> list[R]:
         began = time.perf_counter()
         found = tasks.alone(function, shared, items, told)
-        self._seconds[function] = (time.perf_counter() - began) / max(len(items), 1)
+        if items:
+            self._seconds[function] = (time.perf_counter() - began) / len(items)
         return found
 
     def _one(self, function: Callable[[S, I], R], shared: S, item: I) -> R:

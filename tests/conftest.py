@@ -3,6 +3,7 @@
 import contextlib
 import gc
 import itertools
+import math
 import os
 import re
 import shutil
@@ -24,17 +25,16 @@ import opensees_code
 import pytest
 from hypothesis import settings
 
-from calib.front import second_process
+from calib.analyses import places
 from calib.report.html.summary import summary
 from calib.report.html.write import Page
-from calib.written import replacing
 
 # A busy machine makes any deadline fail; a submitted change must not fail by the luck of one draw.
 settings.register_profile("calib", deadline=None, max_examples=20, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("calib")
 
 # Tests run in as many processes as there are cores, and what one replaces is not replaced in another process.
-second_process.ENOUGH = 10**6
+places.PATIENCE = math.inf
 
 _NUMBERS = itertools.count()
 
@@ -133,22 +133,15 @@ def functions_in_this_process() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def without_pixels() -> Callable[[Any, Path], Path]:
-    """Writes the file of a figure without its pixels, which take longest."""
-
-    def named(figure: Any, stem: Path, formats: Any = ()) -> list[Path]:
-        path = stem.with_name(f"{stem.name}.png")
-        with replacing(path) as draft:
-            draft.write_bytes(b"\x89PNG" + stem.name.encode())
-        return [path]
-
-    return named
+def without_pixels() -> Callable[[Any, str, Any], dict[str, bytes]]:
+    """Gives the file of a figure without its pixels, which take longest."""
+    return lambda figure, name, formats: {"png": b"\x89PNG" + name.encode()}
 
 
 @pytest.fixture
-def unrendered(monkeypatch: pytest.MonkeyPatch, without_pixels: Callable[[Any, Path], Path]) -> None:
+def unrendered(monkeypatch: pytest.MonkeyPatch, without_pixels: Callable[[Any, str, Any], dict[str, bytes]]) -> None:
     """Figures are made and their files written, but without pixels: for tests of the files."""
-    monkeypatch.setattr("calib.report.figures.save", without_pixels)
+    monkeypatch.setattr("calib.report.figures.content", without_pixels)
     monkeypatch.setattr("calib.report.figures.svg_text", lambda figure, name: f"<svg><!-- {name} --></svg>")
 
 

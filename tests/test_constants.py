@@ -107,10 +107,9 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
 SPEED = {  # memory, time, processes; results are the same
     "analyses/basis_cache.py": "LIMIT _ABANDONED",
     "analyses/hypotheses.py": "_REMEMBERED",
-    "analyses/places.py": "_WORTHWHILE _PATIENCE",
+    "analyses/places.py": "_WORTHWHILE PATIENCE",
     "analyses/sensitivity.py": "_BATCH",
     "analyses/stored.py": "CHEAP",
-    "front/second_process.py": "ENOUGH",
     "interrupt.py": "CODE PATIENCE LOOK",
     "missing/linearised_fit.py": "_ALL_AT_ONCE",
     "missing/suspect.py": "_AT_ONCE",

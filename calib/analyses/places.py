@@ -18,7 +18,7 @@ from calib.ledger import Ledger
 from calib.results import Results
 from calib.study import EvaluationSource, Study
 from calib.study_file import StudyFile, shell_argument
-from calib.tasks import shared_by
+from calib.tasks import are_shared, shared_by
 from calib.team import Team
 from calib.written import LOG
 
@@ -162,12 +162,13 @@ def open_evaluator(
 def tasks_shared(workers: Workers) -> Iterator[None]:
     """While this lasts, worker processes share the tasks of `calib.tasks.each`; they are started when they pay off.
 
-    An injected executor does not take them: each task needs matrices and bases, which are large.
+    Those that share them already go on. An injected executor does not take them: each task needs matrices and bases,
+    which are large.
     """
-    if isinstance(workers, Injected):
+    if isinstance(workers, Injected) or are_shared():
         yield
         return
-    team = Team(available_cores(), _PATIENCE) if workers is None else Team(workers)
+    team = Team(available_cores(), PATIENCE) if workers is None else Team(workers)
     with team, shared_by(team):
         yield
 
@@ -194,8 +195,8 @@ def _answering(problem: ForwardProblem, evaluator: Evaluator | ExecutorEvaluator
 _WORTHWHILE = 10.0
 """Expected seconds of work above which a process pool is started."""
 
-_PATIENCE = 2.0
-"""Seconds of shared tasks after which worker processes are started."""
+PATIENCE = 1.0
+"""Seconds of shared tasks, done and expected, from which on worker processes are started."""
 
 
 def available_cores() -> int:

@@ -10,9 +10,9 @@ from calib.analyses.extend import found_among
 from calib.analyses.stale import stale_answers
 from calib.analyses.versions import write_versions
 from calib.errors import InputError
+from calib.front.figures_made import made
 from calib.front.first_test import in_order
 from calib.front.listener import Listener
-from calib.front.second_process import in_two_processes
 from calib.report.figures import Asked
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import NAME as REPORT
@@ -32,7 +32,7 @@ def draw(
     report: bool = False,
     formats: Sequence[Format] = ("png",),
     width: Width = "page",
-    cores: int | None = None,
+    workers: int | None = None,
 ) -> None:
     """Draw the figures of all tables in a folder; the report is written on request, and where an older one exists.
 
@@ -48,8 +48,8 @@ def draw(
         Formats of the figures beside the report.
     width : {"page", "column"}
         Of these figures; see `calib.report.style.save`.
-    cores : int, optional
-        Processor cores that may be used; all available ones without.
+    workers : int, optional
+        Processes that draw; see `calib.analyses.places.tasks_shared`.
 
     Raises
     ------
@@ -62,12 +62,11 @@ def draw(
         shown = StudyResults(Shown(folder.path, stale.files), title, synthetic, stale.sentences)
         report = report or folder.has(REPORT)
 
-        def asked() -> Asked:
-            return Asked(pictures(shown) if report else (), formats, width)
-
-        with listener.progress() as step, in_two_processes(shown.figures, asked, cores or places.available_cores()):
+        with listener.progress() as step, places.tasks_shared(workers):
+            own = shown.figures
+            own.take(lambda: made(own, Asked(pictures(shown) if report else (), formats, width), step))
             written = write_report(shown, step) if report else None
-            figures = shown.figures.save(formats, step, width)
+            figures = own.save(formats, step, width)
     except OSError as fault:
         raise InputError(
             f"a figure or the report cannot be written ({fault.strerror})",

@@ -211,9 +211,10 @@ class Study:
 
     def explain(self) -> AnalysisResult:
         """Find which effect of the study's library the model lacks."""
-        found = self._explain()
-        self.listener.may_add(self.loaded, found.explanation)
-        self._draw_tests()
+        with places.tasks_shared(self.workers):
+            found = self._explain()
+            self.listener.may_add(self.loaded, found.explanation)
+            self._draw_tests()
         return AnalysisResult((*found.sentences, *found.notes), found.effects, self.folder.path, found)
 
     def propose(self, rank: int = proposal.RANKED) -> AnalysisResult:
@@ -367,8 +368,8 @@ class Study:
 
     def draw(self, folder: Results | None = None, report: bool = False) -> None:
         """Draw the figures of all tables; the report is written on request, and where an older one exists."""
-        cores = self.workers if isinstance(self.workers, int) else None
-        draw(self.loaded, self.folder if folder is None else folder, self.results, self.listener, report, cores=cores)
+        into, own = self.folder if folder is None else folder, self.workers if isinstance(self.workers, int) else None
+        draw(self.loaded, into, self.results, self.listener, report, workers=own)
 
     def _draw_tests(
         self, case: str | None = None, method: calibration.Method | None = None, report: bool = False

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +14,7 @@ from calib.report.draw import plan
 from calib.report.drawing import Drawing
 from calib.report.legible import is_legible, wrap_labels
 from calib.report.shown import Shown
-from calib.report.style import COLUMN, Format, Width, add_heading, save, style, take_dollars_literally
+from calib.report.style import COLUMN, Format, Width, add_heading, content, style, take_dollars_literally, write
 from calib.report.svg import svg_text
 from calib.stage import Progress, unheard
 
@@ -41,10 +40,10 @@ class Asked:
 
 @dataclass(frozen=True)
 class Made:
-    """One figure: its ``svg`` element, empty unless a page shows it, and its files."""
+    """One figure: its ``svg`` element, empty unless a page shows it, and the content of its files by format."""
 
     svg: str
-    files: Sequence[Path]
+    files: Mapping[Format, bytes]
 
 
 class Figures:
@@ -65,8 +64,8 @@ class Figures:
         self.title = title
         self.synthetic = synthetic
         self._drawn: dict[str, Figure] = {}
-        self._made: dict[str, Made] = {}
-        self._help: tuple[Callable[[str], Made | None], Asked] | None = None
+        self._made: Mapping[str, Made] = {}
+        self._make: Callable[[], Mapping[str, Made]] | None = None
 
     @cached_property
     def plan(self) -> dict[str, Drawing]:
@@ -91,45 +90,27 @@ class Figures:
         identifier : str
             Beginning of the identifiers in the element; the name if it is empty.
         """
-        if self._help is not None and not identifier:
-            return self._shared(name).svg
+        if not identifier and (known := self._taken(name)):
+            return known.svg
         with style():
             self._drawn[name] = figure = self.plan[name].draw()
             take_dollars_literally(figure)
             return svg_text(figure, identifier or name)
 
     def made(self, name: str, asked: Asked) -> Made:
-        """Draw one figure for page and files; see `save` for what is raised."""
+        """Make one figure for page and files, without writing it; see `save` for what is raised."""
         svg = self.svg(name) if name in asked.page else ""
-        return Made(svg, self._written(self.plan[name], asked.formats, asked.width))
+        return Made(svg, self._content(self.plan[name], asked.formats, asked.width))
 
-    @contextmanager
-    def helped(self, take: Callable[[str], Made | None], asked: Asked) -> Iterator[None]:
-        """While this lasts, figures that somebody else has made or is making are taken from there.
+    def take(self, made: Callable[[], Mapping[str, Made]]) -> None:
+        """Use figures made elsewhere, for pages and files of what was asked for; all are made once one is needed."""
+        self._make = made
 
-        Parameters
-        ----------
-        take : callable
-            Gives a figure of that name; None where it is to be drawn here.
-        asked : Asked
-            What is made of each figure.
-        """
-        self._help = take, asked
-        try:
-            yield
-        finally:
-            self._help = None
-
-    def _shared(self, name: str) -> Made:
-        """A figure made elsewhere or here, once for page and files: then nobody waits for the files at the end."""
-        assert self._help is not None
-        if name not in self._made:
-            (take, asked), self._help = self._help, None
-            try:
-                self._made[name] = take(name) or self.made(name, asked)
-            finally:
-                self._help = take, asked
-        return self._made[name]
+    def _taken(self, name: str) -> Made | None:
+        if self._make is not None:
+            (make, self._make) = self._make, None
+            self._made = make()
+        return self._made.get(name)
 
     def save(
         self, formats: Sequence[Format] = ("png",), progress: Progress = unheard, width: Width = "page"
@@ -158,17 +139,16 @@ class Figures:
         written: list[Path] = []
         for number, (name, drawing) in enumerate(self.plan.items()):
             progress("drawing figures", number, len(self.plan))
-            if self._help is not None:
-                written += self._shared(name).files
-            else:
-                written += self._written(drawing, formats, width)
+            known = self._taken(name)
+            files = known.files if known else self._content(drawing, formats, width)
+            written += write(files, self.folder.folder / name)
         return written
 
-    def _written(self, drawing: Drawing, formats: Sequence[Format], width: Width) -> list[Path]:
+    def _content(self, drawing: Drawing, formats: Sequence[Format], width: Width) -> dict[Format, bytes]:
         narrow = self._narrow(drawing) if width == "column" else None
         with style():
             figure = narrow or self._headed(self._page_wide(drawing), drawing.caption)
-            return save(figure, self.folder.folder / drawing.name, formats)
+            return content(figure, drawing.name, formats)
 
     def _page_wide(self, drawing: Drawing) -> Figure:
         """The figure of the page where it is drawn already."""

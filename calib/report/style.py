@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import re
 import textwrap
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -206,22 +207,37 @@ def add_heading(figure: Figure, title: str, synthetic: bool) -> None:
 
 
 def save(figure: Figure, stem: Path, formats: Sequence[Format] = ("png",)) -> list[Path]:
-    """Save in each format, as ``stem`` with its suffix; an interruption leaves the old picture or none.
+    """Save in each format, as ``stem`` with its suffix; see `content` and `write`."""
+    return write(content(figure, stem.name, formats), stem)
+
+
+def write(files: Mapping[Format, bytes], stem: Path) -> list[Path]:
+    """Write pictures as ``stem`` with the suffix of each; an interruption leaves the old picture or none."""
+    written = []
+    for kind, picture in files.items():
+        path = stem.with_name(f"{stem.name}.{kind}")
+        with replacing(path) as draft:
+            draft.write_bytes(picture)
+        written.append(path)
+    return written
+
+
+def content(figure: Figure, name: str, formats: Sequence[Format]) -> dict[Format, bytes]:
+    """Content of a picture's file in each format.
 
     Dollar signs in names are literal. A note is added where no font has a character of a name.
     """
     take_dollars_literally(figure)
-    written = []
+    files: dict[Format, bytes] = {}
     for kind in sorted(formats, key=FORMATS.index):
-        path = stem.with_name(f"{stem.name}.{kind}")
-        with replacing(path) as draft:
-            if kind == "svg":
-                draft.write_text(svg_text(figure, stem.name), encoding="utf-8")
-            elif _lacks_glyphs(figure, draft, kind):
-                figure.text(0.995, 0.003, NO_GLYPH, ha="right", va="bottom", fontsize=6.5, color=GREY)
-                _lacks_glyphs(figure, draft, kind)
-        written.append(path)
-    return written
+        if kind == "svg":
+            files[kind] = svg_text(figure, name).encode()
+            continue
+        files[kind], lacking = _picture(figure, kind)
+        if lacking:
+            figure.text(0.995, 0.003, NO_GLYPH, ha="right", va="bottom", fontsize=6.5, color=GREY)
+            files[kind], _ = _picture(figure, kind)
+    return files
 
 
 def take_dollars_literally(figure: Figure) -> None:
@@ -244,18 +260,19 @@ def _texts(artist: Artist) -> Iterator[Text]:
             yield from _texts(child)
 
 
-def _lacks_glyphs(figure: Figure, draft: Path, kind: str) -> bool:
-    """Write a picture; return whether a font lacked a character."""
+def _picture(figure: Figure, kind: str) -> tuple[bytes, bool]:
+    """A picture, and whether a font lacked a character."""
     if kind == "pdf":
         without_hover(figure)  # addresses would become links
+    file = io.BytesIO()
     with warnings.catch_warnings(record=True) as caught, matplotlib.rc_context({"pdf.fonttype": 42}):
         warnings.simplefilter("always")
-        figure.savefig(draft, format=kind, dpi=DPI, facecolor="white")
+        figure.savefig(file, format=kind, dpi=DPI, facecolor="white")
     missing = [w for w in caught if "missing from font" in str(w.message)]
     for other in caught:
         if other not in missing:
             warnings.warn_explicit(other.message, other.category, other.filename, other.lineno)
-    return bool(missing)
+    return file.getvalue(), bool(missing)
 
 
 def owner_of(ax: Axes) -> Figure:

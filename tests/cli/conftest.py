@@ -24,7 +24,7 @@ def write_study() -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
-def asked(without_pixels: Callable[[Any, Path], Path]) -> Callable[..., str]:
+def asked(without_pixels: Callable[[Any, str, Any], dict[str, bytes]]) -> Callable[..., str]:
     """Runs a command in a folder and returns its output; figures it draws are without pixels."""
 
     def ask(folder: Path, *arguments: str) -> str:
@@ -33,7 +33,7 @@ def asked(without_pixels: Callable[[Any, Path], Path]) -> Callable[..., str]:
             contextlib.redirect_stdout(io.StringIO()) as said,
             pytest.MonkeyPatch.context() as patch,
         ):
-            patch.setattr("calib.report.figures.save", without_pixels)
+            patch.setattr("calib.report.figures.content", without_pixels)
             patch.setattr("calib.report.figures.svg_text", lambda figure, name: f"<svg><!-- {name} --></svg>")
             assert cli.execute(list(arguments)) == 0
         return said.getvalue()

@@ -66,11 +66,11 @@ def saved(monkeypatch):
     """Figures by name, kept instead of written."""
     figures: dict[str, Figure] = {}
 
-    def keep(figure, stem, formats):
-        figures[stem.name] = figure
-        return [stem]
+    def keep(figure, name, formats):
+        figures[name] = figure
+        return {"png": b"pixels"}
 
-    monkeypatch.setattr("calib.report.figures.save", keep)
+    monkeypatch.setattr("calib.report.figures.content", keep)
     return figures
 
 
@@ -252,7 +252,7 @@ def test_an_interruption_while_saving_leaves_the_old_picture(folder, monkeypatch
     old = picture.read_bytes()
 
     def stop(self, path, **options):
-        path.write_bytes(b"half")
+        path.write(b"half")
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Figure, "savefig", stop)

@@ -243,9 +243,7 @@ def folder(tmp_path, effects):
 @pytest.fixture
 def saved(monkeypatch):
     figures = {}
-    monkeypatch.setattr(
-        "calib.report.figures.save", lambda figure, stem, formats: figures.setdefault(stem.name, figure) and [stem]
-    )
+    monkeypatch.setattr("calib.report.figures.content", lambda figure, name, _: figures.update({name: figure}) or {})
     return figures
 
 
