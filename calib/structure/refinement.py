@@ -25,6 +25,8 @@ ACCURACY = 1e-8
 """Estimated relative eigenvalue error at which refinement ends, unless told otherwise."""
 _CLEAR = 1e-3
 """Least relative distance of two undamped frequencies between which modes are counted."""
+_ALONG = 0.1
+"""Modes are corrected along with others while their estimated error is above this part of the one asked for."""
 _SHIFT = 1e-10
 """Squared shift that keeps a factor regular, over the largest local eigenvalue."""
 
@@ -34,7 +36,7 @@ def refined_modes(
 ) -> Modes | None:
     """The ``count`` lowest modes of the full model, from those of a reduced model.
 
-    Each step solves for the correction ``d = -K^-1 R`` of every mode, with the residual
+    Each step solves for the correction ``d = -K^-1 R`` of every mode that is not accurate yet, with the residual
     ``R = (lambda^2 M + lambda C + K) psi`` and one real factor of K for all modes and steps, and projects the model on
     the shapes and all corrections together (block Rayleigh-Ritz; a Davidson method with the static inverse as
     preconditioner, Saad 2011, section 8.2). An eigenvalue's error is of second order in that of its shape.
@@ -49,8 +51,8 @@ def refined_modes(
         Number of modes, at most those that the basis was trained for.
     accuracy : float
         Relative eigenvalue error: the steps end where its estimate is below, ``|R^H K^-1 R|/|lambda|`` before the last
-        step times the square of the ratio by which that step reduced the residual. It is no bound. Nearly critical
-        modes, with a damping ratio above that of the basis, are exempt.
+        step of a mode times the square of the ratio by which its residual has shrunk since. It is no bound. Nearly
+        critical modes, with a damping ratio above that of the basis, are corrected once.
 
     Returns
     -------
@@ -78,9 +80,10 @@ def refined_modes(
     rest = _residual(modes, stiffness, damping, mass)
     space = GrowingSpace((stiffness, damping, mass), scale)
     space.add(np.hstack([reduced.lift(_rigid(reduced, values)), _real(modes.shapes)]))
+    error, waiting = np.full(count, np.inf), np.arange(count)
     for _ in range(STEPS):
-        correction = _both_parts(factor, rest)
-        before = np.abs(np.einsum("ij,ij->j", rest.conj(), correction)) / _size(modes)
+        correction = _both_parts(factor, rest[:, waiting])
+        error[waiting] = np.abs(np.einsum("ij,ij->j", rest[:, waiting].conj(), correction)) / _size(modes)[waiting]
         space.add(_real(correction))
         basis = space.basis
 
@@ -94,9 +97,12 @@ def refined_modes(
         modes = Modes(found.natural_freq, found.damped_freq, found.damping_ratio, basis @ found.shapes, found.excluded)
         old, rest = np.linalg.norm(rest / scale, axis=0), _residual(modes, stiffness, damping, mass)
         ratio = np.linalg.norm(rest / scale, axis=0) / np.maximum(old, 1e-300)
-        relevant = modes.damping_ratio < reduced.basis.damping_max
-        if np.max((before * np.minimum(ratio, 1.0) ** 2)[relevant], initial=0.0) < accuracy:
+        ratio[waiting] = np.minimum(ratio[waiting], 1.0)
+        error *= ratio**2  # also of those that were not corrected: where two have changed places, both are looked at
+        error[modes.damping_ratio >= reduced.basis.damping_max] = 0.0
+        if error.max() < accuracy:
             return modes
+        waiting = np.flatnonzero(error >= _ALONG * accuracy)
     return None
 
 
