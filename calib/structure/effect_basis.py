@@ -36,6 +36,8 @@ _ERROR = 3e-5
 """Squared projection error of every vector, relative to the strain energy of its mode."""
 _REFINED = 0.1 * _ERROR
 """Accuracy of eigenvalues of refined modes: about the squared error of their shapes."""
+_EFFECTS = 4
+"""Effects solved from the same basis, as tasks that can be shared."""
 _BATCH = 20
 """Perturbations per batch: principal directions of all at once cost far more and save few vectors."""
 _MODES = 3
@@ -73,16 +75,19 @@ def effect_basis(
         Derivatives are taken by each.
     seed : int
     progress : callable
-        Called before every effect and every batch of perturbations.
+        Called before every few effects and every batch of perturbations.
     """
     growth, points = Growth(model, basis), _points(space, seed)
     middle, vectors = points[0], basis.vectors
     stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / _TOGETHER)
-    for number, effect in enumerate(effects):
-        progress(stage, number, len(effects) + batches)
-        known = ReducedModel(model, replace(basis, vectors=vectors)).extended([effect])
-        solved = each(_near, known, [{**point, **own} for point in points for own in _sampled(effect)])
-        vectors = growth.widened(vectors, np.hstack([_unit(growth, m, model.n_dof, basis) for m in solved]), _ERROR)
+    for first in range(0, len(effects), _EFFECTS):
+        progress(stage, first, len(effects) + batches)
+        few, known = effects[first : first + _EFFECTS], ReducedModel(model, replace(basis, vectors=vectors))
+        asked = [(k, {**point, **own}) for k, one in enumerate(few) for point in points for own in _sampled(one)]
+        solved = each(_near, [known.extended([one]) for one in few], asked)
+        for k in range(len(few)):
+            own = [_unit(growth, m, model.n_dof, basis) for m, (of, _) in zip(solved, asked, strict=True) if of == k]
+            vectors = growth.widened(vectors, np.hstack(own), _ERROR)
     nominal = model.modes(middle, basis.count)
     local = _local_factor(growth, middle) if any(_grounded(one) for one in perturbations) else None
     for first in range(0, len(perturbations), _TOGETHER):
@@ -132,8 +137,9 @@ def frf_effect_basis(
     return replace(basis, version=basis.version + 1)
 
 
-def _near(known: ReducedModel, point: Mapping[str, float]) -> Modes:
-    return modes_near(known, point, known.n_modes, _REFINED)
+def _near(known: Sequence[ReducedModel], asked: tuple[int, Mapping[str, float]]) -> Modes:
+    of, point = asked
+    return modes_near(known[of], point, known[of].n_modes, _REFINED)
 
 
 def _points(space: ParameterSpace, seed: int) -> list[dict[str, float]]:
