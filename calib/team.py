@@ -28,6 +28,8 @@ _MOST = 1024
 """Tasks of one call; more are done in several."""
 _WORTH = 0.3
 """Expected seconds of a call's tasks below which this process does them alone: sending takes about a tenth of it."""
+_TO_START = 2.0
+"""Seconds that the others take to start."""
 _LARGE = 1 << 15
 """Bytes from which an array has a file of its own, which other processes map into their memory."""
 
@@ -44,7 +46,8 @@ class Team:
     workers : int
         Processes, this one included.
     patience : float
-        Seconds of tasks, done and expected, from which on the others are started: to start takes them two seconds.
+        Seconds of tasks after which the others are started; at once where a call is expected to take that longer than
+        they need to start.
 
     Raises
     ------
@@ -108,7 +111,8 @@ class Team:
         first: list[R] = []
         if self._able and self._patience > 0 and self._pool is None and len(items) > 1:
             first, items = self._alone(function, shared, items[:1], told), items[1:]
-            if self._spent + self._seconds[function] * (1 + len(items)) < self._patience:
+            expected = self._seconds[function] * len(items)
+            if self._spent < self._patience and expected < self._patience + _TO_START:
                 return first + self._alone(function, shared, items, lambda done: told(1 + done))
         own = (lambda done: told(1 + done)) if first else told
         worth = len(items) > 1 and self._seconds.get(function, _WORTH) * len(items) >= _WORTH

@@ -128,7 +128,7 @@ SPEED = {  # memory, time, processes; results are the same
     "structure/solve.py": "DENSE_LIMIT",
     "structure/solve_dense.py": "_FEW _LARGE",
     "study_file.py": "_KEPT",
-    "team.py": "_MOST _WORTH _LARGE",
+    "team.py": "_MOST _WORTH _TO_START _LARGE",
     "worker.py": "_KEPT",
 }
 

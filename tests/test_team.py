@@ -197,6 +197,11 @@ def test_others_are_started_when_they_pay_off(module, monkeypatch):
         one(module.who, None, range(10))
         one(module.who, None, range(10))
         assert one._pool is not None
+    told = []
+    with Team(2, patience=0.5) as one:  # the first task shows that the others take long enough
+        assert len(one(module.who, None, range(60), told.append)) == 60
+        assert one._pool is not None
+    assert told[:2] == [0, 1] and sorted(told) == told and told[-1] < 60
     with Team(2) as one:
         one._seconds[module.who] = 1e-4
         one(module.who, None, range(5))

@@ -196,7 +196,7 @@ _WORTHWHILE = 10.0
 """Expected seconds of work above which a process pool is started."""
 
 PATIENCE = 1.0
-"""Seconds of shared tasks, done and expected, from which on worker processes are started."""
+"""Seconds of shared tasks after which worker processes are started; see `calib.team.Team`."""
 
 
 def available_cores() -> int:
