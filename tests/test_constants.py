@@ -53,7 +53,7 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "structure/matrices.py": "_ROUNDING",
     "structure/places.py": "_LITTLE",
     "structure/point_compositions.py": "_SAME",
-    "structure/refinement.py": "ACCURACY _CLEAR _SHIFT",
+    "structure/refinement.py": "_ALONG ACCURACY _CLEAR _SHIFT",
     "structure/solve.py": "_COPY _SHIFT _TURNING",
     "structure/solve_dense.py": "_SHIFT",
     "structure/elongations.py": "_ELASTIC",
@@ -69,7 +69,7 @@ ACCURACY = {  # of solutions, reduced bases and differences, which are checked a
     "structure/certificate.py": "_CLUSTER _LOST",
     "structure/compression.py": "_BESIDE _COUPLED _NEAREST _STRONG _START _ROOTS _ABOVE _SAME _REACH _NEGLIGIBLE "
     "_PARALLEL",
-    "structure/effect_basis.py": "_POINTS _STRONG _ERROR _REFINED _BATCH _MODES _TOGETHER",
+    "structure/effect_basis.py": "_EFFECTS _POINTS _STRONG _ERROR _REFINED _BATCH _MODES _TOGETHER",
     "structure/frf_target.py": "TOLERANCE _BEYOND _SHAPE _LINES",
     "structure/growth.py": "SAFETY POD _STATIC VERIFIED",
     "structure/mode_target.py": "_NEAR _REFINED",
