@@ -46,8 +46,8 @@ class Team:
     workers : int
         Processes, this one included.
     patience : float
-        Seconds of tasks after which the others are started; at once where a call is expected to take that longer than
-        they need to start.
+        Seconds of tasks after which the others are started; at once where a call is expected to take longer than that
+        and their start together.
 
     Raises
     ------
@@ -109,20 +109,20 @@ class Team:
     def _done(self, function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told) -> list[R]:
         """Tasks of a call: together or alone; before others are started, the first one shows whether that pays off."""
         first: list[R] = []
-        if self._able and self._patience > 0 and self._pool is None and len(items) > 1:
+        if self._able and self._pool is None and self._spent < self._patience and len(items) > 1:
             first, items = self._alone(function, shared, items[:1], told), items[1:]
-            expected = self._seconds[function] * len(items)
-            if self._spent < self._patience and expected < self._patience + _TO_START:
+            if self._seconds[function] * len(items) < self._patience + _TO_START:
                 return first + self._alone(function, shared, items, lambda done: told(1 + done))
         own = (lambda done: told(1 + done)) if first else told
         worth = len(items) > 1 and self._seconds.get(function, _WORTH) * len(items) >= _WORTH
         ready = worth and self._able and function not in self._unsent
         content = self._written(function, shared, items) if ready else None
-        if content is None:
+        numbers = None if content is None else self._submitted(content, len(items))
+        if numbers is None:
             return first + self._alone(function, shared, items, own)
         self._within = True
         try:
-            return first + self._together(content, function, shared, items, own)
+            return first + self._together(numbers, function, shared, items, own)
         finally:
             self._within = False
 
@@ -141,9 +141,9 @@ class Team:
 
     def _written(self, *content: object) -> Path | None:
         """File of what a call shares; None where it cannot be sent, which is not tried again for its function."""
-        if self._store is None:
-            self._store = _Store()
         try:
+            if self._store is None:
+                self._store = _Store()
             return self._store.written(content)
         except Exception:  # a class may raise anything from its own `__reduce__` or `__getstate__`
             self._unsent.add(content[0])
@@ -152,9 +152,13 @@ class Team:
     # -- one call ------------------------------------------------------------------------------------------------------
 
     def _together(
-        self, content: Path, function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told
+        self,
+        numbers: dict[Future[Any], int],
+        function: Callable[[S, I], R],
+        shared: S,
+        items: Sequence[I],
+        told: Told,
     ) -> list[R]:
-        numbers = self._submitted(content, len(items))
         ended: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
         for future in numbers:
             future.add_done_callback(ended.put)
@@ -194,21 +198,27 @@ class Team:
             raise
         return [found[k] for k in range(len(items))]
 
-    def _submitted(self, content: Path, count: int) -> dict[Future[Any], int]:
+    def _submitted(self, content: Path, count: int) -> dict[Future[Any], int] | None:
+        """Numbers of a call's tasks, as the others will do them; None where the others cannot be started."""
         self._calls += 1
-        if self._pool is None:
-            context = multiprocessing.get_context("spawn")
-            self._board = _Board(context)
-            self._pool = ProcessPoolExecutor(self.workers - 1, context, _start, (self._board,))
-        assert self._board is not None
-        self._board.begin(self._calls)
         numbers: dict[Future[Any], int] = {}
         try:
+            if self._pool is None:
+                context = multiprocessing.get_context("spawn")
+                self._board = _Board(context)
+                self._pool = ProcessPoolExecutor(self.workers - 1, context, _start, (self._board,))
+            assert self._board is not None
+            self._board.begin(self._calls)
             with interrupt.held(), worker.environment(script=False):
                 for k in reversed(range(count)):
                     numbers[self._pool.submit(_task, self._calls, k, content)] = k
         except BrokenExecutor:
             self._able = False
+        except OSError:  # no memory or no process is left; what waits for one is nobody's any more
+            self._able = False
+            if self._board is not None:
+                self._board.begin(0)
+            return None
         return numbers
 
     def _answer(self, future: Future[Any]) -> _Done | _Lost | None:
@@ -250,6 +260,11 @@ class _Board:
             self._call.value = call
             self._begun[:] = [0] * _MOST
 
+    def is_open(self, call: int, number: int) -> bool:
+        """Whether nobody has begun a task of the present call."""
+        with self._call.get_lock():
+            return bool(self._call.value == call and not self._begun[number])
+
     def is_first(self, call: int, number: int) -> bool:
         """Whether nobody has begun a task of the present call; from now on somebody has."""
         with self._call.get_lock():
@@ -279,8 +294,11 @@ def _start(board: _Board) -> None:
 
 
 def _task(call: int, number: int, path: Path) -> _Done | _Lost | None:
-    """One task of a call; None where it has been begun elsewhere."""
-    if not _Helper.board.is_first(call, number):
+    """One task of a call; None where it has been begun elsewhere.
+
+    What the call shares is read before: it may take long, and others can begin the task meanwhile.
+    """
+    if not _Helper.board.is_open(call, number):
         return None
     begun = False
     try:
@@ -288,6 +306,8 @@ def _task(call: int, number: int, path: Path) -> _Done | _Lost | None:
             _Helper.content = _read(path)
             _Helper.path = path
             _Helper.limits = threadpool_limits(1)  # of libraries loaded meanwhile
+        if not _Helper.board.is_first(call, number):
+            return None
         function, shared, items = _Helper.content
         begun = True
         return _Done(function(shared, items[number]))

@@ -33,7 +33,8 @@ from calib.report.html.write import Page
 settings.register_profile("calib", deadline=None, max_examples=20, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("calib")
 
-# Tests run in as many processes as there are cores, and what one replaces is not replaced in another process.
+# Tests run in as many processes as there are cores, and what one replaces is not replaced in another process: others
+# share tasks only where a test asks for workers.
 places.PATIENCE = math.inf
 
 _NUMBERS = itertools.count()

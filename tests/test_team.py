@@ -210,6 +210,38 @@ def test_others_are_started_when_they_pay_off(module, monkeypatch):
         assert one._pool is None
 
 
+def test_calls_of_two_tasks_are_shared_too_once_they_took_long(module):
+    with Team(2, patience=0.2) as one:
+        for _ in range(4):
+            one(module.who, None, range(2))
+        one._seconds[module.who] = 1.0
+        one(module.who, None, range(2))
+        assert one._pool is not None
+
+
+@pytest.mark.parametrize("fault", ["folder", "process", "second process"])
+def test_where_no_other_process_can_be_started_all_is_done_here(module, monkeypatch, fault):
+    class Full(team.ProcessPoolExecutor):
+        asked = 0
+
+        def submit(self, *given):
+            Full.asked += 1
+            if fault == "process" or Full.asked > 3:
+                raise BlockingIOError("Resource temporarily unavailable")
+            return super().submit(*given)
+
+    def no_space(**given):
+        raise OSError("No space left on device")
+
+    if fault == "folder":
+        monkeypatch.setattr(team.tempfile, "TemporaryDirectory", no_space)
+    monkeypatch.setattr(team, "ProcessPoolExecutor", Full)
+    with Team(2) as one:
+        assert one(module.who, None, range(8)) == [os.getpid()] * 8
+        assert not one.shares
+        assert one(module.who, None, range(8)) == [os.getpid()] * 8
+
+
 def test_more_tasks_than_the_board_has_places(two, module, monkeypatch):
     monkeypatch.setattr(team, "_MOST", 8)
     told = []

@@ -162,8 +162,8 @@ def open_evaluator(
 def tasks_shared(workers: Workers) -> Iterator[None]:
     """While this lasts, worker processes share the tasks of `calib.tasks.each`; they are started when they pay off.
 
-    Those that share them already go on. An injected executor does not take them: each task needs matrices and bases,
-    which are large.
+    Where they are shared already, that goes on, whatever ``workers`` is. An injected executor does not take them: each
+    task needs matrices and bases, which are large.
     """
     if isinstance(workers, Injected) or are_shared():
         yield

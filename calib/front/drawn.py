@@ -32,7 +32,7 @@ def draw(
     report: bool = False,
     formats: Sequence[Format] = ("png",),
     width: Width = "page",
-    workers: int | None = None,
+    workers: places.Workers = None,
 ) -> None:
     """Draw the figures of all tables in a folder; the report is written on request, and where an older one exists.
 
@@ -48,8 +48,8 @@ def draw(
         Formats of the figures beside the report.
     width : {"page", "column"}
         Of these figures; see `calib.report.style.save`.
-    workers : int, optional
-        Processes that draw; see `calib.analyses.places.tasks_shared`.
+    workers : int or Injected, optional
+        See `calib.analyses.places.tasks_shared`.
 
     Raises
     ------

@@ -267,9 +267,10 @@ class Study:
         before, extended = self._calibrate(), None
         if self.loaded.candidates:
             extended = with_named(self, before, self._explain().explanation)
+        with places.tasks_shared(self.workers):
             if extended is not None:
                 extended._draw_tests(report=True)
-        self._draw_tests(report=True)
+            self._draw_tests(report=True)
         return extended or self
 
     def report(self, formats: Sequence[Format] = ("png",), width: Width = "page") -> Path:
@@ -288,7 +289,8 @@ class Study:
         if not parts:
             remedy = f"run the study first: calib run {shell_argument(self.path)}"
             raise InputError("there are no results to draw", place=self.results / study.name, remedy=remedy)
-        draw_anew(study, self.results, self.listener, formats, width)
+        with places.tasks_shared(self.workers):
+            draw_anew(study, self.results, self.listener, formats, width)
         return self.results / parts[0].name / REPORT
 
     # -- steps ---------------------------------------------------------------------------------------------------------
@@ -368,8 +370,8 @@ class Study:
 
     def draw(self, folder: Results | None = None, report: bool = False) -> None:
         """Draw the figures of all tables; the report is written on request, and where an older one exists."""
-        into, own = self.folder if folder is None else folder, self.workers if isinstance(self.workers, int) else None
-        draw(self.loaded, into, self.results, self.listener, report, workers=own)
+        into = self.folder if folder is None else folder
+        draw(self.loaded, into, self.results, self.listener, report, workers=self.workers)
 
     def _draw_tests(
         self, case: str | None = None, method: calibration.Method | None = None, report: bool = False

@@ -37,7 +37,7 @@ _ERROR = 3e-5
 _REFINED = 0.1 * _ERROR
 """Accuracy of eigenvalues of refined modes: about the squared error of their shapes."""
 _EFFECTS = 4
-"""Effects solved from the same basis, as tasks that can be shared."""
+"""Effects solved from the same basis, as tasks that can be shared; all their shapes are in memory together."""
 _BATCH = 20
 """Perturbations per batch: principal directions of all at once cost far more and save few vectors."""
 _MODES = 3

@@ -15,7 +15,7 @@ _BACKWARD = 1e-10
 def symmetric_factor(matrix: sp.csc_array | sp.csc_matrix, threshold: float = 0.0) -> spla.SuperLU:
     """LU of a symmetric matrix, real or complex; the ordering is 5-7 times faster here than the default.
 
-    So are, by a fifth, narrow panels without merged subtrees. Pivots are on the diagonal, except where they are smaller
+    Narrow panels without merged subtrees save another fifth. Pivots are on the diagonal, except where they are smaller
     than the largest of their column times the threshold.
     """
     return spla.splu(

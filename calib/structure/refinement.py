@@ -99,10 +99,10 @@ def refined_modes(
         ratio = np.linalg.norm(rest / scale, axis=0) / np.maximum(old, 1e-300)
         ratio[waiting] = np.minimum(ratio[waiting], 1.0)
         error *= ratio**2  # also of those that were not corrected: where two have changed places, both are looked at
-        error[modes.damping_ratio >= reduced.basis.damping_max] = 0.0
-        if error.max() < accuracy:
+        asked = modes.damping_ratio < reduced.basis.damping_max
+        if np.max(error[asked], initial=0.0) < accuracy:
             return modes
-        waiting = np.flatnonzero(error >= _ALONG * accuracy)
+        waiting = np.flatnonzero(asked & (error >= _ALONG * accuracy))
     return None
 
 

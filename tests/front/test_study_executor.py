@@ -8,12 +8,15 @@ import pandas as pd
 import pytest
 
 import calib
+from calib.analyses import places
 from calib.analyses.calibrate import calibrate
 from calib.analyses.sensitivity import sensitivity
 from calib.executor import Injected
 from calib.ledger import Ledger
 from calib.results import Results
 from calib.study import Study
+from calib.tasks import untold
+from calib.team import Team
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
 
@@ -137,3 +140,40 @@ def test_workers_beside_an_executor_and_what_is_no_executor_are_refused(tmp_path
         with pytest.raises(calib.InputError, match="executor"):
             calib.Study.load(folder, tmp_path / "results").run(executor=3)
         assert not threads.points and not (tmp_path / "results").exists()
+
+
+@pytest.fixture
+def teams(monkeypatch):
+    """Workers of each team with whether it waits, and the number of items of each call; no process is started."""
+    seen = []
+
+    class Seen(Team):
+        def __init__(self, workers, patience=0.0):
+            super().__init__(1)
+            seen.append((workers, patience > 0, []))
+
+        def __call__(self, function, shared, items, told=untold):
+            seen[-1][2].append(len(items))
+            return super().__call__(function, shared, items, told)
+
+    monkeypatch.setattr(places, "Team", Seen)
+    monkeypatch.setattr("calib.report.figures.content", lambda figure, name, formats: {"png": name.encode()})
+    return seen
+
+
+@pytest.mark.parametrize("workers", [1, 2, None])
+def test_those_who_compute_draw_too(tmp_path, teams, workers):
+    study = calib.Study.load(oscillator(tmp_path / "oscillator"), tmp_path / "results", workers=workers)
+    study.compare()
+    study.report()
+    expected = (places.available_cores(), True) if workers is None else (workers, False)
+    assert [one[:2] for one in teams] == [expected, expected]
+    pictures = len(list((tmp_path / "results/oscillator").glob("*.png")))
+    assert pictures and all(pictures in one[2] for one in teams)
+
+
+def test_an_executor_gets_no_figures_and_nobody_else_is_asked(tmp_path, teams):
+    study = calib.Study.load(oscillator(tmp_path / "oscillator"), tmp_path / "results")
+    with ThreadPoolExecutor(1) as threads:
+        study.calibrate(executor=threads)
+    assert not teams and list((tmp_path / "results/oscillator").glob("*.png"))

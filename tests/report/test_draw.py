@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -251,11 +252,12 @@ def test_an_interruption_while_saving_leaves_the_old_picture(folder, monkeypatch
     (picture,) = Figures(folder, "Bogie", False).save()
     old = picture.read_bytes()
 
-    def stop(self, path, **options):
-        path.write(b"half")
+    def stop(self, picture):
+        with self.open("wb") as file:
+            file.write(picture[:9])
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Figure, "savefig", stop)
+    monkeypatch.setattr(Path, "write_bytes", stop)
     with pytest.raises(KeyboardInterrupt):
         Figures(folder, "Another title", False).save()
     assert picture.read_bytes() == old

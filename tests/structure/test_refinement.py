@@ -79,6 +79,25 @@ def test_each_step_gains_orders_of_magnitude(coarse, monkeypatch):
     assert refined_modes(reduced, values, COUNT, accuracy=1e-300) is None  # too few steps: it says so
 
 
+def test_a_mode_that_leaves_the_nearly_critical_ones_is_refined_too(coarse, monkeypatch):
+    """Modes above the largest damping ratio are corrected once, and asked again when a step has moved them below."""
+    reduced = coarse(True, True)
+    seen = 0
+    for values in space_filling_points(reduced.model.space, 6, np.random.default_rng(9)):
+        full = reduced.model.modes(values, COUNT)
+        with monkeypatch.context() as patch:
+            patch.setattr(refinement, "STEPS", 1)
+            once = refined_modes(reduced, values, COUNT, accuracy=1.0)
+        for mode in np.flatnonzero(once.damping_ratio > full.damping_ratio * (1 + 1e-9)):
+            limit = (once.damping_ratio[mode] + full.damping_ratio[mode]) / 2
+            narrow = ReducedModel(reduced.model, replace(reduced.basis, damping_max=float(limit)))
+            found = refined_modes(narrow, values, COUNT, 1e-9)
+            if found is not None and found.damping_ratio[mode] < limit:
+                seen += 1
+                assert abs(eigenvalues(found)[mode] / eigenvalues(full)[mode] - 1) < 5e-9
+    assert seen > 2
+
+
 def lacking(reduced, values, mode):
     """The reduced model without one of its modes at a point: what a basis that never saw it would be."""
     basis, shape = reduced.basis.vectors, reduced.modes(values, COUNT).shapes[:, mode]
