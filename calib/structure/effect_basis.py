@@ -43,7 +43,9 @@ _BATCH = 20
 _MODES = 3
 """Modes per task: each has a factor of its own, and all of them need the derivatives of the matrices."""
 _TOGETHER = 80
-"""Perturbations solved with one set of factors, limited by memory."""
+"""Perturbations solved with one set of factors; fewer where their derivatives are more than ``_NUMBERS``."""
+_NUMBERS = 60_000_000
+"""Complex numbers of derivatives in memory, a gigabyte."""
 
 
 def effect_basis(
@@ -79,7 +81,8 @@ def effect_basis(
     """
     growth, points = Growth(model, basis), _points(space, seed)
     middle, vectors = points[0], basis.vectors
-    stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / _TOGETHER)
+    together = min(_TOGETHER, max(_BATCH, _NUMBERS // (model.n_dof * basis.count)))
+    stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / together)
     for first in range(0, len(effects), _EFFECTS):
         progress(stage, first, len(effects) + batches)
         few, known = effects[first : first + _EFFECTS], ReducedModel(model, replace(basis, vectors=vectors))
@@ -90,9 +93,9 @@ def effect_basis(
             vectors = growth.widened(vectors, np.hstack(own), _ERROR)
     nominal = model.modes(middle, basis.count)
     local = _local_factor(growth, middle) if any(_grounded(one) for one in perturbations) else None
-    for first in range(0, len(perturbations), _TOGETHER):
-        progress(stage, len(effects) + first // _TOGETHER, len(effects) + batches)
-        some = perturbations[first : first + _TOGETHER]
+    for first in range(0, len(perturbations), together):
+        progress(stage, len(effects) + first // together, len(effects) + batches)
+        some = perturbations[first : first + together]
         wider = extend(model, [one.effect for one in some])
         slopes = _derivatives(growth, wider, middle, nominal, some, basis, local)
         for k in range(0, len(slopes), _BATCH):

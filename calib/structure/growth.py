@@ -25,6 +25,8 @@ POD = 0.5
 """Squared projection error of every snapshot, as a fraction of the tolerance."""
 _STATIC = 1e-3
 """Static vectors closer than this to the span of the others, in the energy norm, are dropped."""
+_COLUMNS = 64
+"""Columns that are multiplied at a time: copies of all would take several times their memory."""
 VERIFIED = 6
 """Points of a passed round, worst indicators first, that are compared with the full model: only that detects missed
 modes. The first is solved at full order, the others are refined and counted."""
@@ -118,19 +120,25 @@ class Growth:
 
     def project_out(self, vectors: np.ndarray, basis: np.ndarray) -> np.ndarray:
         """Vectors with an orthonormal basis projected out in the energy product."""
-        for _ in range(2):
-            vectors = vectors - basis @ (basis.T @ (self.matrix @ vectors))
-        return vectors
+        rest = np.array(vectors)
+        for some in _blocks(rest.shape[1]):
+            for _ in range(2):
+                rest[:, some] -= basis @ (basis.T @ (self.matrix @ rest[:, some]))
+        return rest
+
+    def gram(self, vectors: np.ndarray) -> np.ndarray:
+        """Products of vectors (n_dof, m) with each other, (m, m)."""
+        return np.hstack([vectors.T @ (self.matrix @ vectors[:, some]) for some in _blocks(vectors.shape[1])])
 
     def spanned(self, vectors: np.ndarray, least: float) -> np.ndarray:
         """Orthonormal basis of vectors (n_dof, m); directions of energy below ``least`` (squared norm) are dropped."""
         if not vectors.shape[1]:
             return vectors
-        energies, turn = la.eigh(vectors.T @ (self.matrix @ vectors))
+        energies, turn = la.eigh(self.gram(vectors))
         kept = energies > max(least, 1e-13 * energies[-1])
         out = vectors @ (turn[:, kept] / np.sqrt(energies[kept]))
         # A second pass, since the division has amplified the rounding error of small directions.
-        energies, turn = la.eigh(out.T @ (self.matrix @ out))
+        energies, turn = la.eigh(self.gram(out))
         return out @ (turn / np.sqrt(energies)) @ turn.T
 
     def statics(self, loads: np.ndarray) -> np.ndarray:
@@ -161,7 +169,7 @@ class Growth:
     def decomposed(self, snapshots: np.ndarray, basis: np.ndarray, error: float) -> np.ndarray:
         """Fewest principal directions that, with a basis, represent every snapshot to a squared error."""
         rest = self.project_out(snapshots, basis)
-        gram = rest.T @ (self.matrix @ rest)
+        gram = self.gram(rest)
         if np.diag(gram).max(initial=0.0) < error:
             return np.zeros((len(rest), 0))
         energies, turn = la.eigh(gram)
@@ -220,6 +228,11 @@ class Growth:
         """An orthonormal basis with vectors added, directions of energy below ``least`` dropped."""
         new = self.spanned(self.project_out(vectors, basis), least)
         return np.hstack([basis, self.project_out(new, basis)])
+
+
+def _blocks(count: int) -> list[slice]:
+    """Columns in blocks, at least one."""
+    return [slice(first, first + _COLUMNS) for first in range(0, max(count, 1), _COLUMNS)]
 
 
 def _estimate(shared: tuple[Target, ReducedModel], point: Mapping[str, float]) -> float:

@@ -125,18 +125,19 @@ def train(
     growth = Growth(model, basis)
     vectors = growth.statics(target.forces(model))
     points = [p for space in several for p in space_filling_points(space, samples or _sample_count(space), rng)]
-    solved: list[np.ndarray] = []
+    snapshots = np.zeros((model.n_dof, 0))
     known: ReducedModel | None = None
     for some in _batches(len(points)):
         if some.start:
-            so_far = growth.widened(vectors, np.hstack(solved), POD * target.tolerance)
+            so_far = growth.widened(vectors, snapshots, POD * target.tolerance)
             known = ReducedModel(model, replace(basis, vectors=so_far))
 
         def told(done: int, first: int = some.start) -> None:
             progress("training the reduced basis", first + done, len(points))
 
-        solved += each(_snapshots, (target, model, growth.matrix, known), [points[k] for k in some], told)
-    vectors = growth.widened(vectors, np.hstack(solved), POD * target.tolerance)
+        solved = each(_snapshots, (target, model, growth.matrix, known), [points[k] for k in some], told)
+        snapshots = np.hstack([snapshots, *solved])
+    vectors = growth.widened(vectors, snapshots, POD * target.tolerance)
     basis = replace(basis, vectors=vectors, samples=sampled_rows(basis, points))
     for number in range(1, _ROUNDS + 1):
         progress(f"checking the reduced basis, round {number}")
