@@ -111,7 +111,7 @@ class Team:
         first: list[R] = []
         if self._able and self._pool is None and self._spent < self._patience and len(items) > 1:
             first, items = self._alone(function, shared, items[:1], told), items[1:]
-            if self._seconds[function] * len(items) < self._patience + _TO_START:
+            if self._seconds[function] * (1 + len(items)) < self._patience + _TO_START:
                 return first + self._alone(function, shared, items, lambda done: told(1 + done))
         own = (lambda done: told(1 + done)) if first else told
         worth = len(items) > 1 and self._seconds.get(function, _WORTH) * len(items) >= _WORTH

@@ -17,7 +17,7 @@ from calib.structure.basis import Basis
 from calib.structure.derivatives import ModeDerivatives, mode_derivatives
 from calib.structure.extend import extend
 from calib.structure.frf_target import FRFTarget
-from calib.structure.growth import Growth, lowest_freq, next_round
+from calib.structure.growth import Growth, next_round
 from calib.structure.inertia import symmetric_factor
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
@@ -214,7 +214,7 @@ def _grounded(perturbation: Perturbation) -> bool:
 def _local_factor(growth: Growth, point: Mapping[str, float]) -> spla.SuperLU:
     """Factor of ``K + omega^2 M`` at the lowest frequency of the reference model: it gives flexibilities at places."""
     stiffness, _, mass = growth.model.matrices(point)
-    shift = (2 * np.pi * lowest_freq(growth.model, growth.reference)) ** 2
+    shift = (2 * np.pi * growth.modes.natural_freq[0]) ** 2
     return symmetric_factor(sp.csc_array(stiffness + shift * mass))
 
 

@@ -91,10 +91,14 @@ class Target(Protocol):
 
 
 class Growth:
-    """Inner product of a basis, and the projections and decompositions in it."""
+    """Inner product of a basis, and the projections and decompositions in it.
 
-    def __init__(self, model: StructuralModel, basis: Basis):
+    ``modes`` are `reference_modes` of the basis, where they are known.
+    """
+
+    def __init__(self, model: StructuralModel, basis: Basis, modes: Modes | None = None):
         self.model = model
+        self._modes = modes
         self.reference = basis.reference_values
         self.offset = basis.offset
         self.matrix = reference_matrix(model, self.reference, basis.offset)
@@ -107,7 +111,12 @@ class Growth:
     @cached_property
     def rigid(self) -> int:
         """Number of rigid-body motions and mechanisms of the reference model."""
-        return _rigid_count(_reference_modes(self.model, self.reference)) if self.offset else 0
+        return _rigid_count(self.modes) if self.offset else 0
+
+    @cached_property
+    def modes(self) -> Modes:
+        """See `reference_modes`."""
+        return reference_modes(self.model, self.reference) if self._modes is None else self._modes
 
     def _inertia_forces(self) -> np.ndarray:
         """Forces whose responses are the rigid-body motions and mechanisms of the reference model."""
@@ -256,18 +265,13 @@ def _rigid_count(modes: Modes) -> int:
     return sum(eigenvalue.kind in ("zero", "spin") for eigenvalue in modes.excluded)
 
 
-def offset_of(model: StructuralModel, values: Mapping[str, float]) -> float:
-    """Factor of the mass that keeps the inner product regular; 0 without rigid-body motions and mechanisms."""
-    modes = _reference_modes(model, values)
+def offset_of(modes: Modes) -> float:
+    """Factor of the mass that keeps the inner product regular, by `reference_modes`; 0 without rigid-body motions."""
     return float((0.1 * 2 * np.pi * modes.natural_freq[0]) ** 2) if _rigid_count(modes) else 0.0
 
 
-def lowest_freq(model: StructuralModel, values: Mapping[str, float]) -> float:
-    """Lowest frequency in Hz of the reference model, without selected terms and damping."""
-    return float(_reference_modes(model, values).natural_freq[0])
-
-
-def _reference_modes(model: StructuralModel, values: Mapping[str, float]) -> Modes:
+def reference_modes(model: StructuralModel, values: Mapping[str, float]) -> Modes:
+    """The lowest mode of a model without selected terms and damping, and what is excluded below it."""
     stiffness = reference_matrix(model, values, 0.0)
     return solve_modes(stiffness, None, model.mass(model.space.si(model.space.complete(values))), 1)
 

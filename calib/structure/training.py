@@ -12,7 +12,7 @@ from calib.errors import InputError, ToleranceError
 from calib.space import ParameterSpace
 from calib.stage import Progress, unheard
 from calib.structure.basis import CHECK_COLUMNS, Basis
-from calib.structure.growth import POD, SAFETY, Growth, Target, next_round, offset_of, sampled_rows
+from calib.structure.growth import POD, SAFETY, Growth, Target, next_round, offset_of, reference_modes, sampled_rows
 from calib.structure.mode_target import ModeTarget
 from calib.structure.model import StructuralModel
 from calib.structure.reduced import ReducedModel
@@ -104,7 +104,7 @@ def train(
     rng = np.random.default_rng(seed)
     lower, upper = (end[: len(model.space.names)] for end in box(several))
     reference = middle(lower, upper)
-    offset = offset_of(model, dict(zip(model.space.names, reference.tolist(), strict=True)))
+    modes = reference_modes(model, dict(zip(model.space.names, reference.tolist(), strict=True)))
     basis = Basis(
         vectors=np.zeros((model.n_dof, 0)),
         model_fingerprint=model.fingerprint,
@@ -112,7 +112,7 @@ def train(
         reference=reference,
         lower=lower,
         upper=upper,
-        offset=offset,
+        offset=offset_of(modes),
         count=target.count,
         freq_max=target.freq_max,
         damping_max=target.damping_max,
@@ -122,7 +122,7 @@ def train(
         checks=np.zeros((0, len(CHECK_COLUMNS))),
         seed=seed,
     )
-    growth = Growth(model, basis)
+    growth = Growth(model, basis, modes)
     vectors = growth.statics(target.forces(model))
     points = [p for space in several for p in space_filling_points(space, samples or _sample_count(space), rng)]
     snapshots = np.zeros((model.n_dof, 0))

@@ -11,7 +11,7 @@ from calib.structure.attach import hung_masses, outer_term
 from calib.structure.derivatives import mode_derivatives
 from calib.structure.effect_basis import effect_basis
 from calib.structure.extend import Addition, extend
-from calib.structure.growth import Growth, lowest_freq
+from calib.structure.growth import Growth
 from calib.structure.perturbations import perturbations
 from calib.structure.reduced import ReducedModel, reference_matrix
 from calib.structure.training import train_basis
@@ -54,7 +54,7 @@ def made(ladder):
     model = ladder(N)
     trained = train_basis(model, model.space, COUNT, seed=1, tolerance=1e-5)
     sensors = [Sensor(k, "x", (float(k), 0.0, 0.0)) for k in (20, 45, 77, 110)]
-    local = perturbations(model, sensors, {}, lowest_freq(model, trained.reference_values))
+    local = perturbations(model, sensors, {}, float(Growth(model, trained).modes.natural_freq[0]))
     return model, trained, effect_basis(model, trained, model.space, EFFECTS, local, seed=2), local
 
 
