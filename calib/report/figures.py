@@ -90,7 +90,7 @@ class Figures:
         identifier : str
             Beginning of the identifiers in the element; the name if it is empty.
         """
-        if not identifier and (known := self._taken(name)):
+        if not identifier and (known := self._taken(name)) and known.svg:
             return known.svg
         with style():
             self._drawn[name] = figure = self.plan[name].draw()
