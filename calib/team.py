@@ -102,11 +102,11 @@ class Team:
             return tasks.alone(function, shared, items, told)
         began = time.perf_counter()
         try:
-            return self._done(function, shared, items, told)
+            return self._results(function, shared, items, told)
         finally:
             self._spent += time.perf_counter() - began
 
-    def _done(self, function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told) -> list[R]:
+    def _results(self, function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told) -> list[R]:
         """Tasks of a call: together or alone; before others are started, the first one shows whether that pays off."""
         first: list[R] = []
         if self._able and self._pool is None and self._spent < self._patience and len(items) > 1:

@@ -10,7 +10,7 @@ from calib.analyses.extend import found_among
 from calib.analyses.stale import stale_answers
 from calib.analyses.versions import write_versions
 from calib.errors import InputError
-from calib.front.figures_made import made
+from calib.front.figures_made import make_all
 from calib.front.first_test import in_order
 from calib.front.listener import Listener
 from calib.report.figures import Asked
@@ -64,7 +64,7 @@ def draw(
 
         with listener.progress() as step, places.tasks_shared(workers):
             own = shown.figures
-            own.take(lambda: made(own, Asked(pictures(shown) if report else (), formats, width), step))
+            own.take(lambda: make_all(own, Asked(pictures(shown) if report else (), formats, width), step))
             written = write_report(shown, step) if report else None
             figures = own.save(formats, step, width)
     except OSError as fault:

@@ -12,7 +12,7 @@ from calib.stage import Progress
 from calib.tasks import each
 
 
-def made(figures: Figures, asked: Asked, progress: Progress) -> dict[str, Made]:
+def make_all(figures: Figures, asked: Asked, progress: Progress) -> dict[str, Made]:
     """Make all figures of a folder; they are the same whoever makes them.
 
     Parameters
@@ -30,7 +30,7 @@ def made(figures: Figures, asked: Asked, progress: Progress) -> dict[str, Made]:
     """
     names = list(figures.plan)
     given = _Given(figures.folder, figures.title, figures.synthetic, asked)
-    found = each(_made, given, names, lambda done: progress("drawing figures", done, len(names)))
+    found = each(_make_one, given, names, lambda done: progress("drawing figures", done, len(names)))
     return dict(zip(names, found, strict=True))
 
 
@@ -51,5 +51,5 @@ class _Given:
         return {name: value for name, value in self.__dict__.items() if name != "figures"}
 
 
-def _made(given: _Given, name: str) -> Made:
+def _make_one(given: _Given, name: str) -> Made:
     return given.figures.made(name, given.asked)

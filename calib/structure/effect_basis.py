@@ -81,7 +81,8 @@ def effect_basis(
     """
     growth, points = Growth(model, basis), _points(space, seed)
     middle, vectors = points[0], basis.vectors
-    together = min(_TOGETHER, max(_BATCH, _NUMBERS // (model.n_dof * basis.count)))
+    room = _NUMBERS // (model.n_dof * basis.count)
+    together = min(_TOGETHER, max(room // _BATCH, 1) * _BATCH)  # whole batches: the basis does not depend on it
     stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / together)
     for first in range(0, len(effects), _EFFECTS):
         progress(stage, first, len(effects) + batches)
@@ -89,8 +90,8 @@ def effect_basis(
         asked = [(k, {**point, **own}) for k, one in enumerate(few) for point in points for own in _sampled(one)]
         solved = each(_near, [known.extended([one]) for one in few], asked)
         for k in range(len(few)):
-            own = [_unit(growth, m, model.n_dof, basis) for m, (of, _) in zip(solved, asked, strict=True) if of == k]
-            vectors = growth.widened(vectors, np.hstack(own), _ERROR)
+            seen = [_unit(growth, m, model.n_dof, basis) for m, (of, _) in zip(solved, asked, strict=True) if of == k]
+            vectors = growth.widened(vectors, np.hstack(seen), _ERROR)
     nominal = model.modes(middle, basis.count)
     local = _local_factor(growth, middle) if any(_grounded(one) for one in perturbations) else None
     for first in range(0, len(perturbations), together):

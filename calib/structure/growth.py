@@ -136,7 +136,7 @@ class Growth:
         return rest
 
     def gram(self, vectors: np.ndarray) -> np.ndarray:
-        """Products of vectors (n_dof, m) with each other, (m, m)."""
+        """Energy products of vectors (n_dof, m) with each other, (m, m)."""
         return np.hstack([vectors.T @ (self.matrix @ vectors[:, some]) for some in _blocks(vectors.shape[1])])
 
     def spanned(self, vectors: np.ndarray, least: float) -> np.ndarray:

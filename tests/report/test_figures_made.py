@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from calib.errors import InputError
-from calib.front.figures_made import made
+from calib.front.figures_made import make_all
 from calib.report.figures import Asked, Figures
 from calib.stage import unheard
 from calib.tasks import shared_by
@@ -43,7 +43,7 @@ def test_what_is_made_before_is_what_is_drawn_on_demand(folder, shown):
     for file in folder.glob("*.png"):
         file.unlink()
     figures, told = Figures(folder, "Mast", True), []
-    figures.take(lambda: made(figures, asked(*shown), lambda *given: told.append(given)))
+    figures.take(lambda: make_all(figures, asked(*shown), lambda *given: told.append(given)))
     assert not told
     elements = [figures.svg(name) for name in shown]
     assert not list(folder.glob("*.png"))  # nothing is written before all are made
@@ -65,7 +65,7 @@ def test_they_are_the_same_whoever_makes_them(folder, shown, tmp_path_factory, m
     with Team(2) as team, shared_by(team):
         while len(set(team(figure_tasks.who, None, range(12)))) == 1:
             pass
-        known = made(figures, asked(*shown), lambda *given: own.append(given))
+        known = make_all(figures, asked(*shown), lambda *given: own.append(given))
     figures.take(lambda: known)
     assert drawn(figures, shown) == expected
     assert 0 < len(own) < len(figures.plan)
@@ -75,4 +75,4 @@ def test_they_are_the_same_whoever_makes_them(folder, shown, tmp_path_factory, m
 def test_a_damaged_table_is_refused(folder):
     (folder / "comparison_after.csv").write_text("mode,freq\nx,y\n")
     with pytest.raises(InputError, match="comparison_after"):
-        made(Figures(folder, "Mast", True), asked(), unheard)
+        make_all(Figures(folder, "Mast", True), asked(), unheard)

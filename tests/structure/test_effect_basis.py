@@ -6,6 +6,7 @@ import pytest
 from calib.effect import Effect
 from calib.measurement.modal import Sensor
 from calib.space import Parameter
+from calib.structure import effect_basis as effect_basis_module
 from calib.structure.affine import parameter
 from calib.structure.attach import hung_masses, outer_term
 from calib.structure.derivatives import mode_derivatives
@@ -69,6 +70,23 @@ def errors(model, basis, effect, magnitude):
     mac = np.abs(np.einsum("ij,ij->j", a.conj(), b)) ** 2
     mac /= np.einsum("ij,ij->j", a.conj(), a).real * np.einsum("ij,ij->j", b.conj(), b).real
     return np.abs(found.natural_freq / full.natural_freq - 1).max(), np.max(1 - mac)
+
+
+def test_less_memory_gives_the_same_basis(made, monkeypatch):
+    model, trained, _, local = made
+    batches, derivatives = [], effect_basis_module._derivatives
+    monkeypatch.setattr(
+        effect_basis_module, "_derivatives", lambda *given: batches.append(len(given[4])) or derivatives(*given)
+    )
+    monkeypatch.setattr(effect_basis_module, "_BATCH", 3)
+    found = []
+    for numbers in (10**9, 7 * N * COUNT, 0):
+        monkeypatch.setattr(effect_basis_module, "_NUMBERS", numbers)
+        found.append(effect_basis(model, trained, model.space, EFFECTS[:1], local, seed=2).vectors)
+    few, some = len(local), [min(6, len(local) - k) for k in range(0, len(local), 6)]
+    assert batches == [few, *some, *(min(3, few - k) for k in range(0, few, 3))] and len(some) > 1
+    for vectors in found[1:]:
+        np.testing.assert_allclose(vectors, found[0], atol=1e-8 * np.abs(found[0]).max())
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
