@@ -258,7 +258,7 @@ class _Board:
         """From now on, tasks of this call only are to be done."""
         with self._call.get_lock():
             self._call.value = call
-            self._begun[:] = [0] * _MOST
+            self._begun[:] = [0] * len(self._begun)
 
     def is_open(self, call: int, number: int) -> bool:
         """Whether nobody has begun a task of the present call."""

@@ -82,7 +82,7 @@ def effect_basis(
     growth, points = Growth(model, basis), _points(space, seed)
     middle, vectors = points[0], basis.vectors
     room = _NUMBERS // (model.n_dof * basis.count)
-    together = min(_TOGETHER, max(room // _BATCH, 1) * _BATCH)  # whole batches: the basis does not depend on it
+    together = min(_TOGETHER, max(room // _BATCH, 1) * _BATCH)  # whole batches: the span does not depend on it
     stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / together)
     for first in range(0, len(effects), _EFFECTS):
         progress(stage, first, len(effects) + batches)

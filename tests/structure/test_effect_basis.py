@@ -85,8 +85,9 @@ def test_less_memory_gives_the_same_basis(made, monkeypatch):
         found.append(effect_basis(model, trained, model.space, EFFECTS[:1], local, seed=2).vectors)
     few, some = len(local), [min(6, len(local) - k) for k in range(0, len(local), 6)]
     assert batches == [few, *some, *(min(3, few - k) for k in range(0, few, 3))] and len(some) > 1
-    for vectors in found[1:]:
-        np.testing.assert_allclose(vectors, found[0], atol=1e-8 * np.abs(found[0]).max())
+    spans = [vectors @ vectors.T for vectors in found]  # directions of equal energy may be turned
+    for span in spans[1:]:
+        np.testing.assert_allclose(span, spans[0], atol=1e-7 * np.abs(spans[0]).max())
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
