@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import sys
 
-from calib import interrupt
+from calib.execution import interrupt
 
 
 def main() -> None:
     """Run the command."""
     try:
         interrupt.once()
-        from calib.cli import main as command
+        from calib.command.cli import main as command
 
         command()
     except KeyboardInterrupt:  # before the command handles it

@@ -9,7 +9,7 @@ sys.path[:0] = [str(HERE.parent), str(HERE / "_ext")]
 from pygments.lexers.special import TextLexer  # noqa: E402
 from sphinx.application import Sphinx  # noqa: E402
 
-from calib.version import __version__ as release  # noqa: E402
+from calib.results.version import __version__ as release  # noqa: E402
 
 project = "calib"
 author = "the authors of calib"

@@ -9,10 +9,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calib.effect import Effect
-from calib.errors import EvaluationError
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.errors.errors import EvaluationError
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel
 from models.function_effect import function_effect
 
 MASSES = 5

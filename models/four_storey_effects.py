@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import SeriesLoss, Term, parameter
-from calib.structure.extend import Addition
+from calib.structure.effects.extend import Addition
 from calib.structure.model import StructuralModel
 from models.four_storey_rig import (
     LEAF_LENGTH,

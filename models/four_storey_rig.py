@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from calib.space import Parameter, ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
 from calib.structure.geometry import DofMap, Mesh, NodeLocator
 from calib.structure.model import StructuralModel

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from calib.effect import Effect
-from calib.function import FunctionModel
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
+from calib.structure.function_model import FunctionModel
 from calib.structure.modal_function import ModalFunctionModel
 
 
@@ -27,12 +27,12 @@ def function_effect(
     Parameters
     ----------
     name, title, phrase, lacks, look_for
-        See `calib.effect.Effect`.
+        See `calib.problem.effect.Effect`.
     upper, plausible : float
         Limit, and a large but plausible magnitude, in ``unit``.
     unit : str
     nuisance, grid
-        See `calib.effect.Effect`.
+        See `calib.problem.effect.Effect`.
     """
     magnitude = Parameter(name, 0.0, 0.0, upper, unit, prior_sd=plausible)
     return Effect(name, title, lacks, look_for, magnitude, _known, nuisance, tuple(grid), phrase=phrase)

@@ -16,8 +16,8 @@ import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors import InputError
-from calib.space import Parameter, ParameterSpace
+from calib.errors.errors import InputError
+from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
 from calib.structure.geometry import DofMap, Mesh, NodeLocator
 from calib.structure.model import Assumption, Part, StructuralModel

@@ -25,20 +25,20 @@ import numpy as np
 import scipy.linalg as la
 from scipy.optimize import linear_sum_assignment
 
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
-from calib.effect import Effect
-from calib.limits import search_space, sensitivity_space
-from calib.loading import module_of
-from calib.mac import mac
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
+from calib.measurement.mac import mac
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.settings import StudySettings
-from calib.space import Parameter, ParameterSpace
-from calib.structure.extend import extend
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter, ParameterSpace
+from calib.structure.effects.extend import extend
 from calib.structure.modal_model import ModalModel
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
-from calib.study_text import read_settings
+from calib.study.limits import search_space, sensitivity_space
+from calib.study.loading import module_of
+from calib.study.settings import StudySettings
+from calib.study.study_text import read_settings
 
 twin = module_of(Path(__file__).resolve().parent / "bogie" / "make_twin.py")
 

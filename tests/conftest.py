@@ -25,7 +25,7 @@ import opensees_code
 import pytest
 from hypothesis import settings
 
-from calib.analyses import places
+from calib.analyses.provenance import places
 from calib.report.html.summary import summary
 from calib.report.html.write import Page
 
@@ -129,7 +129,7 @@ def functions_in_this_process() -> Iterator[None]:
     of the isolation see with the real thing.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.front.adopting.isolated", lambda study: study)
+        patch.setattr("calib.api.staged.isolated", lambda study: study)
         yield
 
 
@@ -153,7 +153,7 @@ def _unwritten(results: Any, *given: Any) -> Page:
 
 def _draw_nothing(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
-    patch.setattr("calib.front.drawn.write_report", _unwritten)
+    patch.setattr("calib.api.figures.write_report", _unwritten)
 
 
 @contextlib.contextmanager

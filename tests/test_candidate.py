@@ -4,12 +4,12 @@ from dataclasses import fields, replace
 
 import pytest
 
-from calib.candidate import Candidate
-from calib.correlation.frf_faults import FRFFault
-from calib.correlation.modal_faults import ModalFault
-from calib.effect import Effect
-from calib.fault import Fault
-from calib.space import Parameter
+from calib.correlation.frf.faults import FRFFault
+from calib.correlation.modal.faults import ModalFault
+from calib.problem.candidate import Candidate
+from calib.problem.effect import Effect
+from calib.problem.fault import Fault
+from calib.problem.space import Parameter
 
 SIZE = Parameter("lamp", 0.0, -1.0, 3.0, "kg", prior_sd=0.5)
 EFFECT = Effect("lamp", "Lamp", "None.", "A lamp.", SIZE, lambda model: None)

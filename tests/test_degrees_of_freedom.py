@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.degrees_of_freedom import KNOWN, behind, beside_known, chance, effective_dof, repeats_dof, row_dof
+from calib.problem.degrees_of_freedom import KNOWN, behind, beside_known, chance, effective_dof, repeats_dof, row_dof
 
 
 def test_they_are_rows_less_the_trace_of_the_hat_matrix():

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from calib.correlation.function_problem import FunctionProblem
-from calib.correlation.response_residual import ResponseResidual
-from calib.differences import central_jacobian, difference
-from calib.errors import EvaluationError, InputError
+from calib.correlation.response.problem import FunctionProblem
+from calib.correlation.response.residual import ResponseResidual
+from calib.errors.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import Prior, fit
-from calib.space import Parameter, ParameterSpace
+from calib.problem.differences import central_jacobian, difference
+from calib.problem.space import Parameter, ParameterSpace
 
 WHOLE = Parameter("n", 4.0, 2.0, 8.0, integer=True)
 

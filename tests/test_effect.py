@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from calib.effect import Effect
-from calib.errors import InputError
-from calib.function import FunctionModel, extend_function
-from calib.space import LinearConstraint, Parameter, ParameterSpace
+from calib.errors.errors import InputError
+from calib.problem.effect import Effect
+from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel, extend_function
 
 
 def effect(name="gap", lower=0.0, value=0.0, prior_sd=0.5, build=lambda model: None, **more):

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from calib.errors import EvaluationError, InputError
-from calib.evaluate import Evaluator
-from calib.outcome import OUT_OF_MEMORY, WORKER_DIED, attempt
+from calib.errors.errors import EvaluationError, InputError
+from calib.execution.evaluate import Evaluator
+from calib.execution.outcome import OUT_OF_MEMORY, WORKER_DIED, attempt
 
 # Workers import the factory by name, so it lives in a module of its own on the path.
 MODULE = """
@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from calib.errors import EvaluationError, InputError
+from calib.errors.errors import EvaluationError, InputError
 
 
 @dataclass(frozen=True)
@@ -271,7 +271,7 @@ def test_workers_that_cannot_start(source):
 def test_nothing_stays_behind_when_the_parent_is_stopped(source, tmp_path, sign):
     log, script = tmp_path / "built", tmp_path / "run.py"
     script.write_text(
-        "from calib.evaluate import Evaluator\nfrom evaluation_factory import Source\n"
+        "from calib.execution.evaluate import Evaluator\nfrom evaluation_factory import Source\n"
         "if __name__ == '__main__':\n"
         f"    with Evaluator(Source({str(log)!r}), 2) as evaluator:\n"
         "        evaluator.evaluate([{'x': -6.0}] * 4)\n"

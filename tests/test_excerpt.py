@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors import EvaluationError, InputError, ToleranceError, again
-from calib.excerpt import TAB, excerpt
-from calib.place import Place
+from calib.errors.errors import EvaluationError, InputError, ToleranceError, again
+from calib.errors.excerpt import TAB, excerpt
+from calib.errors.place import Place
 
 
 def columns(text: str) -> int:

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from calib.errors import InputError
-from calib.evaluate import Evaluator
-from calib.executor import ExecutorEvaluator, Injected
-from calib.ledger import Ledger
-from calib.outcome import TOOK_TOO_LONG, WORKER_DIED
+from calib.errors.errors import InputError
+from calib.execution.evaluate import Evaluator
+from calib.execution.executor import ExecutorEvaluator, Injected
+from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED
+from calib.results.ledger import Ledger
 
 # Other processes import the source by name, so it lives in a module of its own on the path.
 MODULE = """
@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from calib.errors import EvaluationError, InputError
+from calib.errors.errors import EvaluationError, InputError
 
 
 @dataclass(frozen=True)

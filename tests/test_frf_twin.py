@@ -9,16 +9,16 @@ import pandas as pd
 import pytest
 from scipy.optimize import least_squares
 
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.frf_residual import FRFResidual
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.frf.residual import FRFResidual
 from calib.inference.cmcf import cmcf
 from calib.inference.cmcf_equations import CmcfSettings, MeasuredReceptance
-from calib.loading import module_of
+from calib.measurement.files.uff_frf import read_uff_frfs
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_repeats import repeatability
 from calib.measurement.modal import Sensor
-from calib.measurement.uff_frf import read_uff_frfs
 from calib.structure.frf import frf
+from calib.study.loading import module_of
 from models.four_storey_rig import MASS, four_storey_rig
 from models.railway import bogie_on_rig
 from models.solar_panel import GROUPS, solar_panel

@@ -10,14 +10,14 @@ import pytest
 import scipy.linalg as la
 
 import calib
-from calib import cli
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.frf_residual import FRFResidual
-from calib.loading import module_of
+from calib.command import cli
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.frf.residual import FRFResidual
 from calib.measurement.accuracy import Claim
 from calib.measurement.frf import MeasuredFRFs
-from calib.results import Results
-from calib.study import Study
+from calib.results.results import Results
+from calib.study.loading import module_of
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parent.parent
 MODES, FRFS = (ROOT / "studies" / name for name in ("hidden_panel", "hidden_panel_frf"))

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli, interrupt
+from calib.command import cli
+from calib.execution import interrupt
 
 ROOT = Path(__file__).resolve().parent.parent
 
 CHILD = """\
 import signal, time
-from calib import interrupt
+from calib.execution import interrupt
 
 def hand(times=1):
     for _ in range(times):

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.correlation.function_problem import FunctionProblem
-from calib.correlation.response_residual import ResponseResidual
-from calib.errors import EvaluationError, InputError
+from calib.correlation.response.problem import FunctionProblem
+from calib.correlation.response.residual import ResponseResidual
+from calib.errors.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import Prior, fit
 from calib.inference.identify import posterior
 from calib.inference.integers import fit_mixed
-from calib.joint import JointProblem, joined
-from calib.problem import Problem
-from calib.space import LinearConstraint, Parameter, ParameterSpace
+from calib.problem.joint import JointProblem, joined
+from calib.problem.problem import Problem
+from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 
 TRUTH = {"k": 40.0, "m": 10.0}
 

@@ -12,13 +12,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.residual import ModalResidual
 from calib.inference.gauss_newton import fit
 from calib.inference.identify import posterior
-from calib.joint import JointProblem
-from calib.problem import Problem
-from calib.study import Study
-from calib.study_text import read_settings
+from calib.problem.joint import JointProblem
+from calib.problem.problem import Problem
+from calib.study.study import Study
+from calib.study.study_text import read_settings
 
 ROOT = Path(__file__).resolve().parent.parent
 BOGIE, VEHICLE = ROOT / "studies/bogie", ROOT / "studies/vehicle"

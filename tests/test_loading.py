@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from calib.loading import module_of
+from calib.study.loading import module_of
 
 
 @pytest.mark.parametrize("kept", [True, False])

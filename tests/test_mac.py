@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors import InputError
-from calib.mac import align, comac, is_real, mac, macx, most_real, noise_mac, relative_motion
+from calib.errors.errors import InputError
+from calib.measurement.mac import align, comac, is_real, mac, macx, most_real, noise_mac, relative_motion
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -2,8 +2,8 @@ import json
 
 import pytest
 
-from calib.errors import InputError
-from calib.named_values import ANY, read_json
+from calib.errors.errors import InputError
+from calib.results.json_file import ANY, read_json
 
 KINDS = {"name": str, "size": float, "sure": bool, "words": [str], "cases": {ANY: {"misfit": float}}}
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from calib.settings import StudySettings
+from calib.study.settings import StudySettings
 
 ROOT = Path(__file__).resolve().parent.parent
 NAMED = (

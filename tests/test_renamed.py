@@ -4,15 +4,15 @@ import json
 
 import pytest
 
-from calib import cli
-from calib.errors import InputError
-from calib.example import write_example
+from calib.command import cli
+from calib.command.example import write_example
+from calib.errors.errors import InputError
 from calib.missing import recommendation, tables
-from calib.renamed import COLUMNS, KEYS, RECORD, TABLES
-from calib.results import Results
-from calib.settings import CalibrationSettings, ExplainSettings, StudySettings
-from calib.study_text import read_settings
-from calib.table import read_table
+from calib.results.former_names import COLUMNS, KEYS, RECORD, TABLES
+from calib.results.results import Results
+from calib.results.table import read_table
+from calib.study.settings import CalibrationSettings, ExplainSettings, StudySettings
+from calib.study.study_text import read_settings
 
 SECTIONS = {
     "withheld": "[withheld]\nmodes = ['M1']\n",

@@ -4,9 +4,9 @@ import hashlib
 
 import pytest
 
-from calib.errors import InputError
-from calib.results import OWNER, Results
-from calib.written import KEPT, LOG, is_own, noting_kept
+from calib.errors.errors import InputError
+from calib.results.results import OWNER, Results
+from calib.results.written import KEPT, LOG, is_own, noting_kept
 
 
 def test_what_cannot_be_deleted_is_told(tmp_path):

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from calib.errors import InputError
-from calib.sampling import sample
-from calib.space import LinearConstraint, Parameter, ParameterSpace
+from calib.errors.errors import InputError
+from calib.problem.sampling import sample
+from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 
 SPACE = ParameterSpace(
     (

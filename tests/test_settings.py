@@ -6,11 +6,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calib.errors import InputError
-from calib.example import write_example
-from calib.settings import schema
-from calib.study import Study
-from calib.study_text import read_settings
+from calib.command.example import write_example
+from calib.errors.errors import InputError
+from calib.study.settings import schema
+from calib.study.study import Study
+from calib.study.study_text import read_settings
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,9 @@ import re
 import numpy as np
 import pytest
 
-from calib.errors import InputError
-from calib.space import LinearConstraint, Parameter, ParameterSpace
-from calib.units import SI_FACTORS
+from calib.errors.errors import InputError
+from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
+from calib.problem.units import SI_FACTORS
 
 
 def space() -> ParameterSpace:

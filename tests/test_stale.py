@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib import cli
-from calib.errors import InputError
-from calib.fingerprint import digest_of
-from calib.study import Study
+from calib.command import cli
+from calib.errors.errors import InputError
+from calib.results.fingerprint import digest_of
+from calib.study.study import Study
 from models.railway import bogie_on_rig
 
 MODEL = """
 from functools import partial
 from pathlib import Path
 import numpy as np
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel
+from calib.problem.space import Parameter, ParameterSpace
 {before}
 SPACE = ParameterSpace((Parameter("a", 2.0, 1.0, 3.0), Parameter("b", 2.0, 1.0, 3.0)))
 
@@ -214,6 +214,6 @@ def test_a_model_that_is_not_deterministic_is_told_at_its_first_run(powers, caps
 
 
 def test_a_slow_model_that_is_not_deterministic_is_told_when_its_best_point_is_asked_anew(powers, capsys, monkeypatch):
-    monkeypatch.setattr("calib.analyses.stored.CHEAP", 0.0)
+    monkeypatch.setattr("calib.analyses.provenance.stored.CHEAP", 0.0)
     powers("lambda values: {'y': values['a'] + DRAW.random(), 'z': values['b']}", "DRAW = np.random.default_rng(1)")
     assert "not deterministic" in told(capsys, "calibrate", "powers", "--workers", "1")

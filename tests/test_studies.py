@@ -11,11 +11,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib import cli
 from calib.analyses.compare import comparison_at
-from calib.correlation.expansion import expanded_shapes, orthogonality
-from calib.study import Study
-from calib.study_file import StudyFile
+from calib.command import cli
+from calib.correlation.modal.expansion import expanded_shapes, orthogonality
+from calib.study.study import Study
+from calib.study.study_file import StudyFile
 
 ROOT = Path(__file__).resolve().parent.parent
 TRUTH = json.loads((ROOT / "tests/truth/bogie.json").read_text("utf-8"))
@@ -119,7 +119,7 @@ def refuse(event, args):
     if event == "open" and "truth/bogie" in str(args[0]):
         raise SystemExit(f"the truth was opened: {args[0]}")
 sys.addaudithook(refuse)
-from calib import cli
+from calib.command import cli
 from calib.analyses.compare import comparison_at
 assert cli.__file__.startswith(sys.argv[1].removesuffix("studies/bogie")), cli.__file__
 for question in (["compare"], ["calibrate", "--quick", "--case", "GB1", "--workers", "1"]):

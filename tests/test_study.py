@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from calib.errors import InputError
-from calib.example import write_example
-from calib.study import EvaluationSource, Study
+from calib.command.example import write_example
+from calib.errors.errors import InputError
+from calib.study.study import EvaluationSource, Study
 
 ROOT = Path(__file__).resolve().parent.parent
 BOGIE, RIG = ROOT / "studies/bogie", ROOT / "studies/four_storey_rig"
@@ -199,8 +199,8 @@ def test_every_file_of_a_study_is_read_at_once(example):
 
 def test_functions_are_models_too(tmp_path):
     (tmp_path / "model.py").write_text(
-        "from calib.function import FunctionModel\n"
-        "from calib.space import Parameter, ParameterSpace\n"
+        "from calib.structure.function_model import FunctionModel\n"
+        "from calib.problem.space import Parameter, ParameterSpace\n"
         "def build():\n"
         "    space = ParameterSpace((Parameter('a', 1.0, 0.0, 3.0), Parameter('b', 1.0, 0.0, 3.0)))\n"
         "    return FunctionModel('sums', space, lambda v: {'s': v['a'] + v['b'], 'p': v['a'] - v['b']})\n"

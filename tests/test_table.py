@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.cell import guarded, guarded_table, number_of, unguarded
-from calib.errors import InputError
-from calib.results import Results
-from calib.table import FLAGS, read_table
+from calib.errors.errors import InputError
+from calib.results.cell import guarded, guarded_table, number_of, unguarded
+from calib.results.results import Results
+from calib.results.table import FLAGS, read_table
 
 
 def write(folder, text, name="table.csv"):

@@ -8,10 +8,10 @@ import time
 import numpy as np
 import pytest
 
-from calib import tasks, team
-from calib.errors import EvaluationError, InputError
-from calib.tasks import alone, each, shared_by
-from calib.team import Team
+from calib.errors.errors import EvaluationError, InputError
+from calib.execution import tasks, team
+from calib.execution.tasks import alone, each, shared_by
+from calib.execution.team import Team
 
 # Other processes import functions by name, so they live in a module of their own on the path.
 MODULE = """
@@ -20,8 +20,8 @@ import os, time
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from calib.errors import EvaluationError
-from calib.tasks import each
+from calib.errors.errors import EvaluationError
+from calib.execution.tasks import each
 
 
 def who(shared, item):

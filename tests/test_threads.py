@@ -2,7 +2,7 @@
 
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from calib.threads import one_thread
+from calib.execution.threads import one_thread
 
 
 def threads():

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import calib
-from calib import cli
-from calib.errors import InputError
-from calib.loading import module_of
+from calib.command import cli
+from calib.errors.errors import InputError
 from calib.measurement.responses import read_responses
-from calib.study_text import read_settings
+from calib.study.loading import module_of
+from calib.study.study_text import read_settings
 from models.tire.effects import tire_effects
 from models.tire.mesh_correction import mesh_corrected, mesh_factors, read_factors
 from models.tire.model import parameters, tire_on_ground

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calib.toml_places import keys_in_words, place_in
+from calib.errors.toml_places import keys_in_words, place_in
 
 TEXT = '''title = "t" # [no.header]
 "quoted.key" = 'x]'

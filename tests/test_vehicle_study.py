@@ -12,17 +12,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib import cli
 from calib.analyses.case import objective_of
 from calib.analyses.every_mode import all_stages, every_mode
-from calib.evaluate import Evaluator
+from calib.command import cli
+from calib.execution.evaluate import Evaluator
 from calib.inference.cases import Case, run_case
 from calib.inference.genetic import GeneticSettings
-from calib.ledger import Ledger
-from calib.mac import mac
-from calib.sampling import sample
-from calib.structure.training import train_basis
-from calib.study import Study
+from calib.measurement.mac import mac
+from calib.problem.sampling import sample
+from calib.results.ledger import Ledger
+from calib.structure.reduction.training import train_basis
+from calib.study.study import Study
 from models.railway import vehicle
 from models.railway.parameters import BOGIE, CAR
 
@@ -243,7 +243,7 @@ def refuse(event, args):
     if event == "open" and "truth" in str(args[0]) and str(args[0]).endswith(".json"):
         raise SystemExit(f"the truth was opened: {args[0]}")
 sys.addaudithook(refuse)
-from calib import cli
+from calib.command import cli
 raise SystemExit(cli.execute(["run", sys.argv[1], "--results", sys.argv[2], "--quick"]))
 """
 

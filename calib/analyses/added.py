@@ -13,21 +13,21 @@ import pandas as pd
 
 from calib.analyses.calibrate import Calibration
 from calib.analyses.every_mode import with_held_out
-from calib.analyses.own_modes import COLUMNS as OWN_COLUMNS
-from calib.analyses.own_modes import own_modes
-from calib.analyses.own_modes import sentence as own_sentence
-from calib.analyses.record import begin_analysis, write_record
-from calib.analyses.rules import RULES
-from calib.candidate import Candidate
-from calib.errors import EvaluationError
+from calib.analyses.provenance.record import begin_analysis, write_record
+from calib.errors.errors import EvaluationError
+from calib.hypotheses.own_modes import COLUMNS as OWN_COLUMNS
+from calib.hypotheses.own_modes import own_modes
+from calib.hypotheses.own_modes import sentence as own_sentence
+from calib.hypotheses.rules import RULES
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import NAMED, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import WIDE
-from calib.missing.nearly import is_nearly
+from calib.missing.partial import is_nearly
 from calib.missing.verdict import GROUPS
-from calib.results import Results
-from calib.study import Study
+from calib.problem.candidate import Candidate
+from calib.results.results import Results
+from calib.study.study import Study
 
 WORDS = {"fit": "used data", **GROUPS}
 COLUMNS = ("group", "stage", "rows", "rms", "expected", "p", "unpaired")

@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.fit_statistics import FitStatistics
-from calib.analyses.rules import RULES
-from calib.answer import Answer
-from calib.correlation.compare import BEYOND, Comparison
-from calib.correlation.frf_comparison import FRFComparison
-from calib.correlation.sensors import SensorFinding
+from calib.correlation.frf.comparison import FRFComparison
+from calib.correlation.modal.comparison import BEYOND, Comparison
+from calib.correlation.modal.sensors import SensorFinding
+from calib.hypotheses.rules import RULES
 from calib.inference.verdicts import identified_sentence
-from calib.joint import of_test
+from calib.problem.joint import of_test
+from calib.results.answer import Answer
 
 NAMED = 6
 """Largest number of parameters or sensors named in a sentence."""

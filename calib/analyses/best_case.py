@@ -9,7 +9,7 @@ from calib.analyses.case import CaseFound
 from calib.inference.agreement import Agreement
 from calib.inference.cases import CaseResult
 from calib.inference.rules import RULES
-from calib.space import ParameterSpace
+from calib.problem.space import ParameterSpace
 
 
 def with_starts(agreed: Agreement, cases: Sequence[CaseFound], space: ParameterSpace) -> Agreement:

@@ -21,27 +21,27 @@ from calib.analyses.compare import ComparisonResult, before_and_after, compare, 
 from calib.analyses.contradiction import contradictions, every_response
 from calib.analyses.every_mode import all_stages, every_mode
 from calib.analyses.failures import reasons_sentence, stored_reasons
-from calib.analyses.places import Workers
-from calib.analyses.record import begin_analysis, write_record
-from calib.analyses.recorded import recorded
+from calib.analyses.provenance.places import Workers
+from calib.analyses.provenance.record import begin_analysis, write_record
+from calib.analyses.provenance.recorded import recorded
+from calib.analyses.provenance.state import ADDED
+from calib.analyses.provenance.stored import confirmed
+from calib.analyses.provenance.user_function import ledger_keys_of_modes
 from calib.analyses.reduction import fingerprints
-from calib.analyses.state import ADDED
-from calib.analyses.stored import confirmed
 from calib.analyses.uncertainty import accuracy_words
-from calib.analyses.user_function import ledger_keys_of_modes
-from calib.analyses.verify import errors_at
-from calib.answer import Answer
-from calib.errors import EvaluationError, InputError
+from calib.errors.errors import EvaluationError, InputError
+from calib.execution.stage import Progress, unheard
+from calib.hypotheses.verify import errors_at
 from calib.inference.agreement import Agreement, agreement, agreement_sentences
 from calib.inference.cases import Case, convergence_table
 from calib.inference.verdicts import identified_sentence
-from calib.ledger import Ledger
 from calib.missing.suspect import sentence as suspect_sentence
-from calib.results import Results
-from calib.space import ParameterSpace
-from calib.stage import Progress, unheard
-from calib.study import Study
-from calib.study_file import StudyFile
+from calib.problem.space import ParameterSpace
+from calib.results.answer import Answer
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.study.study import Study
+from calib.study.study_file import StudyFile
 
 CHECKING = "leave-one-out and held-out errors"
 """Name of the stage that follows all cases."""
@@ -74,7 +74,8 @@ class Calibration:
     notes : tuple of str
         Why evaluations failed, and where a search deviated from the settings.
     retried : int
-        Points evaluated again since the command began; see `calib.ledger.Ledger`. The results do not depend on it.
+        Points evaluated again since the command began; see `calib.results.ledger.Ledger`. The results do not depend on
+        it.
     """
 
     cases: tuple[CaseFound, ...]

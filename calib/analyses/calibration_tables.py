@@ -9,7 +9,7 @@ import pandas as pd
 
 from calib.analyses.fit_statistics import FitStatistics
 from calib.inference.cases import CaseResult, parameters_table
-from calib.space import ParameterSpace
+from calib.problem.space import ParameterSpace
 
 
 def tables_of(

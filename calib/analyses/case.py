@@ -12,14 +12,7 @@ from typing import TypeAlias
 
 import pandas as pd
 
-from calib.analyses.case_starts import (
-    Starts,
-    Steps,
-    evaluable,
-    known_starts,
-    least_squares,
-    until_agreed,
-)
+from calib.analyses.case_starts import Starts, Steps, evaluable, known_starts, least_squares, until_agreed
 from calib.analyses.compare import ComparisonResult, comparison_at
 from calib.analyses.explained_fit import explained_fit
 from calib.analyses.fit_statistics import (
@@ -33,31 +26,25 @@ from calib.analyses.fit_statistics import (
     refined,
     statistics_at,
 )
-from calib.analyses.frf_start import linear_starts
-from calib.analyses.places import (
-    QUICK_GENERATIONS,
-    QUICK_POPULATION,
-    Workers,
-    open_evaluator,
-    tasks_shared,
-)
+from calib.analyses.provenance.places import QUICK_GENERATIONS, QUICK_POPULATION, Workers, open_evaluator, tasks_shared
+from calib.analyses.provenance.stored import confirm
 from calib.analyses.reduction import Reduction, reduction_of
-from calib.analyses.stored import confirm
-from calib.correlation.problem import ModalProblem
-from calib.errors import EvaluationError, InputError, ToleranceError
-from calib.forward import ForwardProblem
+from calib.correlation.modal.problem import ModalProblem
+from calib.errors.errors import EvaluationError, InputError, ToleranceError
+from calib.execution.outcome import Outcome, answered, key_of
+from calib.execution.stage import Progress, named, unheard
+from calib.experiment import ForwardProblem
+from calib.hypotheses.linear_start import linear_starts
 from calib.inference.cases import Case, CaseResult, run_case
 from calib.inference.genetic import GeneticSettings
 from calib.inference.objective import FrequencyMacObjective, ResponseObjective
 from calib.inference.rules import RULES
 from calib.inference.starts import Enough, UntilAgreed, never
-from calib.ledger import Ledger
-from calib.outcome import Outcome, answered, key_of
-from calib.problem import Counts, Pair, Problem
-from calib.results import Results
-from calib.sampling import sample
-from calib.stage import Progress, named, unheard
-from calib.study import Study
+from calib.problem.problem import Counts, Pair, Problem
+from calib.problem.sampling import sample
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.study.study import Study
 
 Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
 
@@ -152,7 +139,7 @@ class CaseFinder:
         Where the reduced basis is kept.
     ledger : Ledger
     workers : int, Injected or None
-        Who evaluates a search; see `calib.analyses.places.Workers`.
+        Who evaluates a search; see `calib.analyses.provenance.places.Workers`.
     quick : bool
         A smaller search for a quick run.
     progress : Progress

@@ -12,15 +12,15 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.fit_statistics import FitProgress, FitStatistics
-from calib.analyses.places import QUICK_SAMPLED, QUICK_STARTS
-from calib.errors import EvaluationError, InputError
+from calib.analyses.provenance.places import QUICK_SAMPLED, QUICK_STARTS
+from calib.errors.errors import EvaluationError, InputError
+from calib.execution.outcome import as_cause
 from calib.inference.cases import Case, CaseResult
 from calib.inference.rules import RULES
-from calib.outcome import as_cause
-from calib.problem import Counts
-from calib.sampling import sample
-from calib.several import AnyStudy
-from calib.study_file import StudyFile
+from calib.problem.problem import Counts
+from calib.problem.sampling import sample
+from calib.study.several import AnyStudy
+from calib.study.study_file import StudyFile
 
 Starts: TypeAlias = Sequence[Mapping[str, float]]
 Fit: TypeAlias = Callable[[Starts, int, FitProgress, Counts], FitStatistics]

@@ -10,29 +10,29 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.answers import of_comparison
-from calib.analyses.record import begin_analysis, write_record
-from calib.analyses.recorded import traced
-from calib.analyses.state import GEOMETRY, ORTHOGONALITY
+from calib.analyses.provenance.record import begin_analysis, write_record
+from calib.analyses.provenance.recorded import traced
+from calib.analyses.provenance.state import GEOMETRY, ORTHOGONALITY
 from calib.analyses.uncertainty import std_notes
-from calib.answer import Answer
-from calib.correlation.compare import Comparison
-from calib.correlation.expansion import ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
-from calib.correlation.frf_comparison import FRFComparison
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.frf_residual import FRFResidual
-from calib.correlation.function_problem import FunctionProblem
+from calib.correlation.frf.comparison import FRFComparison
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.mesh import geometry_tables
-from calib.correlation.rigid import unpaired_sentence, unpaired_table
+from calib.correlation.modal.comparison import Comparison
+from calib.correlation.modal.expansion import ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
+from calib.correlation.modal.rigid import unpaired_sentence, unpaired_table
+from calib.correlation.modal.sensors import suspicious_sensors
+from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.rules import RULES
-from calib.correlation.sensors import suspicious_sensors
 from calib.correlation.units import frequency_hint, response_hints
-from calib.errors import EvaluationError, InputError
-from calib.forward import ForwardProblem
+from calib.errors.errors import EvaluationError, InputError
+from calib.execution.outcome import answered, as_cause
+from calib.experiment import ForwardProblem
 from calib.measurement.check import SensorFinding
 from calib.measurement.modal import MeasuredModes
-from calib.outcome import answered, as_cause
-from calib.results import Results
-from calib.study import Study
+from calib.results.answer import Answer
+from calib.results.results import Results
+from calib.study.study import Study
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import Any
 
 import pandas as pd
 
+from calib.execution.outcome import answered
 from calib.missing.held_out import contradicting
 from calib.missing.verdict import GROUPS
-from calib.outcome import answered
-from calib.study import Study
+from calib.study.study import Study
 
 _NAMED = {"held_out_modes": "mode", "held_out_responses": "response"}
 """Groups whose data are listed one by one, and the column that names them."""
@@ -23,7 +23,7 @@ def contradictions(errors: pd.DataFrame, each: pd.DataFrame | None, assumed: str
     A group contradicts the model when its p-value is below one in a thousand (see `calib.missing.held_out`): p is the
     probability that a correctly specified model gives so large a sum of squares, its errors having the covariance of
     the measurement and of the fitted parameters (chi-square test; an F test where the standard deviation is estimated
-    from few repeats, see `calib.correlation.held_out`). A study has at most three groups, so fewer than 1 in 300
+    from few repeats, see `calib.correlation.modal.held_out`). A study has at most three groups, so fewer than 1 in 300
     correctly specified models are rejected.
 
     Parameters

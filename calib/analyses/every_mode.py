@@ -8,8 +8,8 @@ from typing import Any
 
 import pandas as pd
 
-from calib.correlation.compare import Comparison
-from calib.study import Study
+from calib.correlation.modal.comparison import Comparison
+from calib.study.study import Study
 
 
 def all_stages(study: Study, before: Comparison, after: Comparison) -> dict[str, Comparison]:

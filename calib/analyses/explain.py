@@ -11,29 +11,26 @@ from types import MappingProxyType
 
 import pandas as pd
 
-from calib.analyses.adapter import Adapter
-from calib.analyses.adapters import adapter_of, perturbations_of
-from calib.analyses.effect_facts import detectable, gains, untested
 from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.explanation_result import ExplanationResult, summary
 from calib.analyses.failures import SHOWN, reasons
-from calib.analyses.joint_adapter import together
-from calib.analyses.mesh_term import mesh_words, with_mesh_error
-from calib.analyses.record import begin_analysis, write_record
-from calib.analyses.richer import richer_members
-from calib.analyses.state import ADDED, EXPLAINED, PROPOSED
+from calib.analyses.hypotheses_of_study import adapter_of, perturbations_of
+from calib.analyses.provenance.record import begin_analysis, write_record
+from calib.analyses.provenance.state import ADDED, EXPLAINED, PROPOSED
 from calib.analyses.uncertain import uncertain_note, with_uncertain
-from calib.analyses.unexplained import unexplained
-from calib.effect import Effect
-from calib.errors import EvaluationError, InputError
-from calib.joint import TEST
-from calib.loading import Model, with_effects
+from calib.errors.errors import EvaluationError, InputError
+from calib.execution.outcome import as_cause, failure
+from calib.execution.stage import Progress, unheard
+from calib.hypotheses.joint import together
+from calib.hypotheses.mesh_term import mesh_words, with_mesh_error
 from calib.measurement.corrections import correctable
 from calib.missing import explain as engine
 from calib.missing.accuracy import changing, less_accurate
 from calib.missing.accuracy import sentence as accuracy_sentence
 from calib.missing.between_tests import BETWEEN
 from calib.missing.by_test import BY_TEST, reduction_table
+from calib.missing.detailed import richer_next, richer_sentence, richer_tables
+from calib.missing.effect_facts import detectable, gains, untested
 from calib.missing.enough import require_modes
 from calib.missing.explanation import Explanation
 from calib.missing.fault_table import faults_table
@@ -44,26 +41,23 @@ from calib.missing.pattern import parameter_table, pattern_table, place_table
 from calib.missing.profile import profile_interval
 from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
 from calib.missing.recommendation import Interval, Recommendation, recommend, recommendation
-from calib.missing.richer import richer_next, richer_sentence, richer_tables
+from calib.missing.richer import richer_members
 from calib.missing.score import noise_limit
 from calib.missing.steps_table import step_fits, steps_tables
 from calib.missing.suspect import sentence as suspect_sentence
-from calib.missing.tables import (
-    candidate_fits_table,
-    confounding_table,
-    effects_table,
-    misfit_table,
-    pull_table,
-)
+from calib.missing.tables import candidate_fits_table, confounding_table, effects_table, misfit_table, pull_table
+from calib.missing.test import Adapter
+from calib.missing.unexplained import unexplained
 from calib.missing.verdict import verdict
 from calib.missing.verdict_words import elsewhere, limits_sentence
 from calib.missing.worst_misfit import misfit_at
-from calib.outcome import as_cause, failure
-from calib.results import Results
-from calib.settings import ExplainSettings
-from calib.several import AnyStudy
-from calib.stage import Progress, unheard
-from calib.study import Study
+from calib.problem.effect import Effect
+from calib.problem.joint import TEST
+from calib.results.results import Results
+from calib.study.loading import Model, with_effects
+from calib.study.settings import ExplainSettings
+from calib.study.several import AnyStudy
+from calib.study.study import Study
 
 
 def explain(

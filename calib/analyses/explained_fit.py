@@ -7,16 +7,16 @@ from pathlib import Path
 
 import pandas as pd
 
-from calib.analyses.stale import stale_analyses
-from calib.errors import InputError
+from calib.analyses.provenance.stale import stale_analyses
+from calib.errors.errors import InputError
+from calib.missing.detailed import Richer
 from calib.missing.explanation import Explanation
-from calib.missing.richer import Richer
-from calib.results import Results
-from calib.several import AnyStudy
-from calib.space import ParameterSpace
-from calib.study_file import StudyFile
-from calib.study_text import base_of
-from calib.table import read_rows
+from calib.problem.space import ParameterSpace
+from calib.results.results import Results
+from calib.results.table import read_rows
+from calib.study.several import AnyStudy
+from calib.study.study_file import StudyFile
+from calib.study.study_text import base_of
 
 TABLE = "explained_fits"
 COLUMNS = ("effects", "parameter", "value")

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from calib.analyses.record import check_repeats, disagreements_table
+from calib.analyses.provenance.record import check_repeats, disagreements_table
 from calib.analyses.uncertainty import accuracy_words, assumed_words, std_notes
-from calib.answer import Answer
 from calib.missing.candidate_fit import CandidateFit, WrongDatum
+from calib.missing.detailed import Richer
 from calib.missing.explanation import Explanation
 from calib.missing.local import local_perturbation
-from calib.missing.nearly import is_nearly
-from calib.missing.richer import Richer
+from calib.missing.partial import is_nearly
 from calib.missing.verdict import GROUPS as UNSEEN_GROUPS
-from calib.several import AnyStudy
-from calib.study import Study
+from calib.results.answer import Answer
+from calib.study.several import AnyStudy
+from calib.study.study import Study
 
 GROUPS = ("fit", *UNSEEN_GROUPS)
 """Groups of data whose errors are reported."""
@@ -37,7 +37,7 @@ class MeasurementFacts:
     notes : tuple of str
         Caveats on the standard deviations, and repeats that disagree.
     disagreements : DataFrame
-        Repeats that disagree with the others; see `calib.analyses.record.disagreements_table`.
+        Repeats that disagree with the others; see `calib.analyses.provenance.record.disagreements_table`.
     held_sd : mapping from str to float
         Standard deviations of held parameters that an earlier study determined.
     seed : int

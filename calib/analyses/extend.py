@@ -13,13 +13,13 @@ from types import MappingProxyType
 
 import tomlkit
 
-from calib.effect import Effect
-from calib.errors import InputError
-from calib.loading import pick
-from calib.place import Place
-from calib.several import AnyStudy, load
-from calib.study_file import StudyFile
-from calib.written import DRAFT, free_name, is_own_folder, note_folder
+from calib.errors.errors import InputError
+from calib.errors.place import Place
+from calib.problem.effect import Effect
+from calib.results.written import DRAFT, free_name, is_own_folder, note_folder
+from calib.study.loading import pick
+from calib.study.several import AnyStudy, load
+from calib.study.study_file import StudyFile
 
 NAME = "study.toml"
 EXTENDED, EARLIER = "_extended", "_earlier"

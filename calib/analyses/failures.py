@@ -6,10 +6,10 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from calib.analyses.stored import point_words
-from calib.ledger import Ledger
-from calib.outcome import Outcome
-from calib.space import ParameterSpace
+from calib.analyses.provenance.stored import point_words
+from calib.execution.outcome import Outcome
+from calib.problem.space import ParameterSpace
+from calib.results.ledger import Ledger
 
 SHOWN = 3
 """Reasons that are reported."""

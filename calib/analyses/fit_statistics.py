@@ -12,31 +12,31 @@ from typing import TypeAlias
 import numpy as np
 import pandas as pd
 
-from calib.analyses.joint_part import JointPart, joint_parts
-from calib.analyses.std_by_test import COLUMNS, std_by_test
 from calib.analyses.uncertainty import assumed_words, in_one
-from calib.degrees_of_freedom import effective_dof
-from calib.errors import EvaluationError
-from calib.forward import ForwardProblem
+from calib.errors.errors import EvaluationError
+from calib.execution.stage import Progress, unheard
+from calib.experiment import ForwardProblem
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import CaseResult
 from calib.inference.gauss_newton import FitResult, Prior
 from calib.inference.identify import Identification, identify, prediction_interval
 from calib.inference.integers import MixedResult, fit_mixed
+from calib.inference.joint_part import JointPart, joint_parts
 from calib.inference.region import InfeasibleError, active_limits
 from calib.inference.rules import RULES
 from calib.inference.starts import Enough, never
+from calib.inference.std_by_test import COLUMNS, std_by_test
 from calib.inference.verdicts import integer_std, parameter_verdicts
-from calib.joint import JointProblem
-from calib.ledger import Ledger
 from calib.missing.goodness import goodness, misfit_factor, overall
 from calib.missing.rules import RULES as MISSING
 from calib.missing.suspect import suspects
-from calib.problem import Counts, Pair, Problem
-from calib.several import AnyStudy
-from calib.space import ParameterSpace
-from calib.stage import Progress, unheard
-from calib.study import Study
+from calib.problem.degrees_of_freedom import effective_dof
+from calib.problem.joint import JointProblem
+from calib.problem.problem import Counts, Pair, Problem
+from calib.problem.space import ParameterSpace
+from calib.results.ledger import Ledger
+from calib.study.several import AnyStudy
+from calib.study.study import Study
 
 FitProgress = Callable[[int, int, float], None]
 Profiles: TypeAlias = Mapping[str, tuple[np.ndarray, np.ndarray]]
@@ -92,7 +92,7 @@ class FitStatistics:
     misfit, prior_misfit : float
         Sums of squares of the whitened residual and of the priors; least squares minimise the total.
     dof : float
-        Effective degrees of freedom of the residual; see `calib.degrees_of_freedom.effective_dof`.
+        Effective degrees of freedom of the residual; see `calib.problem.degrees_of_freedom.effective_dof`.
     p_fit : float
         Probability that a correctly specified model fits as badly; the same test as in an explanation, see
         `calib.missing.goodness.overall`.
@@ -120,7 +120,7 @@ class FitStatistics:
     assumed : str
         Assumed standard deviations that this rests on; see `calib.analyses.uncertainty.assumed_words`.
     by_test : DataFrame
-        What each of several tests alone would determine, see `calib.analyses.std_by_test.std_by_test`; empty for one.
+        What each of several tests alone would determine, see `calib.inference.std_by_test.std_by_test`; empty for one.
     parts : mapping from str to JointPart
         What the fit says about the parameters of each of several tests, by its name; empty for one.
     active : frozenset of str

@@ -27,22 +27,22 @@ from calib.analyses.case import reduction_noted, reported
 from calib.analyses.case_starts import Starts, evaluable, known_starts, least_squares, until_agreed
 from calib.analyses.compare import before_and_after, compare
 from calib.analyses.fit_statistics import FitProgress, FitStatistics, Terms, posed, refined
-from calib.analyses.frf_start import linear_starts
-from calib.analyses.record import begin_analysis, write_record
-from calib.analyses.recorded import recorded
-from calib.analyses.stored import confirmed
-from calib.answer import Answer
-from calib.errors import InputError
-from calib.forward import ForwardProblem
+from calib.analyses.provenance.record import begin_analysis, write_record
+from calib.analyses.provenance.recorded import recorded
+from calib.analyses.provenance.stored import confirmed
+from calib.errors.errors import InputError
+from calib.execution.stage import Progress, named, unheard
+from calib.experiment import ForwardProblem
+from calib.hypotheses.linear_start import linear_starts
 from calib.inference.agreement import agreement
 from calib.inference.cases import Case, CaseResult
 from calib.inference.starts import Enough, UntilAgreed, never
-from calib.joint import JointProblem, of_test, stacked
-from calib.ledger import Ledger
-from calib.problem import Counts
-from calib.results import Results
-from calib.several import JointStudy
-from calib.stage import Progress, named, unheard
+from calib.problem.joint import JointProblem, of_test, stacked
+from calib.problem.problem import Counts
+from calib.results.answer import Answer
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.study.several import JointStudy
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,18 @@ import numpy as np
 import pandas as pd
 import tomlkit
 
-from calib.analyses.adapter import Adapter
-from calib.analyses.compositions import Measured, compositions
 from calib.analyses.explain import adapter_for, require_usable
 from calib.analyses.explained_fit import explained_fit
 from calib.analyses.extend import NAME, anywhere, draft_of, put_among, require_valid, set_aside, unwritable
-from calib.analyses.proposed_code import FUNCTION, library_text
-from calib.analyses.proposed_words import (
+from calib.analyses.provenance.record import begin_analysis, write_record
+from calib.analyses.provenance.stale import stale_answers
+from calib.errors.errors import EvaluationError, InputError
+from calib.execution.stage import Progress, unheard
+from calib.hypotheses.proposals.code import FUNCTION, library_text
+from calib.hypotheses.proposals.compositions import Measured, compositions
+from calib.hypotheses.proposals.proposal import Proposals
+from calib.hypotheses.proposals.proposal_search import Search
+from calib.hypotheses.proposals.words import (
     answer_of,
     lost_words,
     no_places,
@@ -31,24 +36,19 @@ from calib.analyses.proposed_words import (
     places_table,
     proposals_table,
 )
-from calib.analyses.record import begin_analysis, write_record
-from calib.analyses.stale import stale_answers
-from calib.answer import Answer
-from calib.errors import EvaluationError, InputError
-from calib.loading import Model
 from calib.missing.collinear import Group
 from calib.missing.explanation import OPEN, Explanation
-from calib.missing.proposal import Proposals
-from calib.missing.proposal_search import Search
 from calib.missing.recommendation import recommend, recommendation
 from calib.missing.refits import Refits
 from calib.missing.settings import Settings
-from calib.named_values import read_json
-from calib.results import Results
-from calib.settings import ExplainSettings
-from calib.several import AnyStudy
-from calib.stage import Progress, unheard
-from calib.study_file import shell_argument
+from calib.missing.test import Adapter
+from calib.results.answer import Answer
+from calib.results.json_file import read_json
+from calib.results.results import Results
+from calib.study.loading import Model
+from calib.study.settings import ExplainSettings
+from calib.study.several import AnyStudy
+from calib.study.study_file import shell_argument
 
 PROPOSED, FILE = "_proposed", "proposed_effects.py"
 """End of the name of the study with the proposals, and the file of its library."""

@@ -12,28 +12,28 @@ from typing import Any
 
 import numpy as np
 
-from calib.analyses.basis_cache import kept_basis, key_of
-from calib.analyses.user_function import ledger_keys_of_modes
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.problem import ModalProblem
-from calib.effect import Effect
-from calib.errors import EvaluationError, InputError, ToleranceError
-from calib.evaluate import Evaluator
-from calib.ledger import Ledger
-from calib.outcome import Outcome
-from calib.results import Results
-from calib.space import Parameter, ParameterSpace
-from calib.stage import Progress, unheard
-from calib.structure.basis import Basis
-from calib.structure.effect_basis import effect_basis, frf_effect_basis
-from calib.structure.frf_target import FRFTarget
-from calib.structure.growth import Target
+from calib.analyses.provenance.user_function import ledger_keys_of_modes
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.modal.problem import ModalProblem
+from calib.errors.errors import EvaluationError, InputError, ToleranceError
+from calib.execution.evaluate import Evaluator
+from calib.execution.outcome import Outcome
+from calib.execution.stage import Progress, unheard
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter, ParameterSpace
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.structure.effects.perturbations import Perturbation
 from calib.structure.model import StructuralModel
-from calib.structure.perturbations import Perturbation
-from calib.structure.reduced import ReducedModel
-from calib.structure.refinement import modes_near
-from calib.structure.training import enrich_basis, train
-from calib.study import Study
+from calib.structure.reduction.basis import Basis
+from calib.structure.reduction.cache import kept_basis, key_of
+from calib.structure.reduction.effect_basis import effect_basis, frf_effect_basis
+from calib.structure.reduction.frf_target import FRFTarget
+from calib.structure.reduction.growth import Target
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.refinement import modes_near
+from calib.structure.reduction.training import enrich_basis, train
+from calib.study.study import Study
 
 WORTHWHILE_DOFS = 300
 """Degrees of freedom below which a model is fast enough at full order."""
@@ -68,7 +68,7 @@ class Wanted:
         """The requirements of a problem at full order.
 
         Of modes all, up to the end of the frequency window, with ``tolerance`` as the relative error of an eigenvalue;
-        of FRFs all that are in use, with `calib.structure.frf_target.TOLERANCE`.
+        of FRFs all that are in use, with `calib.structure.reduction.frf_target.TOLERANCE`.
         """
         return cls(problem.basis_target(tolerance), problem.basis_names, seed)
 
@@ -99,7 +99,7 @@ class Wanted:
         local: Sequence[Perturbation],
         progress: Progress = unheard,
     ) -> Basis:
-        """The next version of a basis, for effects and local perturbations; see `calib.structure.effect_basis`."""
+        """The next version of a basis, for effects and local perturbations; see `effect_basis`."""
         if isinstance(self.target, FRFTarget):
             return frf_effect_basis(model, basis, self.within(space), effects, self.target, self.seed, progress)
         return effect_basis(model, basis, space, effects, local, self.seed, progress)

@@ -13,26 +13,33 @@ import pandas as pd
 
 from calib.analyses.answers import of_screening, of_sensitivity
 from calib.analyses.failures import reasons, reasons_sentence
-from calib.analyses.places import QUICK_BASE, QUICK_SAMPLES, QUICK_TRAJECTORIES, Workers, is_quick, open_evaluator
-from calib.analyses.record import analyses_of, begin_analysis, write_record
-from calib.analyses.recorded import recorded
-from calib.analyses.state import changed, made_from
-from calib.analyses.stored import confirmed
-from calib.answer import Answer
-from calib.errors import InputError
-from calib.ledger import Ledger
-from calib.outcome import Outcome
-from calib.results import Results
-from calib.sampling import Sample, sample
+from calib.analyses.provenance.places import (
+    QUICK_BASE,
+    QUICK_SAMPLES,
+    QUICK_TRAJECTORIES,
+    Workers,
+    is_quick,
+    open_evaluator,
+)
+from calib.analyses.provenance.record import analyses_of, begin_analysis, write_record
+from calib.analyses.provenance.recorded import recorded
+from calib.analyses.provenance.state import changed, made_from
+from calib.analyses.provenance.stored import confirmed
+from calib.errors.errors import InputError
+from calib.execution.outcome import Outcome
+from calib.execution.stage import Progress, unheard
+from calib.problem.sampling import Sample, sample
+from calib.problem.space import ParameterSpace
+from calib.results.answer import Answer
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.results.table import read_table
+from calib.results.written import is_own
 from calib.sensitivity.selection import Assessment, assess
 from calib.sensitivity.spearman import noise_floor
 from calib.sensitivity.variance import Design, morris_design, morris_effects, sobol_design, sobol_shares
-from calib.space import ParameterSpace
-from calib.stage import Progress, unheard
-from calib.study import Study
-from calib.study_file import shell_argument
-from calib.table import read_table
-from calib.written import is_own
+from calib.study.study import Study
+from calib.study.study_file import shell_argument
 
 _BATCH = 50
 """Points evaluated and added to the ledger in one batch."""

@@ -6,16 +6,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 from calib.analyses.calibrate import fingerprint
-from calib.analyses.places import QUICK
+from calib.analyses.provenance.places import QUICK
 from calib.analyses.sensitivity import outdated_selection, selecting
-from calib.errors import InputError
-from calib.named_values import read_json
-from calib.results import Results
-from calib.space import ParameterSpace
-from calib.study import Study
-from calib.study_file import shell_argument, study_file
-from calib.study_text import read_settings
-from calib.table import read_table
+from calib.errors.errors import InputError
+from calib.problem.space import ParameterSpace
+from calib.results.json_file import read_json
+from calib.results.results import Results
+from calib.results.table import read_table
+from calib.study.study import Study
+from calib.study.study_file import shell_argument, study_file
+from calib.study.study_text import read_settings
 
 _ROUNDING = 1e-9
 """Relative tolerance at a limit, since tables keep ten digits."""

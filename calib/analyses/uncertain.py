@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from calib.analyses.rules import RULES
+from calib.hypotheses.rules import RULES
 from calib.measurement.accuracy import Claim
-from calib.space import Parameter, ParameterSpace
-from calib.study import Study
+from calib.problem.space import Parameter, ParameterSpace
+from calib.study.study import Study
 
 
 def with_uncertain(study: Study) -> Study:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from calib.joint import said
-from calib.several import AnyStudy
+from calib.problem.joint import said
 from calib.structure.model import Assumption
-from calib.study import Study
+from calib.study.several import AnyStudy
+from calib.study.study import Study
 
 
 def assumed_std(study: Study) -> tuple[Assumption, ...]:

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pandas as pd
 
-from calib.analyses.places import results_of
-from calib.analyses.record import analyses_of
-from calib.analyses.stale import stale_analyses
-from calib.analyses.state import measurement_digest
-from calib.results import Results
-from calib.study_file import StudyFile, shell_argument
-from calib.study_text import base_of, read_settings
-from calib.table import read_table
+from calib.analyses.provenance.places import results_of
+from calib.analyses.provenance.record import analyses_of
+from calib.analyses.provenance.stale import stale_analyses
+from calib.analyses.provenance.state import measurement_digest
+from calib.results.results import Results
+from calib.results.table import read_table
+from calib.study.study_file import StudyFile, shell_argument
+from calib.study.study_text import base_of, read_settings
 
 COLUMNS = ("version", "study", "effects", "group", "rms", "expected")
 MOST = 50

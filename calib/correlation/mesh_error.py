@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from calib.correlation.rules import RULES
-from calib.errors import EvaluationError, InputError
-from calib.fingerprint import digest_of
-from calib.space import Parameter
+from calib.errors.errors import EvaluationError, InputError
+from calib.problem.space import Parameter
+from calib.results.fingerprint import digest_of
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from calib.correlation.rules import RULES
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
 from calib.structure.modal_model import ModalModel
 from calib.structure.modes import Modes
 

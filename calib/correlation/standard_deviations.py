@@ -8,13 +8,13 @@ from typing import Literal
 
 import numpy as np
 
-from calib import degrees_of_freedom
 from calib.correlation.rules import RULES
-from calib.degrees_of_freedom import beside_known, dof_each, widened_by
-from calib.errors import InputError
-from calib.mac import is_real
+from calib.errors.errors import InputError
 from calib.measurement.accuracy import KINDS
+from calib.measurement.mac import is_real
 from calib.measurement.modal import MeasuredModes
+from calib.problem import degrees_of_freedom
+from calib.problem.degrees_of_freedom import beside_known, dof_each, widened_by
 from calib.structure.model import Assumption
 
 
@@ -119,8 +119,8 @@ def std_for(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | None =
     all entries (root mean square; for shapes over ``n_sensors - 1`` entries a mode, since a factor was fitted to every
     repeat). Values are weighted by their degrees of freedom, and the pooled standard deviation is scaled to the number
     of repeats of each value. Standard deviations from a file with a single repeat, and those of ten or more repeats,
-    are used individually, the latter widened by `calib.degrees_of_freedom.widened_by`. Unknown ones, and those of
-    values with fewer than `RULES.own_from` repeats, take the pooled value if there is one, else ``unknown_*`` of the
+    are used individually, the latter widened by `calib.problem.degrees_of_freedom.widened_by`. Unknown ones, and those
+    of values with fewer than `RULES.own_from` repeats, take the pooled value if there is one, else ``unknown_*`` of the
     floors; see `assumptions`. The claimed accuracy of the measurement is added in quadrature, and stands alone where
     the standard deviation is unknown.
 
@@ -164,8 +164,8 @@ def dof_behind(
     """Degrees of freedom of the repeats behind the standard deviations of `std_for`.
 
     Floors and claimed accuracy count as known, so that a larger part of them adds degrees of freedom; see
-    `calib.degrees_of_freedom.beside_known`. Infinite for a single repeat, and for a kind without standard deviations
-    from repeats.
+    `calib.problem.degrees_of_freedom.beside_known`. Infinite for a single repeat, and for a kind without standard
+    deviations from repeats.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.inference.cases import CaseResult, ratios
 from calib.inference.rules import RULES
-from calib.space import ParameterSpace
+from calib.problem.space import ParameterSpace
 
 _NAMED = 3
 """Parameters that a sentence names as differing; the table has all."""

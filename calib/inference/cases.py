@@ -13,14 +13,14 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from calib.errors import EvaluationError, again
-from calib.evaluate import BatchEvaluator, Recorder
+from calib.errors.errors import EvaluationError, again
+from calib.execution.evaluate import BatchEvaluator, Recorder
+from calib.execution.outcome import Asked, Outcome, failure, key_of
 from calib.inference.genetic import GeneticSearch, GeneticSettings
 from calib.inference.objective import Objective
 from calib.inference.rules import RULES
-from calib.outcome import Asked, Outcome, failure, key_of
-from calib.problem import Counts
-from calib.space import ParameterSpace
+from calib.problem.problem import Counts
+from calib.problem.space import ParameterSpace
 
 FAILED = 1e12
 """Violation of a point that could not be evaluated: behind every point that merely breaks a constraint."""
@@ -250,8 +250,8 @@ def parameters_table(results: Sequence[CaseResult], space: ParameterSpace) -> pd
     -------
     DataFrame
         ``case, parameter, value, unit, lower, upper``; ``ratio`` (position between the limits, 0 to 1); ``on_limit``
-        (see `calib.on_limit.limit_at`); ``spread`` (largest minus smallest ratio over the cases) and ``stable`` (spread
-        of at most 0.10; Ribeiro et al. 2013). Both are missing when there is one case only.
+        (see `calib.problem.on_limit.limit_at`); ``spread`` (largest minus smallest ratio over the cases) and ``stable``
+        (spread of at most 0.10; Ribeiro et al. 2013). Both are missing when there is one case only.
     """
     position = ratios(results, space)
     spread = np.ptp(position, axis=0) if len(results) > 1 else np.full(len(space.free), np.nan)

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.errors import EvaluationError, InputError
+from calib.errors.errors import EvaluationError, InputError
 from calib.inference.cmcf_equations import (
     DEFAULT,
     Change,

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors import EvaluationError, InputError
+from calib.errors.errors import EvaluationError, InputError
 
 Kind = Literal["stiffness", "mass", "structural", "viscous"]
 Weighting = Literal["none", "block", "white"]

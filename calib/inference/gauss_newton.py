@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 import pandas as pd
 
-from calib.errors import EvaluationError, again
+from calib.errors.errors import EvaluationError, again
 from calib.inference.region import Region
-from calib.space import ParameterSpace
+from calib.problem.space import ParameterSpace
 
 
 class LeastSquares(Protocol):

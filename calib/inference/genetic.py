@@ -21,8 +21,8 @@ from pymoo.operators.crossover.ux import UniformCrossover
 from pymoo.operators.selection.tournament import TournamentSelection
 from pymoo.problems.static import StaticProblem
 
-from calib.errors import InputError
-from calib.space import ParameterSpace
+from calib.errors.errors import InputError
+from calib.problem.space import ParameterSpace
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.inference.rules import RULES
-from calib.space import Parameter, ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
 
 _ZERO = 1e-13
 

@@ -11,11 +11,11 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from calib.errors import EvaluationError, InputError, again
+from calib.errors.errors import EvaluationError, InputError, again
 from calib.inference.gauss_newton import DEFAULT, FitResult, FitSettings, LeastSquares, Prior, Step, fit, unstepped
 from calib.inference.region import InfeasibleError
 from calib.inference.starts import Enough, never
-from calib.space import ParameterSpace
+from calib.problem.space import ParameterSpace
 
 
 @dataclass(frozen=True, eq=False)

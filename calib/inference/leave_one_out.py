@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as la
 
-from calib.degrees_of_freedom import chance
-from calib.errors import InputError
+from calib.errors.errors import InputError
+from calib.problem.degrees_of_freedom import chance
 
 
 @dataclass(frozen=True, eq=False)

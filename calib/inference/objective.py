@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 
 
 class Objective(Protocol):

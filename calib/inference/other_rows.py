@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg as la
 
-from calib.degrees_of_freedom import hat_root
+from calib.problem.degrees_of_freedom import hat_root
 
 
 class OtherRows(NamedTuple):

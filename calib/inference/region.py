@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import nnls
 
-from calib.errors import InputError
-from calib.space import ParameterSpace
+from calib.errors.errors import InputError
+from calib.problem.space import ParameterSpace
 
 ACTIVE = 1e-6
 """Distance to a limit, over the range, below which a step is held by it: its rounding, not what is reported."""

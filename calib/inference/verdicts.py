@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.inference.identify import Identification, faults
 from calib.inference.rules import RULES
-from calib.space import Parameter, ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
 
 
 def integer_std(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0.0, sd: float = math.inf) -> float:

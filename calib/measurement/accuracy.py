@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 
 KINDS = {"freq": "natural frequencies", "damping": "damping ratios", "shape": "shapes"}
 """Kinds of a modal measurement, as a study names them."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.mac import mac
+from calib.measurement.mac import mac
 from calib.measurement.outliers import median_of_known
 
 

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.rules import RULES
 
 FindingKind = Literal["flipped", "swapped", "dead"]

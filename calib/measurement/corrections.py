@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
+from calib.errors.place import Place
 from calib.measurement.modal import MeasuredModes
-from calib.place import Place
 
 _LEAST_GAIN = 0.05
 """Smallest size of a channel's gain by which its readings are divided: below, it measured nothing."""

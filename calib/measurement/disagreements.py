@@ -9,14 +9,10 @@ from typing import Literal
 
 import numpy as np
 
-from calib.mac import mac
 from calib.measurement.alignment import aligned_repeats, middle
 from calib.measurement.average import mean_and_std, scaled
-from calib.measurement.outliers import (
-    emptied,
-    far_values,
-    find_outlying,
-)
+from calib.measurement.mac import mac
+from calib.measurement.outliers import emptied, far_values, find_outlying
 from calib.measurement.rules import RULES
 
 Pooling = Literal["robust", "plain"]

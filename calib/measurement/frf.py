@@ -9,14 +9,14 @@ from typing import Literal
 
 import numpy as np
 
-from calib.errors import InputError
-from calib.fingerprint import digest_of
+from calib.errors.errors import InputError
 from calib.measurement.accuracy import NOTHING, Claim
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.frf_lines import Resonance, in_bands, resonances
 from calib.measurement.modal import Sensor
 from calib.measurement.places import Misplaced
 from calib.measurement.rules import RULES
+from calib.results.fingerprint import digest_of
 
 Quantity = Literal["receptance", "mobility", "accelerance"]
 QUANTITIES: Mapping[Quantity, str] = {"receptance": "", "mobility": "s", "accelerance": "s2"}
@@ -87,7 +87,7 @@ class MeasuredFRFs:
     -----
     Errors of different entries count as independent, between lines too. A claimed error that is the same on all lines,
     such as that of a calibration factor, is then averaged away over the lines: free it as a parameter of the test (see
-    `calib.correlation.frf_nuisance`) where it matters.
+    `calib.correlation.frf.nuisance`) where it matters.
     """
 
     freq: np.ndarray

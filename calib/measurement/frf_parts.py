@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_lines import in_bands
 

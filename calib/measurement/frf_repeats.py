@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import minimize
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs, Quantity
 from calib.measurement.modal import Sensor
 from calib.measurement.places import Point

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
+from calib.errors.place import Place
 from calib.measurement.frf import Quantity
 from calib.measurement.frf_repeats import Key
-from calib.place import Place
 
 GRAVITY = 9.80665
 """Standard gravity, m/s^2, by which accelerometers are calibrated in g."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from calib.errors import InputError
-from calib.mac import mac
+from calib.errors.errors import InputError
+from calib.measurement.mac import mac
 from calib.measurement.rules import RULES
 
 

@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from calib.errors import InputError
-from calib.given import names, numbers, objects
+from calib.errors.arguments import names, numbers, objects
+from calib.errors.errors import InputError
 from calib.measurement.accuracy import NONE_CLAIMED, Accuracy
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.places import Misplaced

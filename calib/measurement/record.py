@@ -9,11 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
+from calib.errors.place import Place
 from calib.measurement.frf_units import GRAVITY, LENGTHS
 from calib.measurement.modal import Sensor
 from calib.measurement.places import Misplaced
-from calib.place import Place
 
 Motion = Literal["displacement", "velocity", "acceleration"]
 UNITS: Mapping[Motion, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}

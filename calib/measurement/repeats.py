@@ -9,10 +9,10 @@ from typing import Literal
 
 import numpy as np
 
-from calib.errors import InputError
-from calib.mac import mac
+from calib.errors.errors import InputError
 from calib.measurement.average import mean_and_std, scaled
 from calib.measurement.disagreements import Disagreement, Pooling, bad_shape, disagreeing, without
+from calib.measurement.mac import mac
 from calib.measurement.matching import Matching, match_modes
 from calib.measurement.rules import RULES
 

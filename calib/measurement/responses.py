@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from calib import degrees_of_freedom
-from calib.degrees_of_freedom import dof_each, widened_by
-from calib.errors import InputError
-from calib.given import path as path_of
+from calib.errors.arguments import path as path_of
+from calib.errors.errors import InputError
 from calib.measurement.accuracy import widened
 from calib.measurement.average import mean_and_std
-from calib.measurement.csv_format import ONE, read_responses_csv
 from calib.measurement.disagreements import Disagreement, Pooling, value_disagreements
+from calib.measurement.files.csv_format import ONE, read_responses_csv
 from calib.measurement.modal import Sensor
+from calib.problem import degrees_of_freedom
+from calib.problem.degrees_of_freedom import dof_each, widened_by
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class MeasuredResponses:
         response gets the pooled relative standard deviation of one repeat over the root of its own number of repeats,
         also if its repeats are equal. A value smaller than its own standard deviation has no relative one and stays as
         it is, as does one that is in a single repeat. From ten repeats on each response keeps its own, widened by
-        `calib.degrees_of_freedom.widened_by`.
+        `calib.problem.degrees_of_freedom.widened_by`.
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ def response_kinds(names: Iterable[str]) -> dict[str, str]:
 
 
 def read_responses(path: str | Path, pooling: Pooling = "robust") -> MeasuredResponses:
-    r"""Read scalar responses from a table, see `calib.measurement.csv_format.read_responses_csv`.
+    r"""Read scalar responses from a table, see `calib.measurement.files.csv_format.read_responses_csv`.
 
     With a column ``repeat`` each response is the mean over the repeats that hold it, and its standard deviation is that
     of one repeat over the root of their number; a response that is in one repeat only keeps the standard deviation of

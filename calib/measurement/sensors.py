@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.modal import Sensor
 from calib.measurement.places import Misplaced, Point, contradictions
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from calib.degrees_of_freedom import behind, beside_known, chance
 from calib.missing.explanation import Explanation
 from calib.missing.goodness import goodness, overall
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.score import Scores, family_p, scored
-from calib.problem import Labelled, Rows
+from calib.problem.degrees_of_freedom import behind, beside_known, chance
+from calib.problem.problem import Labelled, Rows
 
 GRID = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 """Accuracies tried, ascending, relative to each value; for shapes, to the largest entry."""

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.candidate import Candidate
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.goodness import by_sensor, common_scale, goodness, overall
 from calib.missing.refits import Refits
 from calib.missing.score import Scores, family_p
+from calib.problem.candidate import Candidate
 
 
 def beside(fits: Refits, candidate_fit: CandidateFit, candidates: Sequence[Candidate]) -> Scores:

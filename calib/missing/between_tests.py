@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from calib.joint import JointRows
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.local import WIDE, interval_words
 from calib.missing.score import family_p, scored
 from calib.missing.worst_misfit import p_words
+from calib.problem.joint import JointRows
 
 BETWEEN = "test_differences"
 """Name of the table."""

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from calib.joint import TEST
 from calib.missing.explanation import Explanation
 from calib.missing.pattern import explaining
+from calib.problem.joint import TEST
 
 BY_TEST = "reduction_by_test"
 """Name of the table."""

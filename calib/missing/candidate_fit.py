@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from calib import degrees_of_freedom
-from calib.candidate import Candidate
 from calib.missing.evidence import at_lower
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.score import Scores
+from calib.problem import degrees_of_freedom
+from calib.problem.candidate import Candidate
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.candidate import Candidate
 from calib.missing.evidence import expected_ln_bayes
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, correlation
+from calib.problem.candidate import Candidate
 
 
 @dataclass(frozen=True)

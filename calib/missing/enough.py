@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.missing.rules import RULES
 
 

@@ -9,9 +9,9 @@ import scipy.linalg as la
 from scipy.optimize import minimize_scalar
 from scipy.special import log_ndtr
 
-from calib.candidate import Candidate
 from calib.inference.region import ACTIVE
 from calib.missing.linearised_fit import LinearisedFit
+from calib.problem.candidate import Candidate
 
 
 def ln_evidence(fit: LinearisedFit, added: Sequence[Candidate]) -> float:

@@ -7,25 +7,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from calib.candidate import Candidate
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
+from calib.execution.stage import Progress, unheard
 from calib.missing.adequacy import adequacy_of, adequate, beside, measured_scale, predicted_scale, predicts
-from calib.missing.anew import anew, led_astray
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group, grouped
+from calib.missing.effect_pairs import alone, fit_pairs, no_worse
 from calib.missing.enough import require_modes, require_responses
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.linearised_fit import nearest_whole
-from calib.missing.pairs import alone, fit_pairs, no_worse
 from calib.missing.refits import Refits, near_to
+from calib.missing.restarts import anew, led_astray
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
 from calib.missing.settings import DEFAULT, Settings
 from calib.missing.stepwise import Stepwise, further_price
 from calib.missing.suspect import suspects
 from calib.missing.wrong_datum import wrong_datum
-from calib.stage import Progress, unheard
+from calib.problem.candidate import Candidate
 
 
 def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Progress = unheard) -> Explanation:

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from calib.candidate import Candidate
 from calib.missing.explanation import Explanation
 from calib.missing.local import fault_words, local_perturbation
 from calib.missing.rules import RULES
 from calib.missing.score import noise_limit
+from calib.problem.candidate import Candidate
 
 FAULT_COLUMNS = (
     "fault", "kind", "sensor", "x", "y", "z", "unit", "score", "unabsorbed", "magnitude", "low", "high",

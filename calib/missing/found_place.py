@@ -6,8 +6,7 @@ import math
 
 import pandas as pd
 
-from calib.effect import Effect
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.evidence import ln_evidence
 from calib.missing.explanation import Explanation
@@ -15,6 +14,7 @@ from calib.missing.hypotheses import Altered
 from calib.missing.linearised_fit import fitted
 from calib.missing.recommendation import as_ratio
 from calib.missing.rules import RULES
+from calib.problem.effect import Effect
 
 FOUND_PLACES = "found_places"
 """Name of the table."""

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from calib.degrees_of_freedom import chance, row_dof
 from calib.missing.rules import RULES
-from calib.problem import Labelled, Rows
+from calib.problem.degrees_of_freedom import chance, row_dof
+from calib.problem.problem import Labelled, Rows
 
 _Name = TypeVar("_Name", bound=Hashable)
 
@@ -39,10 +39,10 @@ class Fit(Protocol):
 def goodness(fit: Fit, labelled: Labelled) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Chi-square test of every kind, and of every mode and kind.
 
-    The degrees of freedom of a block b are ``n_b - tr(G_b V G_b^T)`` (see `calib.degrees_of_freedom`) less the factors
-    fitted to its shapes. The standard deviation is itself an estimate, so that the ratio is an F variate. A single row
-    is studentised, ``e^2/(1 - h)`` with one degree of freedom (Cook and Weisberg 1982), unless the parameters absorb
-    nearly all of it.
+    The degrees of freedom of a block b are ``n_b - tr(G_b V G_b^T)`` (see `calib.problem.degrees_of_freedom`) less the
+    factors fitted to its shapes. The standard deviation is itself an estimate, so that the ratio is an F variate. A
+    single row is studentised, ``e^2/(1 - h)`` with one degree of freedom (Cook and Weisberg 1982), unless the
+    parameters absorb nearly all of it.
 
     Parameters
     ----------

@@ -8,10 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
-from calib.candidate import Candidate
 from calib.inference.gauss_newton import LeastSquares
-from calib.problem import Labelled
-from calib.space import ParameterSpace
+from calib.problem.candidate import Candidate
+from calib.problem.problem import Labelled
+from calib.problem.space import ParameterSpace
 
 
 class FitProblem(LeastSquares, Protocol):

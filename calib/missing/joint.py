@@ -9,10 +9,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calib.candidate import Candidate
 from calib.inference.other_rows import other_rows
-from calib.joint import JointProblem, JointRows, of_test
 from calib.missing.candidate_fit import CandidateFit
+from calib.problem.candidate import Candidate
+from calib.problem.joint import JointProblem, JointRows, of_test
 
 _NONE: Mapping[str, float] = MappingProxyType({})
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calib.missing.explanation import Explanation
-from calib.missing.nearly import is_nearly
+from calib.missing.partial import is_nearly
 from calib.missing.rules import RULES
 
 

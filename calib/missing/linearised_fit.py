@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg as la
 
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
 from calib.inference.gauss_newton import FitSettings, Prior, Step, unstepped
 from calib.inference.gauss_newton import fit as gauss_newton
 from calib.inference.identify import posterior

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from calib.candidate import Candidate
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
 from calib.missing.hypotheses import FitProblem, Hypotheses
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
+from calib.problem.candidate import Candidate
 
 
 def pairing_points(

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from calib.candidate import Candidate
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
-from calib.space import Parameter
+from calib.problem.candidate import Candidate
+from calib.problem.space import Parameter
 
 _NAMED = 3
 """Pulled parameters that are told one by one."""

@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 import scipy.linalg as la
 
-from calib.degrees_of_freedom import KNOWN, chance
 from calib.missing.discrepancy import Discrepancy
 from calib.missing.held_out import UNSEEN
 from calib.missing.local import WIDE
-from calib.problem import Label, label_table
+from calib.problem.degrees_of_freedom import KNOWN, chance
+from calib.problem.problem import Label, label_table
 
 TABLE, ERRORS = "unexplained_predictions", "unexplained_errors"
 """Names of the tables."""

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
 from calib.missing.hypotheses import Altered
 from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.missing.local import WIDE

@@ -10,8 +10,8 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.candidate import Candidate
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
+from calib.execution.stage import Progress
 from calib.inference.gauss_newton import FitSettings
 from calib.missing.allowance import Allowance
 from calib.missing.candidate_fit import CandidateFit
@@ -24,7 +24,7 @@ from calib.missing.plausible import implausible
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, scores
 from calib.missing.settings import Settings
-from calib.stage import Progress
+from calib.problem.candidate import Candidate
 
 
 def near_to(reached: float) -> float:

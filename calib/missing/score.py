@@ -11,12 +11,12 @@ import numpy as np
 import scipy.linalg as la
 from scipy.special import ndtr, ndtri, stdtr
 
-from calib.candidate import Candidate
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
 from calib.missing.hypotheses import FitProblem
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
-from calib.problem import Labelled
+from calib.problem.candidate import Candidate
+from calib.problem.problem import Labelled
 
 _NEVER = 1e-3
 """Chance that any sample reaches a score, below which none is drawn."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from calib.candidate import Candidate
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
+from calib.problem.candidate import Candidate
 
 Rejected: TypeAlias = Literal[
     "weaker", "evidence", "left_out", "dof", "no_longer_needed", "collinear", "as_good", "local_perturbation", "fault"

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.candidate import Candidate
 from calib.missing.adequacy import adequacy_of, adequate, beside, left_out_error, predicts
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.collinear import Group, grouped
@@ -17,6 +16,7 @@ from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
 from calib.missing.steps import Rejected, Step, Steps, Stopped, Trial
+from calib.problem.candidate import Candidate
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,12 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pandas as pd
 
-from calib import degrees_of_freedom
-from calib.degrees_of_freedom import chance, hat_root
 from calib.missing.goodness import Fit, Layout, overall_p
 from calib.missing.recommendation import as_ratio
 from calib.missing.rules import RULES
-from calib.problem import Label, Labelled
+from calib.problem import degrees_of_freedom
+from calib.problem.degrees_of_freedom import chance, hat_root
+from calib.problem.problem import Label, Labelled
 
 COLUMNS = ("what", "kind", "rows", "chi2", "dof", "p", "p_fit_without", "explains")
 _SINGULAR = 1e-9

@@ -9,7 +9,6 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-from calib.candidate import Candidate
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.collinear import Group
 from calib.missing.evidence import expected_ln_bayes, ln_bayes_linear, model_probabilities, rescaled
@@ -19,6 +18,7 @@ from calib.missing.plausible import pulls
 from calib.missing.rules import RULES
 from calib.missing.score import correlation
 from calib.missing.visible import smallest_visible
+from calib.problem.candidate import Candidate
 
 UNTESTED = "not tested: the model fails with it"
 

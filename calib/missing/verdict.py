@@ -7,13 +7,11 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from calib.answer import Answer
-from calib.candidate import Candidate
 from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import fault_words, local_perturbation, meaning_of, range_words, unit_words
 from calib.missing.measurement_verdict import on_measurement
-from calib.missing.nearly import is_nearly, spread_of
+from calib.missing.partial import is_nearly, spread_of
 from calib.missing.recommendation import Recommendation, as_ratio, rounded
 from calib.missing.rules import RULES
 from calib.missing.steps_table import competing_sentence, steps_sentence
@@ -37,6 +35,8 @@ from calib.missing.verdict_words import (
     without_in_short,
 )
 from calib.missing.worst_misfit import p_words, where, worst_repeats
+from calib.problem.candidate import Candidate
+from calib.results.answer import Answer
 
 _REPEATS = 3
 """Largest number of repeats named in a sentence."""

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from calib.answer import in_words
-from calib.candidate import Candidate
-from calib.effect import Effect
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.local import WIDE, magnitude_words
 from calib.missing.plausible import limit_of
 from calib.missing.worst_misfit import p_words
+from calib.problem.candidate import Candidate
+from calib.problem.effect import Effect
+from calib.results.answer import in_words
 
 _QUESTIONS = ("Whether", "Where", "How", "Which", "What")
 """First words of a text to look for that is a question."""

@@ -8,12 +8,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calib.candidate import Candidate
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
 from calib.missing.hypotheses import FitProblem
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
+from calib.problem.candidate import Candidate
 
 _ASKED = 12
 """Residuals evaluated for one sign of a magnitude."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
 from calib.missing.candidate_fit import CandidateFit, WrongDatum
 from calib.missing.evidence import ln_evidence, ln_wrong
 from calib.missing.goodness import overall_p
@@ -13,7 +13,7 @@ from calib.missing.hypotheses import Altered
 from calib.missing.linearised_fit import FINE, fitted
 from calib.missing.refits import Refits, near_to
 from calib.missing.suspect import data_of
-from calib.problem import Rows
+from calib.problem.problem import Rows
 
 
 def wrong_datum(fits: Refits, base: CandidateFit, accused: pd.DataFrame, best: CandidateFit) -> WrongDatum | None:

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 from scipy import signal
 
-from calib.errors import InputError
-from calib.mac import mac, most_real
+from calib.errors.errors import InputError
 from calib.measurement.average import scaled
+from calib.measurement.mac import mac, most_real
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.record import MeasuredRecord
 from calib.modal_analysis.adequacy import Adequacy, fits, resonances_without_mode
@@ -21,14 +21,7 @@ from calib.modal_analysis.model import fit_residues, rank_one
 from calib.modal_analysis.rules import RULES
 from calib.modal_analysis.spread import Spread, aligned, both_parts
 from calib.modal_analysis.stabilisation import Chain
-from calib.modal_analysis.subspace import (
-    Correlations,
-    Poles,
-    correlations,
-    modes_of,
-    poles_at,
-    poles_at_orders,
-)
+from calib.modal_analysis.subspace import Correlations, Poles, correlations, modes_of, poles_at, poles_at_orders
 
 DECIMATED_MOST = 10
 """Largest factor of one step of decimation."""
@@ -53,7 +46,7 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     Parameters
     ----------
     records : sequence of MeasuredRecord
-        With the same sensors and rate; see `calib.measurement.read_records.read_records`.
+        With the same sensors and rate; see `calib.measurement.files.read_records.read_records`.
     band : (float, float), optional
         In which modes are identified, Hz; records that are sampled faster than it needs are decimated.
 

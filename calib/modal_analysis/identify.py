@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from calib.errors import InputError
-from calib.mac import most_real
+from calib.errors.errors import InputError
 from calib.measurement.average import scaled
 from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.mac import most_real
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.modal_analysis.adequacy import Adequacy, adequacy, resonances_without_mode
 from calib.modal_analysis.model import ModalModel, fit_residues, rank_one, refined

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.modal_analysis.rules import RULES
 from calib.structure.frf import motion_factor

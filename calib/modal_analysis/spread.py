@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from calib.mac import align
+from calib.measurement.mac import align
 from calib.measurement.matching import match_modes
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from calib.mac import mac
 from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.mac import mac
 from calib.modal_analysis.model import fit_residues
 from calib.modal_analysis.rules import RULES
 

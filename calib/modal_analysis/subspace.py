@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.errors import InputError
-from calib.mac import mac
+from calib.errors.errors import InputError
+from calib.measurement.mac import mac
 from calib.measurement.record import MeasuredRecord
 from calib.modal_analysis.rules import RULES
 from calib.modal_analysis.stabilisation import Chain, stable

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from calib.measurement.csv_format import FINEST
+from calib.measurement.files.csv_format import FINEST
 from calib.measurement.modal import MeasuredModes
 
 
 def modes_table(modes: MeasuredModes) -> pd.DataFrame:
-    """Columns of `calib.measurement.csv_format.read_modes_csv`; standard deviations of the mean, NaN where unknown."""
+    """Columns of `read_modes_csv`; standard deviations of the mean, NaN where unknown."""
     return pd.DataFrame({
         "mode": modes.names, "freq": modes.natural_freq, "freq_kind": "natural",
         "freq_std": _known(modes.freq_std, modes.natural_freq), "damping": modes.damping_ratio,
@@ -24,7 +24,7 @@ def _known(std: np.ndarray, value: np.ndarray) -> np.ndarray:
 
 
 def shapes_table(modes: MeasuredModes) -> pd.DataFrame:
-    """Columns of `calib.measurement.csv_format.read_shapes_csv`, mode by mode."""
+    """Columns of `calib.measurement.files.csv_format.read_shapes_csv`, mode by mode."""
     return pd.DataFrame([
         {
             "mode": name, "node": sensor.node, "direction": sensor.direction, "re": modes.shapes[i, k].real,
@@ -36,7 +36,7 @@ def shapes_table(modes: MeasuredModes) -> pd.DataFrame:
 
 
 def sensor_table(modes: MeasuredModes) -> pd.DataFrame:
-    """Columns of `calib.measurement.csv_format.read_sensor_table`, for the nodes whose places are known."""
+    """Columns of `calib.measurement.files.csv_format.read_sensor_table`, for the nodes whose places are known."""
     places = {sensor.node: sensor for sensor in modes.sensors if sensor.point is not None}
     rows = [
         {"node": node, **dict(zip("xyz", sensor.point or (), strict=True)), "on": sensor.on or ""}

@@ -10,15 +10,7 @@ from matplotlib.colors import Normalize
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calib.report.numbers import fixed
-from calib.report.scene import (
-    PLACE,
-    draw_dots,
-    frame_panel,
-    new_axes,
-    number_points,
-    plot_coordinates,
-    plot_lines,
-)
+from calib.report.scene import PLACE, draw_dots, frame_panel, new_axes, number_points, plot_coordinates, plot_lines
 from calib.report.style import BLACK, REST, YELLOW
 
 ALIKE = 0.5

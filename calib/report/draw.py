@@ -9,8 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from calib.errors import InputError
-from calib.named_values import read_json
+from calib.errors.errors import InputError
 from calib.report.calibration import draw_convergence, draw_searches, search_runs
 from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix
 from calib.report.correlation import INDUCED, INPUTS, MOST_IN_MATRIX, POSTERIOR, STRONG, draw_correlation
@@ -33,6 +32,7 @@ from calib.report.shown import Folder
 from calib.report.style import stage_words
 from calib.report.tables import read_square, read_table
 from calib.report.worst import draw_worst
+from calib.results.json_file import read_json
 
 _MATRICES: dict[str, tuple[str, dict[str, Any]]] = {
     "sensitivity": ("sensitivity of the responses", {}),

@@ -9,14 +9,14 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
+from calib.execution.stage import Progress, unheard
 from calib.report.draw import plan
 from calib.report.drawing import Drawing
 from calib.report.legible import is_legible, wrap_labels
 from calib.report.shown import Shown
 from calib.report.style import COLUMN, Format, Width, add_heading, content, style, take_dollars_literally, write
 from calib.report.svg import svg_text
-from calib.stage import Progress, unheard
 
 
 @dataclass(frozen=True)

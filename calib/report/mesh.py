@@ -13,7 +13,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.report.scene import PLACE, plot_coordinates, view_directions
 from calib.report.shown import Folder
 from calib.report.tables import read_table

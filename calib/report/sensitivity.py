@@ -13,17 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.transforms import blended_transform_factory
 
 from calib.report.numbers import fixed
-from calib.report.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    ORANGE,
-    SKY,
-    legend_above,
-    matrix_height,
-    own_axes,
-    separate_cells,
-)
+from calib.report.style import BLACK, BLUE, GREY, ORANGE, SKY, legend_above, matrix_height, own_axes, separate_cells
 from calib.report.svg import hover, hover_cells
 
 RESPONSE_KINDS = {

@@ -9,19 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from calib.report.numbers import fixed, flag
-from calib.report.style import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILLION,
-    YELLOW,
-    legend_above,
-    own_axes,
-)
+from calib.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, YELLOW, legend_above, own_axes
 from calib.report.svg import hover
 
 LOOKS = {

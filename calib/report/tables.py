@@ -8,8 +8,8 @@ from typing import Any
 
 import pandas as pd
 
-from calib import table
-from calib.errors import InputError
+from calib.errors.errors import InputError
+from calib.results import table
 
 KEYS = {
     "added_errors": ("group", "stage"),
@@ -70,7 +70,7 @@ STAGES = ("_initial", "_before", "_after", "_added")
 
 
 def read_table(path: Path, text: Sequence[str], numbers: Sequence[str] = (), **more: Any) -> pd.DataFrame:
-    """Read a table as `calib.table.read_table` does, with rows that are unique by their `KEYS`."""
+    """Read a table as `calib.results.table.read_table` does, with rows that are unique by their `KEYS`."""
     name = path.stem
     for stage in STAGES:
         name = name.removesuffix(stage)

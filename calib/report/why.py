@@ -19,12 +19,7 @@ from matplotlib.patches import Patch
 from calib.report.alike import CORRELATION, STAR, TICKS, acting, draw_alike, most_alike, place_words, placed
 from calib.report.numbers import counted, fixed, percent, significant, with_unit
 from calib.report.numbers import places as listed
-from calib.report.scene import (
-    FOOT,
-    colour_bar,
-    new_figure,
-    show_axes,
-)
+from calib.report.scene import FOOT, colour_bar, new_figure, show_axes
 from calib.report.style import AFTER, BLACK, DENSE, GREY, WIDTH, WITH, legend_above, own_axes
 from calib.report.svg import hover, hover_points
 

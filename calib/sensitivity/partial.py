@@ -10,7 +10,7 @@ import pandas as pd
 from scipy import special
 from scipy.linalg import qr
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.sensitivity.ranks import mean_ranks
 
 OWN_PART = 1e-6

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.sensitivity.induced import Decomposition, decompose, input_correlation
 from calib.sensitivity.partial import centred_ranks, orthonormal, partial, partial_noise_floor, table_arrays
 from calib.sensitivity.rules import RULES

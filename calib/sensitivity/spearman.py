@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.sensitivity.ranks import mean_ranks
 from calib.sensitivity.rules import RULES
 

@@ -8,8 +8,8 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from calib.errors import InputError
-from calib.space import ParameterSpace
+from calib.errors.errors import InputError
+from calib.problem.space import ParameterSpace
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,13 +12,13 @@ from dataclasses import replace
 from functools import partial
 from typing import get_args
 
-from calib.effect import Effect
-from calib.errors import InputError
-from calib.given import parts_once
-from calib.space import Parameter, ParameterSpace
+from calib.errors.arguments import parts_once
+from calib.errors.errors import InputError
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.affine import Monomial, Term
-from calib.structure.attach import part_of
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import part_of
+from calib.structure.effects.extend import Addition
 from calib.structure.model import PartKind, StructuralModel
 
 _LEFT = 0.05

@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 import scipy.sparse as sp
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.structure.affine import Grown, Monomial, StretchPower, Term, parameter
-from calib.structure.attach import moved_masses
-from calib.structure.extend import Addition
-from calib.structure.products import Product
+from calib.structure.effects.attach import moved_masses
+from calib.structure.effects.extend import Addition
+from calib.structure.effects.products import Product
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def leaning_masses(
     Parameters
     ----------
     motions, shift, reach, stretches
-        As in `calib.structure.attach.moved_masses`, which gives the terms without d.
+        As in `calib.structure.effects.attach.moved_masses`, which gives the terms without d.
     arms : callable
         From a shift to w, (n_motions, n_dof), each times the square root of its mass.
     arm : str

@@ -1,6 +1,7 @@
 """Rigid bodies of unknown mass beside a point of a model: fixed off that point, or on mounts that give every way.
 
-The base model has no mass there. Each is a richer form of a point mass or of `calib.structure.attach.hung_masses`.
+The base model has no mass there. Each is a richer form of a point mass or of
+`calib.structure.effects.attach.hung_masses`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.structure.affine import Monomial, Term
-from calib.structure.extend import Addition
+from calib.structure.effects.extend import Addition
 from calib.structure.mounted import cross_matrix, mount_stiffness, require_restrained
 
 Moves = Sequence[tuple[Mapping[str, float], np.ndarray, np.ndarray]]

@@ -11,8 +11,8 @@ import scipy.linalg as la
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from calib.errors import EvaluationError
-from calib.structure.inertia import symmetric_factor
+from calib.errors.errors import EvaluationError
+from calib.structure.eigenproblem.inertia import symmetric_factor
 
 _RESIDUAL = 1e-6
 """Largest relative residual of a bordered solve; beyond it an unsolved close mode makes the matrix singular."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from calib.effect import Effect
-from calib.structure.extend import addition_of
+from calib.problem.effect import Effect
+from calib.structure.effects.extend import addition_of
 from calib.structure.model import StructuralModel
 from calib.structure.places import middles
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.structure.model import Part
 
 MOST_MOTIONS = 120

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import scipy.sparse as sp
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 
 _ZERO_ENERGY = 1e-13
 """Strain energy below this part of the sum of its contributions' sizes is rounding error and counts as 0."""

@@ -21,8 +21,8 @@ import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors import InputError
-from calib.structure.static_reduction import static_reduction
+from calib.errors.errors import InputError
+from calib.structure.reduction.static_reduction import static_reduction
 
 _ALIKE = 1e-8
 """Smallest singular value over the largest below which modes look alike at the sensors, or sensors repeat others."""

@@ -19,10 +19,10 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from scipy.linalg import lapack
 
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
 from calib.measurement.frf import Quantity
-from calib.structure.derivatives import DifferentiableModel, Matrix
-from calib.structure.inertia import symmetric_factor
+from calib.structure.eigenproblem.derivatives import DifferentiableModel, Matrix
+from calib.structure.eigenproblem.inertia import symmetric_factor
 
 _ORDER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 

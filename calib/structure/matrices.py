@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import scipy.sparse as sp
 
-from calib.errors import InputError
-from calib.given import numbers, values
+from calib.errors.arguments import numbers, values
+from calib.errors.errors import InputError
 from calib.measurement.modal import DIRECTIONS
-from calib.space import ParameterSpace
+from calib.problem.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term
 
 Array: TypeAlias = (

@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from calib.differences import STEP
-from calib.errors import EvaluationError, InputError, again
-from calib.fingerprint import digest_of
-from calib.given import integer, objects
+from calib.errors.arguments import integer, objects
+from calib.errors.errors import EvaluationError, InputError, again
+from calib.errors.own_code import defined_at
+from calib.execution.outcome import answered
 from calib.measurement.modal import DIRECTIONS, Sensor
-from calib.outcome import answered
-from calib.own_code import defined_at
-from calib.space import ParameterSpace
-from calib.structure.derivatives import ModeDerivatives
+from calib.problem.differences import STEP
+from calib.problem.space import ParameterSpace
+from calib.results.fingerprint import digest_of
+from calib.structure.eigenproblem.derivatives import ModeDerivatives
+from calib.structure.eigenproblem.mode_tracking import followed_derivatives
 from calib.structure.geometry import Mesh
 from calib.structure.modal_result import Numbered, modes_of, numbers_of
-from calib.structure.mode_tracking import followed_derivatives
 from calib.structure.model import Assumption
 from calib.structure.modes import Modes
 from calib.structure.places import ModelPlace
@@ -67,7 +67,7 @@ class ModalFunctionModel:
     It is compared, paired, calibrated and explained like a model of matrices. It lacks what needs matrices: strain
     energies (modes are paired by MAC and frequency) and a reduced basis. Derivatives
     are central differences that track each mode by its MAC, with two function calls for each parameter; see
-    `calib.structure.mode_tracking.followed_derivatives`.
+    `calib.structure.eigenproblem.mode_tracking.followed_derivatives`.
 
     Attributes
     ----------

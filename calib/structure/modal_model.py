@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from calib.measurement.modal import Sensor
-from calib.space import ParameterSpace
-from calib.structure.derivatives import ModeDerivatives
+from calib.problem.space import ParameterSpace
+from calib.structure.eigenproblem.derivatives import ModeDerivatives
 from calib.structure.geometry import Mesh
 from calib.structure.model import Assumption, StructuralModel
 from calib.structure.modes import Modes

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
 from calib.measurement.modal import Sensor
 from calib.structure.modes import Modes
 

@@ -12,17 +12,17 @@ import numpy as np
 import pandas as pd
 import scipy.sparse as sp
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.modal import DIRECTIONS, Sensor
-from calib.space import Parameter, ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial
-from calib.structure.derivatives import Analytic
+from calib.structure.eigenproblem.derivatives import Analytic
+from calib.structure.eigenproblem.solve import solve_modes
 from calib.structure.energy import strain_energy, strain_energy_shares
 from calib.structure.geometry import DofMap, Locator, Mesh, NodeLocator
 from calib.structure.matrices import DofTable, Terms, affine, pairs, require_mass, require_used
 from calib.structure.modes import Modes
 from calib.structure.places import ModelPlace, model_places
-from calib.structure.solve import solve_modes
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class StructuralModel(Analytic):
         Two masses on springs in a row; the second spring is a parameter.
 
         >>> import numpy as np
-        >>> from calib.space import Parameter
+        >>> from calib.problem.space import Parameter
         >>> from calib.structure.model import StructuralModel
         >>> ground, between = np.diag([1.0, 0.0]), np.array([[1.0, -1.0], [-1.0, 1.0]])
         >>> model = StructuralModel.from_matrices(
@@ -247,7 +247,7 @@ class StructuralModel(Analytic):
 
     @cached_property
     def additions(self) -> dict[int, tuple[Any, Any]]:
-        """Effects built so far, by identity, with what each adds; see `calib.structure.extend.addition_of`."""
+        """Effects built so far, by identity, with what each adds; see `calib.structure.effects.extend.addition_of`."""
         return {}
 
     def __getstate__(self) -> dict[str, Any]:

@@ -10,10 +10,10 @@ from typing import TypeAlias
 import numpy as np
 import scipy.sparse as sp
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.structure.affine import Coefficient, Grown, Monomial, Term
-from calib.structure.attach import GRAVITY
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import GRAVITY
+from calib.structure.effects.extend import Addition
 
 GROWN_SAG = 1e-4
 """Sag in m (50 Hz vertically) at which a body has half of its offset and a quarter of its moments of inertia."""

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from calib.space import ParameterSpace
+from calib.problem.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial
 from calib.structure.geometry import DofMap, Mesh
 

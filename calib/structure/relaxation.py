@@ -17,14 +17,14 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import nnls
 
-from calib.errors import InputError
-from calib.given import numbers
+from calib.errors.arguments import numbers
+from calib.errors.errors import InputError
 from calib.structure.affine import Coefficient, Monomial, Term, parameter
-from calib.structure.attach import part_of
+from calib.structure.effects.attach import part_of
+from calib.structure.effects.extend import Addition
+from calib.structure.effects.products import OfPart
 from calib.structure.elongations import elongations
-from calib.structure.extend import Addition
 from calib.structure.model import Assumption, StructuralModel
-from calib.structure.products import OfPart
 
 BRANCHES = 3
 """Springs with dampers in series per decade of frequency."""
@@ -71,7 +71,7 @@ class Graded:
         if name != self.loss_factor:
             return 0.0
         loss = values[name]
-        if loss == 0:  # of powers below 1 infinite; see `calib.structure.derivatives.beside_roots`
+        if loss == 0:  # of powers below 1 infinite; see `calib.structure.eigenproblem.derivatives.beside_roots`
             return self.factor if self.power == 1 else math.inf
         slope = (1 / loss + 2 / math.pi * math.log(self.ratio)) / (1 + loss**2)
         return self.power * self(values) * slope

@@ -12,9 +12,9 @@ from functools import partial
 
 import numpy as np
 
-from calib.effect import Effect
-from calib.given import parts_once
-from calib.space import Parameter
+from calib.errors.arguments import parts_once
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.relaxation import band_of, lossy_parts, relaxing_parts
 
 _MOST_LOSS = 0.6

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import get_args
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.structure.model import PartKind
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.structure.affine import AffineMatrix, Term
 from calib.structure.model import Mesh, StructuralModel
 

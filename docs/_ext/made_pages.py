@@ -22,10 +22,10 @@ from sphinx.application import Sphinx
 from typer.main import get_command
 
 import calib
-from calib.analyses.recorded_rules import every_rule
-from calib.cli import app as command
+from calib.analyses.provenance.recorded_rules import every_rule
+from calib.command.cli import app as command
 from calib.modal_analysis import rules as identification
-from calib.settings import schema
+from calib.study.settings import schema
 
 DOCS = Path(__file__).resolve().parents[1]
 MARK = re.compile(r"^<!-- made: (.+?) -->$", re.MULTILINE)

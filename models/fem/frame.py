@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.structure.geometry import DofMap, Mesh
 from models.fem import beam
 from models.fem.member import Member, Particle, Suppression, Tie

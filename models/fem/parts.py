@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.structure.affine import Monomial, Term
 from calib.structure.model import Part
 from models.fem.discrete import PointMass, Spring, mass_matrix, spring_matrix

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import KDTree
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.structure.geometry import Mesh
 from models.fem import shell, surface
 from models.fem.frame import Carrier, Frame, indices_of, known_groups

@@ -6,11 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import parameter
-from calib.structure.attach import Place, between, hung_masses, motion, outer_term
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import Place, between, hung_masses, motion, outer_term
+from calib.structure.effects.extend import Addition
 from calib.structure.model import Assumption, StructuralModel
 from models.fem.section import Section
 from models.railway.bogie import (

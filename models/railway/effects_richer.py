@@ -8,11 +8,11 @@ from functools import partial
 
 import numpy as np
 
-from calib.effect import Effect
-from calib.space import Parameter
-from calib.structure.attach import Place, motion
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.body import fixed_body, mounted_body, mounted_mass
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import Place, motion
+from calib.structure.effects.extend import Addition
 from calib.structure.model import Assumption, StructuralModel
 from models.railway.bogie import UY
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import SelectedTerm, SeriesLoss, Term, parameter
-from calib.structure.attach import Place, between, outer_term
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import Place, between, outer_term
+from calib.structure.effects.extend import Addition
 from calib.structure.model import StructuralModel
 from models.railway.bogie import GIRDER_Y, RX, SIDES
 from models.railway.rig import BLOCK_HALF, BLOCK_Y, BLOCK_Z

@@ -6,12 +6,12 @@ from functools import partial
 
 import numpy as np
 
-from calib.effect import Effect
-from calib.errors import InputError
-from calib.space import Parameter
+from calib.errors.errors import InputError
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import Monomial, parameter
 from calib.structure.anywhere import leaning_masses
-from calib.structure.attach import (
+from calib.structure.effects.attach import (
     Place,
     between,
     elongation,
@@ -21,7 +21,7 @@ from calib.structure.attach import (
     scaled_part,
     soft_mounts,
 )
-from calib.structure.extend import Addition
+from calib.structure.effects.extend import Addition
 from calib.structure.model import Assumption, StructuralModel
 from models.fem.discrete import PointMass
 from models.railway.bogie import AXLE_Y, CROSSBAR_X, GIRDER_Y, RY, RZ, SIDES, UX, UY, bogie

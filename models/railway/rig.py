@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from calib.space import ParameterSpace
+from calib.problem.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, SelectedTerm, Term, parameter
 from calib.structure.geometry import DofMap
 from calib.structure.model import Assumption, StructuralModel

@@ -8,8 +8,8 @@ from typing import Literal, get_args
 import numpy as np
 import scipy.sparse as sp
 
-from calib.errors import InputError
-from calib.space import ParameterSpace
+from calib.errors.errors import InputError
+from calib.problem.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
 from calib.structure.geometry import DofMap
 from calib.structure.model import Assumption, Part, StructuralModel

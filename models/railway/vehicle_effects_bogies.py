@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import parameter
-from calib.structure.attach import Place, motion, outer_term, softened_part
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import Place, motion, outer_term, softened_part
+from calib.structure.effects.extend import Addition
 from calib.structure.model import Assumption, StructuralModel
 from models.railway.bogie import ENDS, SIDES, UX, UY
 from models.railway.bolsters import FLOOR_Y, LOAD_BOLSTER_Y, PAD_Z

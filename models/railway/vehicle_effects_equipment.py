@@ -7,11 +7,11 @@ from functools import partial
 
 import numpy as np
 
-from calib.effect import Effect
-from calib.errors import InputError
-from calib.space import Parameter
-from calib.structure.attach import loosened_masses, motion, moved_masses
-from calib.structure.extend import Addition
+from calib.errors.errors import InputError
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
+from calib.structure.effects.attach import loosened_masses, motion, moved_masses
+from calib.structure.effects.extend import Addition
 from calib.structure.model import Assumption, StructuralModel
 from calib.structure.mounted import MountedBody
 from models.railway.bogie import RX, RY, RZ, UX, UY, UZ

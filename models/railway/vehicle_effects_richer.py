@@ -10,11 +10,11 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import Grown, Monomial, Term
-from calib.structure.attach import GRAVITY, maxwell_branches
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import GRAVITY, maxwell_branches
+from calib.structure.effects.extend import Addition
 from calib.structure.model import StructuralModel
 
 UNEVEN, LIGHTER = 0.3, (0.6, 1.6)
@@ -111,7 +111,7 @@ def swaying_seats(
 def loosened_two_ways(
     upright: np.ndarray, sideways: np.ndarray, sag: str, freq_ratio: str, damping_ratio: str
 ) -> Addition:  # fmt: skip
-    """As `calib.structure.attach.loosened_masses` in two directions, sideways at a multiple of the upright frequency.
+    """As `loosened_masses` in two directions, sideways at a multiple of the upright frequency.
 
     Parameters
     ----------

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import parameter
-from calib.structure.attach import between, elongation, maxwell_branches, outer_term, scaled_part, soft_mounts
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import between, elongation, maxwell_branches, outer_term, scaled_part, soft_mounts
+from calib.structure.effects.extend import Addition
 from calib.structure.model import Assumption, StructuralModel
 from models.fem.discrete import Spring
 from models.railway.bogie import ENDS, SIDES, UY

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from models.function_effect import function_effect
 
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.errors import InputError
-from calib.space import ParameterSpace
+from calib.errors.errors import InputError
+from calib.problem.space import ParameterSpace
 from calib.structure.modal_function import ModalFunctionModel
 from models.tire.harmonics import HoopModes, hoop_modes, rings
 from models.tire.inflated import Inflated, inflate

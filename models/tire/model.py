@@ -8,10 +8,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from calib.function import FunctionModel, slope_entry
-from calib.space import Parameter, ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
+from calib.structure.effects.perturbations import relative_change
+from calib.structure.function_model import FunctionModel, slope_entry
 from calib.structure.model import Assumption
-from calib.structure.perturbations import relative_change
 from models.tire.derivatives import Change, change
 from models.tire.effects import tire_effects
 from models.tire.grid import Grid
@@ -97,9 +97,9 @@ def tire_on_ground(
     n_meridian, n_hoop, deflections, loads, orders
         See `models.tire.responses.Rig`.
     derivatives : bool
-        Whether it also returns derivatives, see `calib.function.slope_entry`, by all parameters but those that shape
-        the profile, and by those of `tire_effects` and `PARTS` that are among the values. Each takes an eighth of the
-        time of a point; a difference would take two points.
+        Whether it also returns derivatives, see `calib.structure.function_model.slope_entry`, by all parameters but
+        those that shape the profile, and by those of `tire_effects` and `PARTS` that are among the values. Each takes
+        an eighth of the time of a point; a difference would take two points.
     """
     space = ParameterSpace(parameters())
     function = TireFunction(Rig(n_meridian, n_hoop, tuple(deflections), tuple(loads), tuple(orders)), derivatives)

@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.structure.scaled_part import ScaledPart
 from models.tire.contact import Ground
 from models.tire.grid import Grid

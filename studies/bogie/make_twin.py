@@ -24,15 +24,15 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from calib.limits import search_space, sensitivity_space
-from calib.mac import mac
+from calib.measurement.files.uff_write import write_uff
+from calib.measurement.mac import mac
 from calib.measurement.modal import Sensor
-from calib.measurement.uff_write import write_uff
-from calib.sampling import sample
-from calib.space import ParameterSpace
+from calib.problem.sampling import sample
+from calib.problem.space import ParameterSpace
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
-from calib.study_text import read_settings
+from calib.study.limits import search_space, sensitivity_space
+from calib.study.study_text import read_settings
 from models.railway import bogie_on_rig
 
 HERE = Path(__file__).resolve().parent

@@ -17,7 +17,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from calib.loading import module_of
+from calib.study.loading import module_of
 from models.railway import bogie_effects, bogie_on_rig
 
 HERE = Path(__file__).resolve().parent

@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import scipy.sparse as sp
 
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import Term, parameter
-from calib.structure.attach import between, scaled_part
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import between, scaled_part
+from calib.structure.effects.extend import Addition
 from calib.structure.model import PartKind, StructuralModel
 from models.railway.bogie import GIRDER_Y, UY, UZ
 from models.railway.rig import BLOCK_HALF, BLOCK_Y, BLOCK_Z

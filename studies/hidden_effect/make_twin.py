@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calib.loading import module_of
+from calib.study.loading import module_of
 from models.railway import vehicle, vehicle_effects
 
 HERE = Path(__file__).resolve().parent

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calib.effect import Effect
-from calib.loading import module_of
+from calib.problem.effect import Effect
+from calib.study.loading import module_of
 
 designs = module_of(Path(__file__).resolve().parents[1] / "hidden_bogie" / "outside.py")
 

@@ -11,9 +11,9 @@ from functools import partial
 
 import numpy as np
 
-from calib.effect import Effect
-from calib.structure.attach import loosened_masses, motion
-from calib.structure.extend import Addition
+from calib.problem.effect import Effect
+from calib.structure.effects.attach import loosened_masses, motion
+from calib.structure.effects.extend import Addition
 from calib.structure.model import StructuralModel
 from models.railway.bogie import UX, UY, UZ
 from models.railway.equipment import equipment

@@ -31,22 +31,22 @@ import scipy.linalg as la
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
-from calib.effect import Effect
-from calib.limits import search_space, sensitivity_space
-from calib.loading import module_of
-from calib.mac import mac
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
+from calib.measurement.files.uff_write import write_uff
+from calib.measurement.mac import mac
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.measurement.uff_write import write_uff
-from calib.problem import Pair
-from calib.settings import StudySettings
-from calib.space import Parameter, ParameterSpace
-from calib.structure.extend import extend
+from calib.problem.effect import Effect
+from calib.problem.problem import Pair
+from calib.problem.space import Parameter, ParameterSpace
+from calib.structure.effects.extend import extend
+from calib.structure.eigenproblem.solve_dense import solve_dense
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
-from calib.structure.solve_dense import solve_dense
-from calib.study_text import read_settings
+from calib.study.limits import search_space, sensitivity_space
+from calib.study.loading import module_of
+from calib.study.settings import StudySettings
+from calib.study.study_text import read_settings
 from models.solar_panel import MASTERS, solar_panel
 from models.solar_panel_effects import solar_panel_effects
 

@@ -14,11 +14,11 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import Monomial, Term, parameter
-from calib.structure.attach import between, motion, outer_term, part_of
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import between, motion, outer_term, part_of
+from calib.structure.effects.extend import Addition
 from calib.structure.model import StructuralModel
 from models.fem import beam, thin_plate
 from models.solar_panel import BEAM, GAP, LENGTH, PLATE_DENSITY, PLATE_POISSON, THICKNESS, WIDTH

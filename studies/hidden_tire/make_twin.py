@@ -23,9 +23,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.function import slope_entry
-from calib.loading import module_of
-from calib.study_text import read_settings
+from calib.structure.function_model import slope_entry
+from calib.study.loading import module_of
+from calib.study.study_text import read_settings
 from models.tire.effects import tire_effects
 from models.tire.model import parameters, tire_of
 from models.tire.profile import Profile

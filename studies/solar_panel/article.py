@@ -24,12 +24,12 @@ import pandas as pd
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
 from calib.inference.cmcf import cmcf
 from calib.inference.cmcf_equations import Change, CmcfSettings, InitialModel, MeasuredReceptance, Reduce
-from calib.loading import module_of
 from calib.structure.model import StructuralModel
-from calib.structure.static_reduction import levels, static_reduction
+from calib.structure.reduction.static_reduction import levels, static_reduction
+from calib.study.loading import module_of
 from models.solar_panel import GROUPS, MASTERS, solar_panel
 
 HERE = Path(__file__).resolve().parent

@@ -11,18 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator, ScalarFormatter
 
-from calib.loading import module_of
-from calib.report.style import (
-    AFTER,
-    BEFORE,
-    BLACK,
-    CASES,
-    GREY,
-    PURPLE,
-    legend_above,
-    new_figure,
-    own_axes,
-)
+from calib.report.style import AFTER, BEFORE, BLACK, CASES, GREY, PURPLE, legend_above, new_figure, own_axes
+from calib.study.loading import module_of
 
 figure_set = module_of(Path(__file__).resolve().parent.parent / "figure_set.py")
 

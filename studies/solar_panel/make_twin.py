@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.loading import module_of
 from calib.measurement.modal import Sensor
+from calib.study.loading import module_of
 from models.solar_panel import GROUPS, MASTERS, solar_panel
 
 HERE = Path(__file__).resolve().parent

@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 from scipy.sparse.linalg import splu
 
-from calib.loading import module_of
+from calib.study.loading import module_of
 from models.tire import Tire, base_tire
 from models.tire.contact import Ground, Pressed
 from models.tire.load_curve import LoadCurve, RotationWarning, load_curve

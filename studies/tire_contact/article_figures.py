@@ -13,17 +13,8 @@ from matplotlib.colors import LightSource, TwoSlopeNorm
 from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 
-from calib.loading import module_of
-from calib.report.style import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    VERMILLION,
-    legend_above,
-    new_figure,
-)
+from calib.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, legend_above, new_figure
+from calib.study.loading import module_of
 
 figure_set = module_of(Path(__file__).resolve().parent.parent / "figure_set.py")
 

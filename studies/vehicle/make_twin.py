@@ -30,14 +30,14 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from calib.limits import search_space, sensitivity_space
-from calib.loading import module_of
-from calib.mac import mac
+from calib.measurement.mac import mac
 from calib.measurement.modal import Sensor
-from calib.space import ParameterSpace
+from calib.problem.space import ParameterSpace
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
-from calib.study_text import read_settings
+from calib.study.limits import search_space, sensitivity_space
+from calib.study.loading import module_of
+from calib.study.study_text import read_settings
 from models.railway import vehicle
 from models.railway.parameters import BOGIE
 

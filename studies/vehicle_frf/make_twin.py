@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.loading import module_of
+from calib.study.loading import module_of
 from models.railway import vehicle
 
 HERE = Path(__file__).resolve().parent

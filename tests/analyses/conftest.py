@@ -10,10 +10,10 @@ import pytest
 
 from calib.analyses.explain import explain
 from calib.analyses.explanation_result import ExplanationResult
-from calib.analyses.library import modal_hypotheses
-from calib.loading import module_of
-from calib.results import Results
-from calib.study import Study
+from calib.hypotheses.library import modal_hypotheses
+from calib.results.results import Results
+from calib.study.loading import module_of
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAIN = ROOT / "studies/five_mass_chain"

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.analyses.function_hypotheses import function_hypotheses
-from calib.correlation.function_problem import FunctionProblem
-from calib.correlation.response_residual import ResponseResidual
-from calib.effect import Effect
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.correlation.response.problem import FunctionProblem
+from calib.correlation.response.residual import ResponseResidual
+from calib.hypotheses.function_hypotheses import function_hypotheses
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel
 
 CHAIN = Path(__file__).resolve().parents[2] / "studies" / "five_mass_chain"
 STD = 0.01

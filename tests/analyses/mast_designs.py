@@ -5,17 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.analyses.experimental_design import modal_design
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.library import modal_hypotheses
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.residual import ModalResidual
+from calib.hypotheses.design.modal import modal_design
+from calib.hypotheses.hypotheses import ModelHypotheses
+from calib.hypotheses.library import modal_hypotheses
 from calib.measurement.modal import Sensor
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.evidence import ln_evidence
 from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.missing.score import scores
-from calib.results import Results
-from calib.study import Study
+from calib.results.results import Results
+from calib.study.study import Study
 
 EXACT = 1e-3
 CLOSE = 0.02

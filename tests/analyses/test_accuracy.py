@@ -11,18 +11,18 @@ import pytest
 from calib.analyses.calibrate import calibrate
 from calib.analyses.compare import compare
 from calib.analyses.explain import explain
-from calib.analyses.record import measured_table
+from calib.analyses.provenance.record import measured_table
 from calib.analyses.uncertainty import assumed_std
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import std_for
-from calib.errors import InputError
-from calib.ledger import Ledger
+from calib.errors.errors import InputError
 from calib.measurement.accuracy import Accuracy, Claim, widened
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
 from calib.report.numbers import percent
-from calib.results import Results
-from calib.study import Study
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.study.study import Study
 
 
 def bare_std(folder):

@@ -9,11 +9,11 @@ import pytest
 
 from calib.analyses import added
 from calib.analyses.added import _held_out_modes, by_group, conclusion, to_add, write_nothing_added
-from calib.analyses.record import analyses_of, write_record
-from calib.analyses.stale import stale_answers
-from calib.analyses.state import ADDED
-from calib.results import Results
-from calib.study import Study
+from calib.analyses.provenance.record import analyses_of, write_record
+from calib.analyses.provenance.stale import stale_answers
+from calib.analyses.provenance.state import ADDED
+from calib.results.results import Results
+from calib.study.study import Study
 
 BETTER = "the model fits better and predicts held-out data better"
 NO_BETTER = "the model fits better, predicts no better"

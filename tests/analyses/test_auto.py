@@ -5,16 +5,16 @@ from pathlib import Path
 import pytest
 
 from calib.analyses.calibrate import calibrate
-from calib.ledger import Ledger
-from calib.results import Results
-from calib.study import Study
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.study.study import Study
 
 MODEL = """
 import math
 
-from calib.errors import EvaluationError
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.errors.errors import EvaluationError
+from calib.structure.function_model import FunctionModel
+from calib.problem.space import Parameter, ParameterSpace
 
 def valleys(waves=0.0, gap=0.0):
     space = ParameterSpace((Parameter("a", 1.0, -3.0, 3.0, "-"),))

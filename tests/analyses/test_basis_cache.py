@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib import cli
-from calib.analyses import basis_cache as cached
 from calib.analyses import reduction
-from calib.analyses.basis_cache import BasisCache, basis_cache, kept_basis, key_of, using
-from calib.analyses.library import local_perturbations, modal_hypotheses
 from calib.analyses.reduction import Wanted, reduction_of
-from calib.errors import InputError
-from calib.results import Results
-from calib.structure.basis import Basis
-from calib.structure.effect_basis import weight_key
-from calib.study import Study
+from calib.command import cli
+from calib.errors.errors import InputError
+from calib.hypotheses.library import local_perturbations, modal_hypotheses
+from calib.results.results import Results
+from calib.structure.reduction import cache as cached
+from calib.structure.reduction.basis import Basis
+from calib.structure.reduction.cache import BasisCache, basis_cache, kept_basis, key_of, using
+from calib.structure.reduction.effect_basis import weight_key
+from calib.study.study import Study
 
 KEY = "0123456789abcdef"
 
@@ -88,7 +88,7 @@ def test_everything_a_basis_depends_on_is_in_its_key(mast, tmp_path, change):
     elif change == "limit":
         space = space.replace(name, upper=0.5 * (space[name].value + space[name].upper))
     elif change == "constraint":
-        from calib.space import LinearConstraint
+        from calib.problem.space import LinearConstraint
 
         low = LinearConstraint("low", ((name, 1.0),), -1e9, space[name].upper)
         space = replace(space, constraints=(low,))

@@ -11,18 +11,18 @@ from calib.analyses.calibrate import calibrate
 from calib.analyses.case import CaseFinder
 from calib.analyses.explained_fit import explained_fit, explained_fits
 from calib.analyses.extend import extend
-from calib.analyses.record import write_record
-from calib.errors import InputError
-from calib.ledger import Ledger
+from calib.analyses.provenance.record import write_record
+from calib.errors.errors import InputError
 from calib.report.html.calibrated import section
 from calib.report.html.page import Picture, Table, Words
 from calib.report.html.study_results import StudyResults
-from calib.results import Results
-from calib.study import Study
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.study.study import Study
 
 MODEL = """
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel
+from calib.problem.space import Parameter, ParameterSpace
 
 def wave():
     space = ParameterSpace((Parameter("a", 0.0, -3.0, 3.0, "-"),))
@@ -86,8 +86,8 @@ def test_least_squares_start_from_the_end_of_a_search_and_from_known_points(stud
 # -- search and least squares ------------------------------------------------------------------------------------------
 
 BETWEEN = """
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel
+from calib.problem.space import Parameter, ParameterSpace
 
 def between():
     space = ParameterSpace((Parameter("a", 1.0, 0.0, 3.0, "-"),))
@@ -205,8 +205,8 @@ def test_a_fit_of_another_model_is_not_a_start(guyed, tmp_path):
 # -- solutions that the data cannot discriminate -----------------------------------------------------------------------
 
 SQUARE = """
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel
+from calib.problem.space import Parameter, ParameterSpace
 
 def wave():
     space = ParameterSpace((Parameter("a", 0.5, -3.0, 3.0, "-"),))

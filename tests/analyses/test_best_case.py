@@ -9,8 +9,8 @@ from calib.analyses.best_case import best_of, summed
 from calib.inference.agreement import agreement, agreement_sentences
 from calib.inference.cases import CaseResult
 from calib.inference.rules import RULES
-from calib.problem import Counts
-from calib.space import Parameter, ParameterSpace
+from calib.problem.problem import Counts
+from calib.problem.space import Parameter, ParameterSpace
 
 
 def case(misfit, criterion, fitted=True):

@@ -7,10 +7,11 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib import cli, team
+from calib.command import cli
+from calib.execution import team
 from calib.missing.local import interval_words
 from calib.missing.verdict import rounded
-from calib.results import Results
+from calib.results.results import Results
 
 ROOT = Path(__file__).resolve().parents[2]
 HIDDEN, NONE, OUTSIDE = "hidden_bogie", "hidden_bogie_none", "hidden_bogie_outside"

@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 
 from calib.analyses.explain import explain
-from calib.loading import module_of
-from calib.results import Results
-from calib.study import Study
+from calib.results.results import Results
+from calib.study.loading import module_of
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 VERDICTS = {

@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 
 from calib.analyses.compare import comparison_at, write_comparison
-from calib.results import Results
-from calib.study import Study
+from calib.results.results import Results
+from calib.study.study import Study
 
 
 def test_modes_paired_by_the_user_are_reported(here, mast, edited):

@@ -7,19 +7,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib import cli
 from calib.analyses.calibrate import calibrate
 from calib.analyses.contradiction import contradictions
-from calib.analyses.places import ledger_of, results_of
-from calib.errors import InputError
+from calib.analyses.provenance.places import ledger_of, results_of
+from calib.command import cli
+from calib.errors.errors import InputError
 from calib.missing.rules import RULES
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
-from calib.study import Study
+from calib.study.study import Study
 
 MODEL = """
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel
+from calib.problem.space import Parameter, ParameterSpace
 
 SPACE = ParameterSpace((Parameter("a", 0.0, -9.0, 9.0), Parameter("b", 0.5, -9.0, 9.0)))
 

@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.analyses.experimental_design import modal_design
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.library import modal_hypotheses
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.residual import ModalResidual
+from calib.execution.tasks import alone, shared_by, untold
+from calib.hypotheses.design.modal import modal_design
+from calib.hypotheses.hypotheses import ModelHypotheses
+from calib.hypotheses.library import modal_hypotheses
 from calib.missing.linearised_fit import fitted
 from calib.missing.score import scores
-from calib.results import Results
-from calib.study import Study
-from calib.tasks import alone, shared_by, untold
+from calib.results.results import Results
+from calib.study.study import Study
 from tests.analyses.mast_designs import candidates_of, measured_mast, pair_of
 
 

@@ -7,27 +7,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.analyses.discretisation_error import (
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.frf.residual import FRFResidual
+from calib.correlation.modal.residual import ModalResidual
+from calib.errors.errors import InputError
+from calib.hypotheses.discretisation_error import (
     DiscretisationError,
     discretisation_error,
     discretisation_error_of,
     frf_discretisation_error,
 )
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.library import modal_hypotheses
-from calib.analyses.rules import RULES
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.frf_residual import FRFResidual
-from calib.correlation.residual import ModalResidual
-from calib.errors import InputError
+from calib.hypotheses.hypotheses import ModelHypotheses
+from calib.hypotheses.library import modal_hypotheses
+from calib.hypotheses.rules import RULES
 from calib.measurement.frf import MeasuredFRFs
 from calib.missing.linearised_fit import LinearisedFit, fitted
-from calib.results import Results
-from calib.space import ParameterSpace
+from calib.problem.space import ParameterSpace
+from calib.results.results import Results
 from calib.structure.affine import AffineMatrix
-from calib.structure.perturbations import perturbations
-from calib.structure.variants import Variants
-from calib.study import Study
+from calib.structure.effects.perturbations import perturbations
+from calib.structure.effects.variants import Variants
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 

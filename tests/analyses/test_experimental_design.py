@@ -6,18 +6,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.analyses import imagined_measurement
-from calib.analyses.experimental_design import modal_design
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.rules import RULES
-from calib.correlation.residual import ModalResidual
-from calib.errors import EvaluationError
+from calib.correlation.modal.residual import ModalResidual
+from calib.errors.errors import EvaluationError
+from calib.hypotheses.design import imagined_measurement
+from calib.hypotheses.design.modal import modal_design
+from calib.hypotheses.hypotheses import ModelHypotheses
+from calib.hypotheses.rules import RULES
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.candidate_measurement import at_effect
 from calib.missing.linearised_fit import fitted
 from calib.missing.recommendation import recommend
 from calib.missing.score import scores
-from calib.problem import Problem
+from calib.problem.problem import Problem
 from calib.structure.effect_places import effect_places
 from tests.analyses.mast_designs import (
     CLOSE,

@@ -15,8 +15,8 @@ from calib.analyses.explain import explain
 from calib.analyses.explanation_result import GROUPS, summary
 from calib.missing.local import interval_words, local_perturbation
 from calib.missing.profile import profile_interval
-from calib.results import Results
-from calib.study import Study
+from calib.results.results import Results
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = {

@@ -9,9 +9,9 @@ import pytest
 from calib.analyses import explain as asked
 from calib.analyses.explain import explain
 from calib.analyses.uncertainty import assumed_words
-from calib.errors import EvaluationError, InputError
-from calib.results import Results
-from calib.study import Study
+from calib.errors.errors import EvaluationError, InputError
+from calib.results.results import Results
+from calib.study.study import Study
 
 # -- standard deviations and mesh --------------------------------------------------------------------------------------
 

@@ -13,8 +13,8 @@ from calib.analyses.explanation_result import GROUPS
 from calib.inference.leave_one_out import leave_one_out
 from calib.missing.score import noise_limit
 from calib.missing.tables import EFFECT_COLUMNS
-from calib.results import Results
-from calib.study import Study
+from calib.results.results import Results
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 ERRORS = ["group", "stage", "rows", "rms", "expected", "p", "unpaired", "std_from"]

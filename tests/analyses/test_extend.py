@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli
 from calib.analyses.extend import extend
-from calib.errors import InputError
-from calib.study import Study
+from calib.command import cli
+from calib.errors.errors import InputError
+from calib.study.study import Study
 
 
 def settings(folder: str | Path) -> dict:

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from calib.analyses.extend import EARLIER, extend_among, found_among
-from calib.study import Study
-from calib.written import LOG
+from calib.results.written import LOG
+from calib.study.study import Study
 
 
 def test_a_study_among_results_can_be_moved(rig, edited):

@@ -8,11 +8,11 @@ from calib.analyses import reduction
 from calib.analyses.calibrate import calibrate
 from calib.analyses.failures import reasons, stored_reasons
 from calib.analyses.sensitivity import sensitivity
-from calib.errors import ToleranceError
-from calib.ledger import Ledger
-from calib.outcome import Outcome
-from calib.results import Results
-from calib.study import Study
+from calib.errors.errors import ToleranceError
+from calib.execution.outcome import Outcome
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.study.study import Study
 
 RIG = Path(__file__).parents[2] / "studies/four_storey_rig"
 

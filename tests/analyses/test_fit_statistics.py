@@ -10,14 +10,14 @@ from calib.analyses.calibrate import calibrate
 from calib.analyses.explain import explain
 from calib.analyses.extend import extend
 from calib.analyses.fit_statistics import Terms, posed, statistics_at
-from calib.ledger import Ledger
-from calib.results import Results
-from calib.study import Study
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.study.study import Study
 
 MODEL = """
-from calib.effect import Effect
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.problem.effect import Effect
+from calib.structure.function_model import FunctionModel
+from calib.problem.space import Parameter, ParameterSpace
 
 def line():
     space = ParameterSpace(tuple(

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import calib
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.modal import Sensor
 from calib.missing.evidence import ln_evidence
 from calib.missing.found_place import places_sentence
 from calib.structure.affine import parameter
 from calib.structure.anywhere import at_one_of, sliding_mass
-from calib.structure.attach import outer_term
-from calib.structure.extend import Addition, extend
+from calib.structure.effects.attach import outer_term
+from calib.structure.effects.extend import Addition, extend
 
 FLOORS = tuple(f"floor {k}" for k in range(1, 6))
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.analyses.imagined_frfs import _noise
-from calib.loading import module_of
+from calib.hypotheses.design.imagined_frfs import _noise
+from calib.study.loading import module_of
 
 WORLD = module_of(Path(__file__).parents[1] / "template/frf_chain.py")
 

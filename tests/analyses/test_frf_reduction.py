@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from calib.analyses import reduction
-from calib.analyses.adapters import adapter_of
 from calib.analyses.explain import explain
-from calib.analyses.library import basis_of, local_perturbations
+from calib.analyses.hypotheses_of_study import adapter_of
 from calib.analyses.reduction import Wanted, reduction_of
-from calib.errors import ToleranceError
-from calib.loading import module_of
-from calib.results import Results
-from calib.structure.frf_target import TOLERANCE
-from calib.structure.reduced import ReducedModel
-from calib.study import EvaluationSource, Study
+from calib.errors.errors import ToleranceError
+from calib.hypotheses.library import basis_of, local_perturbations
+from calib.results.results import Results
+from calib.structure.reduction.frf_target import TOLERANCE
+from calib.structure.reduction.reduced import ReducedModel
+from calib.study.loading import module_of
+from calib.study.study import EvaluationSource, Study
 
 WORLD = module_of(Path(__file__).resolve().parents[2] / "tests/template/frf_chain.py")
 
@@ -107,7 +107,7 @@ def adapter_on(study, results, vectors, monkeypatch):
     local = local_perturbations(study.model, [study.problem.measured], study.search_space.values)
     basis = basis_of(study, results, local)
     poor = replace(basis, vectors=basis.vectors[:, :vectors])
-    monkeypatch.setattr("calib.analyses.adapters.basis_of", lambda *a: poor)
+    monkeypatch.setattr("calib.analyses.hypotheses_of_study.basis_of", lambda *a: poor)
     return adapter_of(study, results, lambda *a: None, local)
 
 

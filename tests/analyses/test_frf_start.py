@@ -10,10 +10,10 @@ import scipy.sparse as sp
 
 import calib
 from calib.analyses.fit_statistics import fitted
-from calib.analyses.frf_start import linear_start, linear_starts
-from calib.correlation.frf_nuisance import ChannelError
-from calib.loading import module_of
+from calib.correlation.frf.nuisance import ChannelError
+from calib.hypotheses.linear_start import linear_start, linear_starts
 from calib.measurement.modal import Sensor
+from calib.study.loading import module_of
 
 WORLD = module_of(Path(__file__).parents[1] / "template/frf_chain.py")
 TRUE = {**WORLD.TRUE, "links": 1.0}

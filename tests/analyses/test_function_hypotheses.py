@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import calib
-from calib.errors import EvaluationError, InputError
-from calib.function import FunctionModel
+from calib.errors.errors import EvaluationError, InputError
 from calib.missing.explain import Settings, explain
-from calib.space import Parameter, ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel
 from tests.analyses.function_toys import STD, Counted, E, Linear, curved, effect, hypotheses_of
 
 # -- against closed forms ----------------------------------------------------------------------------------------------

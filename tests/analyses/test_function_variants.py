@@ -4,7 +4,7 @@ import traceback
 
 import pytest
 
-from calib.analyses.function_variants import Kept
+from calib.hypotheses.function_variants import Kept
 
 
 def test_a_point_is_called_once_and_its_result_cannot_be_changed():

@@ -7,15 +7,15 @@ import pytest
 
 import calib
 from calib.analyses.explain import adapter_for, decided
-from calib.errors import EvaluationError
-from calib.front import basis_of_test
-from calib.front.explained import _adapters, library_of
-from calib.loading import module_of
+from calib.api.explained import _adapters, library_of
+from calib.errors.errors import EvaluationError
+from calib.execution.stage import unheard
+from calib.hypotheses import of_test
 from calib.missing.discrepancy import discrepancy
-from calib.results import Results
-from calib.several import load
-from calib.stage import unheard
-from calib.study import Study
+from calib.results.results import Results
+from calib.study.loading import module_of
+from calib.study.several import load
+from calib.study.study import Study
 from tests.several.conftest import write_study
 
 FRFS = module_of(__file__.rsplit("/", 2)[0] + "/template/frf_chain.py")
@@ -96,7 +96,7 @@ def test_held_out_modes_above_the_reach_of_a_reduced_basis_are_predicted_at_full
     test = calib.ModalTest(study.problem.measured, clusters=study.problem.mode_clusters, held_out=["B3x", "B3z"])
     problem = calib.Problem(mast.mast(), test)
     plain = _adapter(problem, mast)
-    monkeypatch.setattr(basis_of_test, "WORTHWHILE_DOFS", 10)
+    monkeypatch.setattr(of_test, "WORTHWHILE_DOFS", 10)
     reduced = _adapter(problem, mast)
     basis = reduced.hypotheses.variants.basis
     assert plain.hypotheses.variants.basis is None and reduced.whole.mode_count > basis.count > 0

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from calib.analyses.explain import explain
-from calib.results import Results
-from calib.study import Study
+from calib.results.results import Results
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 

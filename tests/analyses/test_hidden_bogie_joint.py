@@ -6,8 +6,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib import cli
-from calib.several import load
+from calib.command import cli
+from calib.study.several import load
 
 ROOT = Path(__file__).resolve().parents[2]
 HELD_OUT = {"modes": ["held_out_sensors"], "frfs": ["held_out_sensors", "held_out_bands"]}

@@ -6,8 +6,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib import cli
 from calib.analyses import case_starts
+from calib.command import cli
 from calib.inference.rules import RULES
 from calib.inference.verdicts import identified_sentence
 from tests.template import plain

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from calib.analyses.isolation import ChildFunction, KnownThere, isolated
-from calib.analyses.places import open_evaluator
-from calib.errors import EvaluationError, InputError
-from calib.function import extend_function
-from calib.loading import with_effects
-from calib.outcome import WORKER_DIED
-from calib.structure.perturbations import scaling_by_function
-from calib.study import Study
+from calib.analyses.provenance.isolation import ChildFunction, KnownThere, isolated
+from calib.analyses.provenance.places import open_evaluator
+from calib.errors.errors import EvaluationError, InputError
+from calib.execution.outcome import WORKER_DIED
+from calib.structure.effects.perturbations import scaling_by_function
+from calib.structure.function_model import extend_function
+from calib.study.loading import with_effects
+from calib.study.study import Study
 
 
 def test_effects_act_in_the_child_as_in_this_process(sums):

@@ -8,12 +8,12 @@ import pytest
 
 import calib
 from calib.analyses.explain import answered, decided
-from calib.analyses.joint_adapter import together
-from calib.effect import Effect
-from calib.front.explained import _adapters, library_of
+from calib.api.explained import _adapters, library_of
+from calib.hypotheses.joint import together
 from calib.missing.hypotheses import Altered
 from calib.missing.linearised_fit import fitted
-from calib.settings import ExplainSettings
+from calib.problem.effect import Effect
+from calib.study.settings import ExplainSettings
 
 pytestmark = pytest.mark.slow
 

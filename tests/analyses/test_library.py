@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from calib.analyses import reduction
-from calib.analyses.basis_cache import BasisCache, using
-from calib.analyses.library import modal_hypotheses
 from calib.analyses.reduction import reduction_of
-from calib.correlation.problem import ModalProblem
-from calib.errors import EvaluationError, InputError
-from calib.results import Results
-from calib.study import Study
+from calib.correlation.modal.problem import ModalProblem
+from calib.errors.errors import EvaluationError, InputError
+from calib.hypotheses.library import modal_hypotheses
+from calib.results.results import Results
+from calib.structure.reduction.cache import BasisCache, using
+from calib.study.study import Study
 
 
 @pytest.fixture

@@ -11,17 +11,17 @@ import scipy.linalg as la
 
 import calib
 from calib.analyses.explain import explain
-from calib.analyses.library import modal_hypotheses
-from calib.correlation.frf_problem import FRFProblem
+from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.mesh_error import MeshError
-from calib.errors import InputError
-from calib.loading import module_of
+from calib.errors.errors import InputError
+from calib.hypotheses.library import modal_hypotheses
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
 from calib.missing.linearised_fit import fitted
-from calib.results import Results
-from calib.space import ParameterSpace
-from calib.study import Study
+from calib.problem.space import ParameterSpace
+from calib.results.results import Results
+from calib.study.loading import module_of
+from calib.study.study import Study
 
 BAR = module_of(Path(__file__).parents[1] / "template/bar.py")
 COARSE, FINER = 2.0, 1.0

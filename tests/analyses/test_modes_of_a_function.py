@@ -11,18 +11,18 @@ import pytest
 from calib.analyses.calibrate import calibrate
 from calib.analyses.compare import compare
 from calib.analyses.explain import explain
-from calib.analyses.isolation import isolated
-from calib.analyses.places import open_evaluator
-from calib.analyses.recorded import recorded
+from calib.analyses.provenance.isolation import isolated
+from calib.analyses.provenance.places import open_evaluator
+from calib.analyses.provenance.recorded import recorded
+from calib.analyses.provenance.stored import modes_kept
 from calib.analyses.reduction import fingerprints
 from calib.analyses.sensitivity import sensitivity
-from calib.analyses.stored import modes_kept
-from calib.errors import EvaluationError, InputError
-from calib.ledger import Ledger
-from calib.outcome import WORKER_DIED
+from calib.errors.errors import EvaluationError, InputError
+from calib.execution.outcome import WORKER_DIED
 from calib.report.figures import Figures
-from calib.results import Results
-from calib.study import Study
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.study.study import Study
 from tests.front.cantilever import ADOPTED, FEW, write_study
 
 PROP = 2500.0

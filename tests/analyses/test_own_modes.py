@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import scipy.linalg as la
 
-from calib.analyses import own_modes as of
-from calib.analyses.own_modes import own_modes, sentence
-from calib.effect import Effect
-from calib.space import Parameter
-from calib.structure.attach import hung_masses, maxwell_branches
-from calib.structure.extend import extend
+from calib.hypotheses import own_modes as of
+from calib.hypotheses.own_modes import own_modes, sentence
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
+from calib.structure.effects.attach import hung_masses, maxwell_branches
+from calib.structure.effects.extend import extend
 from calib.structure.model import StructuralModel
 
 MASSES = np.array([10.0, 12.0, 9.0])

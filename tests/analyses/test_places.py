@@ -5,11 +5,11 @@ import shutil
 import pytest
 
 from calib.analyses.extend import extend_among
-from calib.analyses.places import answers_of, results_of
-from calib.errors import InputError
-from calib.results import Results
-from calib.study import Study
-from calib.study_file import StudyFile
+from calib.analyses.provenance.places import answers_of, results_of
+from calib.errors.errors import InputError
+from calib.results.results import Results
+from calib.study.study import Study
+from calib.study.study_file import StudyFile
 
 
 def test_only_folders_with_results_are_listed(mast, tmp_path):

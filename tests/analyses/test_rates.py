@@ -12,7 +12,7 @@ import pytest
 
 from calib.missing.rules import RULES
 from calib.missing.settings import DEFAULT
-from calib.structure.basis import Basis
+from calib.structure.reduction.basis import Basis
 
 # test_explain.py covers the same with a mast and a chain, tests/missing/test_explain.py with toy problems.
 pytestmark = pytest.mark.slow

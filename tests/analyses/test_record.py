@@ -10,15 +10,15 @@ import pytest
 
 from calib import __version__
 from calib.analyses.compare import compare
-from calib.analyses.record import measured_table, parameters_table, sensors_table, write_record
-from calib.analyses.recorded_rules import every_rule
+from calib.analyses.provenance.record import measured_table, parameters_table, sensors_table, write_record
+from calib.analyses.provenance.recorded_rules import every_rule
 from calib.correlation import rules as comparison
-from calib.parameter import Parameter
-from calib.results import Results
+from calib.problem.parameter import Parameter
+from calib.problem.space import ParameterSpace
+from calib.results.results import Results
 from calib.sensitivity import rules as sensitivity
-from calib.settings import AdoptedSettings
-from calib.space import ParameterSpace
-from calib.study import Study
+from calib.study.settings import AdoptedSettings
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -10,16 +10,16 @@ import pytest
 
 from calib.analyses.calibrate import calibrate
 from calib.analyses.fit_statistics import Terms, fitted, posed
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
-from calib.errors import EvaluationError
-from calib.ledger import Ledger
-from calib.outcome import key_of
-from calib.problem import Counts, Problem
-from calib.results import Results
-from calib.sampling import sample
-from calib.study import Study
+from calib.errors.errors import EvaluationError
+from calib.execution.outcome import key_of
+from calib.problem.problem import Counts, Problem
+from calib.problem.sampling import sample
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.study.study import Study
 from tests.template import plain
 
 RIG = Path(__file__).parents[2] / "studies/four_storey_rig"

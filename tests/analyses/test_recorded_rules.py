@@ -4,21 +4,21 @@ from dataclasses import fields, is_dataclass, replace
 
 import pytest
 
-from calib.analyses.recorded_rules import every_rule, rules_of
-from calib.analyses.state import WRITES, changed, made_from, made_from_on_paper
-from calib.study_file import StudyFile
+from calib.analyses.provenance.recorded_rules import every_rule, rules_of
+from calib.analyses.provenance.state import WRITES, changed, made_from, made_from_on_paper
+from calib.study.study_file import StudyFile
 
 PLACES = {
     "reading": "calib.measurement.rules.RULES",
-    "degrees_of_freedom": "calib.degrees_of_freedom.RULES",
+    "degrees_of_freedom": "calib.problem.degrees_of_freedom.RULES",
     "floors": "calib.correlation.standard_deviations.USUAL",
     "comparison": "calib.correlation.rules.RULES",
     "faults": "calib.correlation.fault_rules.RULES",
     "models": "calib.structure.rules.RULES",
     "sensitivity": "calib.sensitivity.rules.RULES",
-    "limits": "calib.on_limit.RULES",
+    "limits": "calib.problem.on_limit.RULES",
     "inference": "calib.inference.rules.RULES",
-    "analyses": "calib.analyses.rules.RULES",
+    "analyses": "calib.hypotheses.rules.RULES",
     "missing": "calib.missing.rules.RULES",
 }
 

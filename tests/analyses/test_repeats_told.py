@@ -9,11 +9,11 @@ import pytest
 
 from calib.analyses.compare import compare
 from calib.analyses.explain import explain
-from calib.analyses.record import check_repeats
+from calib.analyses.provenance.record import check_repeats
+from calib.command.example import write_example
 from calib.correlation.standard_deviations import std_for
-from calib.example import write_example
-from calib.results import Results
-from calib.study import Study
+from calib.results.results import Results
+from calib.study.study import Study
 
 CHAIN = Path(__file__).parents[2] / "studies/five_mass_chain"
 

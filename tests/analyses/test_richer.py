@@ -8,12 +8,12 @@ import pandas as pd
 import pytest
 
 import calib
-from calib import cli
 from calib.analyses.explained_fit import explained_fit
-from calib.missing.nearly import is_far_ahead
-from calib.missing.richer import nearly_explaining, richer_sentence
-from calib.results import Results
-from calib.study import Study
+from calib.command import cli
+from calib.missing.detailed import nearly_explaining, richer_sentence
+from calib.missing.partial import is_far_ahead
+from calib.results.results import Results
+from calib.study.study import Study
 
 LIBRARY = """\
 import calib

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import calib
-from calib.front.explained import _adapters, library_of
-from calib.loading import module_of
+from calib.api.explained import _adapters, library_of
 from calib.missing.joint import JointHypotheses
+from calib.study.loading import module_of
 
 CHAIN = module_of(__file__.rsplit("/", 2)[0] + "/template/frf_chain.py")
 

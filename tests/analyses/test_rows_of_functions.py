@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from calib.errors import EvaluationError, InputError
-from calib.function import FunctionModel
-from calib.loading import module_of
+from calib.errors.errors import EvaluationError, InputError
 from calib.missing.explain import Settings, explain
 from calib.missing.rules import RULES
-from calib.space import Parameter, ParameterSpace
-from calib.study import Study
+from calib.problem.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel
+from calib.study.loading import module_of
+from calib.study.study import Study
 from tests.analyses.function_toys import CHAIN, curved, effect, hypotheses_of
 
 # -- rows and standard deviations --------------------------------------------------------------------------------------

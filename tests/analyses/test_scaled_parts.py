@@ -3,10 +3,10 @@
 import pytest
 
 import calib
-from calib.analyses.function_perturbations import modal_function_perturbations, response_perturbations
-from calib.analyses.function_variants import FunctionVariants
-from calib.errors import InputError
-from calib.function import FunctionModel, responses_of, slope_entry
+from calib.errors.errors import InputError
+from calib.hypotheses.function_perturbations import modal_function_perturbations, response_perturbations
+from calib.hypotheses.function_variants import FunctionVariants
+from calib.structure.function_model import FunctionModel, responses_of, slope_entry
 from calib.structure.scaled_part import ScaledPart
 from models.function_effect import function_effect
 from models.tire.modal import tire_modes

@@ -6,14 +6,14 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib import cli
-from calib.analyses.record import write_record
+from calib.analyses.provenance.record import write_record
+from calib.analyses.provenance.stale import stale_answers
 from calib.analyses.sensitivity import selected_by_measures
-from calib.analyses.stale import stale_answers
-from calib.errors import InputError
-from calib.results import Results
-from calib.study import Study
-from calib.study_file import StudyFile
+from calib.command import cli
+from calib.errors.errors import InputError
+from calib.results.results import Results
+from calib.study.study import Study
+from calib.study.study_file import StudyFile
 from tests.template import plain
 
 FUNCTION = """

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli
 from calib.analyses.explain import explain
-from calib.results import Results
-from calib.tasks import shared_by, untold
+from calib.command import cli
+from calib.execution.tasks import shared_by, untold
+from calib.results.results import Results
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from calib.analyses.function_perturbations import response_perturbations
-from calib.function import FunctionModel, extend_function, responses_of, slope_entry
-from calib.space import Parameter, ParameterSpace
+from calib.hypotheses.function_perturbations import response_perturbations
+from calib.problem.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel, extend_function, responses_of, slope_entry
 
 SPACE = ParameterSpace(
     (

@@ -10,19 +10,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib import cli
-from calib.analyses.isolation import isolated
+from calib.analyses.provenance.isolation import isolated
+from calib.analyses.provenance.stale import stale_answers
 from calib.analyses.staged import in_order, values_found
-from calib.analyses.stale import stale_answers
-from calib.errors import InputError
-from calib.results import Results
-from calib.study import EvaluationSource, Study
-from calib.study_file import StudyFile
-from calib.study_text import read_settings
+from calib.command import cli
+from calib.errors.errors import InputError
+from calib.results.results import Results
+from calib.study.study import EvaluationSource, Study
+from calib.study.study_file import StudyFile
+from calib.study.study_text import read_settings
 
 MODEL = """
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel
+from calib.problem.space import Parameter, ParameterSpace
 
 SPACE = ParameterSpace(tuple(Parameter(name, 2.0, 1.0, 3.0) for name in "abc"))
 
@@ -209,7 +209,7 @@ def test_worker_processes_hold_the_values_too(found, monkeypatch):
     Path("two/study.toml").write_text(text)
     shutil.copytree("results", "again")
     assert cli.execute(["calibrate", "two", "--workers", "1", "--results", "again"]) == 0
-    monkeypatch.setattr("calib.front.adopting.isolated", isolated)
+    monkeypatch.setattr("calib.api.staged.isolated", isolated)
     assert cli.execute(["calibrate", "two", "--workers", "2"]) == 0
     first, second = (Path(root, "two/parameters.csv").read_bytes() for root in ("results", "again"))
     assert first == second
@@ -238,8 +238,8 @@ def test_an_extended_study_holds_the_same_values_in_any_folder(stages):
 
 
 EFFECTS = """
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 
 def library():
     def build(model):

@@ -6,11 +6,11 @@ import pandas as pd
 import pytest
 
 from calib.analyses.explain import explain
-from calib.analyses.rules import RULES
 from calib.analyses.uncertain import uncertain, uncertain_note, with_uncertain
-from calib.errors import InputError
-from calib.results import Results
-from calib.study import Study
+from calib.errors.errors import InputError
+from calib.hypotheses.rules import RULES
+from calib.results.results import Results
+from calib.study.study import Study
 
 ALL, TWO = 'selection = ["E", "m_top", "K_base"]', 'selection = ["E", "K_base"]'
 """The mast's true mass at the top is 15 % larger than its nominal value."""

@@ -9,8 +9,8 @@ from calib.analyses.added import conclusion, to_add, write_nothing_added
 from calib.analyses.explain import explain
 from calib.missing.held_out import contradicting
 from calib.missing.rules import RULES
-from calib.results import Results
-from calib.study import Study
+from calib.results.results import Results
+from calib.study.study import Study
 
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
 

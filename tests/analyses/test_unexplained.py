@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 
 from calib.analyses.explain import explain, keep
-from calib.console.explained import _predictions
-from calib.results import Results
-from calib.study import Study
+from calib.command.explained import _predictions
+from calib.results.results import Results
+from calib.study.study import Study
 
 missing = runpy.run_path(str(Path(__file__).parents[1] / "docs/tables.py"))["missing"]
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')

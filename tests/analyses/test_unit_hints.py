@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from calib.analyses.compare import comparison_at
-from calib.example import write_example
-from calib.study import Study
+from calib.command.example import write_example
+from calib.study.study import Study
 
 ROOT = Path(__file__).parents[2]
 CHEAP = (

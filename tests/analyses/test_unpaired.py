@@ -5,9 +5,9 @@ import pytest
 
 from calib.analyses.compare import comparison_at
 from calib.analyses.explain import explain
-from calib.loading import module_of
-from calib.results import Results
-from calib.study import Study
+from calib.results.results import Results
+from calib.study.loading import module_of
+from calib.study.study import Study
 from tests.analyses.conftest import ROOT
 
 TRUE = 7.3e4

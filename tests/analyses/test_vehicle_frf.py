@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.study import Study
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 

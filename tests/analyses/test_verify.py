@@ -8,14 +8,14 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.verify import ERROR_COLUMNS, _scaled, errors_at, group_errors, modal_errors
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import USUAL, Floors, dof_behind, std_for
+from calib.hypotheses.hypotheses import ModelHypotheses
+from calib.hypotheses.verify import ERROR_COLUMNS, _scaled, errors_at, group_errors, modal_errors
 from calib.missing.linearised_fit import fitted
+from calib.structure.effects.variants import Variants
 from calib.structure.model import StructuralModel
-from calib.structure.variants import Variants
-from calib.study import Study
+from calib.study.study import Study
 
 PLAIN = Floors()
 NO_FLOORS = Floors(0.0, 0.0, 0.0)
@@ -345,7 +345,7 @@ def test_with_as_many_unknowns_as_data_the_fit_is_not_tested():
 
 def test_a_scalar_study_reports_its_held_out_responses(tmp_path):
     (tmp_path / "model.py").write_text(
-        "from calib.function import FunctionModel\nfrom calib.space import Parameter, ParameterSpace\n"
+        "from calib.structure.function_model import FunctionModel\nfrom calib.problem.space import Parameter, ParameterSpace\n"
         "def line():\n"
         "    space = ParameterSpace(tuple(Parameter(name, 0.0, -9.0, 9.0, prior_sd=1.0) for name in 'ab'))\n"
         "    return FunctionModel('line', space, lambda v: {f'y{x}': v['a'] + v['b'] * x for x in range(6)})\n"

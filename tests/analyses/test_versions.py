@@ -6,11 +6,11 @@ import pandas as pd
 import pytest
 
 from calib.analyses.extend import extend
-from calib.analyses.record import write_record
+from calib.analyses.provenance.record import write_record
 from calib.analyses.versions import COLUMNS, write_versions
-from calib.results import Results
-from calib.study import Study
-from calib.study_file import shell_argument
+from calib.results.results import Results
+from calib.study.study import Study
+from calib.study.study_file import shell_argument
 
 GROUPS = ("fit", "left_out", "held_out_sensors")
 

@@ -9,8 +9,8 @@ import pytest
 from calib.analyses.added import to_add, write_nothing_added
 from calib.analyses.explain import explain
 from calib.missing.rules import RULES
-from calib.results import Results
-from calib.study import Study
+from calib.results.results import Results
+from calib.study.study import Study
 
 BAD = "frequency of B1x"
 

@@ -35,15 +35,15 @@ from rates_subject import CHAIN, ROOT, Subject
 from rates_table import methods_file, report_methods
 from rates_world import digest_of
 
-from calib.analyses.function_hypotheses import function_hypotheses
-from calib.correlation.function_problem import FunctionProblem
-from calib.correlation.response_residual import ResponseResidual
-from calib.effect import Effect
-from calib.function import FunctionModel
-from calib.loading import module_of
+from calib.correlation.response.problem import FunctionProblem
+from calib.correlation.response.residual import ResponseResidual
+from calib.hypotheses.function_hypotheses import function_hypotheses
 from calib.missing.explain import Settings, explain
-from calib.space import ParameterSpace
-from calib.study import Study
+from calib.problem.effect import Effect
+from calib.problem.space import ParameterSpace
+from calib.structure.function_model import FunctionModel
+from calib.study.loading import module_of
+from calib.study.study import Study
 
 FOLDER = ROOT / "studies/five_mass_chain"
 TWIN: Any = module_of(FOLDER / "make_twin.py")

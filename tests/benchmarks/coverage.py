@@ -36,17 +36,17 @@ from rates_table import Rate, bound_of
 from rates_world import World, digest_of
 
 from calib.analyses.explanation_result import MeasurementFacts
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.modal_adapter import ModalAdapter
-from calib.correlation.residual import ModalResidual
-from calib.errors import EvaluationError, InputError
+from calib.correlation.modal.residual import ModalResidual
+from calib.errors.errors import EvaluationError, InputError
+from calib.hypotheses.hypotheses import ModelHypotheses
+from calib.hypotheses.modal import ModalAdapter
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.discrepancy import discrepancy_of, parameter_intervals
 from calib.missing.explain import explain
 from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.missing.local import WIDE
-from calib.structure.variants import Variants
+from calib.structure.effects.variants import Variants
 
 VISIBLE = 4.0
 """Least expected score of what is hidden."""

@@ -22,20 +22,20 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from calib import cli
 from calib.analyses.sensitivity import selected_by_measures
 from calib.analyses.staged import values_found
 from calib.analyses.versions import write_versions
-from calib.errors import InputError
-from calib.loading import module_of
-from calib.measurement.csv_format import read_responses_csv
-from calib.measurement.read import read_modes
+from calib.command import cli
+from calib.errors.errors import InputError
+from calib.measurement.files.csv_format import read_responses_csv
+from calib.measurement.files.read import read_modes
 from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
 from calib.report.html.write import sections
-from calib.results import Results
-from calib.study import Study
+from calib.results.results import Results
+from calib.study.loading import module_of
+from calib.study.study import Study
 
 Reader = Callable[[Path], object]
 CELLS = (

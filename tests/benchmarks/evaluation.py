@@ -26,11 +26,11 @@ from page import Page
 from stopwatch import HEADER, Point, Task, compared, in_turn, short, spent
 from subject import STUDIES, study_of, undamped
 
-from calib.analyses.places import open_evaluator
+from calib.analyses.provenance.places import open_evaluator
 from calib.analyses.reduction import Reduction, reduction_of
-from calib.results import Results
-from calib.sampling import sample
-from calib.study import Study
+from calib.problem.sampling import sample
+from calib.results.results import Results
+from calib.study.study import Study
 
 SEED, SHOWN = 7, 12
 

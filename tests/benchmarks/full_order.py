@@ -29,7 +29,7 @@ from page import Page
 from stopwatch import HEADER, Task, compared, in_turn, short, spent
 from subject import ROOT, STUDIES, study_of, undamped
 
-from calib.structure.solve import solve_modes
+from calib.structure.eigenproblem.solve import solve_modes
 
 sys.path.insert(0, str(ROOT / "tests/oracles"))
 

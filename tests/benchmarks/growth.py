@@ -26,14 +26,14 @@ from page import Page
 from stopwatch import Spent, exponent, median, short, spent
 from subject import study_of
 
-from calib.sampling import sample
-from calib.structure.basis import CHECK_COLUMNS, Basis
-from calib.structure.growth import Growth
-from calib.structure.mode_target import ModeTarget
+from calib.problem.sampling import sample
 from calib.structure.model import StructuralModel
-from calib.structure.reduced import ReducedModel
-from calib.structure.space_filling import box, middle, space_filling_points
-from calib.study import Study
+from calib.structure.reduction.basis import CHECK_COLUMNS, Basis
+from calib.structure.reduction.growth import Growth
+from calib.structure.reduction.mode_target import ModeTarget
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.space_filling import box, middle, space_filling_points
+from calib.study.study import Study
 from models.railway import vehicle
 
 REPEATS, SEED = 20, 7

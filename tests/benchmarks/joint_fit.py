@@ -20,15 +20,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import pandas as pd
 
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.residual import ModalResidual
 from calib.inference.gauss_newton import fit
 from calib.inference.identify import Posterior, posterior
 from calib.inference.integers import fit_mixed
-from calib.joint import JointProblem
-from calib.problem import Problem
-from calib.space import ParameterSpace
-from calib.study import Study
-from calib.study_text import read_settings
+from calib.problem.joint import JointProblem
+from calib.problem.problem import Problem
+from calib.problem.space import ParameterSpace
+from calib.study.study import Study
+from calib.study.study_text import read_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 TRUTH = ROOT / "tests/truth"

@@ -24,8 +24,8 @@ from page import Page
 from stopwatch import HEADER, Spent, compared, short, spent
 
 import calib
-from calib.ledger import Asked, Ledger
-from calib.outcome import Outcome, key_of
+from calib.execution.outcome import Outcome, key_of
+from calib.results.ledger import Asked, Ledger
 
 POPULATION = 30
 PARAMETERS, RESPONSES = 16, 48

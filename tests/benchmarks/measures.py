@@ -32,14 +32,14 @@ from child import report
 from stopwatch import Spent, exponent, median, spent
 from subject import ROOT, study_of
 
-from calib.analyses import places
-from calib.analyses.library import local_perturbations
+from calib.analyses.provenance import places
 from calib.analyses.reduction import Wanted
-from calib.sampling import sample
-from calib.structure.basis import Basis
-from calib.structure.reduced import ReducedModel
-from calib.structure.refinement import modes_near
-from calib.study import Study
+from calib.hypotheses.library import local_perturbations
+from calib.problem.sampling import sample
+from calib.structure.reduction.basis import Basis
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.refinement import modes_near
+from calib.study.study import Study
 
 POINTS, SEED, MODES = 7, 7, 40
 REPEATS = 3

@@ -23,13 +23,13 @@ from stopwatch import short, spent
 from subject import STUDIES, study_of
 
 from calib.analyses.case import objective_of
-from calib.analyses.places import open_evaluator
+from calib.analyses.provenance.places import open_evaluator
 from calib.analyses.reduction import reduction_of
 from calib.inference.cases import Case, run_case
 from calib.inference.genetic import GeneticSettings
-from calib.ledger import Ledger
-from calib.results import Results
-from calib.sampling import sample
+from calib.problem.sampling import sample
+from calib.results.ledger import Ledger
+from calib.results.results import Results
 
 TASKS = {
     "imports": "the libraries alone",

@@ -35,9 +35,10 @@ from next_twin import REPEATS, Twin
 from rates_subject import ROOT
 from rates_world import World
 
-from calib.analyses.experimental_design import modal_design
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.errors import EvaluationError, InputError
+from calib.errors.errors import EvaluationError, InputError
+from calib.execution.stage import unheard
+from calib.hypotheses.design.modal import modal_design
+from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.measurement.modal import Sensor
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.candidate_measurement import CandidateMeasurement
@@ -47,7 +48,6 @@ from calib.missing.explanation import Explanation
 from calib.missing.recommendation import recommend
 from calib.missing.refits import Refits
 from calib.missing.settings import DEFAULT
-from calib.stage import unheard
 
 
 def run(twin: Twin) -> dict[str, Any]:

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 from rates_subject import BOGIE, VEHICLE, Subject
 
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import parameter
-from calib.structure.extend import Addition
+from calib.structure.effects.extend import Addition
 from calib.structure.model import StructuralModel
 from models.railway.effects_frame import GIRDER_Y, GIRDER_Z, UX, UY, UZ, motion, outer_term
 

@@ -12,10 +12,10 @@ from next_subject import Case
 from rates_scenarios import OWN
 from rates_world import World
 
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.residual import ModalResidual
+from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.space import ParameterSpace
+from calib.problem.space import ParameterSpace
 
 REPEATS = 5
 

@@ -40,11 +40,10 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 from rates_outcome import Truth, outcome_of
 
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.candidate import Candidate
-from calib.correlation.residual import ModalResidual
-from calib.errors import EvaluationError, InputError
-from calib.joint import JointProblem
+from calib.correlation.modal.residual import ModalResidual
+from calib.errors.errors import EvaluationError, InputError
+from calib.execution.stage import unheard
+from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Altered, Hypotheses
@@ -52,9 +51,10 @@ from calib.missing.joint import JointHypotheses
 from calib.missing.refits import Refits
 from calib.missing.score import Scores
 from calib.missing.settings import Settings
-from calib.stage import unheard
-from calib.structure.extend import addition_of
-from calib.structure.variants import Variants
+from calib.problem.candidate import Candidate
+from calib.problem.joint import JointProblem
+from calib.structure.effects.extend import addition_of
+from calib.structure.effects.variants import Variants
 
 OURS = "this search"
 CODE = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:10]

@@ -33,15 +33,15 @@ import scipy.sparse.linalg as spla
 from scipy.optimize import linear_sum_assignment
 from threadpoolctl import threadpool_limits
 
-from calib.correlation.energy import emac
-from calib.correlation.pairing import in_window, pair_by_order, pair_by_shape
-from calib.mac import mac
-from calib.sampling import sample
-from calib.space import ParameterSpace
+from calib.correlation.modal.energy import emac
+from calib.correlation.modal.pairing import in_window, pair_by_order, pair_by_shape
+from calib.measurement.mac import mac
+from calib.problem.sampling import sample
+from calib.problem.space import ParameterSpace
+from calib.structure.eigenproblem.solve import solve_modes
 from calib.structure.energy import strain_energy_shares
 from calib.structure.model import StructuralModel
-from calib.structure.solve import solve_modes
-from calib.study import Study
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 METHODS = ("EMAC", "MAC", "order")

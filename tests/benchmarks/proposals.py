@@ -34,14 +34,14 @@ from rates_subject import ROOT, SUBJECTS
 from rates_world import World, code_digest
 from scipy.stats import beta
 
-from calib.analyses.compositions import compositions
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.correlation.residual import ModalResidual
-from calib.missing.proposal import Composed
-from calib.missing.proposal_search import Search
+from calib.correlation.modal.residual import ModalResidual
+from calib.execution.stage import unheard
+from calib.hypotheses.hypotheses import ModelHypotheses
+from calib.hypotheses.proposals.compositions import compositions
+from calib.hypotheses.proposals.proposal import Composed
+from calib.hypotheses.proposals.proposal_search import Search
 from calib.missing.refits import Refits
 from calib.missing.settings import Settings
-from calib.stage import unheard
 
 VISIBLE = 6.0
 NEAR = 0.7

@@ -23,23 +23,23 @@ from rates_subject import ROOT
 from rates_world import World
 
 from calib import read_frfs
-from calib.analyses.adapters import perturbations_of
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.library import basis_of
-from calib.correlation.frf_nuisance import concerned
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.frf_residual import FRFResidual
-from calib.effect import Effect
-from calib.errors import EvaluationError, InputError
-from calib.loading import module_of
+from calib.analyses.hypotheses_of_study import perturbations_of
+from calib.correlation.frf.nuisance import concerned
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.frf.residual import FRFResidual
+from calib.errors.errors import EvaluationError, InputError
+from calib.hypotheses.hypotheses import ModelHypotheses
+from calib.hypotheses.library import basis_of
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
 from calib.missing.explain import explain
-from calib.results import Results
-from calib.structure.extend import extend
+from calib.problem.effect import Effect
+from calib.results.results import Results
+from calib.structure.effects.extend import extend
+from calib.structure.effects.variants import Variants
 from calib.structure.model import StructuralModel
-from calib.structure.variants import Variants
-from calib.study import Study
+from calib.study.loading import module_of
+from calib.study.study import Study
 
 STUDY = ROOT / "studies/hidden_bogie_frf"
 

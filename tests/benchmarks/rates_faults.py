@@ -17,9 +17,9 @@ from rates_outcome import Measured
 from rates_scenarios import ANY, Scenario
 from rates_world import World
 
-from calib.effect import Effect
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.measurement.repeats import Repeat
+from calib.problem.effect import Effect
 from calib.structure.modes import Modes
 
 FAULTS = ("gain", "place", "rotation", "cross-talk", "set-up factor", "odd repeat")

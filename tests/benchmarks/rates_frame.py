@@ -22,19 +22,19 @@ from rates_subject import ROOT
 from rates_world import World
 
 import calib
-from calib.analyses.library import effects_basis
 from calib.analyses.reduction import Wanted
-from calib.correlation.problem import ModalProblem
-from calib.effect import Effect
-from calib.loading import module_of
+from calib.correlation.modal.problem import ModalProblem
+from calib.hypotheses.library import effects_basis
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.missing.explanation import Explanation
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import Monomial, Term
-from calib.structure.extend import Addition
+from calib.structure.effects.extend import Addition
+from calib.structure.effects.perturbations import perturbations
+from calib.structure.effects.variants import Variants
 from calib.structure.model import StructuralModel
-from calib.structure.perturbations import perturbations
-from calib.structure.variants import Variants
+from calib.study.loading import module_of
 
 blind = module_of(ROOT / "studies/blind_twin.py")
 SPANS, HEIGHT, STOREYS = (5.0, 6.5), 3.5, 3

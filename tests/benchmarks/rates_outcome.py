@@ -8,12 +8,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from calib.effect import Effect
 from calib.measurement.modal import MeasuredModes
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import SEVERAL, Explanation
-from calib.missing.nearly import is_nearly, spread_of
+from calib.missing.partial import is_nearly, spread_of
 from calib.missing.profile import profile_interval
+from calib.problem.effect import Effect
 
 
 class Truth(Protocol):

@@ -23,25 +23,25 @@ from rates_scenarios import MAGNITUDES, Scenario
 from rates_subject import ROOT, Subject
 
 from calib import read_frfs
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.correlation.frf_nuisance import of_every_channel
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.frf_residual import FRFResidual
-from calib.correlation.residual import ModalResidual
-from calib.effect import Effect
-from calib.errors import EvaluationError, InputError
-from calib.loading import module_of
+from calib.correlation.frf.nuisance import of_every_channel
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.frf.residual import FRFResidual
+from calib.correlation.modal.residual import ModalResidual
+from calib.errors.errors import EvaluationError, InputError
+from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.measurement.accuracy import Claim
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.repeats import Repeat, ShapeSet, combine_repeats
 from calib.missing.explain import explain
-from calib.settings import MeasurementSettings
-from calib.space import ParameterSpace
-from calib.structure.extend import extend
-from calib.structure.perturbations import perturbations
-from calib.structure.variants import Variants
-from calib.study import Study, with_nuisances
+from calib.problem.effect import Effect
+from calib.problem.space import ParameterSpace
+from calib.structure.effects.extend import extend
+from calib.structure.effects.perturbations import perturbations
+from calib.structure.effects.variants import Variants
+from calib.study.loading import module_of
+from calib.study.settings import MeasurementSettings
+from calib.study.study import Study, with_nuisances
 
 ERRORS = {"gain": 0.01, "phase": 0.5, "accelerometer": 0.005}
 """Standard deviations of the channels' gains (relative) and phases (degrees); kg at every sensor."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from rates_subject import Subject
 
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import Monomial, Term
-from calib.structure.extend import Addition
+from calib.structure.effects.extend import Addition
 from calib.structure.model import Part, StructuralModel
 
 OWN, FIFTY = "own", "fifty"

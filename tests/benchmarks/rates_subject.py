@@ -94,7 +94,7 @@ PANEL = Subject(
     "panel", "studies/hidden_panel",
     (
         "studies/hidden_panel/make_twin.py", "studies/hidden_panel/remodelled.py", "studies/hidden_panel/study.toml",
-        "studies/hidden_panel_frf/study.toml", "studies/frf_twin.py", "calib/analyses/frf_start.py",
+        "studies/hidden_panel_frf/study.toml", "studies/frf_twin.py", "calib/hypotheses/linear_start.py",
         "tests/benchmarks/rates_panel.py",
     ),
     ("heavy_left", "broken_bar", "corner_mass"), (), ways=("modes", "frfs", "freed", "ignored"),
@@ -104,13 +104,13 @@ BOGIE_FRF = replace(
     BOGIE, name="bogie_frf", pairs=(), triples=(), ways=("modes", "frfs"),
     sources=(
         *BOGIE.sources, "studies/hidden_bogie_frf/make_twin.py", "studies/hidden_bogie_frf/study.toml",
-        "studies/frf_twin.py", "calib/analyses/frf_start.py", "tests/benchmarks/rates_bogie_frf.py",
+        "studies/frf_twin.py", "calib/hypotheses/linear_start.py", "tests/benchmarks/rates_bogie_frf.py",
     ),
 )  # fmt: skip
 
 BOGIE_FAULT = replace(
     BOGIE, name="bogie_fault", suspects=True,
-    sources=(*BOGIE.sources, "tests/benchmarks/rates_faults.py", "calib/analyses/frf_start.py"),
+    sources=(*BOGIE.sources, "tests/benchmarks/rates_faults.py", "calib/hypotheses/linear_start.py"),
 )  # fmt: skip
 
 FRAME = Subject(

@@ -21,32 +21,32 @@ from rates_outcome import Measured, magnitude, outcome
 from rates_scenarios import FIFTY, OWN, Scenario, fifty_effects, scenarios
 from rates_subject import ROOT, Subject
 
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.analyses.library import effects_basis
 from calib.analyses.reduction import Wanted
-from calib.correlation.fault_library import modal_faults
-from calib.correlation.held_out import held_out_errors
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
-from calib.effect import Effect
-from calib.errors import EvaluationError, InputError
-from calib.loading import module_of
+from calib.correlation.modal.fault_library import modal_faults
+from calib.correlation.modal.held_out import held_out_errors
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
+from calib.errors.errors import EvaluationError, InputError
+from calib.hypotheses.hypotheses import ModelHypotheses
+from calib.hypotheses.library import effects_basis
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.repeats import Repeat, ShapeSet, combine_repeats
 from calib.missing.explain import explain
 from calib.missing.explanation import Explanation
-from calib.space import ParameterSpace
-from calib.structure.basis import Basis
+from calib.problem.effect import Effect
+from calib.problem.space import ParameterSpace
+from calib.structure.effects.perturbations import Perturbation, perturbations
+from calib.structure.effects.variants import Variants
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
-from calib.structure.perturbations import Perturbation, perturbations
-from calib.structure.variants import Variants
-from calib.study import Study
+from calib.structure.reduction.basis import Basis
+from calib.study.loading import module_of
+from calib.study.study import Study
 
 ANSWERING = (
     "calib/missing", "calib/structure", "calib/correlation", "calib/inference", "calib/measurement", "models",
-    "calib/problem.py", "calib/analyses/hypotheses.py", "calib/effect.py", "calib/space.py", "calib/mac.py",
-    "calib/limits.py", "tests/benchmarks/rates_world.py", "tests/benchmarks/rates_scenarios.py",
+    "calib/problem/problem.py", "calib/hypotheses/hypotheses.py", "calib/problem/effect.py", "calib/problem/space.py", "calib/measurement/mac.py",
+    "calib/study/limits.py", "tests/benchmarks/rates_world.py", "tests/benchmarks/rates_scenarios.py",
     "tests/benchmarks/rates_outcome.py",
 )  # fmt: skip
 _NEAR = 3.0

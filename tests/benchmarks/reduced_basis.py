@@ -21,10 +21,10 @@ from page import Page
 from stopwatch import HEADER, Point, compared, in_turn, short, spent
 from subject import STUDIES, study_of
 
-from calib.structure.certificate import certificate
-from calib.structure.reduced import ReducedModel
-from calib.structure.space_filling import space_filling_points
-from calib.structure.training import train_basis
+from calib.structure.reduction.certificate import certificate
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.space_filling import space_filling_points
+from calib.structure.reduction.training import train_basis
 
 FRESH_SEED = 20260101
 TIMED = 10

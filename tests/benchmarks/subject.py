@@ -9,10 +9,10 @@ from typing import Any
 
 from calib.structure.affine import AffineMatrix
 from calib.structure.model import StructuralModel
-from calib.structure.reduced import ReducedModel
-from calib.study import Study
-from calib.study_file import study_file
-from calib.study_text import read_settings
+from calib.structure.reduction.reduced import ReducedModel
+from calib.study.study import Study
+from calib.study.study_file import study_file
+from calib.study.study_text import read_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 STUDIES = ("bogie", "vehicle")

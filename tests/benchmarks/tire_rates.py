@@ -40,10 +40,10 @@ from rates_world import digest_of
 from scipy.stats import beta
 
 import calib
-from calib.errors import EvaluationError
-from calib.loading import module_of
+from calib.errors.errors import EvaluationError
 from calib.measurement.responses import MeasuredResponses
-from calib.study_text import read_settings
+from calib.study.loading import module_of
+from calib.study.study_text import read_settings
 
 FOLDER = ROOT / "studies/hidden_tire"
 MESH = (53, 36)

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from calib import cli
-from calib.loading import module_of
+from calib.command import cli
+from calib.study.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -11,9 +11,9 @@ import numpy as np
 import scipy.linalg as la
 import scipy.sparse.linalg as spla
 
-from calib.loading import module_of
-from calib.structure.attach import part_of
+from calib.structure.effects.attach import part_of
 from calib.structure.modes import Modes
+from calib.study.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 CORNERS = [f"primary springs {end} {side}" for end in ("front", "rear") for side in ("left", "right")]

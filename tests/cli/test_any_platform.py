@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli, terminal
+from calib.command import cli, terminal
 
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = """
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel
+from calib.problem.space import Parameter, ParameterSpace
 
 SPACE = ParameterSpace((Parameter("a", 2.0, 1.0, 3.0),))
 

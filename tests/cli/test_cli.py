@@ -9,9 +9,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib import cli
-from calib.example import write_example
-from calib.study import Study
+from calib.command import cli
+from calib.command.example import write_example
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 COMPARISON = [
@@ -191,7 +191,7 @@ def test_report_draws_and_tells_from_tables_alone(whole, answered, drawn, unrend
     first = told.read_bytes()
     for figure in (told, *Path("results/mast").glob("*.png")):
         figure.unlink()
-    monkeypatch.setattr("calib.correlation.problem.ModalProblem.evaluate", lambda *a: pytest.fail("it solved"))
+    monkeypatch.setattr("calib.correlation.modal.problem.ModalProblem.evaluate", lambda *a: pytest.fail("it solved"))
     assert cli.execute(["report", "mast"]) == 0
     assert len(list(Path("results/mast").glob("*.png"))) >= 8
     assert told.read_bytes() == first and str(told) in capsys.readouterr().out
@@ -292,7 +292,7 @@ def test_a_suspicious_sensor_is_named_before_comparing(here, capsys, monkeypatch
         shapes[[one, two]] = shapes[[two, one]]
         return replace(study, problem=replace(study.problem, measured=replace(measured, shapes=shapes)))
 
-    monkeypatch.setattr("calib.study.Study.load", staticmethod(tampered))
+    monkeypatch.setattr("calib.study.study.Study.load", staticmethod(tampered))
     assert cli.execute(["compare", str(ROOT / "studies/bogie")]) == 0
     warnings = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Check this sensor")]
     assert len(warnings) == 2
@@ -318,8 +318,8 @@ def test_example_writes_nothing_half(here, monkeypatch):
 
 
 STEPS = """\
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel
+from calib.problem.space import Parameter, ParameterSpace
 
 def build():
     space = ParameterSpace((Parameter("a", 1.0, 0.0, 3.0), Parameter("n", 2.0, 1.0, 5.0, integer=True)))

@@ -11,12 +11,12 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from calib import cli, terminal
 from calib.analyses import explain as explaining
 from calib.analyses.sensitivity import Screening
-from calib.console.explained import _predictions, _steps
-from calib.console.printing import printing
-from calib.results import Results
+from calib.command import cli, terminal
+from calib.command.explained import _predictions, _steps
+from calib.command.printing import printing
+from calib.results.results import Results
 
 
 def test_a_parameter_of_which_no_response_is_known_is_told_as_such(tmp_path, capsys):

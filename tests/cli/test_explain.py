@@ -8,9 +8,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib import cli
 from calib.analyses import reduction
-from calib.study import Study
+from calib.command import cli
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAIN = str(ROOT / "studies/five_mass_chain")
@@ -69,7 +69,7 @@ def test_report_draws_the_explanation_from_tables_alone(explained, here, drawn, 
     before = {p: b for p, b in files("results/mast").items() if p.suffix not in drawings}
     for figure in Path("results/mast").glob("*.png"):
         figure.unlink()
-    monkeypatch.setattr("calib.correlation.problem.ModalProblem.compare", lambda *a: pytest.fail("it solved"))
+    monkeypatch.setattr("calib.correlation.modal.problem.ModalProblem.compare", lambda *a: pytest.fail("it solved"))
     assert cli.execute(["report", "mast"]) == 0
     assert {p.stem for p in Path("results/mast").glob("*.png")} == FIGURES
     assert before == {p: b for p, b in files("results/mast").items() if p.suffix not in drawings}

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli
 from calib.analyses import reduction
+from calib.command import cli
 
 
 @pytest.fixture

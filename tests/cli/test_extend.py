@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib import cli
+from calib.command import cli
 
 
 @pytest.mark.slow

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 
 import calib
-from calib import cli
-from calib.loading import module_of
+from calib.command import cli
+from calib.study.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 WORLD = module_of(ROOT / "tests/template/frf_chain.py")

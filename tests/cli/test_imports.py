@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[2]
 HEAVY = ("numpy", "scipy", "pandas", "matplotlib", "pymoo", "SALib", "jinja2")
 SCRIPT = """
 import sys
-from calib import cli
+from calib.command import cli
 code = cli.execute(sys.argv[1:])
 print("imported:", *sys.modules)
 sys.exit(code)
@@ -29,8 +29,8 @@ def test_nothing_that_computes_is_imported_to_tell_the_version_or_the_options(ar
 
 @pytest.mark.slow
 def test_a_process_that_evaluates_a_study_imports_no_more_than_it_needs():
-    command = [sys.executable, "-c", "import sys, calib.study; print(*sys.modules)"]
+    command = [sys.executable, "-c", "import sys, calib.study.study; print(*sys.modules)"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=True)
     imported = set(done.stdout.split())
-    assert "calib.study" in imported
+    assert "calib.study.study" in imported
     assert not imported & {"scipy.signal", "scipy.stats", "matplotlib", "pymoo", "SALib", "jinja2"}

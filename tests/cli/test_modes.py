@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 import calib
-from calib import cli
-from calib.loading import module_of
+from calib.command import cli
+from calib.study.loading import module_of
 
 pytest.importorskip("sdypy.EMA", reason="needs sdypy-EMA: pip install calib[modes]")
 

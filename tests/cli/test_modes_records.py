@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 import calib
-from calib import cli
-from calib.loading import module_of
+from calib.command import cli
+from calib.study.loading import module_of
 
 pytest.importorskip("pyoma2", reason="needs pyOMA2: pip install calib[ambient]")
 

@@ -7,10 +7,10 @@ from contextlib import nullcontext
 import pytest
 from rich.console import Console
 
-from calib import progress
-from calib.front.listener import Listener
-from calib.front.study import Study
-from calib.stage import named
+from calib.api import progress
+from calib.api.listener import Listener
+from calib.api.study import Study
+from calib.execution.stage import named
 
 
 class Clock:

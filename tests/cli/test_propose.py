@@ -6,9 +6,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib import cli
+from calib.command import cli
 from calib.missing.rules import RULES
-from calib.study import Study
+from calib.study.study import Study
 
 
 @pytest.fixture

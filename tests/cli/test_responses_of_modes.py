@@ -11,17 +11,17 @@ import pandas as pd
 import pytest
 
 import calib
-from calib import cli
-from calib.loading import module_of
-from calib.structure.extend import extend
+from calib.command import cli
+from calib.structure.effects.extend import extend
+from calib.study.loading import module_of
 
 MODEL = '''
 import numpy as np
 
 import calib
 from calib.structure.affine import parameter
-from calib.structure.attach import outer_term
-from calib.structure.extend import Addition, extend
+from calib.structure.effects.attach import outer_term
+from calib.structure.effects.extend import Addition, extend
 
 N = 5
 

@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from calib import cli
 from calib.analyses import calibrate as calibration
-from calib.study import Study
+from calib.command import cli
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
@@ -107,7 +107,7 @@ def test_the_output_is_in_order_with_its_numbers(within):
 
 @pytest.mark.slow
 def test_figures_and_reports_of_both_are_drawn_and_redrawn(within, drawn, monkeypatch):
-    monkeypatch.setattr("calib.correlation.problem.ModalProblem.compare", lambda *a: pytest.fail("it solved"))
+    monkeypatch.setattr("calib.correlation.modal.problem.ModalProblem.compare", lambda *a: pytest.fail("it solved"))
     assert cli.execute(["report", "mast"]) == 0
     assert (FOLDER / "added_errors.png").stat().st_size > 5000 and (OWN / "comparison.png").exists()
     page = (FOLDER / "report.html").read_text()
@@ -217,7 +217,7 @@ def test_a_model_without_matrices_is_run_to_the_end_too(here, asked):
 
 def test_a_command_computes_on_one_thread(here, monkeypatch):
     seen = []
-    monkeypatch.setattr("calib.front.study.Study.report", lambda *given: seen.append(threadpool_info()))
+    monkeypatch.setattr("calib.api.study.Study.report", lambda *given: seen.append(threadpool_info()))
     with threadpool_limits(2):
         assert cli.execute(["report", "mast"]) == 0
         assert {pool["num_threads"] for pool in threadpool_info()} == {2}

@@ -5,7 +5,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib import cli
+from calib.command import cli
 
 pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 

@@ -8,7 +8,7 @@ import pytest
 import scipy.sparse as sp
 
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.space import Parameter, ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
 from calib.structure.geometry import DofMap, Mesh
 from calib.structure.model import StructuralModel

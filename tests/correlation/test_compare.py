@@ -3,11 +3,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.correlation.compare import BEYOND, UNKNOWN, UNPAIRED, WITHIN
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.comparison import BEYOND, UNKNOWN, UNPAIRED, WITHIN
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import USUAL
-from calib.mac import mac
+from calib.measurement.mac import mac
 
 TRUTH = {"k_along": 52.0, "k_across": 9.0, "c_end": 800.0}
 OFF = {"k_along": 40.0, "k_across": 11.0, "c_end": 300.0}

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.correlation.expansion import expanded_shapes, orthogonality
-from calib.correlation.problem import ModalProblem
-from calib.errors import InputError
+from calib.correlation.modal.expansion import expanded_shapes, orthogonality
+from calib.correlation.modal.problem import ModalProblem
+from calib.errors.errors import InputError
 from calib.structure.expansion import static_expansion
 from calib.structure.model import StructuralModel
 

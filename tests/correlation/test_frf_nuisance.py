@@ -6,21 +6,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.correlation.frf_nuisance import AddedMass, ChannelError, Stinger, concerned
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.frf_residual import FRFResidual
-from calib.effect import Effect
-from calib.errors import InputError
+from calib.correlation.frf.nuisance import AddedMass, ChannelError, Stinger, concerned
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.frf.residual import FRFResidual
+from calib.errors.errors import InputError
 from calib.inference.gauss_newton import fit
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
-from calib.problem import Problem
-from calib.space import Parameter
-from calib.structure.attach import hung_masses, motion
-from calib.structure.extend import extend
+from calib.problem.effect import Effect
+from calib.problem.problem import Problem
+from calib.problem.space import Parameter
+from calib.structure.effects.attach import hung_masses, motion
+from calib.structure.effects.extend import extend
 from calib.structure.model import StructuralModel
-from calib.structure.reduced import ReducedModel
-from calib.structure.training import train_basis
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.training import train_basis
 from models.solar_panel import GROUPS, solar_panel
 
 FREQ = np.linspace(2.0, 30.0, 40)

@@ -7,18 +7,18 @@ import pandas as pd
 import pytest
 
 import calib
-from calib.correlation.frf_nuisance import ChannelError, concerned
-from calib.correlation.frf_places import PlaceError, of_every_place
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.frf_residual import FRFResidual
-from calib.errors import InputError
+from calib.correlation.frf.nuisance import ChannelError, concerned
+from calib.correlation.frf.places import PlaceError, of_every_place
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.frf.residual import FRFResidual
+from calib.errors.errors import InputError
 from calib.inference.gauss_newton import fit
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
-from calib.problem import Problem
+from calib.problem.problem import Problem
 from calib.structure.model import StructuralModel
-from calib.structure.reduced import ReducedModel
-from calib.structure.training import train
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.training import train
 from models.railway import bogie_on_rig
 
 FREQ = np.linspace(7.3, 31.0, 12)

@@ -7,16 +7,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.frf_residual import FRFResidual
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.rules import RULES
-from calib.errors import EvaluationError, InputError
+from calib.errors.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import Prior, fit
-from calib.loading import module_of
 from calib.measurement.accuracy import frf_claim
 from calib.measurement.modal import Sensor
-from calib.problem import Problem
+from calib.problem.problem import Problem
 from calib.structure.model import StructuralModel
+from calib.study.loading import module_of
 
 WORLD = module_of(Path(__file__).parents[1] / "template/frf_chain.py")
 FREQ, TRUE, truth, measured = WORLD.FREQ, WORLD.TRUE, WORLD.truth, WORLD.measured

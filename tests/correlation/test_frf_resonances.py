@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from calib.correlation.fault_rules import RULES
-from calib.correlation.frf_nuisance import ChannelError, concerned, of_every_channel
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.frf_residual import FRFResidual
-from calib.correlation.frf_resonances import ResonanceError
-from calib.errors import InputError
+from calib.correlation.frf.nuisance import ChannelError, concerned, of_every_channel
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.frf.residual import FRFResidual
+from calib.correlation.frf.resonances import ResonanceError
+from calib.errors.errors import InputError
 from calib.inference.gauss_newton import fit
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
-from calib.problem import Problem
-from calib.space import Parameter
+from calib.problem.problem import Problem
+from calib.problem.space import Parameter
 from calib.structure.model import StructuralModel
 
 K = np.array([[3e4, -1e4], [-1e4, 1e4]])

@@ -7,13 +7,13 @@ import pytest
 
 import calib
 from calib.analyses.reduction import Wanted
-from calib.correlation.frf_cross_talk import CrossTalkError
-from calib.correlation.frf_nuisance import AddedMass, ChannelError, belonging_to
-from calib.correlation.frf_places import PlaceError
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.frf_residual import FRFResidual
-from calib.correlation.frf_rotation import RotationError
-from calib.errors import InputError
+from calib.correlation.frf.cross_talk import CrossTalkError
+from calib.correlation.frf.nuisance import AddedMass, ChannelError, belonging_to
+from calib.correlation.frf.places import PlaceError
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.frf.residual import FRFResidual
+from calib.correlation.frf.rotation import RotationError
+from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
 from calib.structure.model import StructuralModel

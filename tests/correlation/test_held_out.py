@@ -7,12 +7,12 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from calib.correlation.held_out import group_table, held_out_errors
-from calib.correlation.modal_rows import Row
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.held_out import group_table, held_out_errors
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
+from calib.correlation.modal.rows import Row
 from calib.correlation.standard_deviations import Floors
-from calib.errors import InputError
+from calib.errors.errors import InputError
 
 TRUTH = {"k_along": 52.0, "k_across": 9.0, "c_end": 800.0, "mass": 11.0}
 NAMES = ("k_along", "k_across", "c_end", "mass")

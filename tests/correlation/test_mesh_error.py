@@ -8,17 +8,17 @@ import pandas as pd
 import pytest
 
 import calib
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.frf_residual import FRFResidual
-from calib.correlation.held_out import held_out_errors
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.mesh_error import MeshError
-from calib.correlation.modal_mesh import both_meshes
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
-from calib.errors import InputError
-from calib.loading import module_of
+from calib.correlation.modal.held_out import held_out_errors
+from calib.correlation.modal.mesh import both_meshes
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
+from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
+from calib.study.loading import module_of
 
 BAR = module_of(Path(__file__).parents[1] / "template/bar.py")
 LENGTH, SPEED, PLACES, bar = BAR.LENGTH, BAR.SPEED, BAR.PLACES, BAR.bar

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.correlation.fault_library import gain_words, modal_faults
-from calib.correlation.faulty_modes import FaultyModes
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.fault_library import gain_words, modal_faults
+from calib.correlation.modal.faulty_modes import FaultyModes
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
 
 TRUTH = {"k_along": 52.0, "k_across": 9.0, "c_end": 800.0, "mass": 11.0}
 AWAY = {"k_along": 51.6, "k_across": 9.05, "c_end": 820.0, "mass": 10.95}

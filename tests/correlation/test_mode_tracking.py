@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.mode_tracking import Point, follow
-from calib.correlation.problem import ModalProblem
-from calib.effect import Effect
-from calib.mac import mac
-from calib.space import Parameter
+from calib.measurement.mac import mac
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import Term, parameter
-from calib.structure.extend import Addition, extend
+from calib.structure.effects.extend import Addition, extend
 
 COUNT = 7
 

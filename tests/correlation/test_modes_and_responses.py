@@ -5,16 +5,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from calib.correlation.function_problem import FunctionProblem
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
-from calib.correlation.response_residual import ResponseResidual
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
+from calib.correlation.response.problem import FunctionProblem
+from calib.correlation.response.residual import ResponseResidual
 from calib.inference.identify import posterior
 from calib.inference.integers import fit_mixed
-from calib.joint import JointProblem
 from calib.missing.goodness import goodness, overall
-from calib.problem import Problem
-from calib.space import ParameterSpace
+from calib.problem.joint import JointProblem
+from calib.problem.problem import Problem
+from calib.problem.space import ParameterSpace
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.correlation.order import Costs, align_in_order
+from calib.correlation.modal.order import Costs, align_in_order
 from calib.correlation.rules import RULES
 
 seeds = st.integers(0, 2**32 - 1)

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.correlation.pairing import pair_by_order, pair_by_shape
-from calib.errors import InputError
-from calib.mac import mac
+from calib.correlation.modal.pairing import pair_by_order, pair_by_shape
+from calib.errors.errors import InputError
+from calib.measurement.mac import mac
 
 seeds = st.integers(0, 2**32 - 1)
 

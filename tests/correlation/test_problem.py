@@ -5,12 +5,12 @@ import pickle
 import numpy as np
 import pytest
 
-from calib.correlation.function_problem import FunctionProblem
-from calib.correlation.problem import RESPONSES, ModalProblem
-from calib.errors import EvaluationError, InputError
-from calib.space import Parameter, ParameterSpace
-from calib.structure.reduced import ReducedModel
-from calib.structure.training import train_basis
+from calib.correlation.modal.problem import RESPONSES, ModalProblem
+from calib.correlation.response.problem import FunctionProblem
+from calib.errors.errors import EvaluationError, InputError
+from calib.problem.space import Parameter, ParameterSpace
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.training import train_basis
 
 TRUTH = {"k_along": 52.0, "k_across": 9.0, "c_end": 800.0}
 CLUSTERS = {"M1": ("across",), "M2": ("along", "across")}

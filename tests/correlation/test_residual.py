@@ -5,15 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.correlation.modal_rows import Row
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
+from calib.correlation.modal.rows import Row
 from calib.correlation.standard_deviations import Floors, std_for
-from calib.effect import Effect
-from calib.errors import InputError
-from calib.space import Parameter
-from calib.structure.attach import maxwell_branches
-from calib.structure.extend import extend
+from calib.errors.errors import InputError
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
+from calib.structure.effects.attach import maxwell_branches
+from calib.structure.effects.extend import extend
 
 TRUTH = {"k_along": 52.0, "k_across": 9.0, "c_end": 800.0, "mass": 11.0}
 AWAY = {"k_along": 50.0, "k_across": 9.4, "c_end": 900.0, "mass": 10.5}

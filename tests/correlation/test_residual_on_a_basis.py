@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.correlation.residual import ModalResidual
-from calib.structure.training import train_basis
-from calib.study import Study
+from calib.correlation.modal.residual import ModalResidual
+from calib.structure.reduction.training import train_basis
+from calib.study.study import Study
 
 STUDY = Path(__file__).resolve().parents[2] / "studies/bogie"
 

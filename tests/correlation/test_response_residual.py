@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.correlation.function_problem import FunctionProblem
-from calib.correlation.response_residual import ResponseResidual
-from calib.effect import Effect
-from calib.function import FunctionModel, extend_function, slope_entry
-from calib.space import Parameter, ParameterSpace
+from calib.correlation.response.problem import FunctionProblem
+from calib.correlation.response.residual import ResponseResidual
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel, extend_function, slope_entry
 
 SPACE = ParameterSpace((Parameter("a", 2.0, 1.0, 3.0), Parameter("b", 1.0, 0.0, 2.0)))
 TARGETS = {"x": (4.0, 0.1), "y": (2.0, 0.5)}

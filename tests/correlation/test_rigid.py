@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.correlation.rigid import rigid_motions, rigid_share
+from calib.correlation.modal.rigid import rigid_motions, rigid_share
 from calib.measurement.modal import Sensor
 
 PLACES = [(0.0, 0.0, 0.0), (2.0, 0.1, 0.0), (4.0, 0.0, 0.5), (1.0, 1.0, 1.0)]

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.correlation.problem import ModalProblem
-from calib.correlation.sensors import suspicious_sensors
-from calib.example import write_example
+from calib.command.example import write_example
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.sensors import suspicious_sensors
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.study import Study
+from calib.study.study import Study
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
 

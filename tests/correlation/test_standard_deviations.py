@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from calib.correlation.standard_deviations import Floors, assumptions, dof_behind, std_for
-from calib.degrees_of_freedom import chance
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.average import mean_and_std
-from calib.measurement.read import read_modes
+from calib.measurement.files.read import read_modes
+from calib.problem.degrees_of_freedom import chance
 
 MODES = "mode,freq,freq_kind,repeat\n" + "".join(
     f"{mode},{value + step},natural,{k}\n"

@@ -27,9 +27,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calib import cli
-from calib.example import write_example
-from calib.settings import StudySettings
+from calib.command import cli
+from calib.command.example import write_example
+from calib.study.settings import StudySettings
 
 ROOT = Path(__file__).resolve().parents[2]
 FENCE = re.compile(

@@ -17,8 +17,8 @@ import numpy as np
 
 import calib
 from calib.structure.affine import parameter
-from calib.structure.attach import outer_term
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import outer_term
+from calib.structure.effects.extend import Addition
 
 LINKS = np.array([[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [0.0, -1.0, 1.0]])
 

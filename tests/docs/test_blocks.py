@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 RUN = runpy.run_path(str(Path(__file__).with_name("blocks.py")))

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from calib.analyses.recorded_rules import every_rule
-from calib.settings import schema
+from calib.analyses.provenance.recorded_rules import every_rule
+from calib.study.settings import schema
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
@@ -114,7 +114,7 @@ def test_every_key_and_every_default_is_listed(made):
 def test_every_command_and_every_option_is_listed(made):
     from typer.main import get_command
 
-    from calib.cli import app
+    from calib.command.cli import app
 
     text = made["commands"]()
     for name, command in get_command(app).commands.items():

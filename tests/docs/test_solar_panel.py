@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib import cli
-from calib.loading import module_of
+from calib.command import cli
+from calib.study.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 STUDY = ROOT / "studies/solar_panel"

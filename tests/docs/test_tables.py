@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib import cli
+from calib.command import cli
 
 ROOT = Path(__file__).resolve().parents[2]
 LIST, FRFS = (runpy.run_path(str(Path(__file__).with_name(f"{name}.py"))) for name in ("tables", "frf_study"))

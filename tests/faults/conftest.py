@@ -19,11 +19,11 @@ from pathlib import Path
 import pytest
 
 from calib.__main__ import main
-from calib.errors import InputError
-from calib.example import write_example
-from calib.place import Place
+from calib.command.example import write_example
+from calib.errors.errors import InputError
+from calib.errors.place import Place
 from calib.report.figures import Figures
-from calib.study import Study
+from calib.study.study import Study
 from tests.template import plain as template
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli
-from calib.loading import module_of
+from calib.command import cli
 from calib.report.figures import Figures
 from calib.report.html.write import write_report
-from calib.results import OWNER
-from calib.written import KEPT, LOG
+from calib.results.results import OWNER
+from calib.results.written import KEPT, LOG
+from calib.study.loading import module_of
 
 FUNCTION = """
 def answer(values):
@@ -149,7 +149,7 @@ def test_what_the_user_puts_among_results_is_kept(sums, unrendered, capsys, monk
     if name.endswith(".png"):
         monkeypatch.setattr("calib.report.figures.Figures.save", SAVE)
     if name.endswith(".html"):
-        monkeypatch.setattr("calib.front.drawn.write_report", write_report)
+        monkeypatch.setattr("calib.api.figures.write_report", write_report)
     assert cli.execute(["calibrate", "plain", "--workers", "1"]) == 0
     assert cli.execute(["report", "plain"]) == 0
     file = Path("results/plain", name)

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli
-from calib.outcome import TOOK_TOO_LONG, WORKER_DIED
+from calib.command import cli
+from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED
 
 FUNCTION = """
 import ctypes, os, time

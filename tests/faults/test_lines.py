@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import calib
-from calib import cli
-from calib.errors import InputError
-from calib.example import write_example
+from calib.command import cli
+from calib.command.example import write_example
+from calib.errors.errors import InputError
+from calib.measurement.files.read import read_modes
+from calib.measurement.files.uff import write_uff
 from calib.measurement.modal import Sensor
-from calib.measurement.read import read_modes
-from calib.measurement.uff import write_uff
 
 LOG = Path("calib-error.log")
 SOUND = "def answer(values):\n    return {'y': values['a'], 'z': values['b']}\n"

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 import calib
-from calib.errors import InputError
-from calib.evaluate import Evaluator
-from calib.example import write_example
-from calib.executor import ExecutorEvaluator
-from calib.own_code import defined_at, raised_at
-from calib.place import Place
-from calib.study import EvaluationSource, Study
+from calib.command.example import write_example
+from calib.errors.errors import InputError
+from calib.errors.own_code import defined_at, raised_at
+from calib.errors.place import Place
+from calib.execution.evaluate import Evaluator
+from calib.execution.executor import ExecutorEvaluator
+from calib.study.study import EvaluationSource, Study
 
 ROOT = Path(__file__).parents[2]
 SOUND = "def answer(values):\n    return {'y': values['a'], 'z': values['b']}\n"
@@ -24,7 +24,7 @@ RETURN = '    return FunctionModel("plain", SPACE, answer)'
 @pytest.fixture
 def in_this_process(monkeypatch):
     """The study's function is evaluated in this process, not in a child."""
-    monkeypatch.setattr("calib.front.adopting.isolated", lambda study: study)
+    monkeypatch.setattr("calib.api.staged.isolated", lambda study: study)
 
 
 def compare(folder):
@@ -64,7 +64,7 @@ def test_an_option_that_a_model_refuses_is_shown_where_it_is_given(plain, mistak
     refusal = f"    if size < 0:\n        raise InputError('size is negative', place='size')\n{RETURN}"
     mistakes.put(
         folder / "model.py",
-        ("import numpy as np", "import numpy as np\nfrom calib.errors import InputError"),
+        ("import numpy as np", "import numpy as np\nfrom calib.errors.errors import InputError"),
         ("def model():", "def model(size):"),
         (RETURN, refusal),
     )
@@ -109,7 +109,7 @@ def test_a_mistake_in_a_module_beside_the_model(plain, mistakes):
 EVALUATING = {
     "exception": "def answer(values):\n    return {'y': ⟦values['c']⟧}\n",
     "exception of a library": "def answer(values):\n    ⟦np.linalg.inv(np.zeros((2, 2)))⟧\n",
-    "own refusal": "from calib.errors import EvaluationError\ndef answer(values):\n    ⟦raise EvaluationError('no')⟧\n",
+    "own refusal": "from calib.errors.errors import EvaluationError\ndef answer(values):\n    ⟦raise EvaluationError('no')⟧\n",
     "NaN": "def ⟦answer⟧(values):\n    return {'y': np.nan, 'z': 1.0}\n",
     "infinite": "@staticmethod\ndef ⟦answer⟧(values):\n    return {'y': np.inf, 'z': 1.0}\n",
     "response missing": "def ⟦answer⟧(values):\n    return {'y': 1.0}\n",
@@ -177,7 +177,7 @@ def test_a_model_that_cannot_be_built_in_a_worker(plain, mistakes):
 MODAL = """
 import numpy as np
 from calib.structure.modal_function import ModalFunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
 
 def ⟦string⟧(values):
     RESULT
@@ -209,8 +209,8 @@ def test_modes_that_do_not_fit(plain, in_this_process, result, mistakes):
 
 
 EFFECTS = """
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 
 def build(model):
     BODY

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib import cli
-from calib.errors import InputError
+from calib.command import cli
+from calib.errors.errors import InputError
 from calib.structure.affine import AffineMatrix, Term
 from calib.structure.soundness import require_sound
-from calib.study import Study
+from calib.study.study import Study
 
 BARE = Path(__file__).parents[1] / "template/bare_chain"
 

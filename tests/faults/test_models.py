@@ -7,19 +7,19 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli
-from calib.errors import InputError
-from calib.evaluate import Evaluator
-from calib.ledger import Ledger
-from calib.outcome import TOOK_TOO_LONG, WORKER_DIED
+from calib.command import cli
+from calib.errors.errors import InputError
+from calib.execution.evaluate import Evaluator
+from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED
+from calib.results.ledger import Ledger
 
 # One integer parameter chooses what goes wrong.
 KINDS = """
 import json, os, signal, sys, time
 import numpy as np
-from calib.errors import EvaluationError
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.errors.errors import EvaluationError
+from calib.structure.function_model import FunctionModel
+from calib.problem.space import Parameter, ParameterSpace
 
 SPACE = ParameterSpace((
     Parameter("what", 0.0, 0.0, {last}, integer=True), Parameter("a", 2.0, 1.0, 3.0), Parameter("b", 2.0, 1.0, 3.0)

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli
-from calib.errors import InputError
-from calib.study import Study
+from calib.command import cli
+from calib.errors.errors import InputError
+from calib.study.study import Study
 
 LOG = Path("calib-error.log")
 
@@ -82,8 +82,8 @@ def test_an_exception_while_a_model_is_evaluated(edited, told):
 
 EFFECTS = """
 {head}
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 
 def library():
     magnitude = Parameter("bend", 0.0, -1.0, 1.0, prior_sd=0.5)
@@ -135,8 +135,8 @@ def test_equal_names_in_two_studies_are_two_modules(edited, tmp_path):
 
 
 BENT = """
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 
 def broken(model):
     def bent(values):

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli
-from calib.results import OWNER, Results
-from calib.study import Study
+from calib.command import cli
+from calib.results.results import OWNER, Results
+from calib.study.study import Study
 
 FOLDER = Path("results/mast")
 LEDGER = FOLDER / "ledger.sqlite"
@@ -135,7 +135,7 @@ def test_results_replaced_by_a_file_while_running(mast, told, monkeypatch):
 
         yield at_generation
 
-    monkeypatch.setattr("calib.progress.bars", progress)
+    monkeypatch.setattr("calib.api.progress.bars", progress)
     said = told("calibrate", "mast", "--workers", "1")
     assert "cannot be written" in said or "cannot be deleted" in said
     assert FOLDER.read_text() == "a file"
@@ -308,7 +308,7 @@ def test_a_study_edited_while_running(mast, told, monkeypatch, workers, old, new
             file.write_text(file.read_text().replace(old, new, 1))
         return study
 
-    monkeypatch.setattr("calib.study.Study.load", staticmethod(edited))
+    monkeypatch.setattr("calib.study.study.Study.load", staticmethod(edited))
     if words:
         assert words in told("calibrate", "mast", "--workers", workers)
         assert not Path("results/mast/parameters.csv").exists()

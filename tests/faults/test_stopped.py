@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli
+from calib.command import cli
 from calib.report.figures import Figures
 
 FOLDER = Path("results/mast")
@@ -195,7 +195,7 @@ def test_a_stop_loses_only_what_is_under_way(plain, runner, rows, undrawn, monke
     assert answered() - asked <= len(found) - kept + 2  # and two at most to see whether the model is the same
     model = Path("plain/model.py")
     model.write_text(model.read_text().replace("time.sleep", ""))
-    monkeypatch.setattr("calib.front.adopting.isolated", lambda study: study)
+    monkeypatch.setattr("calib.api.staged.isolated", lambda study: study)
     assert cli.execute(["sensitivity", "plain", "--workers", "1", "--quick", "--results", "whole"]) == 0
     folders = Path("results/plain/quick"), Path("whole/plain/quick")
     tables = [{p.name: p.read_bytes() for p in folder.glob("*.csv")} for folder in folders]

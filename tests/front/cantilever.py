@@ -9,7 +9,7 @@ import pandas as pd
 
 import calib
 from calib.structure.affine import Monomial, Term
-from calib.structure.extend import Addition
+from calib.structure.effects.extend import Addition
 
 LENGTH, LINE, ELEMENTS, PROP_AT = 2.0, 6.0, 8, 0.5
 PLACES = (0.25, 0.5, 0.75, 1.0)

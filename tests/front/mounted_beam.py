@@ -12,8 +12,8 @@ import scipy.linalg as la
 
 import calib
 from calib.structure.affine import parameter
-from calib.structure.attach import outer_term
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import outer_term
+from calib.structure.effects.extend import Addition
 
 LENGTH, STIFFNESS, LINE = 4.0, 1.26e6, 100.0
 MOUNT, DAMPER, PROPORTIONAL = 500.0, 0.9, 2e-5

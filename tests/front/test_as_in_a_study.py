@@ -6,9 +6,9 @@ import pytest
 
 import calib
 from calib.analyses.uncertainty import accuracy_words
-from calib.example import write_example
-from calib.front.test import test_of as in_memory
-from calib.study import Study
+from calib.command.example import write_example
+from calib.experiment.modal import test_of as in_memory
+from calib.study.study import Study
 from models.four_storey_rig import four_storey_rig
 
 MEASURED = Path(__file__).resolve().parents[2] / "studies/four_storey_rig/measured.csv"

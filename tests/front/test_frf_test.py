@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import calib
-from calib.correlation.frf_nuisance import AddedMass, ChannelError
-from calib.errors import InputError
-from calib.loading import module_of
+from calib.correlation.frf.nuisance import AddedMass, ChannelError
+from calib.errors.errors import InputError
 from calib.measurement.modal import Sensor
 from calib.report.html.measured import SYNTHETIC
+from calib.study.loading import module_of
 
 WORLD = module_of(Path(__file__).parents[1] / "template/frf_chain.py")
 HELD_OUT = {"held_out": ["3x"], "held_out_references": ["4x"], "held_out_bands": [(20.0, 26.0)]}

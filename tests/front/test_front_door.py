@@ -16,8 +16,8 @@ import calib
 from calib.analyses.calibrate import calibrate
 from calib.analyses.compare import comparison_at
 from calib.analyses.explain import explain
-from calib.ledger import Ledger
-from calib.results import Results
+from calib.results.ledger import Ledger
+from calib.results.results import Results
 from models.five_mass_chain import five_mass_chain
 from models.four_storey_rig import four_storey_rig
 

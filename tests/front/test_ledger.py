@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.ledger import Ledger
+from calib.results.ledger import Ledger
 from models.four_storey_rig import four_storey_rig
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"

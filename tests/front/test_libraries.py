@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 import calib
-from calib.errors import InputError
+from calib.errors.errors import InputError
 
 ASKED = []
 

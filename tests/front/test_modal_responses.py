@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import calib
-from calib.correlation.modal_responses import ModalResponses
-from calib.differences import central_jacobian
-from calib.function import slope_entry
-from calib.problem import Problem
+from calib.correlation.modal.responses import ModalResponses
+from calib.problem.differences import central_jacobian
+from calib.problem.problem import Problem
 from calib.structure.affine import parameter
-from calib.structure.attach import outer_term
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import outer_term
+from calib.structure.effects.extend import Addition
+from calib.structure.function_model import slope_entry
 
 FIRST, SECOND = np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[1.0, -1.0], [-1.0, 1.0]])
 GOLDEN = np.sqrt((3 + np.array([-1.0, 1.0]) * np.sqrt(5)) / 2)

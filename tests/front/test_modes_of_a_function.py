@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 import calib
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
 from calib.structure.modal_result import modes_from, modes_of, numbers_of
 from tests.front.cantilever import (
     ADOPTED,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.analyses.function_perturbations import modal_function_perturbations
-from calib.analyses.function_variants import FunctionVariants
+from calib.hypotheses.function_perturbations import modal_function_perturbations
+from calib.hypotheses.function_variants import FunctionVariants
 from tests.front.cantilever import (
     ADOPTED,
     SENSORS,

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import calib
-from calib.analyses.compositions import compositions
-from calib.analyses.proposed_code import library_text
-from calib.missing.proposal import Proposal
-from calib.structure.composition import Names
-from calib.structure.extend import addition_of, extend
-from calib.structure.point_compositions import hung_at
+from calib.hypotheses.proposals.code import library_text
+from calib.hypotheses.proposals.composition import Names
+from calib.hypotheses.proposals.compositions import compositions
+from calib.hypotheses.proposals.point_compositions import hung_at
+from calib.hypotheses.proposals.proposal import Proposal
+from calib.structure.effects.extend import addition_of, extend
 from tests.front.storeys import DAMPING, FLOORS, MASS, STIFF, chain, measured, posed
 
 CASES = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.structure import rules as model_rules

@@ -12,13 +12,13 @@ import pytest
 
 import calib
 from calib.analyses.calibrate import calibrate
-from calib.analyses.places import QUICK_GENERATIONS, QUICK_POPULATION, QUICK_SAMPLES
+from calib.analyses.provenance.places import QUICK_GENERATIONS, QUICK_POPULATION, QUICK_SAMPLES
 from calib.analyses.sensitivity import sensitivity
-from calib.executor import Injected
+from calib.execution.executor import Injected
 from calib.inference.agreement import agreement_sentences
-from calib.ledger import Ledger
-from calib.results import Results
-from calib.study import Study
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.study.study import Study
 from models.five_mass_chain import five_mass_chain
 from models.four_storey_rig import four_storey_rig
 

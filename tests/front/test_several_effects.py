@@ -7,9 +7,9 @@ import pytest
 import scipy.sparse as sp
 
 import calib
-from calib.loading import module_of
 from calib.structure.affine import Monomial, Term
-from calib.structure.extend import Addition
+from calib.structure.effects.extend import Addition
+from calib.study.loading import module_of
 
 pytestmark = pytest.mark.slow
 WORLD = module_of(Path(__file__).parents[1] / "template/frf_chain.py")

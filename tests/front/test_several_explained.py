@@ -9,10 +9,10 @@ import pytest
 from scipy.linalg import eigh
 
 import calib
-from calib.front.explained import _adapters
+from calib.api.explained import _adapters
 from calib.structure.affine import Monomial
-from calib.structure.attach import outer_term
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import outer_term
+from calib.structure.effects.extend import Addition
 from models.five_mass_chain import five_mass_chain
 
 pytestmark = pytest.mark.slow

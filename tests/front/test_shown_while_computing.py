@@ -8,9 +8,9 @@ import pytest
 from rich.console import Console
 
 import calib
-from calib import progress
-from calib.example import write_example
-from calib.own_code import defined_at
+from calib.api import progress
+from calib.command.example import write_example
+from calib.errors.own_code import defined_at
 
 SPACE = calib.ParameterSpace((calib.Parameter("a", 2.0, 1.0, 3.0), calib.Parameter("b", 1.0, 0.5, 2.0)))
 ACTS = {

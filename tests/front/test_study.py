@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 import calib
-from calib import cli
-from calib.example import write_example
+from calib.command import cli
+from calib.command.example import write_example
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
 

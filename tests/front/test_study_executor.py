@@ -8,15 +8,15 @@ import pandas as pd
 import pytest
 
 import calib
-from calib.analyses import places
 from calib.analyses.calibrate import calibrate
+from calib.analyses.provenance import places
 from calib.analyses.sensitivity import sensitivity
-from calib.executor import Injected
-from calib.ledger import Ledger
-from calib.results import Results
-from calib.study import Study
-from calib.tasks import untold
-from calib.team import Team
+from calib.execution.executor import Injected
+from calib.execution.tasks import untold
+from calib.execution.team import Team
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.study.study import Study
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
 

@@ -11,14 +11,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
+from calib.execution.outcome import Outcome, attempt
 from calib.inference.cases import Case, CaseResult, run_case, run_id
 from calib.inference.genetic import GeneticSettings
 from calib.inference.objective import ResponseObjective
-from calib.ledger import Ledger
-from calib.outcome import Outcome, attempt
-from calib.sampling import sample
-from calib.space import LinearConstraint, Parameter, ParameterSpace
+from calib.problem.sampling import sample
+from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
+from calib.results.ledger import Ledger
 
 SPACE = ParameterSpace(
     (

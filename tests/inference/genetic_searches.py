@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from calib.inference.genetic import GeneticSearch
-from calib.sampling import sample
-from calib.space import Parameter, ParameterSpace
+from calib.problem.sampling import sample
+from calib.problem.space import Parameter, ParameterSpace
 
 
 def box(n, lower=0.0, upper=1.0, integer=False):

@@ -8,15 +8,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.errors import EvaluationError, InputError
-from calib.evaluate import Evaluator
+from calib.errors.errors import EvaluationError, InputError
+from calib.execution.evaluate import Evaluator
+from calib.execution.outcome import key_of
 from calib.inference.agreement import agreement
 from calib.inference.cases import Case, parameters_table, scaled_violation
 from calib.inference.genetic import GeneticSettings
 from calib.inference.objective import ResponseObjective
-from calib.ledger import Ledger
-from calib.outcome import key_of
-from calib.space import LinearConstraint, Parameter, ParameterSpace
+from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
+from calib.results.ledger import Ledger
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_another_case_with_the_same_seed_reuses_everything(ledger, search):
 def test_workers_change_nothing(tmp_path, monkeypatch, search, assert_equal):
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "case_model.py").write_text(
-        "from calib.errors import EvaluationError\n"
+        "from calib.errors.errors import EvaluationError\n"
         "def model(values):\n"
         "    if 2.5 < values['k'] < 2.9:\n        raise EvaluationError('no convergence')\n"
         "    return {'a': values['k'] * values['place'] / 2, 'b': 2.0 * values['m'] + 0.0 * values['g']}\n"

@@ -7,8 +7,8 @@ import sqlite3
 
 import pytest
 
-from calib.ledger import Ledger
-from calib.outcome import WORKER_DIED, Outcome
+from calib.execution.outcome import WORKER_DIED, Outcome
+from calib.results.ledger import Ledger
 
 FORK = multiprocessing.get_context("fork")
 

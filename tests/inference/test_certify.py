@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from calib.evaluate import Evaluator
+from calib.execution.evaluate import Evaluator
+from calib.execution.outcome import Outcome
 from calib.inference.cases import Case, run_case
 from calib.inference.genetic import GeneticSettings
 from calib.inference.objective import ResponseObjective
-from calib.ledger import Ledger
-from calib.outcome import Outcome
-from calib.sampling import sample
-from calib.space import Parameter, ParameterSpace
+from calib.problem.sampling import sample
+from calib.problem.space import Parameter, ParameterSpace
+from calib.results.ledger import Ledger
 
 SPACE = ParameterSpace((Parameter("x", 0.5, 0.0, 2.0), Parameter("y", 0.5, 0.0, 2.0)))
 OBJECTIVE = ResponseObjective({"a": 1.0, "b": 1.0})

@@ -8,16 +8,10 @@ import numpy as np
 import pytest
 import scipy.linalg as la
 
-from calib.errors import EvaluationError, InputError
+from calib.errors.errors import EvaluationError, InputError
 from calib.inference.cmcf import cmcf
-from calib.inference.cmcf_equations import (
-    Change,
-    CmcfSettings,
-    InitialModel,
-    MeasuredReceptance,
-    Reduced,
-)
-from calib.loading import module_of
+from calib.inference.cmcf_equations import Change, CmcfSettings, InitialModel, MeasuredReceptance, Reduced
+from calib.study.loading import module_of
 from models.solar_panel import GROUPS
 
 CASES = module_of(Path(__file__).parents[1] / "template/updated.py")

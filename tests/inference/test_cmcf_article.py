@@ -8,12 +8,8 @@ import pytest
 import scipy.linalg as la
 
 from calib.inference.cmcf import cmcf
-from calib.inference.cmcf_equations import (
-    Equations,
-    MeasuredReceptance,
-    Reduced,
-)
-from calib.loading import module_of
+from calib.inference.cmcf_equations import Equations, MeasuredReceptance, Reduced
+from calib.study.loading import module_of
 
 CASES = module_of(Path(__file__).parents[1] / "template/updated.py")
 

@@ -9,14 +9,8 @@ import scipy.linalg as la
 import scipy.sparse as sp
 
 from calib.inference.cmcf import cmcf
-from calib.inference.cmcf_equations import (
-    Change,
-    CmcfSettings,
-    Equations,
-    MeasuredReceptance,
-    Reduced,
-)
-from calib.loading import module_of
+from calib.inference.cmcf_equations import Change, CmcfSettings, Equations, MeasuredReceptance, Reduced
+from calib.study.loading import module_of
 
 CASES = module_of(Path(__file__).parents[1] / "template/updated.py")
 

@@ -7,12 +7,8 @@ import numpy as np
 import pytest
 
 from calib.inference.cmcf import cmcf
-from calib.inference.cmcf_equations import (
-    CmcfSettings,
-    Equations,
-    Reduced,
-)
-from calib.loading import module_of
+from calib.inference.cmcf_equations import CmcfSettings, Equations, Reduced
+from calib.study.loading import module_of
 
 CASES = module_of(Path(__file__).parents[1] / "template/updated.py")
 

@@ -8,10 +8,10 @@ import pytest
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors import EvaluationError, InputError
+from calib.errors.errors import EvaluationError, InputError
 from calib.inference.cmcf import cmcf
 from calib.inference.cmcf_equations import Change, CmcfSettings, Equations, MeasuredReceptance, Reduced
-from calib.loading import module_of
+from calib.study.loading import module_of
 
 CASES = module_of(Path(__file__).parents[1] / "template/updated.py")
 ONE_STEP = CmcfSettings(orders=4, steps=1)

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from calib.errors import EvaluationError, InputError
+from calib.errors.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import FitSettings, Prior, fit
 from calib.inference.integers import fit_mixed
-from calib.space import LinearConstraint, Parameter, ParameterSpace
+from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 
 
 @dataclass

@@ -11,12 +11,12 @@ from pymoo.core.problem import Problem
 from pymoo.operators.crossover.ux import UniformCrossover
 from pymoo.operators.selection.tournament import TournamentSelection
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.inference import genetic
 from calib.inference.cases import scaled_violation
 from calib.inference.genetic import GeneticSearch, GeneticSettings, reflect
-from calib.sampling import sample
-from calib.space import LinearConstraint, Parameter, ParameterSpace
+from calib.problem.sampling import sample
+from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 from tests.inference.genetic_searches import bowl, box, play
 
 # -- the whole ---------------------------------------------------------------------------------------------------------

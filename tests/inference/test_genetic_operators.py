@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.inference.genetic import GeneticSettings, reflect
-from calib.space import Parameter, ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
 from tests.inference.genetic_searches import box, copied, play
 
 # -- mutation ----------------------------------------------------------------------------------------------------------

@@ -13,16 +13,16 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from calib.correlation.function_problem import FunctionProblem
-from calib.correlation.residual import ModalResidual
-from calib.correlation.response_residual import ResponseResidual
-from calib.errors import InputError
+from calib.correlation.modal.residual import ModalResidual
+from calib.correlation.response.problem import FunctionProblem
+from calib.correlation.response.residual import ResponseResidual
+from calib.errors.errors import InputError
 from calib.inference.gauss_newton import Prior, fit
 from calib.inference.identify import identify, posterior, prediction_interval
 from calib.inference.integers import fit_mixed
 from calib.inference.verdicts import identified_sentence, integer_std, parameter_verdicts
-from calib.space import Parameter, ParameterSpace
-from calib.study import Study
+from calib.problem.space import Parameter, ParameterSpace
+from calib.study.study import Study
 
 
 def box(names, lower=0.0, upper=10.0, **options):

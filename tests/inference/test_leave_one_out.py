@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.inference.leave_one_out import leave_one_out
 
 

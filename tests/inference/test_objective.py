@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.inference.objective import FrequencyMacObjective, JointObjective, ResponseObjective
 
 FREQ = {"first": 2.0, "second": 5.0}

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.degrees_of_freedom import matched
 from calib.inference.identify import posterior, with_held
 from calib.inference.leave_one_out import leave_one_out
 from calib.inference.other_rows import other_rows
+from calib.problem.degrees_of_freedom import matched
 
 OWN, PARAMS = np.arange(7), np.array([0, 1, 3])
 """Rows of one test, and its parameters; those of the other test are 0, 2, 3 and 4."""

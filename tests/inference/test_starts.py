@@ -8,7 +8,7 @@ import pytest
 from calib.inference.integers import fit_mixed
 from calib.inference.rules import RULES
 from calib.inference.starts import Optima, UntilAgreed
-from calib.space import Parameter, ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
 
 
 def ends(*misfits, unconverged=0, failed=0):

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.ledger import Ledger
-from calib.outcome import WORKER_DIED, Outcome, key_of
+from calib.execution.outcome import WORKER_DIED, Outcome, key_of
+from calib.results.ledger import Ledger
 
 TABLES = (
     """CREATE TABLE evaluation (

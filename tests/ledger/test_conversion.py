@@ -8,10 +8,10 @@ from contextlib import closing
 
 import pytest
 
-from calib.errors import InputError
-from calib.ledger import Asked, Ledger, ledger
-from calib.ledger.database import Database
-from calib.outcome import Outcome, key_of
+from calib.errors.errors import InputError
+from calib.execution.outcome import Outcome, key_of
+from calib.results.ledger import Asked, Ledger, ledger
+from calib.results.ledger.database import Database
 
 FORK = multiprocessing.get_context("fork")
 

@@ -5,9 +5,9 @@ import random
 import numpy as np
 import pytest
 
-from calib.errors import InputError
-from calib.ledger import Asked, Ledger
-from calib.outcome import Outcome, key_of
+from calib.errors.errors import InputError
+from calib.execution.outcome import Outcome, key_of
+from calib.results.ledger import Asked, Ledger
 
 POINTS = [{"a": float(k), "b": 2.0} for k in range(60)]
 

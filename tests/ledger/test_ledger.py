@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors import InputError
-from calib.evaluate import Evaluator
-from calib.ledger import Asked, Ledger
-from calib.outcome import OUT_OF_MEMORY, WORKER_DIED, Outcome, attempt, key_of
+from calib.errors.errors import InputError
+from calib.execution.evaluate import Evaluator
+from calib.execution.outcome import OUT_OF_MEMORY, WORKER_DIED, Outcome, attempt, key_of
+from calib.results.ledger import Asked, Ledger
 
 FORK = multiprocessing.get_context("fork")
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from calib.ledger import Asked, Ledger
-from calib.ledger.blobs import packed_array
-from calib.outcome import Outcome, key_of
+from calib.execution.outcome import Outcome, key_of
+from calib.results.ledger import Asked, Ledger
+from calib.results.ledger.blobs import packed_array
 
 pytestmark = pytest.mark.skipif(sqlite3.sqlite_version_info < (3, 38), reason="the views need SQLite 3.38")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from calib.errors import InputError
-from calib.mac import mac
+from calib.errors.errors import InputError
 from calib.measurement.check import _additions, _Shapes, check_sensors
+from calib.measurement.mac import mac
 
 
 def chain_shapes(stiffness, n_modes):

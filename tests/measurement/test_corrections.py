@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.corrections import correctable, corrected
 from calib.measurement.modal import MeasuredModes, Sensor
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from calib.errors import InputError
-from calib.measurement.csv_format import (
+from calib.errors.errors import InputError
+from calib.measurement.files.csv_format import (
     parse_direction,
     read_modes_csv,
     read_responses_csv,

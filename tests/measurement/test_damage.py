@@ -5,10 +5,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
+from calib.measurement.files.read import read_modes
+from calib.measurement.files.uff import write_uff
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
-from calib.measurement.read import read_modes
-from calib.measurement.uff import write_uff
 
 THOROUGH = settings(
     max_examples=250, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import pyuff
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.accuracy import Claim
+from calib.measurement.files.uff_frf import read_uff_frfs
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_repeats import FRFRepeat, combine_frfs, repeatability
 from calib.measurement.modal import Sensor
-from calib.measurement.uff_frf import read_uff_frfs
 
 FREQ = np.arange(0.0, 40.0, 0.5)
 OMEGA = 2 * np.pi * FREQ

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.accuracy import Claim, frf_claim
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_lines import HALF_POWER, resonances

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_parts import BANDS, REFERENCES, SENSORS, HeldOutFRFs
 from calib.measurement.modal import Sensor

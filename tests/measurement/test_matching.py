@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from calib.errors import InputError
-from calib.mac import mac
+from calib.errors.errors import InputError
 from calib.measurement import matching
+from calib.measurement.files.read import read_modes
+from calib.measurement.files.uff import write_uff
+from calib.measurement.mac import mac
 from calib.measurement.matching import match_modes
 from calib.measurement.modal import Sensor
-from calib.measurement.read import read_modes
-from calib.measurement.uff import write_uff
 
 FREQ = np.array([8.0, 12.0, 12.6, 20.0, 31.0, 45.0])
 SENSORS = [Sensor(n, d, (float(n), 0.5, 0.0)) for n in range(1, 6) for d in ("y", "z")]

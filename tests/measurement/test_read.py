@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
+from calib.measurement.files.read import read_modes
+from calib.measurement.files.uff import write_uff
 from calib.measurement.modal import Sensor
-from calib.measurement.read import read_modes
-from calib.measurement.uff import write_uff
 
 SENSORS = [Sensor(n, d, (float(n), 0.0, 0.5)) for n in (1, 2, 3) for d in ("y", "z")]
 FREQ, DAMPING = np.array([8.0, 12.0]), np.array([0.6, 0.01])

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import pyuff
 
-from calib.errors import InputError
-from calib.measurement.csv_frf import read_frfs_csv
+from calib.errors.errors import InputError
+from calib.measurement.files.csv_frf import read_frfs_csv
+from calib.measurement.files.read_frf import read_frfs
+from calib.measurement.files.uff_frf import read_uff_frfs
 from calib.measurement.frf_units import FRFUnits, parse_unit
-from calib.measurement.read_frf import read_frfs
-from calib.measurement.uff_frf import read_uff_frfs
 
 FREQ = np.arange(1.0, 30.0, 1.5)
 OMEGA = 2 * np.pi * FREQ

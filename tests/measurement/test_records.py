@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import pyuff
 
-from calib.errors import InputError
-from calib.loading import module_of
-from calib.measurement.read_records import hold_records, read_records
+from calib.errors.errors import InputError
+from calib.measurement.files.read_records import hold_records, read_records
 from calib.measurement.record import MeasuredRecord, parse_motion_unit
+from calib.study.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 AMBIENT = module_of(ROOT / "tests/template/ambient_chain.py")

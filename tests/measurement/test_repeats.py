@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors import InputError
-from calib.mac import mac
+from calib.errors.errors import InputError
+from calib.measurement.mac import mac
 from calib.measurement.repeats import Repeat, ShapeSet, combine_repeats
 
 NAMES = ("a", "b", "c")

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from calib.correlation.responses import response_dof
-from calib.degrees_of_freedom import chance, repeats_dof
-from calib.errors import InputError
-from calib.measurement.read import read_modes
+from calib.correlation.response.values import response_dof
+from calib.errors.errors import InputError
+from calib.measurement.files.read import read_modes
 from calib.measurement.responses import read_responses
+from calib.problem.degrees_of_freedom import chance, repeats_dof
 
 VALUES = {"freq_1": 4.5, "freq_2": 13.4, "mass": 1200.0, "sag": 0.003, "zeta_1": 0.011}
 

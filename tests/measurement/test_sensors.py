@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
+from calib.measurement.files.read import read_modes
+from calib.measurement.files.uff import write_uff
 from calib.measurement.modal import Sensor
-from calib.measurement.read import read_modes
-from calib.measurement.uff import write_uff
 
 PLACES = {n: (0.5 * n, 1.0 + 0.1 * n, 0.25) for n in range(1, 7)}
 

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 import pyuff
 
-from calib.errors import InputError
-from calib.mac import mac
+from calib.errors.errors import InputError
+from calib.measurement.files.uff import drop_unmeasured, read_uff, write_uff
+from calib.measurement.mac import mac
 from calib.measurement.modal import DIRECTIONS, Sensor
-from calib.measurement.uff import drop_unmeasured, read_uff, write_uff
 
 
 def modes(rng, directions=("y", "z"), n_nodes=4, n_modes=3, is_complex=True):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import pyuff
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
+from calib.measurement.files.uff import drop_unmeasured, read_uff, write_uff
 from calib.measurement.modal import Sensor
-from calib.measurement.uff import drop_unmeasured, read_uff, write_uff
 
 SENSORS = [Sensor(n, d, (float(n), 0.5, 0.0)) for n in (1, 2, 3) for d in ("y", "z")]
 FREQ, DAMPING = np.array([1000.0, 2345.6]), np.array([0.01, 0.002])

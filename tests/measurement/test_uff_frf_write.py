@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import pyuff
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
+from calib.measurement.files.uff_frf import read_uff_frfs
+from calib.measurement.files.uff_frf_write import write_uff_frfs
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, Sensor
-from calib.measurement.uff_frf import read_uff_frfs
-from calib.measurement.uff_frf_write import write_uff_frfs
 
 EVEN = 0.25 * np.arange(1, 31)
 UNEVEN = np.array([0.5, 0.75, 1.5, 10.125, 100.5])

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from calib.effect import Effect
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
 from calib.missing.explain import explain
 from calib.missing.explanation import Explanation
 from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.missing.rules import RULES
-from calib.space import Parameter, ParameterSpace
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter, ParameterSpace
 from tests.missing.verdict_cases import every_verdict
 
 

@@ -8,12 +8,7 @@ from hypothesis import strategies as st
 
 from calib.missing.candidate_measurement import CandidateMeasurement
 from calib.missing.competing import BayesFactor
-from calib.missing.recommendation import (
-    HELD_OUT,
-    ExperimentalDesign,
-    Linearisation,
-    recommendation,
-)
+from calib.missing.recommendation import HELD_OUT, ExperimentalDesign, Linearisation, recommendation
 
 P, M, MORE = 3, 4, 6
 

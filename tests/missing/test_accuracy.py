@@ -9,7 +9,7 @@ from scipy.stats import chi2, f
 
 from calib.missing.accuracy import less_accurate, sentence
 from calib.missing.explain import explain
-from calib.problem import Rows
+from calib.problem.problem import Rows
 
 
 @pytest.mark.parametrize("verdict", ["nothing_detectable", "noise_underestimated"])

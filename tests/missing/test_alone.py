@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
+from calib.execution.stage import unheard
+from calib.missing.effect_pairs import alone, no_worse
 from calib.missing.evidence import at_lower
-from calib.missing.pairs import alone, no_worse
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.settings import DEFAULT
-from calib.stage import unheard
 
 TRUE = {"E0": 3.0, "E1": 0.25}
 """The second one is too small to be seen, and yet not at its limit."""

@@ -5,16 +5,16 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import pytest
 
-from calib.missing import anew as anew_module
+from calib.execution.stage import unheard
 from calib.missing import explain as decision
-from calib.missing.anew import led_astray
+from calib.missing import restarts as anew_module
 from calib.missing.explain import explain
 from calib.missing.linearised_fit import fitted
 from calib.missing.plausible import pulls
 from calib.missing.refits import Refits
+from calib.missing.restarts import led_astray
 from calib.missing.rules import RULES
-from calib.space import Parameter, ParameterSpace
-from calib.stage import unheard
+from calib.problem.space import Parameter, ParameterSpace
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 

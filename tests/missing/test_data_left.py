@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.degrees_of_freedom import effective_dof
+from calib.execution.stage import unheard
 from calib.inference.leave_one_out import leave_one_out
 from calib.missing.adequacy import predicts
 from calib.missing.explain import DEFAULT, explain
 from calib.missing.refits import Refits
-from calib.stage import unheard
+from calib.problem.degrees_of_freedom import effective_dof
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.effect import Effect
 from calib.missing.tables import effects_table
 from calib.missing.verdict import verdict
 from calib.missing.verdict_words import elsewhere
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from tests.missing.verdict_cases import dressed, errors, first
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")

@@ -9,7 +9,7 @@ from scipy import stats
 from calib.missing.evidence import favoured, ln_bayes_linear, ln_evidence, model_probabilities, rescaled
 from calib.missing.rules import RULES
 from calib.missing.score import scores
-from calib.space import ParameterSpace
+from calib.problem.space import ParameterSpace
 
 
 def with_prior(toy, sd, lower=0.0):

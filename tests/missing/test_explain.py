@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.missing.explain import Settings, explain
 from calib.missing.settings import DEFAULT
 

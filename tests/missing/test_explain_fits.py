@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
+from calib.execution.stage import unheard
+from calib.missing.effect_pairs import fit_pairs
 from calib.missing.explain import Settings, explain
 from calib.missing.linearised_fit import FINE, fitted
-from calib.missing.pairs import fit_pairs
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
-from calib.stage import unheard
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 

@@ -6,24 +6,24 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.correlation.frf_cross_talk import CrossTalkError
-from calib.correlation.frf_faults import frf_faults
-from calib.correlation.frf_nuisance import ChannelError
-from calib.correlation.frf_places import PlaceError
-from calib.correlation.frf_problem import FRFProblem
-from calib.correlation.frf_residual import FRFResidual
-from calib.correlation.frf_rotation import RotationError
-from calib.effect import Effect
+from calib.correlation.frf.cross_talk import CrossTalkError
+from calib.correlation.frf.faults import frf_faults
+from calib.correlation.frf.nuisance import ChannelError
+from calib.correlation.frf.places import PlaceError
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.frf.residual import FRFResidual
+from calib.correlation.frf.rotation import RotationError
+from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
 from calib.missing.explain import explain
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import parameter as proportional
-from calib.structure.attach import outer_term
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import outer_term
+from calib.structure.effects.extend import Addition
+from calib.structure.effects.variants import Variants
 from calib.structure.model import StructuralModel
-from calib.structure.variants import Variants
 from models.railway import bogie_on_rig
 
 FREQ = np.linspace(2.0, 30.0, 40)

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from calib.missing.goodness import goodness, misfit_factor, noise_scale, overall
-from calib.problem import Rows
+from calib.problem.problem import Rows
 
 
 def tables(toy, fit, factors=None, dof=None):

@@ -8,7 +8,7 @@ import pytest
 
 from calib.missing.explain import explain
 from calib.missing.left import left_of
-from calib.missing.nearly import is_nearly
+from calib.missing.partial import is_nearly
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 

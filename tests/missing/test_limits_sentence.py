@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.missing.verdict_words import limits_sentence
-from calib.space import Parameter, ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
 
 
 def found(values, names_something=True):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
 from calib.missing.linearised_fit import fitted, nearest_whole, neighbours
 
 

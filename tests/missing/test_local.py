@@ -8,7 +8,7 @@ import pytest
 
 from calib.missing.explain import Settings, explain
 from calib.missing.local import LocalPerturbation, interval_words, local_perturbation, magnitude_words
-from calib.parameter import Parameter
+from calib.problem.parameter import Parameter
 
 
 def named_part(made, *names):

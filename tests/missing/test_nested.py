@@ -5,11 +5,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 import pytest
 
+from calib.execution.stage import unheard
 from calib.missing.explain import explain
 from calib.missing.linearised_fit import fitted
 from calib.missing.refits import Refits
 from calib.missing.settings import DEFAULT
-from calib.stage import unheard
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 import calib
-from calib.analyses.hypotheses import ModelHypotheses
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
+from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.missing.explain import explain
 from calib.structure.affine import Monomial, Term
-from calib.structure.extend import Addition, extend
-from calib.structure.perturbations import perturbations
-from calib.structure.variants import Variants
+from calib.structure.effects.extend import Addition, extend
+from calib.structure.effects.perturbations import perturbations
+from calib.structure.effects.variants import Variants
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 BENCH = Path(__file__).resolve().parents[1] / "benchmarks"

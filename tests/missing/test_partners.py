@@ -5,13 +5,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 import pytest
 
-from calib.effect import Effect
-from calib.missing.anew import _starts
+from calib.execution.stage import unheard
 from calib.missing.partners import tried_points
 from calib.missing.refits import Refits
+from calib.missing.restarts import _starts
 from calib.missing.settings import DEFAULT
-from calib.space import Parameter
-from calib.stage import unheard
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 
 
 def effect(lower, upper, nuisance=(), grid=()):

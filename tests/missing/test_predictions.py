@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg as la
 from scipy.stats import chi2
 
-from calib.correlation.modal_rows import Row
+from calib.correlation.modal.rows import Row
 from calib.missing.discrepancy import discrepancy
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.predictions import ERROR_COLUMNS, HeldOut, predictions, sentence

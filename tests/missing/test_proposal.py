@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.missing.proposal import HungBy
-from calib.missing.proposal_search import Search, hung_over_fixed
+from calib.hypotheses.proposals.proposal import HungBy
+from calib.hypotheses.proposals.proposal_search import Search, hung_over_fixed
 from calib.missing.score import scores
 
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.missing import pairs
+from calib.execution.stage import unheard
+from calib.missing import effect_pairs
 from calib.missing.explain import _Decision, explain
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.score import scores
 from calib.missing.settings import DEFAULT, Settings
-from calib.stage import unheard
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 
@@ -70,7 +70,7 @@ def test_a_second_effect_is_found_although_integers_have_moved(astray, started, 
     assert values["place"] == 1 and [values["E0"], values["E2"]] == pytest.approx([2.0, 2.0], abs=0.5)
     assert next(place for names, place in started if names == ("E0", "E2")) == 1
     # Without neighbouring integers the second effect is not even tried.
-    monkeypatch.setattr(pairs, "neighbours", lambda fit: [])
+    monkeypatch.setattr(effect_pairs, "neighbours", lambda fit: [])
     blind = explain(replace(one, count=[0]))
     assert blind.credible == () and not any(t.names == ("E0", "E2") for t in blind.candidate_fits)
 

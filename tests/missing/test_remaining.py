@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from calib.missing.linearised_fit import LinearisedFit
-from calib.space import Parameter, ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
 
 N, UPPER = 9, 0.3
 PRIOR = np.array([1.0, 2.0, 0.5])

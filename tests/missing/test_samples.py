@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.missing.samples import posterior_samples
+from calib.hypotheses.design.samples import posterior_samples
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib import degrees_of_freedom
+from calib.execution.stage import unheard
 from calib.missing.adequacy import adequacy_of, beside
 from calib.missing.explain import explain
 from calib.missing.refits import Refits
@@ -15,7 +15,7 @@ from calib.missing.settings import DEFAULT
 from calib.missing.steps_table import WHY, step_fits, steps_sentence, steps_tables
 from calib.missing.stepwise import Stepwise, further_price
 from calib.missing.tables import effects_table
-from calib.stage import unheard
+from calib.problem import degrees_of_freedom
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 THREE = {"E0": 1.5, "E1": 1.2, "E2": 1.3}

@@ -10,7 +10,7 @@ import pytest
 from calib.missing.goodness import goodness, overall
 from calib.missing.linearised_fit import FINE, fitted, linearised
 from calib.missing.suspect import data_of, in_short, sentence, suspects
-from calib.problem import Rows
+from calib.problem.problem import Rows
 
 
 def linear(toy, wrong, seed=1, modes=6, sensors=6):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.missing.local import interval_words, local_perturbation, range_words
-from calib.missing.nearly import is_nearly, spread_of
+from calib.missing.partial import is_nearly, spread_of
 from calib.missing.tables import effects_table
 from calib.missing.verdict import MOST
 from calib.missing.verdict import verdict as verdict_of

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.analyses.effect_facts import detectable
-from calib.errors import EvaluationError
+from calib.errors.errors import EvaluationError
+from calib.missing.effect_facts import detectable
 from calib.missing.explain import explain
 from calib.missing.score import scores
 from calib.missing.tables import effects_table

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calib.execution.stage import unheard
 from calib.missing.evidence import ln_wrong
 from calib.missing.explain import Settings, explain
 from calib.missing.refits import Refits
@@ -15,7 +16,6 @@ from calib.missing.suspect import suspects
 from calib.missing.tables import effects_table
 from calib.missing.verdict import verdict
 from calib.missing.wrong_datum import wrong_datum
-from calib.stage import unheard
 
 PLACE = ("M3", "frequency")
 

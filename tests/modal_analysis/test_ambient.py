@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.errors import InputError
-from calib.loading import module_of
-from calib.mac import mac
+from calib.errors.errors import InputError
+from calib.measurement.mac import mac
 from calib.modal_analysis.ambient import modes_from_records
+from calib.study.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 AMBIENT = module_of(ROOT / "tests/template/ambient_chain.py")

@@ -10,11 +10,11 @@ import pytest
 import scipy.linalg
 
 import calib
-from calib.errors import InputError
-from calib.loading import module_of
-from calib.mac import mac
+from calib.errors.errors import InputError
 from calib.measurement.frf_repeats import combine_frfs
+from calib.measurement.mac import mac
 from calib.modal_analysis.identify import modes_from_frfs
+from calib.study.loading import module_of
 from models.solar_panel import MASTERS, solar_panel
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.loading import module_of
 from calib.modal_analysis import model as subject
 from calib.modal_analysis.model import fit_residues, rank_one, refined
+from calib.study.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 WORLDS = module_of(ROOT / "tests/template/modal_worlds.py")

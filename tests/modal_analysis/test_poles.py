@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.errors import InputError
-from calib.loading import module_of
+from calib.errors.errors import InputError
 from calib.measurement.frf_repeats import combine_frfs
 from calib.modal_analysis.poles import poles_by_order
 from calib.modal_analysis.rules import RULES
+from calib.study.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAIN = module_of(ROOT / "tests/template/frf_chain.py")

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.loading import module_of
 from calib.modal_analysis.stabilisation import Chain, follow, pole_table, stable
+from calib.study.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
 WORLDS = module_of(ROOT / "tests/template/modal_worlds.py")

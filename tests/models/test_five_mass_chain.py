@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.analyses.function_hypotheses import function_hypotheses
-from calib.correlation.function_problem import FunctionProblem
-from calib.correlation.residual import ModalResidual
-from calib.correlation.response_residual import ResponseResidual
-from calib.errors import EvaluationError
-from calib.function import extend_function
-from calib.loading import module_of
+from calib.correlation.modal.residual import ModalResidual
+from calib.correlation.response.problem import FunctionProblem
+from calib.correlation.response.residual import ResponseResidual
+from calib.errors.errors import EvaluationError
+from calib.hypotheses.function_hypotheses import function_hypotheses
 from calib.missing.explain import explain
-from calib.structure.derivatives import mode_derivatives
-from calib.structure.extend import extend
-from calib.study import Study
+from calib.structure.effects.extend import extend
+from calib.structure.eigenproblem.derivatives import mode_derivatives
+from calib.structure.function_model import extend_function
+from calib.study.loading import module_of
+from calib.study.study import Study
 from models import five_mass_chain as chain
 from models.five_mass_chain import REFERENCE, chain_effects, chain_responses, five_mass_chain
 from models.railway import bogie_on_rig

@@ -12,9 +12,9 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
+from calib.structure.eigenproblem.solve import solve_modes
 from calib.structure.geometry import DofMap
 from calib.structure.modes import Modes
-from calib.structure.solve import solve_modes
 from models.fem.discrete import PointMass, Spring, mass_matrix, spring_matrix
 from models.fem.sheet import Sheet
 from models.fem.structure import Structure

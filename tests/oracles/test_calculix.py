@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 from calculix import COMMAND, MISSING, Deck, number, run
 
-from calib.structure.solve import solve_modes
+from calib.structure.eigenproblem.solve import solve_modes
 from models.fem.discrete import PointMass, Spring, mass_matrix, spring_matrix
 from models.fem.member import Member
 from models.fem.panel import sheet_panel

@@ -14,7 +14,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from calib.structure.solve import solve_modes
+from calib.structure.eigenproblem.solve import solve_modes
 from models.fem import beam
 from models.fem.discrete import FrameLocator
 from models.fem.frame import Frame

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.structure.solve import solve_modes
+from calib.structure.eigenproblem.solve import solve_modes
 from models.fem.member import Suppression
 from models.fem.panel import Panel, sheet_panel
 from models.fem.section import Section

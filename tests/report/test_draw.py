@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.report.figures import Figures
 from calib.report.legible import is_legible
 from calib.report.style import COLUMN, NO_GLYPH, SYNTHETIC, WIDTH, add_heading, new_figure, save, style

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from matplotlib.colors import to_hex
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.report.explanation import (
     draw_confounding,
     draw_ranked_effects,

@@ -4,12 +4,12 @@ import sys
 
 import pytest
 
-from calib.errors import InputError
-from calib.front.figures_made import make_all
+from calib.api.figures_made import make_all
+from calib.errors.errors import InputError
+from calib.execution.stage import unheard
+from calib.execution.tasks import shared_by
+from calib.execution.team import Team
 from calib.report.figures import Asked, Figures
-from calib.stage import unheard
-from calib.tasks import shared_by
-from calib.team import Team
 
 
 def asked(*page):

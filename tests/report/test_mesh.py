@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.report.mesh import BORDER, FACE, LINE, Mesh, bodies, check_mesh, draw_pieces, motions, pieces, thickness
 from calib.report.scene import frame_panel, new_axes, plot_coordinates, view_directions
 

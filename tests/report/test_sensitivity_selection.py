@@ -3,7 +3,7 @@ import pandas as pd
 import pytest
 from matplotlib.colors import to_hex
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.report.figures import Figures
 from calib.report.sensitivity import MEASURES, draw_selection
 

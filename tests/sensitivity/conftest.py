@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.sampling import sample
-from calib.space import LinearConstraint, Parameter, ParameterSpace
+from calib.problem.sampling import sample
+from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 
 
 def bound_space(width: float) -> ParameterSpace:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import rankdata
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.sensitivity.partial import partial, partial_noise_floor
 from calib.sensitivity.spearman import noise_floor, spearman
 

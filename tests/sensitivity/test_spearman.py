@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import spearmanr
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.sensitivity.spearman import counts, noise_floor, spearman
 
 

@@ -3,9 +3,9 @@ import pandas as pd
 import pytest
 from SALib.analyze import morris as peer
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
+from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 from calib.sensitivity.variance import morris_design, morris_effects, sobol_design, sobol_shares
-from calib.space import LinearConstraint, Parameter, ParameterSpace
 
 BOX = ParameterSpace(
     (

@@ -2,7 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.sensitivity.partial import partial, partial_noise_floor
 from calib.sensitivity.rules import RULES
 from calib.sensitivity.spearman import noise_floor, spearman

@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 import calib
 from calib.structure.affine import Monomial
-from calib.structure.attach import outer_term
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import outer_term
+from calib.structure.effects.extend import Addition
 
 N, MASS, STIFF = 6, 2000.0, 4e6
 
@@ -128,7 +128,7 @@ def run(tmp_path_factory):
 
     The figures themselves take four times as long as all the rest and are left out, and so are the pages.
     """
-    from calib import cli
+    from calib.command import cli
     from calib.report.html.summary import summary
     from calib.report.html.write import Page
 
@@ -143,7 +143,7 @@ def run(tmp_path_factory):
             reported.append(results.folder.folder.name)
             return Page(results.folder / "report.html", summary(results))
 
-        patch.setattr("calib.front.drawn.write_report", unwritten)
+        patch.setattr("calib.api.figures.write_report", unwritten)
         assert cli.execute(["run", str(study), "--results", str(root / "results"), "--workers", "1"]) == 0
     return study, root / "results", drawn, reported
 

@@ -5,7 +5,7 @@ import json
 import pandas as pd
 import pytest
 
-from calib import cli
+from calib.command import cli
 from tests.several.conftest import STIFF, write_study, write_test
 
 

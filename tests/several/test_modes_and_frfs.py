@@ -7,17 +7,17 @@ import pandas as pd
 import pytest
 
 import calib
-from calib import cli
-from calib.analyses.adapters import adapter_of
-from calib.analyses.joint_adapter import together
-from calib.errors import InputError
-from calib.front.explained import _adapters
-from calib.front.model_error import EXACT
-from calib.loading import module_of
+from calib.analyses.hypotheses_of_study import adapter_of
+from calib.api.explained import _adapters
+from calib.api.model_error import EXACT
+from calib.command import cli
+from calib.errors.errors import InputError
+from calib.hypotheses.joint import together
 from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
-from calib.results import Results
-from calib.several import load
+from calib.results.results import Results
+from calib.study.loading import module_of
+from calib.study.several import load
 
 WORLD = module_of(Path(__file__).parents[1] / "template/frf_chain.py")
 TAPPED = """

@@ -7,15 +7,15 @@ import pandas as pd
 import pytest
 
 import calib
-from calib import cli
-from calib.errors import InputError
-from calib.front.first_test import in_order
+from calib.api.first_test import in_order
+from calib.command import cli
+from calib.errors.errors import InputError
 from calib.report.figures import Figures
-from calib.results import Results
-from calib.several import JointStudy, load
-from calib.study import Study
-from calib.study_file import StudyFile
-from calib.study_text import read_settings
+from calib.results.results import Results
+from calib.study.several import JointStudy, load
+from calib.study.study import Study
+from calib.study.study_file import StudyFile
+from calib.study.study_text import read_settings
 from tests.front import cantilever
 from tests.several.conftest import GROUND, STIFF, STUDY, told, write_study
 
@@ -171,7 +171,7 @@ def test_a_result_is_outdated_where_another_test_has_changed(frame, tmp_path):
     for test in ("empty", "loaded"):
         (again / f"frame.{test}/owner.json").unlink()
     edit(own, "load = 1500.0", "load = 1400.0")
-    from calib.analyses.stale import stale_answers
+    from calib.analyses.provenance.stale import stale_answers
 
     empty = next(part for part in StudyFile.read(own).parts if part.test == "empty")
     stale = stale_answers(empty, Results(again / "frame.empty"))

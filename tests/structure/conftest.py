@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.space import LinearConstraint, Parameter, ParameterSpace
+from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, SelectedTerm, Term, parameter
 from calib.structure.geometry import DofMap, Mesh
 from calib.structure.model import StructuralModel

@@ -6,7 +6,7 @@ import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.structure.affine import AffineMatrix, Monomial, SelectedTerm, StretchPower, Term, parameter
 
 N = 9

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from calib.errors import InputError
-from calib.space import Parameter
+from calib.errors.errors import InputError
+from calib.problem.space import Parameter
 from calib.structure.amplitude import amplitude_dependence, level, with_level
-from calib.structure.extend import extend
+from calib.structure.effects.extend import extend
 from calib.structure.model import StructuralModel
 
 

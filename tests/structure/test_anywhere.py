@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import scipy.linalg as la
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.structure.affine import AffineMatrix, Monomial, StretchPower, parameter
 from calib.structure.anywhere import Chosen, at_one_of, sliding_mass
-from calib.structure.attach import hung_masses, outer_term
-from calib.structure.extend import Addition
-from calib.structure.products import Product
+from calib.structure.effects.attach import hung_masses, outer_term
+from calib.structure.effects.extend import Addition
+from calib.structure.effects.products import Product
 
 
 def matrix(terms, values):

@@ -7,11 +7,11 @@ import pytest
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.effect import Effect
-from calib.errors import InputError
-from calib.space import Parameter, ParameterSpace
+from calib.errors.errors import InputError
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
-from calib.structure.attach import (
+from calib.structure.effects.attach import (
     GRAVITY,
     between,
     elongation,
@@ -26,7 +26,7 @@ from calib.structure.attach import (
     soft_mounts,
     softened_part,
 )
-from calib.structure.extend import extend
+from calib.structure.effects.extend import extend
 from calib.structure.geometry import DofMap, Mesh
 from calib.structure.model import Part, StructuralModel
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import scipy.linalg as la
 
-from calib.errors import InputError
-from calib.structure.attach import hung_masses
+from calib.errors.errors import InputError
 from calib.structure.body import fixed_body, mounted_body, mounted_mass
+from calib.structure.effects.attach import hung_masses
 
 MASS, FREQ, SIDE, LOWER, RADIUS, RATIO = 90.0, 14.0, 1.7, 0.12, 0.18, 0.03
 MOUNTS = np.array([(x, 0.05, z) for x in (0.12, -0.12) for z in (0.2, -0.2)])

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import scipy.linalg as la
 
-from calib.structure import compression as module
-from calib.structure.compression import corrected_eigenpairs, static_eigenpairs
-from calib.structure.damped_problem import DampedProblem, Eigenpairs, real_times
-from calib.structure.derivatives import eigen_derivatives
-from calib.structure.eigenvalues import damped_modes, vibrates
+from calib.structure.eigenproblem import compression as module
+from calib.structure.eigenproblem.compression import corrected_eigenpairs, static_eigenpairs
+from calib.structure.eigenproblem.damped_problem import DampedProblem, Eigenpairs, real_times
+from calib.structure.eigenproblem.derivatives import eigen_derivatives
+from calib.structure.eigenproblem.eigenvalues import damped_modes, vibrates
 from calib.structure.modes import Modes
 
 ACCURACY = 1e-9

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.errors import InputError
-from calib.space import Parameter, ParameterSpace
-from calib.structure import derivatives
+from calib.errors.errors import InputError
+from calib.execution.tasks import shared_by, untold
+from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
-from calib.structure.derivatives import beside_roots, eigen_derivatives, eigenvalues, mode_derivatives
+from calib.structure.eigenproblem import derivatives
+from calib.structure.eigenproblem.derivatives import beside_roots, eigen_derivatives, eigenvalues, mode_derivatives
+from calib.structure.eigenproblem.solve import solve_modes
 from calib.structure.modes import Modes
-from calib.structure.solve import solve_modes
-from calib.tasks import shared_by, untold
 from models.railway import bogie_on_rig
 
 N = 7

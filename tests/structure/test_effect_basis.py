@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from calib.effect import Effect
 from calib.measurement.modal import Sensor
-from calib.space import Parameter
-from calib.structure import effect_basis as effect_basis_module
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import parameter
-from calib.structure.attach import hung_masses, outer_term
-from calib.structure.derivatives import mode_derivatives
-from calib.structure.effect_basis import effect_basis
-from calib.structure.extend import Addition, extend
-from calib.structure.growth import Growth
-from calib.structure.perturbations import perturbations
-from calib.structure.reduced import ReducedModel, reference_matrix
-from calib.structure.training import train_basis
+from calib.structure.effects.attach import hung_masses, outer_term
+from calib.structure.effects.extend import Addition, extend
+from calib.structure.effects.perturbations import perturbations
+from calib.structure.eigenproblem.derivatives import mode_derivatives
+from calib.structure.reduction import effect_basis as effect_basis_module
+from calib.structure.reduction.effect_basis import effect_basis
+from calib.structure.reduction.growth import Growth
+from calib.structure.reduction.reduced import ReducedModel, reference_matrix
+from calib.structure.reduction.training import train_basis
 
 pytestmark = pytest.mark.slow
 

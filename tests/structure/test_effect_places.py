@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from calib.effect import Effect
-from calib.space import Parameter
-from calib.structure.attach import hung_masses, maxwell_branches, motion
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.effect_places import effect_places
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import hung_masses, maxwell_branches, motion
+from calib.structure.effects.extend import Addition
 from models.railway.bogie import CROSSBAR_X, GIRDER_Y, GIRDER_Z, UY
 from models.railway.effects import bogie_effects
 from models.railway.effects_frame import BRAKE_UNIT_Z

@@ -4,7 +4,7 @@ import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.structure.energy import strain_energy, strain_energy_shares
 
 seeds = st.integers(0, 2**32 - 1)

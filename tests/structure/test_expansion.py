@@ -5,9 +5,9 @@ import pytest
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors import EvaluationError, InputError
+from calib.errors.errors import EvaluationError, InputError
 from calib.structure.expansion import serep_expansion, static_expansion
-from calib.structure.static_reduction import serep, static_reduction
+from calib.structure.reduction.static_reduction import serep, static_reduction
 
 N = 9
 

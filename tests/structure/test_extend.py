@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.effect import Effect
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.modal import Sensor
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import Monomial, SelectedTerm, Term, parameter
-from calib.structure.attach import hung_masses, outer_term, soft_mounts
-from calib.structure.extend import Addition, addition_of, extend
+from calib.structure.effects.attach import hung_masses, outer_term, soft_mounts
+from calib.structure.effects.extend import Addition, addition_of, extend
 from calib.structure.model import Assumption, Part
 
 N = 20

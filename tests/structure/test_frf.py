@@ -6,13 +6,13 @@ import pytest
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors import EvaluationError
-from calib.space import Parameter
+from calib.errors.errors import EvaluationError
+from calib.problem.space import Parameter
 from calib.structure import frf as frf_module
 from calib.structure.frf import frf, frf_derivatives, motion_factor
 from calib.structure.model import StructuralModel
-from calib.structure.reduced import ReducedModel
-from calib.structure.training import train_basis
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.training import train_basis
 from models.railway import bogie_on_rig
 from models.solar_panel import solar_panel
 

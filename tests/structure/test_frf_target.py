@@ -7,22 +7,22 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.effect import Effect
-from calib.loading import module_of
-from calib.space import Parameter, ParameterSpace
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.affine import parameter
-from calib.structure.attach import hung_masses, outer_term
-from calib.structure.basis import Basis
-from calib.structure.effect_basis import frf_effect_basis
-from calib.structure.extend import Addition
+from calib.structure.effects.attach import hung_masses, outer_term
+from calib.structure.effects.extend import Addition
+from calib.structure.effects.loaded import Load
 from calib.structure.frf import frf, frf_derivatives
-from calib.structure.frf_target import FRFTarget, error_estimate
-from calib.structure.loaded import Load
 from calib.structure.model import StructuralModel
-from calib.structure.reduced import ReducedModel
-from calib.structure.space_filling import space_filling_points
-from calib.structure.training import enrich_basis, train
-from calib.study import Study
+from calib.structure.reduction.basis import Basis
+from calib.structure.reduction.effect_basis import frf_effect_basis
+from calib.structure.reduction.frf_target import FRFTarget, error_estimate
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.space_filling import space_filling_points
+from calib.structure.reduction.training import enrich_basis, train
+from calib.study.loading import module_of
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 N = 120

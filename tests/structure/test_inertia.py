@@ -7,8 +7,8 @@ import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors import EvaluationError
-from calib.structure.inertia import count_below
+from calib.errors.errors import EvaluationError
+from calib.structure.eigenproblem.inertia import count_below
 
 
 def pair(seed, n=30, massless=0):

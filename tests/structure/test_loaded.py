@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from calib.errors import InputError
-from calib.space import Parameter
-from calib.structure.loaded import Load, loaded
-from calib.structure.reduced import ReducedModel
-from calib.structure.training import train_basis
+from calib.errors.errors import InputError
+from calib.problem.space import Parameter
+from calib.structure.effects.loaded import Load, loaded
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.training import train_basis
 from models.solar_panel import solar_panel
 
 ROWS = np.random.default_rng(1).standard_normal((2, 90))

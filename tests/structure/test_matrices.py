@@ -6,9 +6,9 @@ import pytest
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.modal import Sensor
-from calib.space import Parameter
+from calib.problem.space import Parameter
 from calib.structure.model import StructuralModel
 
 N = 5

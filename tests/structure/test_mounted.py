@@ -5,9 +5,9 @@ import pytest
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.structure.affine import Grown, Monomial
-from calib.structure.attach import GRAVITY, loosened_masses
+from calib.structure.effects.attach import GRAVITY, loosened_masses
 from calib.structure.mounted import GROWN_SAG, MountedBody, mount_stiffness
 
 MASS, RATIO = 2600.0, 0.04

@@ -8,11 +8,11 @@ import scipy.sparse as sp
 
 from calib.measurement.modal import Sensor
 from calib.structure.affine import AffineMatrix, Monomial, SeriesLoss, Term, parameter
-from calib.structure.attach import hung_masses
-from calib.structure.derivatives import mode_derivatives
-from calib.structure.extend import Addition, extend
+from calib.structure.effects.attach import hung_masses
+from calib.structure.effects.extend import Addition, extend
+from calib.structure.effects.perturbations import perturbations
+from calib.structure.eigenproblem.derivatives import mode_derivatives
 from calib.structure.model import Part
-from calib.structure.perturbations import perturbations
 from calib.structure.rules import RULES
 
 N = 20

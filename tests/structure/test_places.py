@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from calib.correlation.mesh import places_table
-from calib.space import Parameter
+from calib.problem.space import Parameter
 from calib.structure.model import StructuralModel
 from calib.structure.places import ModelPlace
 from models.four_storey_rig import four_storey_rig

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.effect import Effect
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.modal import Sensor
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import AffineMatrix, Term, parameter
-from calib.structure.attach import hung_masses, outer_term
-from calib.structure.basis import Basis
-from calib.structure.extend import Addition, extend
+from calib.structure.effects.attach import hung_masses, outer_term
+from calib.structure.effects.extend import Addition, extend
 from calib.structure.modal_model import ModalModel
-from calib.structure.reduced import ReducedModel
-from calib.structure.reduced_matrix import reduce_matrix
-from calib.structure.training import train_basis
+from calib.structure.reduction.basis import Basis
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.reduced_matrix import reduce_matrix
+from calib.structure.reduction.training import train_basis
 
 POINT = {"k_upper": 61.0, "k_lower": 17.0, "k_rung": 1.1, "c_end": 44.0, "mass": 0.8, "place": 4.0}
 

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.errors import InputError, ToleranceError
+from calib.errors.errors import InputError, ToleranceError
+from calib.execution.tasks import shared_by
+from calib.results.written import LOG
 from calib.structure.affine import AffineMatrix, Term
-from calib.structure.basis import Basis
-from calib.structure.certificate import certificate, mode_errors
-from calib.structure.reduced import ReducedModel
-from calib.structure.space_filling import space_filling_points
-from calib.structure.training import enrich_basis, train_basis
-from calib.study import Study
-from calib.tasks import shared_by
-from calib.written import LOG
+from calib.structure.reduction.basis import Basis
+from calib.structure.reduction.certificate import certificate, mode_errors
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.space_filling import space_filling_points
+from calib.structure.reduction.training import enrich_basis, train_basis
+from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
 

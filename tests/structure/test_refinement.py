@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.structure import effect_basis, refinement, training
-from calib.structure.derivatives import eigenvalues
-from calib.structure.mode_target import ModeTarget
-from calib.structure.reduced import ReducedModel
-from calib.structure.refinement import modes_near, refined_modes, undamped_count_agrees
-from calib.structure.space_filling import space_filling_points
-from calib.structure.training import train_basis
+from calib.structure.eigenproblem.derivatives import eigenvalues
+from calib.structure.reduction import effect_basis, refinement, training
+from calib.structure.reduction.mode_target import ModeTarget
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.refinement import modes_near, refined_modes, undamped_count_agrees
+from calib.structure.reduction.space_filling import space_filling_points
+from calib.structure.reduction.training import train_basis
 
 N, COUNT = 120, 6
 ACCURACY = 1e-7

@@ -7,26 +7,21 @@ import pytest
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.effect import Effect
-from calib.errors import EvaluationError, InputError
-from calib.space import Parameter
+from calib.errors.errors import EvaluationError, InputError
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import Monomial
 from calib.structure.amplitude import amplitude_terms, level, with_level
 from calib.structure.anywhere import at_one_of
-from calib.structure.attach import scaled_part, softened_part
-from calib.structure.basis import Basis
-from calib.structure.derivatives import mode_derivatives
+from calib.structure.effects.attach import scaled_part, softened_part
+from calib.structure.effects.extend import Addition, extend
+from calib.structure.eigenproblem.derivatives import mode_derivatives
 from calib.structure.elongations import MOST_MOTIONS, elongations
-from calib.structure.extend import Addition, extend
 from calib.structure.frf import frf
 from calib.structure.model import Part, StructuralModel
-from calib.structure.reduced import ReducedModel
-from calib.structure.relaxation import (
-    ConstantLoss,
-    Graded,
-    lossy_parts,
-    relaxing_parts,
-)
+from calib.structure.reduction.basis import Basis
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.relaxation import ConstantLoss, Graded, lossy_parts, relaxing_parts
 from calib.structure.rubber import relaxing_rubber, structural_damping
 
 MASS, STIFF = 3.0, 3.0 * (2 * np.pi * 14.0) ** 2

@@ -7,10 +7,10 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.errors import EvaluationError
-from calib.structure import solve
-from calib.structure.deflation import deflated_eigenvectors
-from calib.structure.solve import solve_modes
+from calib.errors.errors import EvaluationError
+from calib.structure.eigenproblem import solve
+from calib.structure.eigenproblem.deflation import deflated_eigenvectors
+from calib.structure.eigenproblem.solve import solve_modes
 from models.railway import bogie_on_rig
 
 

@@ -5,10 +5,10 @@ import pytest
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors import EvaluationError
-from calib.structure import solve_dense as module
-from calib.structure.solve import solve_modes
-from calib.structure.solve_dense import solve_dense
+from calib.errors.errors import EvaluationError
+from calib.structure.eigenproblem import solve_dense as module
+from calib.structure.eigenproblem.solve import solve_modes
+from calib.structure.eigenproblem.solve_dense import solve_dense
 
 
 def nothing(shape):

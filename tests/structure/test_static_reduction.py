@@ -7,8 +7,8 @@ import pytest
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors import EvaluationError, InputError
-from calib.structure.static_reduction import levels, serep, static_reduction
+from calib.errors.errors import EvaluationError, InputError
+from calib.structure.reduction.static_reduction import levels, serep, static_reduction
 from models.solar_panel import MASTERS, solar_panel
 
 

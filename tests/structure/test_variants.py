@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from calib.effect import Effect
-from calib.errors import InputError
-from calib.space import Parameter
+from calib.errors.errors import InputError
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import parameter
-from calib.structure.attach import hung_masses, outer_term
-from calib.structure.effect_basis import effect_basis
-from calib.structure.extend import Addition, extend
-from calib.structure.perturbations import perturbations
-from calib.structure.training import train_basis
-from calib.structure.variants import Variants
+from calib.structure.effects.attach import hung_masses, outer_term
+from calib.structure.effects.extend import Addition, extend
+from calib.structure.effects.perturbations import perturbations
+from calib.structure.effects.variants import Variants
+from calib.structure.reduction.effect_basis import effect_basis
+from calib.structure.reduction.training import train_basis
 
 N = 20
 POINT = {"k_upper": 61.0, "k_lower": 17.0, "k_rung": 1.1, "c_end": 44.0, "mass": 0.8, "place": 2.0}

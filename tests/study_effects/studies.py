@@ -5,18 +5,18 @@ from pathlib import Path
 
 import pytest
 
-from calib.errors import InputError
-from calib.study import Study
+from calib.errors.errors import InputError
+from calib.study.study import Study
 
 RIG = Path(__file__).resolve().parents[2] / "studies/four_storey_rig"
 
 RIG_EFFECTS = """\
 import math
 import scipy.sparse as sp
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import Monomial, Term, parameter
-from calib.structure.extend import Addition
+from calib.structure.effects.extend import Addition
 
 def at(n, entries):
     rows, columns, values = zip(*((i, j, v) for (i, j), v in entries.items()))
@@ -47,9 +47,9 @@ def library():
 """
 
 SUMS = """\
-from calib.effect import Effect
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.problem.effect import Effect
+from calib.structure.function_model import FunctionModel
+from calib.problem.space import Parameter, ParameterSpace
 
 def sums(v):
     return {"s": v["a"] + v["b"], "p": v["a"] - v["b"] + 7.0 * v.get("known", 0.0)}
@@ -59,8 +59,8 @@ def build():
 """
 
 SUMS_EFFECTS = """\
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 
 def bent(model):
     def bend(v):

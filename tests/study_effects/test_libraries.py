@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from calib.errors import InputError
-from calib.study import Study
+from calib.errors.errors import InputError
+from calib.study.study import Study
 from tests.study_effects.studies import RIG_EFFECTS, changed, complaint, names, with_keys
 
 # -- complaints --------------------------------------------------------------------------------------------------------

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from calib.errors import InputError
-from calib.evaluate import Evaluator
-from calib.example import write_example
-from calib.study import EvaluationSource, Study
+from calib.command.example import write_example
+from calib.errors.errors import InputError
+from calib.execution.evaluate import Evaluator
+from calib.study.study import EvaluationSource, Study
 from tests.study_effects.studies import RIG, SUMS_EFFECTS, changed, complaint, names, with_keys
 
 # -- what a study without effects in its model notices: nothing ------------------------------------------------------

@@ -7,7 +7,7 @@ import scipy.sparse as sp
 import calib
 from calib.measurement.modal import Sensor
 from calib.structure.affine import Term, parameter
-from calib.structure.extend import Addition
+from calib.structure.effects.extend import Addition
 
 LENGTH = 2.0
 SPEED = 5000.0

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 
-from calib.effect import Effect
 from calib.measurement.modal import Sensor
-from calib.space import Parameter, ParameterSpace
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Term, parameter
-from calib.structure.extend import Addition, extend
+from calib.structure.effects.extend import Addition, extend
 from calib.structure.model import StructuralModel
 from models.fem.discrete import FrameLocator, PointMass, mass_matrix
 from models.fem.frame import Frame, Member

@@ -13,7 +13,7 @@ import calib
 from calib.measurement.frf_repeats import FRFRepeat, combine_frfs
 from calib.measurement.modal import Sensor
 from calib.structure.affine import Monomial, Term
-from calib.structure.extend import Addition
+from calib.structure.effects.extend import Addition
 
 N = 4
 FREQ = np.linspace(2.0, 40.0, 60)

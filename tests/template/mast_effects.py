@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import scipy.sparse as sp
 
-from calib.effect import Effect
-from calib.example import write_example
+from calib.command.example import write_example
 from calib.measurement.modal import Sensor
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import Term, parameter
-from calib.structure.extend import Addition, extend
+from calib.structure.effects.extend import Addition, extend
 
 TRUTH = {"E": 206.0, "m_top": 46.0, "K_base": 1.8}
 HEIGHTS = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)

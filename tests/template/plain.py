@@ -5,8 +5,8 @@ from pathlib import Path
 TWO = '(Parameter("a", 2.0, 1.0, 3.0), Parameter("b", 2.0, 1.0, 3.0))'
 MODEL = """
 import numpy as np
-from calib.function import FunctionModel
-from calib.space import LinearConstraint, Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel
+from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 
 SPACE = ParameterSpace(SPACE_OF)
 

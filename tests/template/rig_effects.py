@@ -3,10 +3,10 @@
 import numpy as np
 import scipy.sparse as sp
 
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 from calib.structure.affine import Term, parameter
-from calib.structure.extend import Addition
+from calib.structure.effects.extend import Addition
 
 
 def mass_at(storey, name):

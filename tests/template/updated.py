@@ -10,7 +10,7 @@ import scipy.linalg as la
 import scipy.sparse as sp
 
 from calib.inference.cmcf_equations import Change, CmcfSettings, InitialModel, MeasuredReceptance
-from calib.structure.static_reduction import static_reduction
+from calib.structure.reduction.static_reduction import static_reduction
 from models.solar_panel import GROUPS, MASTERS, solar_panel
 
 SYMMETRIC = np.array([0.2, 0.2, 0.3, 0.3, 0.5, 0.5])

@@ -9,14 +9,14 @@ from typing import Any
 
 import pandas as pd
 
-from calib.errors import InputError
-from calib.named_values import ANY, read_json
+from calib.errors.errors import InputError
 from calib.report.figures import Figures
 from calib.report.frf_tables import Kind, kind_of
 from calib.report.html.page import Picture
 from calib.report.shown import Folder
 from calib.report.style import stage_words
 from calib.report.tables import read_table
+from calib.results.json_file import ANY, read_json
 
 STAGES = ("before", "after")
 _ANALYSIS = {

@@ -12,7 +12,8 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
+from calib.execution.stage import Progress, unheard
 from calib.report.html import (
     added,
     calibrated,
@@ -32,8 +33,7 @@ from calib.report.html import (
 from calib.report.html.page import Picture, Section, Viewer
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import Summary, summary
-from calib.stage import Progress, unheard
-from calib.written import replacing
+from calib.results.written import replacing
 
 NAME = "report.html"
 SECTIONS = (

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.errors import InputError
-from calib.structure.solve import solve_modes
+from calib.errors.errors import InputError
+from calib.structure.eigenproblem.solve import solve_modes
 from models.fem.discrete import PointMass, Spring, mass_matrix, spring_matrix
 from models.fem.frame import Frame
 from models.fem.member import Member, Particle, Suppression

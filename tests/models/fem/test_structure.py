@@ -7,8 +7,8 @@ import pytest
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors import InputError
-from calib.space import Parameter, ParameterSpace
+from calib.errors.errors import InputError
+from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term
 from calib.structure.model import StructuralModel
 from models.fem.discrete import FrameLocator, PointMass, Spring, mass_matrix, spring_matrix

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from calib.loading import module_of
 from calib.measurement.modal import DIRECTIONS, Sensor
-from calib.space import Parameter
+from calib.problem.space import Parameter
+from calib.structure.eigenproblem.solve import solve_modes
 from calib.structure.model import StructuralModel
-from calib.structure.solve import solve_modes
+from calib.study.loading import module_of
 from models.railway import vehicle
 
 STATIONS = (-12.95, -9.5, -5.0, 0.2, 5.0, 9.5, 12.95)

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
-from calib.effect import Effect
-from calib.mac import mac
+from calib.measurement.mac import mac
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.space import ParameterSpace
-from calib.structure.extend import Addition, extend
-from calib.structure.inertia import symmetric_factor
+from calib.problem.effect import Effect
+from calib.problem.space import ParameterSpace
+from calib.structure.effects.extend import Addition, extend
+from calib.structure.eigenproblem.inertia import symmetric_factor
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 

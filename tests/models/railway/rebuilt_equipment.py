@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from calib.structure.attach import GRAVITY
+from calib.structure.effects.attach import GRAVITY
 from calib.structure.model import StructuralModel
 from models.fem.discrete import PointMass, Spring
 from models.fem.member import Particle, Point, Suppression

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
-from calib.effect import Effect
 from calib.measurement.modal import MeasuredModes
-from calib.structure.extend import extend
+from calib.problem.effect import Effect
+from calib.structure.effects.extend import extend
 from calib.structure.model import StructuralModel
 
 

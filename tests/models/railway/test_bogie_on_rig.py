@@ -5,10 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.measurement.modal import Sensor
-from calib.structure import solve
-from calib.structure.solve import solve_modes
+from calib.structure.eigenproblem import solve
+from calib.structure.eigenproblem.solve import solve_modes
 from models.railway import bogie_on_rig
 
 NAMES = ("1BT", "2BT", "3BT", "4BT", "5BT", "6BT", "7BT", "8BT")

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.loading import module_of
-from calib.measurement.read import read_modes
-from calib.structure.extend import extend
+from calib.measurement.files.read import read_modes
+from calib.structure.effects.extend import extend
+from calib.study.loading import module_of
 from models.railway import bogie_effects, bogie_on_rig
 
 HERE = Path(__file__)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.errors import InputError
-from calib.structure.inertia import count_below, symmetric_factor
-from calib.structure.solve import solve_modes
+from calib.errors.errors import InputError
+from calib.structure.eigenproblem.inertia import count_below, symmetric_factor
+from calib.structure.eigenproblem.solve import solve_modes
 from models.railway import bogie_on_rig, vehicle
 
 CAR_MODES = ("1C", "2C", "3C", "4C", "5C", "6C")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.errors import InputError
-from calib.structure.solve import solve_modes
+from calib.errors.errors import InputError
+from calib.structure.eigenproblem.solve import solve_modes
 from models.fem.discrete import mass_matrix, spring_matrix
 from models.fem.structure import Structure
 from models.railway.bolsters import K_LATERAL, K_PAD, K_TRACTION

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.correlation.problem import ModalProblem
-from calib.correlation.residual import ModalResidual
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
-from calib.loading import module_of
-from calib.structure.extend import extend
+from calib.structure.effects.extend import extend
+from calib.study.loading import module_of
 from models.railway import vehicle_effects
 
 EFFECTS = {e.name: e for e in vehicle_effects()}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.space import ParameterSpace
-from calib.structure.extend import extend
+from calib.problem.space import ParameterSpace
+from calib.structure.effects.extend import extend
 from models.railway import vehicle_effects
 from models.railway.vehicle_effects_equipment import SEAT_RATIO
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from calib.structure.solve import solve_modes
+from calib.structure.eigenproblem.solve import solve_modes
 from models.railway import vehicle
 
 pytestmark = pytest.mark.slow

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.errors import InputError
-from calib.mac import mac
+from calib.errors.errors import InputError
+from calib.measurement.mac import mac
 from models.tire import base_tire
 from models.tire.inflated import inflate
 from models.tire.modal import tire_modes

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli
-from calib.loading import module_of
+from calib.command import cli
 from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import page, sections
+from calib.study.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[3]
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
@@ -78,7 +78,7 @@ def run(no_drawing):
 
     def folder_of_results(folder, *analyses):
         with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()), no_drawing():
-            patch.setattr("calib.front.adopting.isolated", lambda study: study)
+            patch.setattr("calib.api.staged.isolated", lambda study: study)
             for analysis, *more in analyses:
                 assert cli.execute([analysis, str(folder), "--results", str(folder.parent / "results"), *more]) == 0
         return folder.parent / "results" / folder.name

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary

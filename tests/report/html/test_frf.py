@@ -8,10 +8,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib.loading import module_of
 from calib.report.html.page import Picture, Table, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import sections
+from calib.study.loading import module_of
 
 WORLD = module_of(Path(__file__).resolve().parents[2] / "template/frf_chain.py")
 

@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 from scipy.stats import norm
 
-from calib.correlation import compare, rules
+from calib.correlation import rules
+from calib.correlation.modal import comparison
 from calib.missing.rules import RULES
 from calib.report.explanation import COLLINEAR, LEAST_BAYES_FACTOR
 from calib.report.html.limits import BEYOND, BY_CHANCE, CONTRADICTED, NONE, TESTS, WITHIN
@@ -94,7 +95,7 @@ def test_effects_above_the_limit_that_were_not_refitted_are_said_to_be_predicted
 
 def test_the_levels_are_those_of_the_analyses():
     """The report reads tables only, so it holds these numbers itself."""
-    assert (BEYOND, WITHIN) == (compare.BEYOND, rules.RULES.level)
+    assert (BEYOND, WITHIN) == (comparison.BEYOND, rules.RULES.level)
     assert RULES.pull == RULES.noise_level == BY_CHANCE and RULES.contradicted == CONTRADICTED
     assert (RULES.credible, RULES.confounded) == (LEAST_BAYES_FACTOR, COLLINEAR)
 

@@ -5,7 +5,7 @@ import json
 import pandas as pd
 import pytest
 
-from calib.analyses.proposed_words import COLUMNS, PLACES
+from calib.hypotheses.proposals.words import COLUMNS, PLACES
 from calib.report.html import proposed
 from calib.report.html.page import Table, Words
 from calib.report.html.study_results import StudyResults

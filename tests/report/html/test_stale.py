@@ -8,18 +8,18 @@ from pathlib import Path
 
 import pytest
 
-from calib import cli
-from calib.analyses.record import write_record
-from calib.analyses.stale import stale_answers
-from calib.analyses.state import WRITES, made_from
-from calib.errors import InputError
+from calib.analyses.provenance.record import write_record
+from calib.analyses.provenance.stale import stale_answers
+from calib.analyses.provenance.state import WRITES, made_from
+from calib.command import cli
+from calib.errors.errors import InputError
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
 from calib.report.html.write import NAME, sections
 from calib.report.shown import Shown
-from calib.results import OWNER, Results
-from calib.study import Study
-from calib.study_file import StudyFile
+from calib.results.results import OWNER, Results
+from calib.study.study import Study
+from calib.study.study_file import StudyFile
 from tests.template import plain
 
 FUNCTION = """
@@ -174,7 +174,7 @@ def test_the_report_alone_names_what_is_stale_and_keeps_the_tables(sums, unrende
 
 
 def test_results_of_another_version_of_calib_are_stale(sums, monkeypatch):
-    monkeypatch.setattr("calib.analyses.state.__version__", "99.0")
+    monkeypatch.setattr("calib.analyses.provenance.state.__version__", "99.0")
     assert set(stale().sentences) == {"compare", "sensitivity", "calibrate"}
 
 
@@ -221,7 +221,7 @@ def test_the_report_runs_no_code_of_the_study(sums, unrendered):
     Path("sums/model.py").write_text(text)
     edit("model.py", "/ 3, ", "/ 2, ")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.loading.Sources.model", lambda self: pytest.fail("the code of the study was run"))
+        patch.setattr("calib.study.loading.Sources.model", lambda self: pytest.fail("the code of the study was run"))
         run("report")
     assert {s.name for s in sections(results(stale()))} == before
     assert (ROOT / "sums" / "parameters.png").exists()
@@ -288,8 +288,8 @@ def test_a_module_beside_the_model_is_an_input_of_an_analysis(sums):
 
 EFFECTS = """
 import os
-from calib.effect import Effect
-from calib.space import Parameter
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
 
 def library():
     share = float(os.environ["SHARE"])

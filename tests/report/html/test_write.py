@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.errors import InputError
+from calib.errors.errors import InputError
 from calib.report.html import write
 from calib.report.html.page import LONGEST, Picture, Table, Viewer
 from calib.report.html.study_results import StudyResults

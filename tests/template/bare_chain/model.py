@@ -3,7 +3,7 @@
 import numpy as np
 import scipy.sparse as sp
 
-from calib.space import Parameter, ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Term, parameter
 from calib.structure.geometry import DofMap, Mesh
 from calib.structure.model import StructuralModel

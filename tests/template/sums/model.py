@@ -1,8 +1,8 @@
 """A function of two numbers, and an effect with a parameter that may change and one that is fixed."""
 
-from calib.effect import Effect
-from calib.function import FunctionModel
-from calib.space import Parameter, ParameterSpace
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter, ParameterSpace
+from calib.structure.function_model import FunctionModel
 
 
 def build():

@@ -1,0 +1,193 @@
+"""Display of results: sentences and a table, as text and as HTML."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from calib.analyses import compare
+from calib.correlation.modal.comparison import Comparison
+from calib.correlation.modal.expansion import By, ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
+from calib.errors.errors import InputError
+from calib.problem.joint import said, stacked
+from calib.results.answer import LABEL
+
+
+class Shown(ABC):
+    """A result that prints as its answer in four lines, else as sentences and a table; in a notebook with its table."""
+
+    @property
+    @abstractmethod
+    def sentences(self) -> tuple[str, ...]:
+        """Findings, the most important first."""
+
+    @property
+    @abstractmethod
+    def table(self) -> pd.DataFrame:
+        """Table shown below the sentences."""
+
+    @property
+    def lines(self) -> Mapping[str, str]:
+        """The answer by the labels of its lines, the last of which tells where the rest is; empty without an answer."""
+        return {}
+
+    def __str__(self) -> str:
+        if self.lines:
+            return "\n".join(f"{label}:".ljust(LABEL) + text for label, text in self.lines.items())
+        words = "\n".join(self.sentences)
+        return f"{words}\n\n{self.table.to_string(index=False, float_format='%.4g')}"
+
+    def _repr_html_(self) -> str:
+        answer = "".join(f"<p><b>{label}:</b> {escape(text)}</p>" for label, text in self.lines.items())
+        words = answer or "".join(f"<p>{escape(sentence)}</p>" for sentence in self.sentences)
+        return words + str(self.table.to_html(index=False, float_format=lambda v: f"{v:.4g}", na_rep=""))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Compared(Shown):
+    """Comparison of models and tests at one point.
+
+    Attributes
+    ----------
+    by_test : mapping from str to ComparisonResult
+        By name of the test.
+
+    Examples
+    --------
+    >>> import calib
+    >>> space = calib.ParameterSpace((calib.Parameter("k", 10.0, 5.0, 20.0, "kN/m"),))
+    >>> model = calib.FunctionModel("spring", space, lambda v: {"load": 4.0 * v["k"]})
+    >>> found = calib.Problem(model, calib.ResponseTest({"load": (50.0, 2.0)})).compare()
+    >>> print(found.table.to_string(index=False))
+    response  measured  model  error  error_in_std
+        load      50.0   40.0   -0.2          -5.0
+    """
+
+    by_test: Mapping[str, compare.ComparisonResult]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Where each model fails, and doubtful pairs, sensors or units."""
+        return said({name: (*answer.sentences, *_remarks(answer)) for name, answer in self.by_test.items()})
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """One row per measured mode or response, with a column ``test`` where there are several."""
+        tables = {name: answer.table for name, answer in self.by_test.items()}
+        return stacked(tables) if len(tables) > 1 else next(iter(tables.values()))
+
+    def orthogonality(self, test: str = "", by: By | None = None) -> Orthogonality:
+        """Mass-orthogonality of the measured shapes, to the model's and among themselves.
+
+        Parameters
+        ----------
+        test : str
+            Name of the test, where there are several.
+        by : {"static", "SEREP"}, optional
+            Expansion behind the mass matrix at the sensors; by default static where that exists.
+
+        Returns
+        -------
+        Orthogonality
+            With ``cross_table()``, ``self_table()`` and a ``sentence``.
+
+        Raises
+        ------
+        InputError, EvaluationError
+            Where shapes or matrices are missing, or the shapes cannot be expanded.
+        """
+        return orthogonality(self._modes(test), by)
+
+    def expanded(self, test: str = "", by: By = "SEREP", modes: Sequence[int] = ()) -> ExpandedShapes:
+        """Measured shapes at all degrees of freedom of the model.
+
+        Parameters
+        ----------
+        test : str
+            Name of the test, where there are several.
+        by : {"SEREP", "static"}
+        modes : sequence of int
+            Model modes for SEREP, counted from 1; by default the paired ones.
+
+        Returns
+        -------
+        ExpandedShapes
+            With ``shapes`` (n_dof, n_modes), the ``residual`` of each at the sensors, and a ``table()`` of the mesh.
+
+        Raises
+        ------
+        InputError, EvaluationError
+            As `orthogonality`.
+        """
+        return expanded_shapes(self._modes(test), by, modes)
+
+    def _modes(self, test: str) -> Comparison:
+        """The comparison of the modes of one test; InputError where there is no such."""
+        if not test and len(self.by_test) == 1:
+            (test,) = self.by_test
+        if test not in self.by_test:
+            what = f"there is no test {test!r}" if test else f"there are {len(self.by_test)} tests"
+            raise InputError(what, place="comparison", remedy=f"name one of them: {', '.join(self.by_test)}")
+        found = self.by_test[test].comparison
+        if found is None:
+            raise InputError("it has no modes", place=f"test {test}", remedy="name a test of modes")
+        return found
+
+    def __repr__(self) -> str:
+        return f"Compared({', '.join(f'{name}: {len(answer.table)} rows' for name, answer in self.by_test.items())})"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AnalysisResult(Shown):
+    """Result of a study's analysis: sentences and their main table.
+
+    Attributes
+    ----------
+    words : tuple of str
+        The sentences.
+    rows : DataFrame
+        The table.
+    folder : Path
+        Folder of all tables and figures.
+    of : object
+        The full result, such as a `calib.analyses.calibrate.Calibration`; of several tests by themselves by test.
+    """
+
+    words: tuple[str, ...]
+    rows: pd.DataFrame
+    folder: Path
+    of: Any
+
+    @property
+    def lines(self) -> Mapping[str, str]:
+        """As the command prints them."""
+        return {} if isinstance(self.of, Mapping) else {**self.of.answer.labelled, "Results": str(self.folder)}
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Findings, the most important first."""
+        return self.words
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The main table."""
+        return self.rows
+
+    def __repr__(self) -> str:
+        return f"AnalysisResult({len(self.rows)} rows in {self.folder})"
+
+
+def _remarks(answer: compare.ComparisonResult) -> list[str]:
+    """Suspicious sensors, and the mean error of scalar responses."""
+    out = [finding.sentence for finding in answer.sensor_findings]
+    if answer.frfs is not None:
+        out += [answer.answer.found, answer.answer.sure]
+    elif answer.comparison is None:
+        out.append(f"The mean absolute error is {100 * answer.mean_freq_error:.2f} %.")
+    return out

@@ -1,0 +1,96 @@
+"""Figures and reports of a study, from its stored results; no code of the study is run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from calib.analyses.extend import found_among
+from calib.analyses.provenance import places
+from calib.analyses.provenance.stale import stale_answers
+from calib.analyses.versions import write_versions
+from calib.api.figures_made import make_all
+from calib.api.first_test import in_order
+from calib.api.listener import Listener
+from calib.errors.errors import InputError
+from calib.report.figures import Asked
+from calib.report.html.study_results import StudyResults
+from calib.report.html.write import NAME as REPORT
+from calib.report.html.write import pictures, write_report
+from calib.report.shown import Shown
+from calib.report.style import FORMATS, Format, Width
+from calib.results.results import RESULTS, Results
+from calib.results.written import is_own
+from calib.study.study_file import StudyFile
+
+
+def draw(
+    study: StudyFile,
+    folder: Results,
+    root: Path,
+    listener: Listener,
+    report: bool = False,
+    formats: Sequence[Format] = ("png",),
+    width: Width = "page",
+    workers: places.Workers = None,
+) -> None:
+    """Draw the figures of all tables in a folder; the report is written on request, and where an older one exists.
+
+    Parameters
+    ----------
+    study : StudyFile
+    folder : Results
+    root : Path
+        Parent of the study's results.
+    listener : Listener
+    report : bool
+    formats : sequence of {"png", "svg", "pdf"}
+        Formats of the figures beside the report.
+    width : {"page", "column"}
+        Of these figures; see `calib.report.style.save`.
+    workers : int or Injected, optional
+        See `calib.analyses.provenance.places.tasks_shared`.
+
+    Raises
+    ------
+    InputError
+        Where a file cannot be written.
+    """
+    title, synthetic = study.settings.title, study.synthetic
+    stale = stale_answers(study, folder, None if root == RESULTS else root)
+    try:
+        shown = StudyResults(Shown(folder.path, stale.files), title, synthetic, stale.sentences)
+        report = report or folder.has(REPORT)
+
+        with listener.progress() as step, places.tasks_shared(workers):
+            own = shown.figures
+            own.take(lambda: make_all(own, Asked(pictures(shown) if report else (), formats, width), step))
+            written = write_report(shown, step) if report else None
+            figures = own.save(formats, step, width)
+    except OSError as fault:
+        raise InputError(
+            f"a figure or the report cannot be written ({fault.strerror})",
+            place=folder.path,
+            remedy="free some space and draw again with 'calib report', or choose another --results",
+        ) from None
+    if stale.files:
+        old = [file for kind in FORMATS for file in folder.path.glob(f"*.{kind}")]
+        folder.remove(*(file.name for file in old if is_own(file) and file not in figures))
+    listener.drawn(study, figures, stale.sentences, written)
+
+
+def draw_anew(study: StudyFile, root: Path, listener: Listener, formats: Sequence[Format], width: Width) -> None:
+    """Redraw every figure and report of a study, and of the extended studies among its results; see `draw`."""
+    for part in in_order(study.parts, Results(root / study.name)):
+        folders = places.answers_of(part, root)
+        if Results(root / part.name) in folders:  # versions compare full results only
+            listener.versions(write_versions(part, root))
+        for folder in folders:
+            draw(part, folder, root, listener, True, formats, width)
+    together = places.answers_of(study, root)
+    if study.settings.several:
+        for folder in together:
+            draw(study, folder, root, listener, False, formats, width)
+    written = [file for folder in together if (file := found_among(study, folder.path))]
+    for file in written[:1]:  # the extended study of a quick run has its results in the same place
+        draw_anew(StudyFile.read(file), root, listener, formats, width)

@@ -1,0 +1,91 @@
+"""Callbacks that report the progress and results of a study's analyses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+
+from calib.analyses.added import Added
+from calib.analyses.compare import ComparisonResult
+from calib.analyses.explanation_result import ExplanationResult
+from calib.analyses.extend import Extension
+from calib.analyses.joint_calibration import Fitted
+from calib.analyses.propose import ProposalResult
+from calib.analyses.sensitivity import Screening, Sensitivity
+from calib.analyses.versions import Versions
+from calib.api.progress import in_python
+from calib.execution.stage import Progress, unheard
+from calib.missing.explanation import Explanation
+from calib.report.html.write import Page
+from calib.results.results import Results
+from calib.study.study import Study
+from calib.study.study_file import StudyFile
+
+
+class Listener:
+    """Receives progress and results of a study's analyses; this one is silent, that of the command prints them."""
+
+    def progress(self) -> AbstractContextManager[Progress]:
+        """Callback for the present stage of an analysis."""
+        return nullcontext(unheard)
+
+    def first(self, earlier: StudyFile, path: Path) -> None:
+        """An earlier study is calibrated first, since this one adopts its values."""
+
+    def begins(self, study: StudyFile, verb: str) -> None:
+        """An analysis begins."""
+
+    def other_state(self, rows: int) -> None:
+        """Number of stored evaluations that belong to another state of the study."""
+
+    def compared(self, study: Study, answer: ComparisonResult, folder: Results) -> None:
+        """Model and measurement were compared."""
+
+    def sampled(self, study: Study, answer: Sensitivity, folder: Results) -> None:
+        """A sensitivity analysis by rank correlations is done."""
+
+    def screened(self, answer: Screening, folder: Results) -> None:
+        """A sensitivity analysis by Morris or Sobol is done."""
+
+    def calibrated(self, study: StudyFile, answer: Fitted, folder: Results) -> None:
+        """Parameters were fitted."""
+
+    def explained(self, study: StudyFile, answer: ExplanationResult, folder: Results) -> None:
+        """An explanation is done."""
+
+    def may_add(self, study: StudyFile, found: Explanation) -> None:
+        """An explanation was requested by itself: its named effects may be added."""
+
+    def proposed(self, study: StudyFile, result: ProposalResult, folder: Results, root: Path) -> None:
+        """Proposals were composed; ``root`` is the root folder of all results."""
+
+    def extended(self, written: Extension) -> None:
+        """A study with more effects was written."""
+
+    def added(self, answer: Added, written: Extension, folder: Results) -> None:
+        """The named effects were added and the extended model calibrated."""
+
+    def nothing_added(self, sentence: str) -> None:
+        """No effect was added; the sentence says why."""
+
+    def versions(self, found: Versions) -> None:
+        """Errors over the versions of a model."""
+
+    def drawn(self, study: StudyFile, figures: Sequence[Path], outdated: Mapping[str, str], page: Page | None) -> None:
+        """Figures, and the report where there is one, were made."""
+
+
+class Showing(Listener):
+    """Shows how far an analysis is, on a terminal or below a notebook's cell; nothing else."""
+
+    def __init__(self) -> None:
+        self._verb = "report"  # which begins no analysis
+
+    def begins(self, study: StudyFile, verb: str) -> None:
+        """Keeps the name of the analysis."""
+        self._verb = verb
+
+    def progress(self) -> AbstractContextManager[Progress]:
+        """See `calib.api.progress.in_python`."""
+        return in_python(self._verb)

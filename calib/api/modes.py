@@ -1,0 +1,114 @@
+"""Modes from files of FRFs or time records, written as a measurement that a study can name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from calib.errors.errors import InputError
+from calib.measurement.files.read import Named, found_files
+from calib.measurement.files.read_frf import read_frfs
+from calib.measurement.files.read_records import hold_records, read_records
+from calib.measurement.frf import MeasuredFRFs, Quantity
+from calib.modal_analysis.ambient import modes_from_records
+from calib.modal_analysis.identify import Identification, modes_from_frfs
+from calib.modal_analysis.tables import modes_table, sensor_table, shapes_table
+from calib.results.results import Results
+
+
+@dataclass(frozen=True, eq=False)
+class Written:
+    """Identified modes and their files.
+
+    Attributes
+    ----------
+    found : Identification
+    paths : tuple of Path
+    """
+
+    found: Identification
+    paths: tuple[Path, ...]
+
+    @property
+    def keys(self) -> str:
+        """The lines of a study.toml that name these files."""
+        names = [path.name for path in self.paths]
+        lines = ["[measurement]", 'files = ["modes.csv"]', 'shapes = ["shapes.csv"]']
+        lines += ['sensors = "sensors.csv"'] * ("sensors.csv" in names)
+        lines += [f"repeats = {self.found.modes.n_repeats}"] * (self.found.std_from == "repeats")
+        return "\n".join([*lines, *(["synthetic = true"] * self.found.modes.synthetic)])
+
+
+def identify_modes(
+    files: Named,
+    into: Path,
+    *,
+    sensors: str | Path | None = None,
+    quantity: Quantity | None = None,
+    unit: str | None = None,
+    averages: int | None = None,
+    band: tuple[float, float] | None = None,
+    synthetic: bool = False,
+) -> Written:
+    """Identify modes from files of FRFs or of time records, each a repeat, and write them to a folder.
+
+    What the files hold is told by their content.
+
+    Writes ``modes.csv``, ``shapes.csv`` and, where places are known, ``sensors.csv``, as `calib.read_modes` reads them;
+    ``identified.csv``, ``poles.csv`` and ``synthesised.csv``, the tables of `Identification`; and the stabilisation
+    diagram ``stabilisation.png``.
+
+    Parameters
+    ----------
+    files, sensors, quantity, unit, averages, synthetic
+        See `calib.read_frfs`; records have neither quantity nor averages, and ``unit`` is that of their motion (see
+        `calib.measurement.files.read_records.read_records`).
+    into : Path
+        Folder; files that calib wrote there are replaced.
+    band : (float, float), optional
+        Lines that are used, Hz; default all above 0. Of records the band in which modes are identified.
+
+    Raises
+    ------
+    InputError
+        For files that `calib.read_frfs` or `read_records` refuses, and for FRFs or records without a mode; see
+        `modes_from_frfs` and `modes_from_records`.
+    """
+    paths = found_files(files)
+    if hold_records(paths):
+        for name, given in (("a quantity", quantity), ("averages", averages)):
+            if given is not None:
+                raise InputError(f"{name} is given beside time records", place=paths[0], remedy="leave it out")
+        records = read_records(paths, unit=unit, sensors=sensors, synthetic=synthetic)
+        known = modes_from_records(records, band)
+        squared = f"({records[0].unit})²/Hz" if records[0].unit else "squared unit a Hz"
+        return Written(known, _write(known, squared, into))
+
+    def read(which: Named, n: int | None) -> MeasuredFRFs:
+        whole = read_frfs(which, quantity=quantity, unit=unit, sensors=sensors, averages=n, synthetic=synthetic)
+        return whole.in_band(*(band or (whole.lowest_freq, whole.freq[-1])))
+
+    frfs = read(paths, averages)
+    repeats = [replace(read([path], None), source=path.name) for path in paths] if len(paths) > 1 else []
+    found = modes_from_frfs(frfs, repeats)
+    unit = frfs.unit(frfs.responses[0], frfs.references[0])
+    return Written(found, _write(found, unit, into))
+
+
+def _write(found: Identification, unit: str, into: Path) -> tuple[Path, ...]:
+    from calib.report.stabilisation import stabilisation_figure
+    from calib.report.style import add_heading, save, style
+
+    folder = Results.at(into.parent, into.name)
+    tables = {
+        "modes": modes_table(found.modes), "shapes": shapes_table(found.modes), "sensors": sensor_table(found.modes),
+        "identified": found.fit, "poles": found.poles, "synthesised": found.curves,
+    }  # fmt: skip
+    written = [folder.write_table(name, table) for name, table in tables.items() if len(table)]
+    if not len(tables["sensors"]):
+        folder.remove("sensors.csv")
+    with style():
+        figure = stabilisation_figure(found.poles, found.curves, found.fit, unit=unit, of=found.of)
+        add_heading(figure, "Stabilisation of poles", found.modes.synthetic)
+        written += save(figure, into / "stabilisation")
+    return tuple(written)

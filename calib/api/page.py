@@ -1,0 +1,156 @@
+"""Figures and the HTML report of a fit, drawn from the same tables as those of a study."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from calib.analyses.answers import of_fit
+from calib.analyses.calibration_tables import tables_of
+from calib.analyses.compare import ComparisonResult, before_and_after, comparison_of, write_comparison
+from calib.analyses.provenance.record import assumptions_of, made_with, parameters_table, sensors_table
+from calib.api.protocols import Solved
+from calib.api.responses import own
+from calib.correlation.modal.expansion import orthogonality
+from calib.errors.errors import InputError
+from calib.experiment.checked import place_of
+from calib.experiment.modal import ModalTest, Model, Test
+from calib.inference.cases import CaseResult
+from calib.problem.problem import Counts
+from calib.results.results import Results
+from calib.results.written import whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+CASE = "fit"
+"""Name of the only case of a fit in tables."""
+
+
+FIGURES = (
+    "frequency_errors", "mac", "mac_matrix", "comac", "cross_orthogonality", "self_orthogonality", "parameters",
+)  # fmt: skip
+"""Figures of a fit."""
+
+
+def compared(fit: Solved, test: Test, model: Model) -> tuple[ComparisonResult, ComparisonResult]:
+    """One test before the fit, at the nominal values, and after it."""
+    before, after = (
+        comparison_of(test.problem(model), own(model, test, values))
+        for values in (fit.problem.space.values, fit.values)
+    )
+    return before, after
+
+
+def chosen(fit: Solved, name: str) -> tuple[Model, Test]:
+    """The test of that name with its model, or the only one; InputError for an unknown name, or none of several."""
+    pairs = {test.name: (model, test) for model, test in fit.problem.pairs}
+    if not name and len(pairs) == 1:
+        return next(iter(pairs.values()))
+    if name not in pairs:
+        what = f"there is no test {name!r}" if name else f"there are {len(pairs)} tests"
+        raise InputError(what, place="figure", remedy=f"name one of them: {', '.join(pairs)}")
+    return pairs[name]
+
+
+def draw(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
+    """See `calib.api.fit.Fit.figure`."""
+    from calib.report.comparison import draw_comac, draw_frequency_error, draw_mac, draw_mac_matrix
+    from calib.report.orthogonality import draw_cross_orthogonality, draw_self_orthogonality
+    from calib.report.parameters import draw_parameters
+
+    if name not in FIGURES:
+        raise InputError(f"there is no figure {name!r}", place="figure", remedy=f"the figures are {', '.join(FIGURES)}")
+    model, selected = chosen(fit, test)
+    if name == "parameters":
+        return draw_parameters(_tables(fit)["parameters"], ax, prior=fit.problem.space.frame())
+    if not isinstance(selected, ModalTest):
+        raise InputError("it has no modes", place=place_of(selected), remedy="draw its parameters")
+    if name != "frequency_errors" and not selected.used.has_shapes:
+        raise InputError("no shapes were measured", place=place_of(selected), remedy="draw the frequency errors")
+    before, after = compared(fit, selected, model)
+    if name == "frequency_errors":
+        return draw_frequency_error(before.table, after.table, ax)
+    if name == "mac":
+        return draw_mac(before.table, after.table, ax)
+    assert before.comparison is not None and after.comparison is not None
+    if name == "mac_matrix":
+        return draw_mac_matrix(after.comparison.mac_table(), ax)
+    if name == "cross_orthogonality":
+        return draw_cross_orthogonality(orthogonality(after.comparison).cross_table(), ax)
+    if name == "self_orthogonality":
+        return draw_self_orthogonality(orthogonality(after.comparison).self_table(), ax)
+    return draw_comac(before.comparison.comac_table(), after.comparison.comac_table(), ax)
+
+
+def write_pages(fit: Solved, path: Path) -> tuple[Path, ...]:
+    """See `calib.api.fit.Fit.report`."""
+    from calib.report.html.study_results import StudyResults
+    from calib.report.html.write import page
+
+    pairs = fit.problem.pairs
+    out = []
+    for model, test in pairs:
+        where = path if len(pairs) == 1 else path.with_name(f"{path.stem}_{test.name}{path.suffix}")
+        with tempfile.TemporaryDirectory() as folder:
+            _write(fit, model, test, Results(Path(folder)))
+            text = page(StudyResults(Path(folder), f"{model.name} against {test.name}", test.synthetic))
+        try:
+            with whole(where) as draft:
+                draft.write_text(text, encoding="utf-8")
+        except OSError as fault:
+            raise InputError(
+                f"it cannot be written ({fault.strerror})", place=where, remedy="name another place"
+            ) from None
+        out.append(where)
+    return tuple(out)
+
+
+def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
+    """Write the tables that the report reads."""
+    before, after = compared(fit, test, model)
+    write_comparison(folder, before, "before")
+    write_comparison(folder, after, "after")
+    for name, table in _tables(fit).items():
+        folder.write_table(name, table)
+    errors = fit.errors
+    folder.write_table("data_errors", errors[errors["test"] == test.name].drop(columns="test"))
+    space = fit.problem.space
+    folder.write_table("parameter_space", parameters_table(space, space))
+    folder.write_table("assumptions", assumptions_of(model, test.assumed))
+    if isinstance(test, ModalTest) and test.modes.has_shapes:
+        folder.write_table(
+            "sensors", sensors_table(test.modes, [n for n in test.held_out if n not in test.modes.names])
+        )
+    folder.write_json("summary", {
+        "best_case": CASE,
+        "method": "gauss-newton",
+        **before_and_after(before, after),
+        "noise_mac": after.noise_mac,
+    })  # fmt: skip
+    agreed = fit.agreement.verdict if fit.agreement else "one case"
+    answer = of_fit(fit.statistics, fit.parameters.reset_index(), {"": (before, after)}, agreement=agreed)
+    folder.write_json("record", {
+        "notebook": True,
+        "model": f"{model.name} ({test.pair(model).fingerprint})",
+        "analyses": {
+            "compare": {
+                **made_with("compare"), "quick": False, "sentences": list(before.sentences),
+                "answer": before.answer.plain,
+            },
+            "calibrate": {
+                **made_with("calibrate"), "quick": False, "sentences": list(fit.sentences), "answer": answer.plain,
+            },
+        },
+    })  # fmt: skip
+
+
+def _tables(fit: Solved) -> dict[str, pd.DataFrame]:
+    """The tables of a fit, in the form of a study's."""
+    result = CaseResult.fitted(CASE, fit.statistics.values, Counts(), pd.DataFrame(), 0.0)
+    differing = fit.agreement.differing if fit.agreement else {}
+    return tables_of(fit.problem.space, [(result, fit.statistics)], fit.statistics, differing=differing)

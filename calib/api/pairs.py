@@ -1,0 +1,128 @@
+"""Pairs of a model and a test: what a problem requires of them, and their rows as one problem."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
+from typing import Any, Protocol, TypeAlias, TypeVar, cast
+
+from calib.api.progress import in_python
+from calib.errors.arguments import path as path_of
+from calib.errors.errors import EvaluationError, InputError
+from calib.errors.excerpt import excerpt
+from calib.execution.stage import Progress
+from calib.experiment.modal import Model, Test
+from calib.problem.effect import Effect
+from calib.problem.joint import JointProblem
+from calib.problem.problem import Counts
+from calib.problem.problem import Problem as Posed
+from calib.problem.space import ParameterSpace
+from calib.results.ledger import Ledger
+from calib.study.loading import extended
+
+Pairs: TypeAlias = Sequence[tuple[Model, Test]]
+
+
+def opened(given: Any) -> Ledger | None:
+    """A ledger from a path, or as it is; InputError where the file cannot be written or is none."""
+    if given is None or isinstance(given, Ledger):
+        return given
+    file = path_of(given, "problem, ledger")
+    try:
+        return Ledger.open(file)
+    except InputError as fault:
+        raise InputError(
+            fault.problem, place=f"ledger {file}", remedy="name a new file in a folder that can be written"
+        ) from None
+
+
+def kept_in(ledger: Ledger | None) -> AbstractContextManager[Ledger]:
+    """That ledger, which stays open, or one in memory."""
+    return Ledger.in_memory() if ledger is None else nullcontext(ledger)
+
+
+def require_names(pairs: Pairs) -> None:
+    """InputError without a test, and for two tests of one name."""
+    if not pairs:
+        raise InputError("no test is given", place="problem", remedy="give a ModalTest, an FRFTest or a ResponseTest")
+    names = [test.name for _, test in pairs]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"two tests are named {name!r}", place="problem", remedy='give each its own, such as name="loaded"'
+            )
+
+
+def require_within(space: ParameterSpace) -> None:
+    """InputError for a value of a free parameter outside its limits."""
+    for p in space.free:
+        if not p.lower <= p.value <= p.upper:
+            raise InputError(
+                f"value {p.value:g} {p.unit} is outside its limits [{p.lower:g}, {p.upper:g}]",
+                place=f"parameter {p.name}", remedy="move one of them",
+            )  # fmt: skip
+
+
+class Paired(Protocol):
+    """A model, and problems of other models beside it; see `calib.api.problem.Problem`."""
+
+    @property
+    def model(self) -> Any:
+        """Its model."""
+        ...
+
+    @property
+    def beside(self) -> Sequence[Any]:
+        """Problems of other models."""
+        ...
+
+
+P = TypeVar("P", bound=Paired)
+
+
+def holding(problem: P, values: Mapping[str, float]) -> P:
+    """A problem whose models hold parameters at values, each those that it has."""
+    space = problem.model.space.freeze({name: v for name, v in values.items() if name in problem.model.space})
+    beside, given = tuple(holding(p, values) for p in problem.beside), cast(Any, problem)
+    return cast(P, replace(given, model=replace(problem.model, space=space), beside=beside))
+
+
+def including(problem: P, effects: Mapping[str, tuple[Effect, ...]]) -> P:
+    """A problem whose models have effects, given by the name of the model."""
+    own = effects.get(problem.model.name, ())
+    model, given = extended(problem.model, own) if own else problem.model, cast(Any, problem)
+    return cast(P, replace(given, model=model, beside=tuple(including(p, effects) for p in problem.beside)))
+
+
+def posed(pairs: Pairs, ledger: Any) -> Posed[Any] | JointProblem:
+    """Rows, responses, residual and Jacobian of all tests; the space of each has its own parameters too.
+
+    ``ledger`` is an opened one, or None.
+    """
+    counts, made = Counts(), dict[str, Posed[Any]]()
+    for model, test in pairs:
+        pair = test.pair(model)
+        made[test.name] = Posed(pair, pair.space.without(dict(test.condition)), ledger, counts=counts)
+    return next(iter(made.values())) if len(made) == 1 else JointProblem(made)
+
+
+def by_model(given: Pairs) -> tuple[tuple[Model, tuple[Test, ...]], ...]:
+    """Every model with all of its tests."""
+    out: dict[str, tuple[Model, tuple[Test, ...]]] = {}
+    for model, test in given:
+        known, before = out.get(model.fingerprint, (model, ()))
+        out[model.fingerprint] = (known, (*before, test))
+    return tuple(out.values())
+
+
+@contextmanager
+def told(verb: str, progress: bool) -> Iterator[Progress]:
+    """How far an analysis is; a failure of the user's code shows its line."""
+    try:
+        with in_python(verb, progress) as heard:
+            yield heard
+    except EvaluationError as fault:
+        if fault.at is not None:
+            fault.add_note("\n".join(excerpt(fault.at)))
+        raise

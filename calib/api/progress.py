@@ -1,0 +1,139 @@
+"""How far a computation is: a bar on the error stream, a line below a notebook's cell, or lines now and then."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
+
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Column
+
+from calib.command.terminal import ERR
+from calib.execution.stage import Progress as Told
+from calib.execution.stage import unheard
+
+SPARSE = 10.0
+"""Seconds between two lines where the error stream is no terminal; the first comes after that time."""
+OFTEN = 0.2
+"""Seconds between two changes of the line below a notebook's cell."""
+_BAR = 24
+"""Columns of a bar."""
+_STEADY = 3.0
+"""Seconds of a stage before its time left is told: earlier it is a guess."""
+
+
+@contextmanager
+def bars(verb: str) -> Iterator[Told]:
+    """One bar for the present stage of a command, with the time left where the whole is known."""
+    if not ERR.is_terminal:
+        yield _Lines(verb, ERR.print, SPARSE)
+        return
+    words = TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, overflow="fold"))
+    columns = (words, BarColumn(bar_width=_BAR), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
+    with Progress(*columns, console=ERR, transient=True, expand=True) as bar:
+        yield _Bars(bar, verb)
+
+
+@contextmanager
+def in_python(verb: str, wanted: bool = True) -> Iterator[Told]:
+    """As `bars` for a call from Python, if wanted: on a terminal or below a notebook's cell; nothing elsewhere."""
+    if wanted and ERR.is_jupyter:
+        cell = _Cell()
+        try:
+            yield _Lines(verb, cell, OFTEN)
+        finally:
+            cell.clear()
+    elif wanted and ERR.is_terminal:
+        with bars(verb) as told:
+            yield told
+    else:
+        yield unheard
+
+
+class _Cell:
+    """A line below a notebook's cell, replaced by the next one."""
+
+    def __init__(self) -> None:
+        self.shown: Any = None
+
+    def __call__(self, words: str) -> None:
+        line = {"text/plain": words}
+        if self.shown is None:
+            self.shown = import_module("IPython.display").display(line, raw=True, display_id=True)
+        else:
+            self.shown.update(line, raw=True)
+
+    def clear(self) -> None:
+        if self.shown is not None:
+            self("")
+
+
+class _Pace:
+    """What was told last, in words, and the time left at the average speed since the count began."""
+
+    def __init__(self, verb: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self.verb, self.clock = verb, clock
+        self.stage = self.words = self.left = ""
+        self.done = self.total = self.first = 0.0
+        self.began = clock()
+
+    def tell(self, stage: str, done: float, total: float, best: float) -> bool:
+        """Take a call; whether another stage began."""
+        now, other = self.clock(), stage not in ("", self.stage)
+        self.stage = stage or self.stage
+        # Several stages may share one whole, such as a budget: the count then goes on.
+        if total != self.total or done < self.done or (other and total in (0, 1)):
+            self.began, self.first = now, done
+        self.done, self.total = done, total
+        self.words = in_words(self.verb, self.stage, done, total, best)
+        self.left = time_left(now - self.began, done - self.first, total - self.first)
+        return other
+
+
+class _Bars:
+    """The present stage on a terminal."""
+
+    def __init__(self, bar: Progress, verb: str) -> None:
+        self.bar, self.pace = bar, _Pace(verb)
+        self.task = bar.add_task(verb, total=None, left="")
+
+    def __call__(self, stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
+        if self.pace.tell(stage, done, total, best):
+            self.bar.remove_task(self.task)
+            self.task = self.bar.add_task("", total=None, left="")
+        left = f"{self.pace.left} left" if self.pace.left else ""
+        self.bar.update(self.task, description=self.pace.words, completed=done, total=total or None, left=left)
+
+
+class _Lines:
+    """The present stage in lines without control characters, at most one in ``every`` seconds."""
+
+    def __init__(
+        self, verb: str, write: Callable[[str], None], every: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.pace, self.write, self.every, self.clock, self.told = _Pace(verb, clock), write, every, clock, clock()
+
+    def __call__(self, stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
+        self.pace.tell(stage, done, total, best)
+        if self.clock() - self.told >= self.every:
+            self.told = self.clock()
+            self.write(self.pace.words + (f", {self.pace.left} left" if self.pace.left else ""))
+
+
+def in_words(verb: str, stage: str, done: float, total: float, best: float) -> str:
+    """The present stage, such as ``calibrate: GB1, genetic search 12/60, best 0.31``."""
+    count = f" {100 * done:.0f} %" if total == 1 else f" {done:.0f}/{total:.0f}" if total else ""
+    return f"{verb}: {stage}{count}" + (f", best {best:.4g}" if math.isfinite(best) else "")
+
+
+def time_left(elapsed: float, done: float, total: float) -> str:
+    """The remaining time at the average speed so far, such as ``2 min``; empty where it is unknown."""
+    seconds = elapsed * (total - done) / done if elapsed >= _STEADY and done > 0 else 0.0
+    if seconds < 1:
+        return ""
+    unit, size = next((one for one in (("h", 3600), ("min", 60)) if seconds >= 1.7 * one[1]), ("s", 1))
+    return f"{seconds / size:.0f} {unit}"

@@ -1,0 +1,95 @@
+"""Proposed: the result of `Explained.propose`, effects that nobody listed, with their code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from calib.analyses.propose import Found, ProposalResult, composed
+from calib.api.display import Shown
+from calib.api.progress import in_python
+from calib.errors.arguments import integer
+from calib.errors.errors import InputError
+from calib.hypotheses.proposals.code import library_text
+from calib.hypotheses.proposals.words import not_sought
+from calib.missing.explanation import OPEN, Explanation
+from calib.missing.test import Adapter
+from calib.problem.effect import Effect
+from calib.study.settings import ExplainSettings
+
+if TYPE_CHECKING:
+    from calib.api.protocols import PosedProblem
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Proposed(Shown):
+    """Effects composed from local perturbations, best first; none where nothing can be proposed, which it then says.
+
+    Attributes
+    ----------
+    result : ProposalResult
+    """
+
+    result: ProposalResult
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The proposals, for `Problem.explain` or `Problem.with_effects`; none where the measurement is the suspect."""
+        found = self.result.proposals
+        if found is None or found.measurement:
+            return ()
+        return tuple(p.composed.effect for p in found.ranked if isinstance(p.composed.effect, Effect))
+
+    @property
+    def code(self) -> str:
+        """Text of a file of Python with these effects as a library; empty without any."""
+        found = self.result.proposals
+        return library_text(found.ranked, "a problem", found.base.names) if found is not None and self.effects else ""
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What is proposed, how sure that is, and what would discriminate."""
+        answer = self.result.answer
+        return (answer.found, answer.sure, *self.result.sentences)
+
+    @property
+    def lines(self) -> Mapping[str, str]:
+        """The same in three lines, and where the rest is."""
+        return {**self.result.answer.labelled, "Evidence": ".table; .effects and their .code"}
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """One row per proposal, best first."""
+        return self.result.table
+
+    def __repr__(self) -> str:
+        return f"Proposed({', '.join(e.name for e in self.effects)})"
+
+
+def proposed(
+    problem: PosedProblem, adapter: Adapter, found: Explanation, taken: Sequence[str], rank: int, progress: bool
+) -> Proposed:
+    """See `calib.api.explained.Explained.propose`; ``taken`` are names that are used otherwise."""
+    count = integer(rank, 1, "rank")
+    if len(problem.by_model) > 1:
+        raise InputError(
+            "the problem has several models, of each of which other effects would be composed", place="propose",
+            remedy="propose for a problem of one model",
+        )  # fmt: skip
+    if found.verdict not in OPEN:
+        named = (*found.credible, *(fault.names[0] for fault in found.blamed))
+        return Proposed(ProposalResult(None, not_sought(found.verdict, named, "add what was named: with_named()")))
+    ((model, tests),) = problem.by_model
+    explained = Found(found.verdict, (), found.noise_scale, found.base.fit.values)
+    if found.verdict == "partial" and found.chosen is not None:
+        explained = replace(explained, attempt=found.chosen.fit.values, beside=found.chosen.names)
+    given = ExplainSettings().model_copy(update={"seed": adapter.facts.seed})
+    with in_python("propose", progress) as told:
+        return Proposed(
+            composed(
+                adapter, model, [data for test in tests for data in test.sensed], taken, given, explained, count, told
+            )
+        )

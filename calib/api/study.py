@@ -1,0 +1,386 @@
+"""Study: a problem in a folder, with every analysis as a method; results are stored on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+from calib.analyses import calibrate as calibration
+from calib.analyses import compare as comparison
+from calib.analyses import explain as explanation
+from calib.analyses import extend as extension
+from calib.analyses import propose as proposal
+from calib.analyses import sensitivity as sensitivity_analysis
+from calib.analyses import staged
+from calib.analyses.explanation_result import ExplanationResult
+from calib.analyses.joint_calibration import Fitted, calibrate_jointly
+from calib.analyses.provenance import places
+from calib.analyses.provenance.stored import modes_kept
+from calib.analyses.reduction import fingerprints
+from calib.api.added_effects import with_named
+from calib.api.display import AnalysisResult, Compared
+from calib.api.figures import draw, draw_anew
+from calib.api.first_test import in_order
+from calib.api.listener import Listener, Showing
+from calib.api.problem import Problem
+from calib.api.staged import loaded_after
+from calib.errors.arguments import integer
+from calib.errors.arguments import path as path_of
+from calib.errors.errors import InputError
+from calib.execution.executor import Injected
+from calib.experiment.modal import model_of, test_of
+from calib.problem.joint import said, stacked
+from calib.report.html.write import NAME as REPORT
+from calib.report.style import Format, Width
+from calib.results.results import RESULTS, Results
+from calib.study.several import AnyStudy, JointStudy
+from calib.study.study import Study as Loaded
+from calib.study.study_file import StudyFile, shell_argument
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Study:
+    """A study in a folder, described by its ``study.toml``; each method is a subcommand of ``calib``.
+
+    Results and figures go to a results folder; solved points are stored there and are not solved again.
+
+    Attributes
+    ----------
+    path : Path
+        Folder with a ``study.toml``, or that file.
+    results : Path
+        Parent of ``<study>/``, the folder with the results.
+    workers : int, Injected or None
+        Number of worker processes; None for one per core where that pays. An executor takes their place.
+    quick : bool
+        A quick run, with small searches; its results go to a sub-folder.
+    listener : Listener
+        Receives progress and results.
+    read : Study, JointStudy or None
+        Model, measurement and settings if already loaded; otherwise they are loaded on first use.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import calib
+    >>> from calib.command.example import write_example
+    >>> there = Path(tempfile.mkdtemp())
+    >>> _ = write_example(there / "mast")
+    >>> study = calib.Study.load(there / "mast", results=there / "results")
+    >>> found = study.compare()
+    >>> (there / "results/mast/comparison_before.csv").exists()
+    True
+    """
+
+    path: Path
+    results: Path = RESULTS
+    workers: places.Workers = None
+    quick: bool = False
+    listener: Listener = field(default_factory=Listener)
+    read: AnyStudy | None = None
+
+    @staticmethod
+    def load(
+        path: str | Path,
+        results: str | Path = RESULTS,
+        *,
+        workers: int | None = None,
+        quick: bool = False,
+        progress: bool = True,
+        listener: Listener | None = None,
+    ) -> Study:
+        """Read a study with everything it names; InputError for anything wrong in it.
+
+        If it adopts values of another study that is not calibrated yet, that one is calibrated first. A terminal or a
+        notebook shows how far its analyses are, unless ``progress`` is false or a listener receives it.
+        """
+        told = listener or (Showing() if progress else Listener())
+        study = Study(path_of(path, "study"), path_of(results, "results"), workers, quick, told)
+        assert study.loaded is not None
+        return study
+
+    def __repr__(self) -> str:
+        return f"Study({self.loaded.settings.title!r}, results in {self.folder.path})"
+
+    @cached_property
+    def loaded(self) -> AnyStudy:
+        """Model, measurement and settings; a user's function runs in a child process."""
+        if self.read is not None:
+            return self.read
+        return loaded_after(self.path, self._calibrated)
+
+    def _calibrated(self, study: Loaded, file: Path) -> staged.Found | None:
+        """Values that a study whose values another one adopts has found; it is calibrated first where it has none."""
+        found = staged.values_found(study, self.results, self.quick)
+        if found is None:
+            self.listener.first(study, self.path)
+            own = replace(self, path=file, read=study)
+            own._fit()
+            own.draw()
+            found = staged.values_found(study, self.results, self.quick)
+        return found
+
+    @property
+    def tests(self) -> tuple[Study, ...]:
+        """Each test as a study of its own; a study with one test is its only element."""
+        loaded = self.loaded
+        return tuple(replace(self, read=one) for one in loaded.studies) if loaded.settings.several else (self,)
+
+    @property
+    def one(self) -> Loaded:
+        """The study with its only test."""
+        (only,) = self.loaded.studies
+        return only
+
+    def _by(self, executor: Executor | Injected | None) -> Study:
+        """A copy with an executor instead of worker processes; InputError for a setting that it does not support."""
+        if executor is None:
+            return self
+        if isinstance(self.workers, int):
+            raise InputError(
+                f"{self.workers} workers are requested, and an executor has its own", place="executor",
+                remedy="leave one of them out",
+            )  # fmt: skip
+        injected = Injected.of(executor)
+        injected.require(places.limit_asked(self.loaded))
+        return replace(self, workers=injected, read=self.loaded)
+
+    @cached_property
+    def folder(self) -> Results:
+        """The results folder."""
+        return places.results_of(self.loaded, self.results, self.quick)
+
+    @property
+    def problem(self) -> Problem:
+        """The study's models and tests as a `Problem` in memory, the selected parameters free; nothing is stored."""
+        first, *others = (Problem(model_of(one), test_of(one)) for one in self.loaded.studies)
+        return replace(first, beside=tuple(others))
+
+    # -- analyses ------------------------------------------------------------------------------------------------------
+
+    def compare(self) -> Compared:
+        """Compare models and measurements at the nominal values, without fitting."""
+        answers = {}
+        for study in self.tests:
+            answers[study.one.test or study.one.name] = study._compare()
+            study.draw()
+        return Compared(answers)
+
+    def sensitivity(
+        self,
+        method: Literal["ranks", "morris", "sobol"] = "ranks",
+        *,
+        ignore_constraints: bool = False,
+        executor: Executor | Injected | None = None,
+    ) -> AnalysisResult:
+        """Global sensitivity: rank correlations over a Latin hypercube, or the indices of Morris or Sobol.
+
+        Each test is analysed by itself. ``executor`` evaluates the points; see `run`.
+        """
+        answers = {}
+        for study in self._by(executor).tests:
+            found = study._sensitivity() if method == "ranks" else study._screen(method, ignore_constraints)
+            answers[study.one.test] = answer = AnalysisResult(found.sentences, found.table, study.folder.path, found)
+            study.draw()
+        if len(answers) == 1:
+            return answer
+        words = said({test: one.words for test, one in answers.items()})
+        table = stacked({test: one.rows for test, one in answers.items()})
+        return AnalysisResult(words, table, self.folder.path, {test: one.of for test, one in answers.items()})
+
+    def calibrate(
+        self,
+        case: str | None = None,
+        *,
+        method: calibration.Method | None = None,
+        executor: Executor | Injected | None = None,
+    ) -> AnalysisResult:
+        """Fit the parameters in several independent cases, and assess how well each is identified.
+
+        Several tests are fitted together. ``executor`` evaluates the points of searches; see `run`.
+        """
+        study = self._by(executor)
+        found = study._calibrate(case, method)
+        study._draw_tests(case, method)
+        folder = places.results_of(self.loaded, self.results, self.quick, case, method)
+        return AnalysisResult(found.sentences, found.verdicts, folder.path, found)
+
+    def explain(self) -> AnalysisResult:
+        """Find which effect of the study's library the model lacks."""
+        with places.tasks_shared(self.workers):
+            found = self._explain()
+            self.listener.may_add(self.loaded, found.explanation)
+            self._draw_tests()
+        return AnalysisResult((*found.sentences, *found.notes), found.effects, self.folder.path, found)
+
+    def propose(self, rank: int = proposal.RANKED) -> AnalysisResult:
+        """Compose effects that explain what no effect of the library explains, after `explain`.
+
+        The best ``rank`` are written as a library of effects, in a study of its own among the results.
+        """
+        wanted, loaded, root = integer(rank, 1, "rank"), self.loaded, self.results
+        self.listener.begins(loaded, "propose")
+        with self.listener.progress() as step, modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as kept:
+            homes = {one.test: places.results_of(one, root) for one in loaded.studies}
+            found = proposal.propose(kept, self.folder, wanted, step, homes)
+        self.listener.proposed(loaded, found, self.folder, root)
+        words = (found.answer.found, found.answer.sure, *found.sentences)
+        return AnalysisResult(words, found.table, self.folder.path, found)
+
+    def extend(self, effects: Sequence[str], into: str | Path) -> Study:
+        """Write a new study whose model also has the named effects; this one stays as it is."""
+        written = extension.extend(self.loaded, list(effects), path_of(into, "into"))
+        self.listener.extended(written)
+        return replace(self, path=written.file, results=places.root_for(written.file, self.results), read=None)
+
+    def run(self, *, executor: Executor | Injected | None = None) -> Study:
+        """Run every analysis, add the named effects, calibrate again, and write ``report.html``.
+
+        Parameters
+        ----------
+        executor : concurrent.futures.Executor or calib.execution.executor.Injected, optional
+            Evaluates the points of samples and searches instead of worker processes; tables are the same. Its processes
+            must see the study's folder and its results. The caller shuts it down.
+
+        Returns
+        -------
+        Study
+            The extended study where effects were named and added, else this one.
+
+        Raises
+        ------
+        InputError
+            For an executor together with a number of workers, and for a ``time_limit`` of the study that the executor
+            is not stated to keep.
+        """
+        if executor is not None:
+            study = self._by(executor)
+            found = study.run()
+            return self if found is study else replace(found, workers=self.workers)
+        for study in self.tests:
+            study._compare()
+            study._sensitivity()
+        before, extended = self._calibrate(), None
+        if self.loaded.candidates:
+            extended = with_named(self, before, self._explain().explanation)
+        with places.tasks_shared(self.workers):
+            if extended is not None:
+                extended._draw_tests(report=True)
+            self._draw_tests(report=True)
+        return extended or self
+
+    def report(self, formats: Sequence[Format] = ("png",), width: Width = "page") -> Path:
+        """Write ``report.html`` from the stored results and redraw every figure; no code of the study is run.
+
+        Parameters
+        ----------
+        formats : sequence of {"png", "svg", "pdf"}
+            Formats of the figures beside the report.
+        width : {"page", "column"}
+            Width of these figures: 190 mm, or 90 mm where a figure is legible in a journal's column.
+        """
+        study = StudyFile.read(self.path)
+        home = Results(self.results / study.name)
+        parts = [part for part in in_order(study.parts, home) if places.answers_of(part, self.results)]
+        if not parts:
+            remedy = f"run the study first: calib run {shell_argument(self.path)}"
+            raise InputError("there are no results to draw", place=self.results / study.name, remedy=remedy)
+        with places.tasks_shared(self.workers):
+            draw_anew(study, self.results, self.listener, formats, width)
+        return self.results / parts[0].name / REPORT
+
+    # -- steps ---------------------------------------------------------------------------------------------------------
+
+    def _compare(self) -> comparison.ComparisonResult:
+        loaded = self.one
+        self.listener.begins(loaded, "compare")
+        with self.listener.progress() as step:
+            step("solving the model")
+            answer = comparison.compare(loaded, self.folder)
+        self.listener.compared(loaded, answer, self.folder)
+        return answer
+
+    def _sensitivity(self) -> sensitivity_analysis.Sensitivity:
+        loaded, root = self.one, self.results
+        self.listener.begins(loaded, "sensitivity")
+        with places.ledger_of(loaded, root) as ledger, self.listener.progress() as step:
+            self.listener.other_state(ledger.other_fingerprints(*fingerprints(loaded, places.results_of(loaded, root))))
+            answer = sensitivity_analysis.sensitivity(loaded, self.folder, ledger, self.workers, self.quick, step)
+        self.listener.sampled(loaded, answer, self.folder)
+        return answer
+
+    def _screen(self, method: Literal["morris", "sobol"], ignore_constraints: bool) -> sensitivity_analysis.Screening:
+        loaded, workers, quick = self.one, self.workers, self.quick
+        self.listener.begins(loaded, f"sensitivity, {method.capitalize()}")
+        with places.ledger_of(loaded, self.results) as ledger, self.listener.progress() as step:
+            answer = sensitivity_analysis.screen(
+                loaded, self.folder, ledger, method, workers, quick, ignore_constraints, step
+            )
+        self.listener.screened(answer, self.folder)
+        return answer
+
+    def _calibrate(self, case: str | None = None, method: calibration.Method | None = None) -> Fitted:
+        root, quick = self.results, self.quick
+        calibration.chosen_cases(self.loaded, case)
+        chosen = [sensitivity_analysis.selected_by_measures(study.one, study.folder) for study in self.tests]
+        selected = tuple(dict.fromkeys(name for one in chosen for name in one.search_space.free_names))
+        left = self.loaded.settings.selected_by_sensitivity
+        loaded = self.loaded.each(lambda one: one.selecting(selected)) if left else self.loaded
+        self.listener.begins(loaded, "calibrate")
+        folder = places.results_of(loaded, root, quick, case, method)
+        homes = {one.test: places.results_of(one, root) for one in loaded.studies}
+        with places.ledger_of(loaded, root) as ledger, self.listener.progress() as step:
+            known = [mark for one in loaded.studies for mark in fingerprints(one, homes[one.test])]
+            self.listener.other_state(ledger.other_fingerprints(*known))
+            if isinstance(loaded, JointStudy):
+                folders = {one.test: places.results_of(one, root, quick, case, method) for one in loaded.studies}
+                with places.tasks_shared(self.workers):
+                    found: Fitted = calibrate_jointly(loaded, folders, folder, ledger, case, quick, method, step, homes)
+            else:
+                home = homes[loaded.test]
+                found = calibration.calibrate(loaded, folder, ledger, self.workers, case, quick, method, step, home)
+        self.listener.calibrated(loaded, found, folder)
+        return found
+
+    def _fit(self) -> Fitted:
+        """Calibrate, after a sensitivity analysis where the study leaves the selection to it."""
+        if self.loaded.settings.selected_by_sensitivity:
+            for study in self.tests:
+                study._sensitivity()
+        return self._calibrate()
+
+    def _explain(self) -> ExplanationResult:
+        loaded, root = self.loaded, self.results
+        self.listener.begins(loaded, "explain")
+        with (
+            self.listener.progress() as step,
+            places.tasks_shared(self.workers),
+            modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as kept,
+        ):
+            homes = {one.test: places.results_of(one, root) for one in loaded.studies}
+            answer = explanation.explain(kept, self.folder, step, homes, {s.one.test: s.folder for s in self.tests})
+        self.listener.explained(loaded, answer, self.folder)
+        return answer
+
+    # -- figures -------------------------------------------------------------------------------------------------------
+
+    def draw(self, folder: Results | None = None, report: bool = False) -> None:
+        """Draw the figures of all tables; the report is written on request, and where an older one exists."""
+        into = self.folder if folder is None else folder
+        draw(self.loaded, into, self.results, self.listener, report, workers=self.workers)
+
+    def _draw_tests(
+        self, case: str | None = None, method: calibration.Method | None = None, report: bool = False
+    ) -> None:
+        """Draw every test, the one shown first last, since a run tells what was drawn last first; then all together."""
+        folder = places.results_of(self.loaded, self.results, self.quick, case, method)
+        for part in reversed(in_order(self.loaded.studies, folder)):
+            own = places.results_of(part, self.results, self.quick, case, method)
+            replace(self, read=part).draw(own, report)
+        if self.loaded.settings.several:
+            self.draw(folder)

@@ -1,0 +1,181 @@
+"""What a calibration prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import pandas as pd
+
+from calib.analyses.added import WORDS
+from calib.analyses.calibrate import Calibration
+from calib.analyses.joint_calibration import Fitted, JointCalibration
+from calib.command.compared import held_out, more_on_pairs, pairs
+from calib.command.entries import Entry, Rows, Warned, Words
+from calib.command.terminal import count, number
+from calib.missing.local import unit_words
+from calib.study.study_file import StudyFile
+
+ERRORS = ("rows", "rms", "of a correctly specified model", "p")
+ERRORS_TITLE = "Errors in standard deviations:"
+_WHY = {
+    "wide": "std too large",
+    "prior": "rests on the prior",
+    "limit": "on its limit",
+    "solutions": "differs between solutions",
+}
+"""Why a parameter is not identified; see `calib.inference.verdicts.parameter_verdicts`."""
+_COUNTS = ("asked", "solved", "reused", "infeasible", "failed")
+
+
+def entries(study: StudyFile, result: Fitted) -> list[Entry]:
+    """A calibration against one test or several."""
+    if isinstance(result, JointCalibration):
+        return [
+            *_parameters(result.any),
+            _by_test(result.any.best.statistics.by_test),
+            *map(Words, result.sentences),
+            *_retried(result.any),
+            *suspects(result.any.best.statistics.suspects),
+            Rows.of(ERRORS_TITLE, ("test", "data", *ERRORS), _of_tests(result), left=("data",)),
+        ]
+    best, held = result.best, study.settings.held_out
+    out: list[Entry] = [
+        *map(Warned, best.answer.warnings),
+        *_retried(result),
+        *_parameters(result),
+        *_changes(result),
+    ]
+    if result.errors is not None and (held.modes or held.sensors or held.responses):
+        rows = [(WORDS[r["group"]], *errors_row(r)) for r in result.errors.to_dict("records")]
+        out.append(Rows.of(ERRORS_TITLE, ("data", *ERRORS), rows))
+    out += [Words(sentence) for sentence in result.sentences if sentence not in result.contradictions]
+    out += [
+        *suspects(best.statistics.suspects),
+        *map(Words, held_out(study)),
+        _cases(result),
+        *_points(result),
+        pairs(best.answer, f"After calibration (case {best.name}):", when="verbose"),
+        *more_on_pairs(best.answer),
+    ]
+    return out
+
+
+def errors_row(row: Mapping[Any, Any]) -> tuple[str, ...]:
+    """One row of `ERRORS`."""
+    return str(row["rows"]), number(row["rms"], 2), number(row["expected"], 2), f"{row['p']:.2g}"
+
+
+def suspects(table: pd.DataFrame) -> Iterator[Rows]:
+    """Single data whose removal would make the model fit."""
+    guilty = table[table["explains"].astype(bool)]
+    rows = [
+        (r["what"], str(r["rows"]), number(r["chi2"], 1), f"{r['p']:.2g}", f"{r['p_fit_without']:.2g}")
+        for r in guilty.to_dict("records")
+    ]
+    heads = ("left out", "rows", "lowers the sum of squares by", "p", "p of the fit without")
+    yield Rows.of("The model fits, to first order, if any one of these is left out:", heads, rows, most=4)
+
+
+def _of_tests(result: JointCalibration) -> Iterator[tuple[str, ...]]:
+    for test, one in result.tests.items():
+        for r in [] if one.errors is None else one.errors.to_dict("records"):
+            yield test, WORDS[r["group"]], *errors_row(r)
+
+
+def _retried(result: Calibration) -> list[Words]:
+    again = count(result.retried, "point")
+    why = f"Evaluated again: {again} at which an earlier process died or ran out of memory or time_limit."
+    return [Words(why, when="always")] if result.retried else []
+
+
+def _parameters(result: Calibration) -> Iterator[Rows]:
+    """The fitted parameters, each with whether the data determine it."""
+    best, rows, reasons = result.best, [], []
+    for r in result.verdicts.to_dict("records"):
+        spread = "" if pd.isna(r["spread"]) else f"{100 * r['spread']:.0f} %"
+        std = "–" if r["parameter"] in best.statistics.whole else "" if pd.isna(r["std"]) else f"{r['std']:.3g}"
+        unit = unit_words(r["unit"])
+        why = [_WHY[reason] for reason in r["not_identified"].split(", ") if reason]
+        why += [_WHY["limit"]] if r["on_limit"] and _WHY["limit"] not in why else []
+        known = "" if pd.isna(r["identified"]) else "yes" if r["identified"] else "no"
+        remark = f"{known}: {', '.join(why)}" if why else known
+        rows.append((r["parameter"], f"{r['value']:.5g}{unit}", std, f"{100 * r['ratio']:.0f} %", spread, remark))
+        reasons.append((r["parameter"], r["sentence"]))
+    heads = ("parameter", f"value in {best.name}", "std", "of range", "spread", "identified")
+    yield Rows.of("", heads, rows, left=("identified",), most=20)
+    yield Rows.of("Why:", ("parameter", "verdict"), reasons, left=("verdict",), when="verbose")
+
+
+def _by_test(table: pd.DataFrame) -> Rows:
+    """Standard deviation of every parameter from each test alone and from all, and that of its prior."""
+    tests = list(dict.fromkeys(table["test"]))
+    rows = []
+    for name, own in table.groupby("parameter", sort=False):
+        std = own.set_index("test")["std"]
+        rows.append((str(name), f"{own['prior_sd'].iloc[0]:.3g}", *(f"{std[test]:.3g}" for test in tests)))
+    title = "Standard deviations from the data of each test alone, at the joint fit:"
+    return Rows.of(title, ("parameter", "prior", *tests), rows, most=20)
+
+
+def _changes(result: Calibration) -> Iterator[Rows]:
+    """Every measured mode or response before and after; on request where nothing is held out."""
+    if result.modes is not None:
+        stages = [stage for stage in ("initial", "before", "after") if f"error_{stage}" in result.modes]
+        rows = [
+            (
+                _named(r, "mode"),
+                *(number(r[f"damped_freq_{stage}"], 3) for stage in ("measured", *stages)),
+                *("" if pd.isna(r[f"error_{s}"]) else f"{100 * r[f'error_{s}']:+.2f} %" for s in stages),
+                *(number(r[f"mac_{stage}"], 3) for stage in stages),
+            )
+            for r in result.modes.to_dict("records")
+        ]
+        heads = [f"{kind} {stage}" for kind in ("error", "MAC") for stage in stages]
+        yield Rows.of("Damped frequencies of every measured mode:", ("mode", "measured Hz", *stages, *heads), rows)
+    elif result.responses is not None:
+        rows = [
+            (
+                _named(r, "response"),
+                *(f"{r[stage]:.6g}" for stage in ("measured", "before", "after")),
+                *("" if pd.isna(r[f"error_{s}"]) else f"{100 * r[f'error_{s}']:+.2f} %" for s in ("before", "after")),
+            )
+            for r in result.responses.to_dict("records")
+        ]
+        heads = ["response", "measured", "before", "after", "error before", "error after"]
+        yield Rows.of("Every measured response:", heads, rows)
+    else:
+        yield pairs(result.best.answer, "After calibration:")
+
+
+def _named(row: Mapping[Any, Any], what: str) -> str:
+    return str(row[what]) + (" (held out)" if row["held_out"] else "")
+
+
+def _cases(result: Calibration) -> Rows:
+    rows = [
+        (
+            c.name,
+            "" if c.search is None else f"{c.search.misfit:.5g}",
+            "" if c.search is None else f"{c.search_full_order:.5g}",
+            f"{c.result.misfit:.5g}",
+            *(str(getattr(c.result, name)) for name in _COUNTS),
+            f"{c.result.seconds:.0f} s",
+        )
+        for c in result.cases
+    ]
+    return Rows.of("Cases:", ("case", "search", "at full order", "reported", *_COUNTS, "time"), rows, when="verbose")
+
+
+def _points(result: Calibration) -> Iterator[Rows]:
+    """Objective of the search and sum of squares, at the end of the searches and of least squares."""
+    rows = [
+        (r["case"], r["point"], *(f"{r[name]:.5g}" for name in ("objective", "sum_of_squares", "prior", "total")))
+        for case in result.cases
+        if case.search is not None and case.statistics.fit is not None
+        for r in case.points.to_dict("records")
+    ]
+    title = "What the search minimises (objective) and what least squares minimises (total), at the end of each:"
+    yield Rows.of(
+        title, ("case", "point", "objective", "sum of squares", "prior", "total"), rows, left=("point",), when="verbose"
+    )

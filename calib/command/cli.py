@@ -1,0 +1,397 @@
+"""The ``calib`` command: one subcommand per analysis.
+
+What computes is imported when a subcommand runs: ``calib --version`` and every ``--help`` need none of it.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calib.command import terminal
+from calib.errors.errors import InputError
+from calib.execution import interrupt
+from calib.results.results import RESULTS
+from calib.results.version import __version__
+from calib.results.written import noting_kept
+
+if TYPE_CHECKING:
+    from calib.api.study import Study
+
+app = typer.Typer(
+    name="calib",
+    help="Calibrate structural-dynamics models against vibration measurements.\n\n"
+    "A study is a folder with a study.toml that names a model and a measurement; 'calib new' writes an example.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def _possible(path: Path) -> Path:
+    from calib.study.section import possible_path
+
+    try:
+        return Path(possible_path(str(path)))
+    except ValueError as fault:
+        name = path.name if len(path.name) <= 60 else f"{path.name[:57]}..."
+        raise InputError(str(fault), place=name, remedy="name another place") from None
+
+
+StudyPath = Annotated[Path, typer.Argument(metavar="STUDY", callback=_possible, help="Folder with a study.toml.")]
+ResultsPath = Annotated[
+    Path, typer.Option("--results", metavar="DIR", callback=_possible, help="Where <study>/ with the results goes.")
+]
+NewFolder = Annotated[
+    Path, typer.Argument(metavar="FOLDER", callback=_possible, help="A folder that does not exist yet.")
+]
+Quick = Annotated[
+    bool, typer.Option("--quick", help="A quick run, with small searches; its results go to a sub-folder quick/.")
+]
+Workers = Annotated[
+    int | None,
+    typer.Option("--workers", min=1, max=256, help="Worker processes [default: one per core where that pays]."),
+]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Also assumptions, secondary tables and the list of files.")
+]
+CachePath = Annotated[
+    Path | None,
+    typer.Option(
+        "--cache", metavar="DIR", callback=lambda path: path and _possible(path),
+        help="Folder of the reduced bases that studies share [default: calib in the user's cache folder].",
+    ),
+]  # fmt: skip
+CaseName = Annotated[
+    str | None, typer.Option("--case", metavar="NAME", help="Only this case; its results go to a sub-folder.")
+]
+
+
+class SensitivityMethod(StrEnum):
+    """Methods of sensitivity analysis."""
+
+    ranks = "ranks"
+    morris = "morris"
+    sobol = "sobol"
+
+
+class CalibrationMethod(StrEnum):
+    """Methods of calibration."""
+
+    auto = "auto"
+    genetic = "genetic"
+    gauss_newton = "gauss-newton"
+    cmcf = "cmcf"
+
+
+@app.command(short_help="Write an annotated example study.")
+def new(folder: NewFolder, verbose: Verbose = False) -> None:
+    """Write an annotated example study with its own model and data."""
+    from calib.command.example import write_example
+    from calib.study.study_file import shell_argument
+
+    written = write_example(folder)
+    terminal.say(f"Written: {folder}, an example study of {terminal.count(len(written), 'file')}.")
+    for path in written if verbose else ():
+        terminal.say(f"  {path}")
+    terminal.say(f"Run it with: calib run {shell_argument(folder)}")
+
+
+@app.command(short_help="Print the JSON schema of study.toml.")
+def schema() -> None:
+    """Print the JSON schema of study.toml, with which editors complete and check its keys."""
+    from calib.study.settings import schema as settings_schema
+
+    typer.echo(json.dumps(settings_schema(), indent=1))
+
+
+class _Quantity(StrEnum):
+    """Quantity of FRFs."""
+
+    receptance = "receptance"
+    mobility = "mobility"
+    accelerance = "accelerance"
+
+
+@app.command(short_help="Identify modes from FRFs or time records.")
+def modes(
+    files: Annotated[list[Path], typer.Argument(metavar="FILES...", help="Universal or CSV files, one a repeat.")],
+    into: Annotated[
+        Path, typer.Option("--into", metavar="FOLDER", callback=_possible, help="Folder of the tables and the figure.")
+    ] = Path("modes"),
+    sensors: Annotated[Path | None, typer.Option("--sensors", metavar="CSV", help="Places of the nodes, m.")] = None,
+    quantity: Annotated[_Quantity | None, typer.Option("--quantity", help="Where the files do not state it.")] = None,
+    unit: Annotated[str | None, typer.Option("--unit", help="Such as g/N, or g of records; where not stated.")] = None,
+    averages: Annotated[int | None, typer.Option("--averages", help="Averages behind a single file.")] = None,
+    band: Annotated[
+        tuple[float, float] | None,
+        typer.Option("--band", metavar="LOW HIGH", help="Lines that are used, Hz."),
+    ] = None,
+    synthetic: Annotated[bool, typer.Option("--synthetic", help="No structure was measured.")] = False,
+    verbose: Verbose = False,
+) -> None:
+    """Identify modes from FRFs, or from time records of responses alone, and say where modes do not describe these.
+
+    Writes modes.csv and shapes.csv for a study, and the stabilisation diagram. Poles count that are stable over model
+    orders and whichever repeat is left out; no pole is picked by hand. Needs: pip install 'calib[modes]' for FRFs,
+    'calib[ambient]' for time records.
+    """
+    from calib.api.modes import identify_modes
+    from calib.command.entries import tell_entries
+    from calib.command.identified import entries
+    from calib.execution.threads import one_thread
+
+    with one_thread():
+        written = identify_modes(
+            files, into, sensors=sensors, quantity=None if quantity is None else quantity.value, unit=unit,
+            averages=averages, band=band, synthetic=synthetic,
+        )  # fmt: skip
+    tell_entries(entries(written), verbose)
+
+
+@app.command(short_help="Compare model and measurement without fitting.")
+def compare(study: StudyPath, results: ResultsPath = RESULTS, verbose: Verbose = False) -> None:
+    """Compare model and measurement without fitting: errors, MAC, and where the model fails."""
+    with _study("compare", study, results, verbose) as loaded:
+        loaded.compare()
+
+
+@app.command(short_help="Find which parameters matter.")
+def sensitivity(
+    study: StudyPath,
+    results: ResultsPath = RESULTS,
+    workers: Workers = None,
+    quick: Quick = False,
+    method: Annotated[
+        SensitivityMethod, typer.Option("--method", help="Method; morris and sobol vary inputs freely between limits.")
+    ] = SensitivityMethod.ranks,
+    ignore_constraints: Annotated[
+        bool, typer.Option("--ignore-constraints", help="Let morris and sobol ignore the constraints.")
+    ] = False,
+    verbose: Verbose = False,
+) -> None:
+    """Find which parameters matter: Latin hypercube, rank correlations, variance shares, selection with reasons."""
+    with _study("sensitivity", study, results, verbose, workers, quick) as loaded:
+        loaded.sensitivity(method.value, ignore_constraints=ignore_constraints)
+
+
+@app.command(short_help="Fit the parameters, and compare before and after.")
+def calibrate(
+    study: StudyPath,
+    results: ResultsPath = RESULTS,
+    workers: Workers = None,
+    case: CaseName = None,
+    quick: Quick = False,
+    method: Annotated[
+        CalibrationMethod | None, typer.Option("--method", help="Method [default: that of the study].")
+    ] = None,
+    cache: CachePath = None,
+    verbose: Verbose = False,
+) -> None:
+    """Fit the parameters in several independent cases, and compare the model before and after.
+
+    Interrupt it at any time: the same command resumes it and ends with the same result.
+    """
+    with _study("calibrate", study, results, verbose, workers, quick, cache=cache) as loaded:
+        loaded.calibrate(case, method=method.value if method else None)
+
+
+@app.command(short_help="Find which physical effect the model lacks.")
+def explain(
+    study: StudyPath,
+    results: ResultsPath = RESULTS,
+    workers: Workers = None,
+    cache: CachePath = None,
+    verbose: Verbose = False,
+) -> None:
+    """Find which physical effect the model lacks: a verdict, its evidence, and the recommended next measurement.
+
+    Calibrates by least squares, tests every effect of the study's library and every local perturbation of the model,
+    fits the most promising ones, and tests the remaining misfit.
+    """
+    with _study("explain", study, results, verbose, workers, cache=cache) as loaded:
+        loaded.explain()
+
+
+@app.command(short_help="Compose effects that nobody listed.")
+def propose(
+    study: StudyPath,
+    rank: Annotated[int, typer.Option("--rank", min=1, max=20, metavar="N", help="Proposals that are written.")] = 5,
+    results: ResultsPath = RESULTS,
+    cache: CachePath = None,
+    verbose: Verbose = False,
+) -> None:
+    """Compose effects that nobody listed, where 'explain' found a misfit that no effect of the library explains.
+
+    Changed parts, masses, hung masses, springs, dampers and joints are composed from the local perturbations, fitted
+    and ranked. The best are written as code, in a study among the results that has them in its library.
+    """
+    with _study("propose", study, results, verbose, cache=cache) as loaded:
+        loaded.propose(rank)
+
+
+@app.command(short_help="Write a new study whose model has more effects.")
+def extend(
+    study: StudyPath,
+    effects: Annotated[list[str], typer.Argument(metavar="EFFECT...", help="Effects of the study's library.")],
+    into: Annotated[
+        Path, typer.Option("--into", metavar="FOLDER", callback=_possible, help="A folder that does not exist yet.")
+    ],
+    results: ResultsPath = RESULTS,
+    verbose: Verbose = False,
+) -> None:
+    """Write a new study whose model also has the named effects; this study stays as it is."""
+    from calib.study.study_file import shell_argument
+
+    with _study("extend", study, results, verbose) as loaded:
+        written = loaded.extend(effects, into)
+    place = "" if written.results == RESULTS else f" --results {shell_argument(written.results)}"
+    terminal.say(f"Calibrate it with: calib calibrate {shell_argument(written.path)}{place}")
+
+
+class _Format(StrEnum):
+    """Format of a figure."""
+
+    png = "png"
+    svg = "svg"
+    pdf = "pdf"
+
+
+class _Width(StrEnum):
+    """Width of a figure."""
+
+    page = "page"
+    column = "column"
+
+
+@app.command(short_help="Write report.html and figures from stored results.")
+def report(
+    study: StudyPath,
+    results: ResultsPath = RESULTS,
+    formats: Annotated[
+        list[_Format],
+        typer.Option("--format", help="Format of the figures beside the report; give it again for a further one."),
+    ] = [_Format.png],  # noqa: B006
+    width: Annotated[
+        _Width,
+        typer.Option(
+            "--width",
+            help="Width of these figures: 190 mm, or 90 mm for a journal's column; one that is not legible in a column "
+            "stays as wide as a page.",
+        ),
+    ] = _Width.page,
+    verbose: Verbose = False,
+) -> None:
+    """Write report.html, one file that opens anywhere, from the stored results, and redraw every figure.
+
+    Nothing is computed, and no code of the study is run.
+    """
+    with _study("report", study, results, verbose, load=False) as known:
+        known.report(tuple(dict.fromkeys(one.value for one in formats)), width.value)
+
+
+@app.command(short_help="Run every analysis and write report.html.")
+def run(
+    study: StudyPath,
+    results: ResultsPath = RESULTS,
+    workers: Workers = None,
+    quick: Quick = False,
+    cache: CachePath = None,
+    verbose: Verbose = False,
+) -> None:
+    """Run every analysis: compare, sensitivity, calibrate, explain, add the named effects; draw, write report.html.
+
+    'explain' runs where the study has a library of effects. Effects that it names are added: the extended study is
+    written among the results and calibrated too, and the errors before and after are reported.
+    """
+    with _study("run", study, results, verbose, workers, quick, cache=cache) as loaded:
+        loaded.run()
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        terminal.say(f"calib {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+) -> None:
+    pass
+
+
+@contextmanager
+def _study(
+    verb: str,
+    path: Path,
+    results: Path,
+    verbose: bool,
+    workers: int | None = None,
+    quick: bool = False,
+    load: bool = True,
+    cache: Path | None = None,
+) -> Iterator[Study]:
+    """The study of a command, which prints its answer at the end; ``load`` reads its model and data at once."""
+    from calib.api.study import Study
+    from calib.command.cached import tell_cache
+    from calib.command.printing import printing
+    from calib.execution.threads import one_thread
+    from calib.structure.reduction.cache import using
+
+    # The matrices are small: several threads of one product wait for each other. Only loaded libraries are limited.
+    with using(cache) as notes, tell_cache(notes, verbose), one_thread(), printing(verb, verbose) as listener:
+        if load:
+            yield Study.load(path, results, workers=workers, quick=quick, listener=listener)
+        else:
+            yield Study(path, results, listener=listener)
+
+
+# -- leaving -----------------------------------------------------------------------------------------------------------
+
+
+def main() -> None:
+    """What the entry point runs when everything that it needs is imported."""
+    terminal.write_to_any_code_page()
+    sys.exit(execute(sys.argv[1:]))
+
+
+def execute(arguments: list[str]) -> int:
+    """Run one command line and return its exit code.
+
+    Bad input gives one sentence and code 2, an interrupt code 130; an unexpected failure logs its traceback, code 1.
+    """
+    try:
+        with noting_kept() as kept:
+            try:
+                app(args=arguments, prog_name="calib")
+            finally:
+                interrupt.answered()
+                terminal.tell_kept(kept)
+    except SystemExit as leaving:
+        code = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
+        if code == interrupt.CODE:
+            terminal.complain(interrupt.WORDS)
+        return code
+    except InputError as fault:
+        terminal.complain_of_input(fault, arguments)
+        return 2
+    except Exception as fault:  # the last resort: a sentence and the log instead of a bare traceback
+        if interrupt.pressed():
+            terminal.complain(interrupt.WORDS)
+            return interrupt.CODE
+        terminal.complain_of_unexpected(fault, arguments)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,145 @@
+"""What a comparison and a sensitivity analysis print."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Iterable, Iterator, Mapping
+from typing import Any
+
+from calib.analyses.compare import ComparisonResult
+from calib.analyses.provenance.record import assumptions_table, check_repeats
+from calib.analyses.sensitivity import Screening, Sensitivity
+from calib.command.entries import Entry, Rows, Warned, When, Words
+from calib.command.terminal import count, number
+from calib.missing.local import unit_words
+from calib.results.results import Results
+from calib.study.study import Study
+from calib.study.study_file import StudyFile
+
+_FUNCTIONS = 24
+"""FRFs that are printed; the table in the results folder has all."""
+WORST = 6
+"""Rows of the largest deviations; the table in the results folder has all."""
+
+
+def entries(study: Study, result: ComparisonResult, folder: Results) -> list[Entry]:
+    """A comparison without a fit."""
+    out: list[Entry] = [
+        *map(Words, held_out(study)),
+        *(Words(f"Measurement: {note}.") for note in study.measurement_notes),
+        *map(Warned, check_repeats(study)),
+        *map(Warned, result.hints),
+        *(Warned(f"Check this sensor: {finding.sentence}") for finding in result.sensor_findings),
+        pairs(result),
+        *more_on_pairs(result),
+        *(Words(sentence) for sentence in result.sentences if sentence not in result.hints),
+    ]
+    if result.comparison is not None:
+        rows = [
+            (r["kind"], r["what"], number(r["value"], 3), number(r["in_std"], 1), r["verdict"])
+            for r in result.comparison.where_it_fails().to_dict("records")
+        ]
+        heads = ("kind", "what", "value", "in standard deviations", "verdict")
+        out.append(Rows.of("Largest deviations:", heads, rows, ("what", "verdict"), most=WORST))
+    assumed = assumptions_table(study)
+    if len(assumed):
+        where = folder.path / "assumptions.csv"
+        out.append(
+            Words(f"\nAssumed, not published or measured ({count(len(assumed), 'item')}; the reasons are in {where}):")
+        )
+    for row in assumed.to_dict("records"):
+        out.append(Words(f"  {row['item']}: {row['value']}{unit_words(row['unit'])}"))
+    return out
+
+
+def pairs(result: ComparisonResult, title: str = "", when: When = "always") -> Rows:
+    """Every measured mode or response with that of the model."""
+    table = result.table.to_dict("records")
+    if result.frfs is not None:
+        return _functions(table, title, when)
+    if result.comparison is None:
+        responses = [
+            (r["response"], f"{r['measured']:.6g}", f"{r['model']:.6g}", f"{100 * r['error']:+.2f} %") for r in table
+        ]
+        return Rows.of(title, ("response", "measured", "model", "error"), responses, when=when)
+    rows = []
+    for r in table:
+        paired = not math.isnan(r["natural_freq_model"])
+        rows.append(
+            (
+                str(r["mode"]),
+                str(r["model_mode"]) if paired else "",
+                f"{r['natural_freq_measured']:.3f}",
+                f"{r['natural_freq_model']:.3f}" if paired else "not paired",
+                f"{100 * r['freq_error']:+.2f} %" if paired else "",
+                *(number(100 * r[name], 2) for name in ("damping_ratio_measured", "damping_ratio_model")),
+                number(r["mac"], 3),
+            )
+        )
+    heads = ("mode", "model mode", "measured Hz", "model Hz", "error", "damping %", "model %", "MAC")
+    return Rows.of(title or "Natural frequencies (|lambda|/2pi):", heads, rows, when=when)
+
+
+def _functions(table: Iterable[Mapping[Hashable, Any]], title: str, when: When) -> Rows:
+    """Every FRF with the criteria of `calib.correlation.frf.comparison`."""
+    rows = []
+    for r in table:
+        name = f"{r['response']}/{r['reference']}"
+        criteria = (number(r["frac"], 3), number(r["amplitude"], 3), f"{100 * r['error']:.1f} %")
+        rows.append((name, str(r["lines"]), *criteria, number(r["in_std"], 2)))
+    heads = ("FRF", "lines", "FRAC", "amplitude", "error", "in standard deviations")
+    return Rows.of(title, heads, rows, when=when, most=_FUNCTIONS)
+
+
+def more_on_pairs(result: ComparisonResult) -> Iterator[Rows]:
+    """EMAC and margin of every pair."""
+    if result.comparison is not None and result.table["emac"].notna().any():
+        rows = [
+            (str(r["mode"]), *(number(r[name], 3) for name in ("mac", "emac", "margin")))
+            for r in result.table.to_dict("records")
+        ]
+        yield Rows.of("How certain the pairs are:", ("mode", "MAC", "EMAC", "margin"), rows, when="verbose")
+
+
+def held_out(study: StudyFile) -> Iterator[str]:
+    """What is held out, in words."""
+    for part in study.parts:
+        held, of = part.settings.held_out, f" in test {part.test}" if part.test != study.test else ""
+        if held.modes or held.sensors:
+            modes, sensors = (", ".join(names) or "none" for names in (held.modes, held.sensors))
+            yield f"Held out{of}, never fitted: modes {modes}; sensors {sensors}."
+        if held.references or held.bands:
+            bands = ", ".join(f"{low:g} to {high:g} Hz" for low, high in held.bands) or "none"
+            yield f"Held out{of}, never fitted: references {', '.join(held.references) or 'none'}; bands {bands}."
+        if held.responses:
+            yield f"Held out{of}, never fitted: {', '.join(held.responses)}."
+
+
+def of_samples(study: Study, result: Sensitivity) -> list[Entry]:
+    """A sensitivity analysis by rank correlations."""
+    measures = ("max_spearman", "max_partial", "max_variance_share")
+    table = result.assessment.selection.sort_values("selected", ascending=False, kind="stable").to_dict("records")
+    rows = [
+        (r["parameter"], *(number(r[name], 2) for name in measures), "yes" if r["selected"] else "no") for r in table
+    ]
+    reasons = [(r["parameter"], r["why"]) for r in table]
+    out: list[Entry] = [Warned(result.why_failed)] if result.why_failed else []
+    out += [
+        Rows.of("", ("parameter", "Spearman", "partial", "variance share", "selected"), rows, most=20),
+        Rows.of("Why:", ("parameter", "why"), reasons, ("why",), when="verbose"),
+        *(Words(sentence) for sentence in result.sentences if sentence != result.why_failed),
+    ]
+    if study.model.space.constraints:
+        out.append(Words("Constraints correlate the sampled parameters; Spearman's coefficients alone may mislead."))
+    return out
+
+
+def of_screening(result: Screening) -> list[Entry]:
+    """A sensitivity analysis by Morris or Sobol."""
+    size = "mu_star" if result.method == "morris" else "ST"
+    names = result.table["parameter"].drop_duplicates()
+    known = result.table.dropna(subset=[size]).sort_values(size, ascending=False, kind="stable")
+    largest = known.drop_duplicates("parameter").set_index("parameter")
+    rows = [(str(n), f"{r[size]:.3g}", str(r["response"])) for n, r in largest.iterrows()]
+    rows += [(str(n), "", "no response: too few are known, or none changes") for n in names if n not in largest.index]
+    return [Rows.of("", ("parameter", f"largest {size}", "on"), rows, most=20), *map(Words, result.sentences)]

@@ -1,0 +1,222 @@
+"""What an explanation prints, and what follows from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from calib.analyses.added import WORDS, Added, by_group, to_add
+from calib.analyses.explanation_result import ExplanationResult
+from calib.analyses.extend import Extension
+from calib.analyses.versions import Versions
+from calib.command.calibrated import ERRORS, errors_row, suspects
+from calib.command.compared import held_out
+from calib.command.entries import Entry, Rows, Warned, Words
+from calib.command.terminal import count, number
+from calib.missing.by_test import BY_TEST
+from calib.missing.local import unit_words
+from calib.missing.predictions import ERRORS as ERRORS_WITH
+from calib.missing.predictions import TABLE as PREDICTIONS
+from calib.missing.recommendation import rounded
+from calib.missing.steps_table import STEPS, STEPS_ERRORS
+from calib.problem.joint import TEST, of_test
+from calib.results.results import Results
+from calib.study.study_file import StudyFile
+
+EFFECTS = 5
+"""Effects that are shown unless all are asked for."""
+_MORE = ("z", "unabsorbed", "smallest visible")
+"""Columns that are shown on request only."""
+
+
+def entries(study: StudyFile, result: ExplanationResult, followed: bool = False) -> list[Entry]:
+    """An explanation; ``followed`` by errors before and after, if its effects are added."""
+    found, answer = result.explanation, result.answer
+    told = {answer.found, answer.sure}
+    rows = [_effect(r) for r in result.effects.to_dict("records")]
+    heads = ("effect", "z", "ln Bayes", "unabsorbed", "magnitude, 95 %", "smallest visible", "remark")
+    title = "Effects of the library, best first:"
+    brief = [tuple(cell for head, cell in zip(heads, row, strict=True) if head not in _MORE) for row in rows]
+    named = [head for head in heads if head not in _MORE]
+    out: list[Entry] = [
+        Rows.of(title, named, brief, left=("remark",), when="brief", most=EFFECTS),
+        Rows.of(title, heads, rows, left=("remark",), when="verbose"),
+        *_errors(result, followed and to_add(found) is not None),
+        *_predictions(result),
+        *_steps(result),
+        *_by_test(result),
+        *([] if to_add(found) else suspects(result.tables["suspects_explained"])),
+        *map(Warned, result.notes),
+        Words(f"\nVerdict: {result.verdict}"),
+        *(Words(sentence) for sentence in result.sentences if sentence not in told),
+        *map(Words, held_out(study)),
+    ]
+    effects = count(sum(len(g.names) for g in found.groups), "effect")
+    local = count(len(result.tables["perturbations"]), "local perturbation")
+    fits = count(len(result.tables["candidate_fits"]), "model")
+    work = f"{fits} fitted, {count(found.evaluations, 'model evaluation')}"
+    out.append(Words(f"{effects} and {local} tested, {work}, {result.seconds:.0f} s."))
+    if rows:
+        against = "ln Bayes is against the base model, for the plausible size of each effect"
+        out.append(Words(f"z is a score, not a probability; {against}."))
+    return out
+
+
+def _effect(r: Mapping[Any, Any]) -> tuple[str, ...]:
+    unit = unit_words(r["unit"])
+    interval = f"{r['magnitude']:.3g} [{r['magnitude_low']:.3g}, {r['magnitude_high']:.3g}]{unit}"
+    least = f"{rounded(r['magnitude_min'])}{unit}" if math.isfinite(r["magnitude_min"]) else ""
+    least = ", ".join([*([least] if least else []), *([] if r["visible"] else ["not visible"])])
+    ln_bayes = number(r["ln_bayes"], 1)
+    if not r["refitted"] and ln_bayes:
+        ln_bayes = f"{ln_bayes} (linear)"
+    remark = "credible" if r["credible"] else r["implausible"]
+    magnitude = interval if r["refitted"] else ""
+    return r["name"], number(r["z"], 1), ln_bayes, number(r["unabsorbed"], 2), magnitude, least, remark
+
+
+def _errors(result: ExplanationResult, followed: bool) -> list[Rows]:
+    if not len(result.errors):
+        return []
+    chosen = result.explanation.chosen
+    name = "" if chosen is None else " and ".join(chosen.names)
+    label = f" and after with {name}" if name else ""
+    if (result.errors["stage"] == "attempt").any():
+        label = f" and with {name}: best attempt, not believed"
+    rows = [(str(r["group"]), str(r["stage"]), *errors_row(r)) for r in result.errors.to_dict("records")]
+    title = f"Errors in standard deviations, before{label}:"
+    table = result.errors.pivot(index="group", columns="stage", values=["rms", "expected", "p"])
+    stages = [stage for stage in ("before", "after", "attempt") if stage in set(result.errors["stage"])]
+    short = [
+        (
+            WORDS[group],
+            *(number(table.loc[group, ("rms", stage)], 2) for stage in stages),
+            number(table.loc[group, ("expected", stages[-1])], 2),
+            *(p_words(table.loc[group, ("p", stage)]) for stage in stages),
+        )
+        for group in dict.fromkeys(result.errors["group"])
+    ]
+    heads = ("data", *stages, "of a correctly specified model", *(f"p {stage}" for stage in stages))
+    return [
+        *([] if followed else [Rows.of(title, heads, short, when="brief")]),
+        Rows.of(title, ("data", "stage", *ERRORS), rows, ("stage",), when="verbose"),
+    ]
+
+
+def _predictions(result: ExplanationResult) -> list[Rows]:
+    """Held-out data by the base model with what a misfit that nothing explains does to them."""
+    if ERRORS_WITH not in result.tables or PREDICTIONS not in result.tables:
+        return []
+    table, several = result.tables[PREDICTIONS], TEST in result.tables[ERRORS_WITH]
+    rows = []
+    for r in result.tables[ERRORS_WITH].to_dict("records"):
+        own = table[(table["group"] == r["group"]) & ((table[TEST] == r[TEST]) if several else True)]
+        inside = [f"{int(own[name].sum())} of {len(own)}" for name in ("inside", "inside_unexplained")]
+        numbers = [number(r[name], 2) for name in ("rms", "expected", "expected_unexplained")]
+        data = of_test(r[TEST], WORDS[r["group"]]) if several else WORDS[r["group"]]
+        rows.append((data, *inside, *numbers, p_words(r["p_unexplained"])))
+    title = "Held-out data inside the 95 % intervals of their predictions, of the fit alone and with the misfit:"
+    heads = ("data", "alone", "with it", "rms error", "expected alone", "expected with it", "p with it")
+    return [Rows.of(title, heads, rows)]
+
+
+def _steps(result: ExplanationResult) -> list[Rows]:
+    """Errors of the models in turn, where effects were taken in one after the other."""
+    if STEPS not in result.tables:
+        return []
+    table = result.tables[STEPS_ERRORS]
+    groups = [group for group in WORDS if (table["group"] == group).any()]
+    rms = table.pivot(index="step", columns="group", values="rms")
+    rows = [
+        (
+            str(r["step"]),
+            str(r["effects"]),
+            number(r["ln_bayes"], 1),
+            *(number(rms.loc[r["step"], g], 2) for g in groups),
+        )
+        for r in result.tables[STEPS].to_dict("records")
+    ]
+    title = "Effects taken in one after the other; rms errors in standard deviations:"
+    heads = ("step", "effects", "ln Bayes", *(WORDS[group] for group in groups))
+    return [
+        Rows.of(
+            title, heads, rows, left=("effects",), when="always" if result.explanation.names_something else "verbose"
+        )
+    ]
+
+
+def _by_test(result: ExplanationResult) -> list[Entry]:
+    """In which of several tests the effect shows, and with which the figures begin."""
+    table = result.tables.get(BY_TEST)
+    if table is None or table.empty:
+        return []
+    effects = str(table["effects"].iloc[0])
+    own = table[table["effects"] == effects].to_dict("records")
+    rows = [
+        (
+            str(r[TEST]),
+            str(r["rows"]),
+            *(number(r[name], 1) for name in ("before", "after")),
+            number(100 * r["share"], 0),
+        )
+        for r in own
+    ]
+    title = f"Sum of squares by test, all fitted together, without and with {effects}:"
+    out: list[Entry] = [Rows.of(title, ("test", "rows", "without", "with", "% of the decrease"), rows)]
+    for r in own:
+        if r["shown_first"]:
+            words = f"{effects} shows most in test {r[TEST]} (largest share): figures and reports begin with it."
+            out.append(Words(words, when="always"))
+    return out
+
+
+def p_words(p: float) -> str:
+    """A p-value; empty where there is none."""
+    return "" if math.isnan(p) else f"{p:.2g}"
+
+
+def of_extension(written: Extension, brief: bool) -> list[Entry]:
+    """A study with more effects; ``brief`` where a run goes on with it."""
+    effects, folder = written.effects, written.file.parent
+    more = "one effect" if len(effects) == 1 else f"{len(effects)} effects"
+    named = " and ".join(f"{effect.title} ({effect.name})" for effect in effects)
+    words = [f"Written: {folder}, which builds on the same study and has {more} more in its model: {named}."]
+    if written.selected:
+        words.append(f"Its calibration may change {', '.join(written.selected)} too.")
+    else:
+        names = ", ".join(name for effect in effects for name in effect.names)
+        words.append(f"Its model has {names} too; the study leaves the selection to 'calib sensitivity'.")
+    out: list[Entry] = [Words(one, when="verbose" if brief else "always") for one in words]
+    if written.aside is not None:
+        aside = f"The study that was there had been changed, and is kept as {written.aside}, without its results."
+        out.append(Warned(aside))
+    return out
+
+
+def of_added(result: Added, written: Extension, folder: Results) -> list[Entry]:
+    """Errors before and after adding the named effects."""
+    rows = [
+        (WORDS[r["group"]], str(r["rows_after"]), *(number(r[f"rms_{stage}"], 2) for stage in ("before", "after")),
+         number(r["expected_after"], 2), *(f"{r[f'p_{stage}']:.2g}" for stage in ("before", "after")))
+        for r in by_group(result.errors).to_dict("records")
+    ]  # fmt: skip
+    heads = ("data", "rows", "before", "after", "of a correctly specified model", "p before", "p after")
+    own = f"Test {result.test}: both" if result.test else "Both"
+    title = f"{own} models calibrated in the same way; rms errors in standard deviations:"
+    return [
+        Rows.of(title, heads, rows),
+        Words(result.sentence),
+        Words(f"With the effects: {folder.path}; the extended study: {written.file.parent}", when="always"),
+    ]
+
+
+def of_versions(found: Versions) -> list[Entry]:
+    """Errors over the versions of a model."""
+    rows = [
+        (str(r["study"]), str(r["effects"]) or "none", str(r["group"]), number(r["rms"], 2), number(r["expected"], 2))
+        for r in found.table.to_dict("records")
+    ]
+    heads = ("study", "effects", "data", "rms", "of a correctly specified model")
+    title = "Errors in standard deviations over the versions of the model:"
+    return [*map(Warned, found.notes), Rows.of(title, heads, rows, left=("effects", "data"))]

@@ -1,0 +1,37 @@
+"""What the identification of modes prints."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from typing import Any
+
+from calib.api.modes import Written
+from calib.command.entries import Entry, Rows, Warned, Words
+from calib.command.terminal import count, number
+
+
+def entries(written: Written) -> list[Entry]:
+    """Verdict, modes that count, those refused with the reason, and how a study names the files."""
+    found = written.found
+    rows = found.fit.to_dict("records")
+    kept, refused = ([row for row in rows if bool(row["refused"]) is wanted] for wanted in (False, True))
+    good = not refused and not found.missed
+    out: list[Entry] = [Words(found.verdict, "always") if good else Warned(found.verdict)]
+    out.append(Rows.of(f"{count(len(kept), 'mode')}:", _HEADS, map(_row, kept), most=len(kept)))
+    out.append(Rows.of("Refused:", ("Hz", "damping %", "why"),
+                       [(number(r["freq"], 3), number(100 * r["damping"], 2), r["refused"]) for r in refused],
+                       left=("why",), most=len(refused)))  # fmt: skip
+    out += [Words(f"\nNote: {note}.", "always") for note in found.modes.notes]
+    out += [Words(f"\nIn study.toml, beside these files:\n{written.keys}", "always")]
+    return [*out, *(Words(f"Written: {path}", when="verbose") for path in written.paths)]
+
+
+_HEADS = ("mode", "Hz", "std Hz", "damping %", "std %", "orders", "FRAC", "residual (std)", "one shape")
+
+
+def _row(row: Mapping[Hashable, Any]) -> tuple[str, ...]:
+    return (
+        str(row["mode"]), number(row["freq"], 4), f"{row['freq_std']:.2g}", number(100 * row["damping"], 3),
+        f"{100 * row['damping_std']:.2g}", str(row["orders"]), number(row["frac"], 4), number(row["residual_std"], 2),
+        number(row["rank_one"], 4),
+    )  # fmt: skip

@@ -1,0 +1,187 @@
+"""Listener of the command: bars while it computes, its answer and tables when it has finished."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+
+from calib.analyses.added import Added, to_add
+from calib.analyses.compare import ComparisonResult
+from calib.analyses.explanation_result import ExplanationResult
+from calib.analyses.extend import Extension
+from calib.analyses.joint_calibration import Fitted
+from calib.analyses.propose import ProposalResult
+from calib.analyses.sensitivity import Screening, Sensitivity
+from calib.analyses.versions import Versions
+from calib.api import progress
+from calib.api.listener import Listener
+from calib.command import calibrated, compared, explained, proposed, terminal
+from calib.command.entries import Entry, Told, Warned, Words, tell_answer, tell_entries
+from calib.command.terminal import count, say
+from calib.execution.stage import Progress
+from calib.missing.explanation import Explanation
+from calib.report.html.write import Page
+from calib.results.answer import Answer
+from calib.results.results import Results
+from calib.study.study import Study
+from calib.study.study_file import StudyFile, shell_argument
+
+_OF_RUN = ("explain", "before and after")
+"""Steps of a run whose tables follow its answer; without them those of the last calibration do."""
+
+
+class _Printing(Listener):
+    """Collects what a command has to say, and prints it when the command ends, also by a fault.
+
+    Parameters
+    ----------
+    verb : str
+        The subcommand.
+    verbose : bool
+        Whether to print secondary tables, assumptions and files too.
+    """
+
+    def __init__(self, verb: str, verbose: bool = False) -> None:
+        self.verb, self.verbose = verb, verbose
+        self._told: list[Told] = []
+        self._pages: list[tuple[str, Page]] = []
+        self._traces: tuple[str, Sequence[str]] = ("", ())
+
+    def __enter__(self) -> _Printing:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.tell()
+
+    # -- while it computes ---------------------------------------------------------------------------------------------
+
+    def progress(self) -> AbstractContextManager[Progress]:
+        return progress.bars(self._told[-1].verb if self._told else self.verb)
+
+    def first(self, earlier: StudyFile, path: Path) -> None:
+        say(f"{earlier.settings.title} comes first: {path} takes over what it finds.")
+
+    def begins(self, study: StudyFile, verb: str) -> None:
+        self._told.append(Told(verb, f"{study.settings.title}: {verb}{_label(study)}"))
+
+    def other_state(self, rows: int) -> None:
+        if rows:
+            belong, they = ("belongs", "it is") if rows == 1 else ("belong", "they are")
+            rest = f"{belong} to another state of model or measurement; {they} kept but not used."
+            self._add(Words(f"{count(rows, 'earlier evaluation')} {rest}", when="always"))
+
+    # -- results -------------------------------------------------------------------------------------------------------
+
+    def compared(self, study: Study, answer: ComparisonResult, folder: Results) -> None:
+        place = folder.path / "comparison_before.csv"
+        self._answered(answer.answer, place, compared.entries(study, answer, folder))
+
+    def sampled(self, study: Study, answer: Sensitivity, folder: Results) -> None:
+        self._answered(answer.answer, folder.path / "selection.csv", compared.of_samples(study, answer))
+
+    def screened(self, answer: Screening, folder: Results) -> None:
+        self._answered(answer.answer, folder.path / f"{answer.method}.csv", compared.of_screening(answer))
+
+    def calibrated(self, study: StudyFile, answer: Fitted, folder: Results) -> None:
+        self._answered(answer.answer, folder.path / "verdicts.csv", calibrated.entries(study, answer))
+
+    def explained(self, study: StudyFile, answer: ExplanationResult, folder: Results) -> None:
+        self._answered(answer.answer, folder.path / "effects.csv", explained.entries(study, answer, self.verb == "run"))
+        self._traces = (f"explain {study.file}", answer.traces)
+
+    def may_add(self, study: StudyFile, found: Explanation) -> None:
+        if named := to_add(found):
+            them = "them" if len(named.names) > 1 else "it"
+            command = f"calib extend {shell_argument(study.file)} {' '.join(named.names)} --into FOLDER"
+            self._add(Words(f"Add {them} with: {command}", when="always"))
+        self._add(*proposed.may_propose(study, found))
+
+    def proposed(self, study: StudyFile, result: ProposalResult, folder: Results, root: Path) -> None:
+        self._answered(result.answer, folder.path / "proposals.csv", proposed.entries(result, root))
+
+    def extended(self, written: Extension) -> None:
+        self._add(*explained.of_extension(written, self.verb == "run"))
+
+    def added(self, answer: Added, written: Extension, folder: Results) -> None:
+        self._add(*explained.of_added(answer, written, folder))
+
+    def versions(self, found: Versions) -> None:
+        self._add(*explained.of_versions(found))
+
+    def nothing_added(self, sentence: str) -> None:
+        self._add(Words(sentence, when="always"))
+
+    def drawn(self, study: StudyFile, figures: Sequence[Path], outdated: Mapping[str, str], page: Page | None) -> None:
+        entries: list[Entry] = [Warned(sentence) for sentence in outdated.values()]
+        if figures:
+            entries += [Words("\nFigures, each beside its table:"), *(Words(f"  {path}") for path in figures)]
+        self._add(*entries)
+        if page is not None:
+            title = study.settings.title.removesuffix(f": {study.test}")  # the answer is that of all tests
+            self._pages.append((f"{title}: {self.verb}{_label(study)}", page))
+            if self._told[-1].answer is not None:
+                self._told[-1] = replace(self._told[-1], place=page.path)
+
+    # -- the end -------------------------------------------------------------------------------------------------------
+
+    def tell(self) -> None:
+        """Print all that was collected, once."""
+        told, pages = self._told, self._pages
+        self._told, self._pages = [], []
+        if pages and self.verb in ("run", "report"):
+            self._tell_pages(told, pages)
+        else:
+            for one in told:
+                if one.title:
+                    say(f"\n{one.title}" if one is not told[0] else one.title, style="bold")
+                if one.answer is not None:
+                    tell_answer(one.answer, one.place)
+                tell_entries(one.entries, self.verbose)
+        terminal.tell_traces(*self._traces)
+        self._traces = ("", ())
+
+    def _tell_pages(self, told: Sequence[Told], pages: Sequence[tuple[str, Page]]) -> None:
+        """The answer of a run or of the stored results, as at the head of the report, and the tables behind it."""
+        # A run draws its own page last, and the one of an extended study before; a report begins with its own.
+        (title, page), *others = reversed(pages) if self.verb == "run" else pages
+        say(title, style="bold")
+        tell_answer(Answer(page.summary.found, page.summary.sure, page.summary.then), page.path)
+        for _, other in others:
+            say(f"See also: {other.path}")
+        if self.verbose or self.verb == "report":
+            for one in told:
+                if self.verb == "run":
+                    say(f"\n{one.title}", style="bold")
+                    if one.answer is not None:
+                        tell_answer(one.answer, one.place)
+                tell_entries(one.entries, self.verbose)
+            return
+        chosen = [one for one in told if one.verb in _OF_RUN]
+        for one in chosen or [one for one in told if one.verb == "calibrate"][-1:]:
+            tell_entries(one.entries, False)
+        for one in told:
+            if one not in chosen and one.verb != "calibrate":
+                tell_entries([entry for entry in one.entries if isinstance(entry, Warned)], False)
+
+    def _add(self, *entries: Entry) -> None:
+        if not self._told:
+            self._told.append(Told(self.verb, ""))
+        self._told[-1] = replace(self._told[-1], entries=(*self._told[-1].entries, *entries))
+
+    def _answered(self, answer: Answer, place: Path, entries: Sequence[Entry]) -> None:
+        self._add(*entries)
+        self._told[-1] = replace(self._told[-1], answer=answer, place=place)
+
+
+def printing(verb: str, verbose: bool = False) -> _Printing:
+    """The listener of one command."""
+    return _Printing(verb, verbose)
+
+
+def _label(study: StudyFile) -> str:
+    return "  [synthetic measurement]" if study.synthetic else ""

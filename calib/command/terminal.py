@@ -1,0 +1,167 @@
+"""Lines and tables on the terminal, whatever its code page, and the log of what went wrong."""
+
+from __future__ import annotations
+
+import codecs
+import io
+import math
+import os
+import sys
+import textwrap
+import traceback
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from rich.console import Console
+
+from calib.errors.errors import InputError
+from calib.errors.excerpt import WIDEST, excerpt
+from calib.results.answer import LABEL
+from calib.results.version import __version__
+
+WIDTH = 120
+"""Columns of tables that do not go to a terminal, unless the environment variable ``COLUMNS`` tells another number."""
+NARROWEST = 40
+"""Columns below which a line is not wrapped further."""
+
+_FREE = sys.stdout.isatty() or "COLUMNS" in os.environ
+_out = Console(highlight=False, markup=False, emoji=False, soft_wrap=True, width=None if _FREE else WIDTH)
+ERR = Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
+
+_PLAIN = str.maketrans({"\u2212": "-", "\u2013": "-", "\u2014": "-", "\u2192": "->", "\u00d7": "x", "\u2026": "..."})
+"""For streams whose code page has no such characters."""
+
+
+def _in_code_page(fault: UnicodeError) -> tuple[str, int]:
+    """Replacement of characters that a stream cannot encode: an ASCII equivalent, or a question mark."""
+    if not isinstance(fault, UnicodeEncodeError):
+        raise fault
+    text = fault.object[fault.start : fault.end].translate(_PLAIN)
+    return "".join(c if c.isascii() else "?" for c in text), fault.end
+
+
+def write_to_any_code_page() -> None:
+    """Make output safe for a terminal or file of any code page: no character may end a command."""
+    codecs.register_error("calib", _in_code_page)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.encoding.lower().replace("-", "") != "utf8":
+            stream.reconfigure(errors="calib")
+
+
+def say(text: str = "", style: str | None = None) -> None:
+    """One paragraph of output, wrapped between words on a terminal; elsewhere it stays one line."""
+    _out.print("\n".join(_wrapped(line) for line in text.split("\n")), style=style)
+
+
+def labelled(label: str, text: str) -> None:
+    """One paragraph behind a label, indented on a terminal."""
+    head = f"{label}:".ljust(LABEL)
+    _out.print(f"[bold]{head}[/bold]", end="", markup=True)
+    _out.print(_wrapped(text, LABEL))
+
+
+def warn(text: str) -> None:
+    """One paragraph that must not be missed."""
+    say(text, style="yellow")
+
+
+def _wrapped(text: str, indent: int = 0) -> str:
+    """Text in lines that fit the terminal; the first begins after ``indent`` columns, the others are indented so."""
+    if not _out.is_terminal or indent + len(text) <= _out.width:
+        return text
+    lines = _lines(text, max(_out.width - indent, NARROWEST))
+    return f"\n{' ' * indent}".join(lines)
+
+
+def _lines(text: str, width: int) -> list[str]:
+    """Text broken between words; a word longer than the width has a line to itself."""
+    return textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False) or [""]
+
+
+def complain(text: str) -> None:
+    """One line on the error stream."""
+    ERR.print(f"calib: {text}")
+
+
+def complain_of_input(fault: InputError, arguments: list[str]) -> None:
+    """A sentence on bad input, then the line of the user's file where it is known.
+
+    The traceback of an exception in the user's own code goes to the log.
+    """
+    text = fault.sentence
+    log = None if fault.__cause__ is None else _log(" ".join(arguments), traceback.format_exc())
+    ERR.print("Error: " + (text if log is None else f"{text.rstrip('.')}; the traceback is in {log}."))
+    for line in () if fault.at is None else excerpt(fault.at, min(WIDEST, ERR.width) if ERR.is_terminal else WIDEST):
+        ERR.print(line)
+
+
+def complain_of_unexpected(fault: Exception, arguments: list[str]) -> None:
+    """One line on an unexpected failure; its traceback goes to a log in the current directory."""
+    log = _log(" ".join(arguments), traceback.format_exc())
+    if log is not None:
+        complain(f"unexpected {type(fault).__name__}: {fault}; the details are in {log}")
+
+
+def tell_traces(asked: str, traces: Sequence[str]) -> None:
+    """Log the tracebacks of a user's code that did not stop the analysis, and say where they are."""
+    log = _log(asked, "\n".join(traces)) if traces else None
+    if log is not None:
+        say(f"The traceback is in {log}.")
+
+
+def _log(asked: str, trace: str) -> Path | None:
+    """Append a traceback to the log in the current directory; print it where that is impossible."""
+    log = Path.cwd() / "calib-error.log"
+    stamp = datetime.now(UTC).isoformat(timespec="seconds")
+    text = f"{stamp} calib {__version__}: {asked}\n{trace}\n"
+    try:
+        with log.open("a", encoding="utf-8") as stream:
+            stream.write(text)
+    except OSError:
+        complain(text)
+        return None
+    return log
+
+
+def tell_kept(paths: Sequence[Path]) -> None:
+    """Files that were in the way of results and that calib did not write."""
+    for path in paths:
+        say(f"\nKept under another name, since calib did not write it or it was changed since: {path}")
+
+
+def count(number: int, thing: str) -> str:
+    """A number of things, singular or plural."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+def number(value: float, digits: int) -> str:
+    """A number with the given number of decimals, never -0; empty for NaN."""
+    return "" if math.isnan(value) else f"{value:z.{digits}f}"
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]], left: Sequence[str] = ()) -> None:
+    """Print a table; the first column and those in ``left`` are left-aligned.
+
+    Cells wrap between words. Where even that is too wide, each row is told in a paragraph.
+    """
+    cells = [list(row) for row in rows]
+    columns = [[head, *(row[k] for row in cells)] for k, head in enumerate(heads)]
+    least = [max(len(word) for cell in column for word in cell.split() or [""]) for column in columns]
+    room = _out.width - 2 * (len(heads) - 1)
+    if sum(least) > room:
+        for first, *others in cells:
+            told = "; ".join(f"{head} {cell}" for head, cell in zip(heads[1:], others, strict=True) if cell)
+            say(f"{heads[0]} {first}: {told}")
+        return
+    widths = [max(map(len, column)) for column in columns]
+    while sum(widths) > room:
+        widest = max((k for k in range(len(widths)) if widths[k] > least[k]), key=lambda k: widths[k])
+        widths[widest] -= 1
+    sides = [str.ljust if k == 0 or name in left else str.rjust for k, name in enumerate(heads)]
+    for number, row in enumerate([heads, *cells]):
+        parts = [_lines(cell, width) for cell, width in zip(row, widths, strict=True)]
+        for k in range(max(map(len, parts))):
+            line = [side(part[k] if k < len(part) else "", width)
+                    for part, side, width in zip(parts, sides, widths, strict=True)]  # fmt: skip
+            _out.print("  ".join(line).rstrip(), style="bold" if number == 0 else None)

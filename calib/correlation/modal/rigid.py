@@ -1,0 +1,101 @@
+"""Detection of rigid-body motion in measured modes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from calib.correlation.modal.comparison import Comparison
+from calib.correlation.rules import RULES
+from calib.measurement.modal import DIRECTIONS, Sensor
+
+COLUMNS = ("mode", "natural_freq", "rigid_share", "sensors", "looks_rigid")
+
+
+def rigid_motions(sensors: Sequence[Sensor]) -> np.ndarray:
+    """The six rigid-body motions at sensors: translations and rotations about the middle, (n_sensors, 6).
+
+    NaN for a sensor without coordinates. Rotations are scaled to move the farthest point by 1.
+    """
+    points = np.array([s.point or (np.nan,) * 3 for s in sensors], dtype=float).reshape(-1, 3)
+    if not np.isfinite(points).any():
+        return np.full((len(sensors), 6), np.nan)
+    arm = points - np.nanmean(points, axis=0)
+    size = float(np.nanmax(np.linalg.norm(arm, axis=1))) or 1.0
+    out = np.full((len(sensors), 6), np.nan)
+    for k, sensor in enumerate(sensors):
+        d = DIRECTIONS.index(sensor.direction)
+        axis = np.eye(3)[d % 3]
+        if np.isfinite(arm[k]).all():
+            # e . (t + w x r) = e . t + w . (r x e)
+            turned = np.cross(arm[k] / size, axis)
+            out[k] = [*axis, *turned] if d < 3 else [*np.zeros(3), *(axis / size)]
+    return out
+
+
+def rigid_share(shapes: np.ndarray, sensors: Sequence[Sensor]) -> tuple[np.ndarray, np.ndarray]:
+    """Share of each measured shape's power that rigid-body motion explains, and whether the shape is rigid.
+
+    Least squares on the six motions, over measured sensors with coordinates. With p distinguishable motions at n
+    sensors, a shape counts as rigid when ``(1 - share) n/(n - p)`` is at most `RULES.rigid_left`: a random
+    shape gives about 1.
+
+    Parameters
+    ----------
+    shapes : ndarray (n_sensors, n_modes)
+        Real or complex; NaN where not measured.
+    sensors : sequence of Sensor
+
+    Returns
+    -------
+    share : ndarray (n_modes,)
+        NaN for a mode without a shape.
+    looks : ndarray (n_modes,), bool
+    """
+    motions = rigid_motions(sensors)
+    share, looks = np.full(shapes.shape[1], np.nan), np.zeros(shapes.shape[1], dtype=bool)
+    for i, shape in enumerate(shapes.T):
+        known = np.isfinite(shape) & np.isfinite(motions).all(axis=1)
+        total = float(np.sum(np.abs(shape[known]) ** 2))
+        if not total > 0:
+            continue
+        u, s, _ = np.linalg.svd(motions[known], full_matrices=False)
+        basis = u[:, s > 1e-6 * s[0]]
+        share[i] = float(np.sum(np.abs(basis.T @ shape[known]) ** 2)) / total
+        n, p = basis.shape
+        looks[i] = n - p >= RULES.rigid_spare and (1 - share[i]) * n / (n - p) <= RULES.rigid_left
+    return share, looks
+
+
+def unpaired_table(found: Comparison) -> pd.DataFrame:
+    """Measured modes without a partner: `COLUMNS`; ``sensors`` is the number measured in the mode."""
+    measured = found.measured
+    rows = found.pairing.unpaired_measured
+    share, looks = rigid_share(measured.shapes[:, rows], measured.sensors)
+    columns = {
+        "mode": [measured.names[i] for i in rows],
+        "natural_freq": measured.natural_freq[rows],
+        "rigid_share": share,
+        "sensors": np.isfinite(measured.shapes[:, rows]).sum(axis=0),
+        "looks_rigid": looks,
+    }
+    return pd.DataFrame(columns, columns=list(COLUMNS))
+
+
+def unpaired_sentence(table: pd.DataFrame, model: str) -> str:
+    """Summary of `unpaired_table` in words; empty without unpaired modes."""
+    if table.empty:
+        return ""
+    modes = ", ".join(f"{r['mode']} ({r['natural_freq']:.2f} Hz)" for r in table.to_dict("records"))
+    words = f"{model} has no partner for {modes}."
+    rigid = table[table["looks_rigid"]]
+    if len(rigid):
+        least = math.floor(100 * rigid["rigid_share"].min())
+        words += (
+            f" At the sensors {', '.join(rigid['mode'])} move{'s' if len(rigid) == 1 else ''} like a rigid body "
+            f"(at least {least} % of the power): check how the structure is supported."
+        )
+    return words

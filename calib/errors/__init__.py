@@ -1,0 +1,1 @@
+"""Errors, and the place in the user's own text that they name."""

@@ -1,0 +1,1 @@
+"""Evaluation of points and tasks, in this process or in others."""

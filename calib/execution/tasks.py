@@ -1,0 +1,80 @@
+"""Independent tasks: one function over many items, done in this process unless others share them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Protocol, TypeVar
+
+from calib.execution.threads import one_thread
+
+S = TypeVar("S")
+I = TypeVar("I")  # noqa: E741
+R = TypeVar("R")
+
+Told = Callable[[int], None]
+"""Receives the number of finished tasks before each one that this process does."""
+
+
+def untold(done: int) -> None:
+    """Nobody listens."""
+
+
+class Share(Protocol):
+    """Does the tasks of `each`, as `calib.execution.team.Team` does; results are those of `alone`."""
+
+    def __call__(self, function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told = untold) -> list[R]:
+        """See `each`."""
+        ...
+
+
+def alone(function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told = untold) -> list[R]:
+    """Do all tasks in this process, in order; numerical libraries use one thread, as in every other process."""
+    out = []
+    with one_thread():
+        for k, item in enumerate(items):
+            told(k)
+            out.append(function(shared, item))
+    return out
+
+
+_in_use: ContextVar[Share] = ContextVar("tasks", default=alone)
+
+
+def each(function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told = untold) -> list[R]:
+    """``function(shared, item)`` for every item, in their order.
+
+    Whoever shares the tasks, see `shared_by`, changes no digit of the results.
+
+    Parameters
+    ----------
+    function : callable
+        Defined in a module, so that other processes can import it. It changes neither argument.
+    shared : object
+        What all tasks need; sent once to each other process.
+    items : sequence
+    told : callable
+        Receives the number of finished tasks before each one that this process does.
+
+    Raises
+    ------
+    Exception
+        That of the first task that fails, in the order of the items.
+    """
+    return _in_use.get()(function, shared, items, told)
+
+
+def are_shared() -> bool:
+    """Whether somebody shares the tasks of `each`."""
+    return _in_use.get() is not alone
+
+
+@contextmanager
+def shared_by(share: Share) -> Iterator[None]:
+    """While this lasts, the tasks of `each` are shared by ``share``."""
+    before = _in_use.set(share)
+    try:
+        yield
+    finally:
+        _in_use.reset(before)

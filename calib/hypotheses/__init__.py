@@ -1,0 +1,1 @@
+"""A test with any effect in its model."""

@@ -1,0 +1,148 @@
+"""Discretisation error: the scores that a finer mesh of the same model gives when nothing is missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import linear_sum_assignment
+
+from calib.correlation import rules as comparison
+from calib.correlation.frf.residual import FRFResidual
+from calib.correlation.modal.residual import ModalResidual
+from calib.errors.errors import EvaluationError, InputError
+from calib.hypotheses.design.imagined_measurement import imagined_measurement
+from calib.hypotheses.hypotheses import ModelHypotheses, VariantPair
+from calib.hypotheses.rules import RULES
+from calib.measurement.accuracy import NOTHING
+from calib.measurement.mac import mac
+from calib.missing.linearised_fit import LinearisedFit, fitted
+from calib.missing.score import scores
+from calib.structure.model import StructuralModel
+from calib.structure.modes import Modes
+
+P = TypeVar("P", bound=VariantPair)
+
+
+@dataclass(frozen=True, eq=False)
+class DiscretisationError:
+    """Scores of every effect and local perturbation on modes of a finer mesh without noise.
+
+    Attributes
+    ----------
+    table : DataFrame
+        ``candidate, kind, score``, largest first; kind is ``effect`` or ``local perturbation``.
+    misfit : float
+        Sum of squares of the whitened residual left by the fit.
+    """
+
+    table: pd.DataFrame
+    misfit: float
+
+    @property
+    def largest(self) -> float:
+        """Largest size of a score."""
+        return float(self.table["score"].abs().max()) if len(self.table) else 0.0
+
+    @property
+    def sentence(self) -> str:
+        """Whether the mesh is fine enough for these data."""
+        first = self.table.iloc[0]
+        found = (
+            f"A finer mesh of the same model gives scores of up to {self.largest:.2f} ({first['candidate']}) by itself"
+        )
+        if self.largest <= RULES.mesh_score:
+            return f"{found}: the discretisation error neither hides nor mimics an effect."
+        return f"{found}, more than {RULES.mesh_score:g}: refine the mesh before relying on a verdict."
+
+
+def discretisation_error(
+    hypotheses: ModelHypotheses[ModalResidual], fit: LinearisedFit, finer: StructuralModel
+) -> DiscretisationError:
+    """Fit the base model to the noise-free modes of a finer mesh, and score all effects and local perturbations.
+
+    Parameters
+    ----------
+    hypotheses : ModelHypotheses
+    fit : LinearisedFit
+        The base model, fitted to the measurement; the finer mesh takes its parameter values.
+    finer : StructuralModel
+        The same parameters on a finer mesh.
+
+    Raises
+    ------
+    InputError
+        When the finer model lacks a parameter, cannot be solved, or does not have the modes that were measured.
+    """
+    try:
+        modes = finer.modes({n: fit.values[n] for n in finer.space.names}, hypotheses.pair.problem.mode_count)
+    except (KeyError, EvaluationError) as fault:
+        raise InputError(f"the finer model cannot be solved ({fault})", place="finer_options") from None
+    rows = finer.sensor_rows(hypotheses.pair.problem.measured.sensors)
+    return discretisation_error_of(hypotheses, fit, modes, rows @ modes.shapes)
+
+
+def discretisation_error_of(
+    hypotheses: ModelHypotheses[ModalResidual], fit: LinearisedFit, modes: Modes, sensor_shapes: np.ndarray
+) -> DiscretisationError:
+    """Discretisation error from a noise-free twin: its modes, and their shapes at the sensors (n_sensors, n_modes)."""
+    fit_problem = hypotheses.fit_problem(())
+    found, measured = fit_problem.at(fit.values), hypotheses.pair.problem.measured
+    paired = found.pairing.paired
+    names = tuple(measured.names[i] for i in paired)
+    similar = mac(found.sensor_shapes[:, found.pairing.model_index[paired]], sensor_shapes)
+    which = linear_sum_assignment(-similar)[1]
+    if float(similar[np.arange(len(names)), which].min()) < comparison.RULES.mesh_mac:
+        raise InputError("the finer model does not have the modes that were measured", place="finer_options")
+    shapes = sensor_shapes[:, which] / np.abs(sensor_shapes[:, which]).max(axis=0)
+    twin = imagined_measurement(measured, fit_problem.pair.std, names, modes, which.tolist(), measured.sensors, shapes)
+    problem = hypotheses.pair.problem
+    clusters = {m: c for m, c in problem.mode_clusters.items() if m in names}
+    imagined = replace(problem, measured=twin, mode_clusters=clusters, override={}, reference=fit.values)
+    # The standard deviations of the twin contain the floors already.
+    floors = replace(hypotheses.pair.floors, freq=0.0, damping=0.0, shape=0.0)
+    return _scored(ModalResidual(imagined, floors), hypotheses, fit)
+
+
+def frf_discretisation_error(
+    hypotheses: ModelHypotheses[FRFResidual], fit: LinearisedFit, finer: StructuralModel
+) -> DiscretisationError:
+    """Fit the base model to the noise-free FRFs of a finer mesh, and score all effects and local perturbations.
+
+    Parameters and errors are those of `discretisation_error`.
+    """
+    problem = hypotheses.pair.problem
+    measured = problem.measured
+    try:
+        point = fit.values if problem.mesh is None else problem.mesh.without(fit.values)
+        functions = problem.of_mesh(finer).functions(point)
+    except (KeyError, EvaluationError, InputError) as fault:
+        raise InputError(f"the finer model has no such FRFs ({fault})", place="finer_options") from None
+    values = np.where(np.isfinite(measured.values), functions, np.nan)
+    # Its standard deviation contains the claimed accuracy already.
+    twin = replace(measured, values=values, std=hypotheses.pair.entry_std, accuracy=NOTHING)
+    return _scored(replace(hypotheses.pair, problem=replace(problem, measured=twin)), hypotheses, fit)
+
+
+def _scored(pair: P, hypotheses: ModelHypotheses[P], fit: LinearisedFit) -> DiscretisationError:
+    """Scores of all candidates of the hypotheses on a noise-free twin."""
+    # Priors are centred on the twin's values: otherwise they would pull the fit away, which looks like a mesh error.
+    # The error of the mesh keeps its own about 0, which is what is asked for.
+    space, mesh = hypotheses.space, pair.problem.mesh
+    for p in space.free:
+        if mesh is None or p.name != mesh.name:
+            space = space.replace(p.name, value=fit.values[p.name])
+    against_twin = ModelHypotheses(pair, hypotheses.variants, space)
+    base = fitted(against_twin.fit_problem(()), (), fit.values)
+    rows: list[tuple[str, str, float]] = []
+    local = [one for one in against_twin.perturbations if not one.of_measurement]
+    for kind, candidates in (("effect", against_twin.effects), ("local perturbation", local)):
+        with_grid = {e.name: against_twin.fit_problem((e.name,)) for e in candidates if e.grid}
+        tested = scores(base, candidates, with_grid)
+        for name in dict.fromkeys(tested.owners):
+            own = [k for k, owner in enumerate(tested.owners) if owner == name]
+            rows.append((name, kind, max((float(tested.z[k]) for k in own), key=abs)))
+    rows.sort(key=lambda row: -abs(row[2]))
+    return DiscretisationError(pd.DataFrame(rows, columns=["candidate", "kind", "score"]), base.misfit)

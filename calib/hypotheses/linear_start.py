@@ -1,0 +1,175 @@
+"""Start of a fit of FRFs: the linear cross-model equations of `calib.inference.cmcf`, with the priors.
+
+Least squares on FRFs end in the next of many minima where resonances are off by more than their width. Equation errors
+are linear in the matrices and have no such minima, so their solution comes near enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import scipy.linalg as la
+import scipy.sparse as sp
+
+from calib.correlation.frf.residual import FRFResidual
+from calib.errors.errors import EvaluationError, InputError
+from calib.inference.cmcf import cmcf
+from calib.inference.cmcf_equations import Change, CmcfSettings, InitialModel, Kind, MeasuredReceptance
+from calib.measurement.frf import MeasuredFRFs
+from calib.problem.joint import JointProblem
+from calib.problem.problem import Problem
+from calib.problem.space import ParameterSpace
+from calib.structure.frf import motion_factor
+from calib.structure.model import StructuralModel
+from calib.structure.reduction.static_reduction import static_reduction
+
+EQUATION_ERROR = 0.05
+"""Relative error assumed of the equations: noise, and modes that the measured places do not represent. A start needs no
+better; the fit weighs by the standard deviations."""
+LEVEL = 4
+"""Of the iterated IRS, at which the lowest modes of a reduced model have converged (Li and Hong 2012)."""
+ROUNDS = 2
+"""Linearisations: the second about the first solution, for parameters in which the matrices are not linear."""
+_INDEPENDENT = 1e-8
+"""Smallest singular value over the largest of the sensors' rows, below which two of them measure the same motion."""
+
+
+def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[str, float]) -> dict[str, float] | None:
+    """Values from which a fit of FRFs starts.
+
+    Parameters
+    ----------
+    residual : FRFResidual
+        Its model is solved at full order.
+    space : ParameterSpace
+        Its free parameters that are not integers are moved, within their limits; their priors hold them where the
+        equations say nothing.
+    values : mapping
+        All parameters, about which the first linearisation is.
+
+    Returns
+    -------
+    dict or None
+        All parameters; None where the equations cannot be posed: a reference without a response at the same place,
+        no line on which every function was measured, or sensors that measure the same motion.
+    """
+    problem = residual.problem
+    own, measured = problem.loaded_model, _near_resonances(problem.measured)
+    model = own.whole
+    names = [p.name for p in space.free if not p.integer and p.name in model.space]
+    if not names:
+        return None
+    posed = _posed(model, measured)
+    if posed is None:
+        return None
+    at_sensors, receptance = posed
+    sd = np.array([space[name].prior_width for name in names])
+    lower, upper = (np.array([getattr(space[name], end) for name in names]) for end in ("lower", "upper"))
+    point = {name: value for name, value in values.items() if name in model.space}
+    start = np.clip([point[name] for name in names], lower, upper)  # a predicted step may lead beyond the limits
+    point.update(zip(names, start.tolist(), strict=True))
+    centre = np.array([space[name].value for name in names])
+    for _ in range(ROUNDS):
+        here = np.array([point[name] for name in names])
+        initial = _initial(model, point, names, sd, at_sensors, receptance)
+        settings = CmcfSettings(orders=min(len(receptance.freq), len(initial.masters) // 2 + 1))
+        try:
+            found = cmcf(initial, receptance, settings, np.full(len(names), 1 / EQUATION_ERROR), (centre - here) / sd)
+        except (EvaluationError, InputError):
+            break
+        moved = np.clip(here + found.changes[-1] * sd, lower, upper)
+        point.update(zip(names, moved.tolist(), strict=True))
+    return {**values, **point}
+
+
+def linear_starts(problem: Problem[Any] | JointProblem, values: Mapping[str, float]) -> tuple[dict[str, float], ...]:
+    """Further starts of a least-squares fit: the linear one of tests of FRFs; none for other tests.
+
+    Each test is solved alone; a parameter of several starts from the last of them.
+    """
+    parts = problem.parts.values() if isinstance(problem, JointProblem) else (problem,)
+    found: dict[str, float] = {}
+    for part in parts:
+        if isinstance(part.pair, FRFResidual):
+            own = {name: value for name, value in values.items() if name in part.pair.space}
+            found |= linear_start(part.pair, part.space, part.pair.space.complete(own)) or {}
+    return ({name: found.get(name, value) for name, value in values.items()},) if found else ()
+
+
+def _near_resonances(measured: MeasuredFRFs) -> MeasuredFRFs:
+    """The lines near resonances, where few modes make up the FRFs; all where there is no resonance."""
+    try:
+        return measured.lines_near_resonances()
+    except InputError:
+        return measured
+
+
+def _posed(
+    model: StructuralModel, measured: MeasuredFRFs
+) -> tuple[tuple[sp.csc_array, np.ndarray], MeasuredReceptance] | None:
+    """Coordinates in which the responses are degrees of freedom, these, and the receptance at them."""
+    rows, forces = model.sensor_rows(measured.responses), model.sensor_rows(measured.references)
+    at = [next((i for i, row in enumerate(rows) if np.allclose(row, force)), -1) for force in forces]
+    lines = np.flatnonzero((measured.freq > 0) & np.isfinite(measured.values).all(axis=(1, 2)))
+    if min(at) < 0 or not len(lines):
+        return None
+    turned = _at_sensors(rows)
+    if turned is None:
+        return None
+    freq = measured.freq[lines]
+    receptance = measured.values[lines] / motion_factor(measured.quantity, freq)[:, None, None]
+    return turned, MeasuredReceptance(freq, receptance, np.array(at))
+
+
+def _at_sensors(rows: np.ndarray) -> tuple[sp.csc_array, np.ndarray] | None:
+    """Coordinates of which some are the motions at the sensors: L (n_dof, n_dof) with ``x = L y``, and which ones.
+
+    The best pivots of the rows (n_sensors, n_dof) become these motions, all other degrees of freedom stay. None where
+    two rows are alike.
+    """
+    _, triangle, order = la.qr(rows, mode="economic", pivoting=True)
+    size = np.abs(np.diag(triangle))
+    if len(rows) > rows.shape[1] or not size[-1] > _INDEPENDENT * size[0]:
+        return None
+    chosen = order[: len(rows)]
+    kept = np.ones(rows.shape[1], dtype=bool)
+    kept[chosen] = False
+    inverse = np.linalg.inv(rows[:, chosen])
+    turn = sp.lil_array(sp.diags_array(kept.astype(float)))
+    rest = -inverse @ np.where(kept, rows, 0.0)
+    for i, dof in enumerate(chosen.tolist()):
+        for j in np.flatnonzero(np.abs(rest[i]) > 0).tolist():
+            turn[dof, j] = rest[i, j]
+        for j, master in enumerate(chosen.tolist()):
+            turn[dof, master] = inverse[i, j]
+    return sp.csc_array(turn), chosen
+
+
+def _initial(
+    model: StructuralModel,
+    values: Mapping[str, float],
+    names: list[str],
+    sd: np.ndarray,
+    at_sensors: tuple[sp.csc_array, np.ndarray],
+    receptance: MeasuredReceptance,
+) -> InitialModel:
+    """The model linearised at named values, in the sensors' coordinates; changes are in prior standard deviations."""
+    turn, masters = at_sensors
+
+    def turned(matrix: sp.csc_array) -> sp.csc_array:
+        return sp.csc_array(turn.T @ matrix @ turn)
+
+    stiffness, damping, mass = map(turned, model.matrices(values))
+    changes = []
+    for name, width in zip(names, sd, strict=True):
+        slopes = model.matrix_derivatives(values, name)
+        kinds: tuple[Kind, ...] = ("stiffness", "viscous", "mass")
+        parts = [(k, turned(s) * width) for k, s in zip(kinds, slopes, strict=True) if abs(s).max() > 0]
+        if parts:
+            changes.append(Change(name, *parts[0], tuple(parts[1:]), is_factor=False))
+    return InitialModel(
+        stiffness, mass, tuple(changes), masters, lambda k, m: static_reduction(k, m, masters, LEVEL).transformation,
+        viscous=damping,
+    )  # fmt: skip

@@ -1,0 +1,29 @@
+"""The reduced basis of a large model of a test in memory, which represents its effects and local perturbations."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Any
+
+from calib.analyses.reduction import WORTHWHILE_DOFS, Reducible, Wanted
+from calib.errors.errors import ToleranceError
+from calib.hypotheses.library import effects_basis
+from calib.problem.effect import Effect
+from calib.structure.effects.perturbations import Perturbation
+from calib.structure.reduction.basis import Basis
+from calib.study.settings import ReductionSettings
+
+
+def basis_for(
+    model: Any, used: Reducible, effects: tuple[Effect, ...], local: tuple[Perturbation, ...], seed: int
+) -> tuple[Basis | None, bool]:
+    """A reduced basis of a large model with all effects and perturbations, and whether the model is large.
+
+    None where it is not, or the tolerance is not reached.
+    """
+    if (whole := model.reducible) is None or whole.n_dof < WORTHWHILE_DOFS:
+        return None, False
+    wanted = Wanted.of(used, ReductionSettings().tolerance, seed)
+    with suppress(ToleranceError):
+        return effects_basis(model, used.space, effects, local, wanted), True
+    return None, True

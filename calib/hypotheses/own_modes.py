@@ -1,0 +1,68 @@
+"""Modes of an added effect's own: the degrees of freedom that it adds hold most of their kinetic energy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from calib.correlation.modal.comparison import Comparison
+from calib.hypotheses.rules import RULES
+from calib.problem.effect import Effect
+from calib.structure.effects.extend import addition_of
+from calib.study.loading import Model
+
+COLUMNS = ("effect", "model_mode", "natural_freq", "share", "paired")
+
+
+def own_modes(base: Model, effects: Sequence[Effect], found: Comparison) -> pd.DataFrame:
+    """Modes of the extended model that are the effects' own.
+
+    Parameters
+    ----------
+    base : StructuralModel, ModalFunctionModel or FunctionModel
+        Without the effects.
+    effects : sequence of Effect
+        In the order in which the extended model has them, after all others.
+    found : Comparison
+        Of the extended model with all measured modes.
+
+    Returns
+    -------
+    DataFrame
+        ``effect, model_mode`` (number, from 1), ``natural_freq`` (Hz), ``share`` of the mode's kinetic energy in the
+        degrees of freedom that the effect adds, and ``paired``: name of the measured mode, empty without one. Empty for
+        models without matrices.
+    """
+    model, own, rows = found.model.reducible, base.reducible, []
+    if own is None or model is None:
+        return pd.DataFrame(columns=list(COLUMNS))
+    shapes = found.modes.shapes
+    energy = np.real(np.conj(shapes) * (model.matrices(found.values)[2] @ shapes))
+    paired = {int(found.pairing.model_index[i]): found.measured.names[i] for i in found.pairing.paired}
+    first = own.n_dof
+    for effect in effects:
+        last = first + addition_of(own, effect).n_added
+        share = energy[first:last].sum(axis=0) / energy.sum(axis=0)
+        rows += [
+            (effect.name, j + 1, float(found.modes.natural_freq[j]), float(share[j]), paired.get(j, ""))
+            for j in np.flatnonzero(share > RULES.own_mode).tolist()
+        ]
+        first = last
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def sentence(table: pd.DataFrame) -> str:
+    """The own modes that no measured mode pairs with, in words, a sentence an effect; empty without any."""
+    out = []
+    for name, rows in table[table["paired"] == ""].groupby("effect", sort=False):
+        one = len(rows) == 1
+        shares = sorted({f"{100 * share:.0f}" for share in (rows["share"].min(), rows["share"].max())})
+        out.append(
+            f"{name} brings {'a mode' if one else f'{len(rows)} modes'} of its own at "
+            f"{' and '.join(f'{freq:.3g}' for freq in rows['natural_freq'])} Hz: the degrees of freedom that it adds "
+            f"hold {' to '.join(shares)} % of the kinetic energy there, and no measured mode pairs with "
+            f"{'it' if one else 'them'}."
+        )
+    return " ".join(out)

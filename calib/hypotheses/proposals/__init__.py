@@ -1,0 +1,1 @@
+"""Effects composed of local perturbations."""

@@ -1,0 +1,85 @@
+"""A composed effect: what it is, where it acts, and how it is named."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.hypotheses.proposals.composed import Builder
+from calib.problem.effect import Effect
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Composition:
+    """An effect composed of local perturbations.
+
+    Attributes
+    ----------
+    effect : Effect
+        Built by a `calib.hypotheses.proposals.composed.Builder`.
+    kind : str
+        Of parts: ``stiffness``, ``damping``, ``mass``, ``section`` (stiffness and mass together), ``dissipation``
+        (dampers in parallel to them), ``damper mount`` (springs in series with dampers), ``soft support`` (springs in
+        series with supports), ``rotational spring`` (between the bodies that a spring joins). At points: ``added
+        mass``, ``hung mass``, ``spring to ground``, ``damper to ground``, ``spring between``, ``damper between``.
+    at : str
+        Parts, sensors or points, in words.
+    places : tuple of (3,) float
+        Of everything that changes together, m; empty where none is known.
+    count : int
+        Parts or points that change together, or 1.
+    """
+
+    effect: Effect
+    kind: str
+    at: str
+    places: tuple[Point, ...] = ()
+    count: int = 1
+
+    @property
+    def place(self) -> Point:
+        """Middle of its places, m; NaN where none is known."""
+        if not self.places:
+            return (math.nan, math.nan, math.nan)
+        x, y, z = np.mean(self.places, axis=0).tolist()
+        return (x, y, z)
+
+    @property
+    def builder(self) -> Builder:
+        """What builds the effect."""
+        builder: Builder = self.effect.build  # type: ignore[assignment]
+        return builder
+
+    @property
+    def family(self) -> tuple[str, bool]:
+        """Compositions among which it was chosen: of its kind, and of single places or of several together."""
+        return self.kind, self.count > 1
+
+
+def slug(text: str) -> str:
+    """A name for Python and for files."""
+    return re.sub(r"\W+", "_", text).strip("_").lower()
+
+
+class Names:
+    """Names that are not taken yet."""
+
+    def __init__(self, taken: Collection[str]) -> None:
+        self._taken = set(taken)
+
+    def free(self, text: str, *ends: str) -> str:
+        """A free name; with every end appended it is free too."""
+        first, number = slug(text), 1
+        first = first if first.isidentifier() else f"at_{first}"
+        name = first
+        while self._taken & {name + end for end in ("", *ends)}:
+            number += 1
+            name = f"{first}_{number}"
+        self._taken |= {name + end for end in ("", *ends)}
+        return name

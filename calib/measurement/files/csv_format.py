@@ -1,0 +1,248 @@
+"""Modes, shapes, sensor places and scalar responses from CSV tables; errors name line and column."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calib.errors.errors import InputError
+from calib.errors.place import Place
+from calib.measurement.modal import DIRECTIONS
+from calib.measurement.repeats import Repeat, ShapeSet
+from calib.results.table import Row, read_rows
+
+FREQ_LIMIT = 1e12
+"""Hz; a larger frequency is a corrupt number."""
+VALUE_LIMIT = 1e100
+"""Modulus; larger shape entries and responses are corrupt and would overflow when squared."""
+FINEST = 1e-12
+"""Smallest plausible standard deviation of a measurement, relative to the value."""
+
+
+ONE = ""
+"""Label of the repeat of a table without a column ``repeat``."""
+
+
+def read_modes_csv(path: Path) -> dict[str, Repeat]:
+    """Frequencies and damping from a table ``mode, freq, freq_kind, freq_std, damping, damping_std, repeat``.
+
+    Frequencies and their standard deviations in Hz, damping as a ratio; the last four columns may be absent or empty. A
+    damped frequency is converted to the natural one, ``natural = damped / sqrt(1 - damping**2)``, and so is its
+    standard deviation; where the damping is unknown the two are taken as equal. With a column ``repeat`` the table
+    holds many repeats, each under its own label; a mode that a repeat lacks has no line there.
+
+    Returns
+    -------
+    dict
+        Repeats by their labels, in the order of the file; `ONE` is the label of a table without that column.
+
+    Raises
+    ------
+    InputError
+        With file, line and column, for anything that is not such a table.
+    """
+    found: dict[str, dict[str, tuple[float, float, float, float]]] = {}
+    optional = ("freq_std", "damping", "damping_std", "repeat")
+    for row in read_rows(path, ("mode", "freq", "freq_kind"), optional):
+        name, modes = row.text("mode"), found.setdefault(_label(row), {})
+        if name in modes:
+            raise row.error("mode", f"mode {name!r} appears twice", "give every mode one line, or one a repeat")
+        freq, kind, damping = row.number("freq"), row.text("freq_kind"), row.optional("damping")
+        if not 0 < freq < FREQ_LIMIT:
+            raise row.error("freq", f"frequency {freq:g} Hz is outside (0, {FREQ_LIMIT:g})", "give it in Hz")
+        if kind not in ("natural", "damped"):
+            raise row.error("freq_kind", f"{kind!r} is unknown", "write natural or damped")
+        if not (math.isnan(damping) or 0 <= damping < 1):
+            raise row.error(
+                "damping",
+                f"damping ratio {damping:g} is outside [0, 1)",
+                "give it as a ratio (0.01 for one percent), or leave it empty",
+            )
+        deviations = [_deviation(row, "freq_std", freq, freq), _deviation(row, "damping_std", damping, 1.0)]
+        factor = 1.0
+        if kind == "damped" and not math.isnan(damping):
+            factor = 1.0 / math.sqrt(1.0 - damping**2)
+        modes[name] = (freq * factor, deviations[0] * factor, damping, deviations[1])
+    out = {}
+    for label, modes in found.items():
+        freqs, freq_stds, dampings, damping_stds = np.array(list(modes.values())).T.copy()
+        out[label] = Repeat(_source(path, label), tuple(modes), True, freqs, freq_stds, dampings, damping_stds)
+    return out
+
+
+def _label(row: Row) -> str:
+    """Label of the repeat that a line belongs to."""
+    return row.text("repeat") if "repeat" in row.cells else ONE
+
+
+def _source(path: Path, label: str) -> str:
+    return str(path) if label == ONE else f"{path}, repeat {label}"
+
+
+def _deviation(row: Row, column: str, value: float, most: float) -> float:
+    """A plausible standard deviation, between `FINEST` times the value and ``most``; NaN where none is given."""
+    std = row.optional(column)
+    least = 0.0 if math.isnan(value) else FINEST * abs(value)
+    if math.isnan(std) or (0 < std < most and std >= least):
+        return std
+    problem = f"standard deviation {std:g} of the value {value:g} is outside [{least:g}, {most:g})"
+    remedy = "give a positive one, or leave it empty"
+    if column == "freq_std" and std >= most:
+        remedy = "check whether freq and freq_std are exchanged; both are in Hz"
+    raise row.error(column, problem, remedy)
+
+
+def parse_direction(text: str) -> tuple[str, int] | None:
+    """Direction name and sign from ``y``, ``-y``, ``rz`` or a universal-file code such as ``2`` or ``-6``.
+
+    Returns None when the text is not a direction.
+    """
+    sign = -1 if text.startswith("-") else 1
+    bare = text[1:] if text[:1] in ("-", "+") else text
+    if bare in ("1", "2", "3", "4", "5", "6"):
+        return DIRECTIONS[int(bare) - 1], sign
+    return (bare.lower(), sign) if bare.lower() in DIRECTIONS else None
+
+
+def read_shapes_csv(path: Path, names: Mapping[str, Sequence[str]]) -> dict[str, ShapeSet]:
+    """Shapes from a table ``mode, node, direction, re, im, std, repeat``, columns in the order of ``names``.
+
+    ``im`` (zero) and ``std`` (unknown) may be absent or empty; a negative direction turns the sign of the shape; a
+    sensor without a line for a mode was not measured in it (NaN).
+
+    Parameters
+    ----------
+    path : Path
+    names : mapping from label of a repeat to names of its modes
+        A table without a column ``repeat`` has the one label `ONE`.
+
+    Returns
+    -------
+    dict
+        Shapes by the labels of the repeats.
+
+    Raises
+    ------
+    InputError
+        With file, line and column, for anything that is not such a table, unknown repeats and modes, and sensors given
+        twice.
+    """
+    tables: dict[str, dict[tuple[tuple[int, str], str], tuple[complex, float]]] = {}
+    for row in read_rows(path, ("mode", "node", "direction", "re"), ("im", "std", "repeat")):
+        mode, node, label = row.text("mode"), row.node(), _label(row)
+        if label not in names:
+            known = ", ".join(one for one in names if one != ONE) or "unknown: their table has no column 'repeat'"
+            raise row.error("repeat", f"unknown repeat {label!r}", f"the repeats of the modes are {known}")
+        if mode not in names[label]:
+            raise row.error("mode", f"unknown mode {mode!r}", f"the modes are {', '.join(names[label])}")
+        parsed = parse_direction(row.text("direction"))
+        if parsed is None:
+            raise row.error(
+                "direction",
+                f"{row.text('direction')!r} is no direction",
+                f"write {', '.join(DIRECTIONS)} or a code 1 to 6, with a minus sign if turned round",
+            )
+        direction, sign = parsed
+        entries, key = tables.setdefault(label, {}), ((node, direction), mode)
+        if key in entries:
+            raise row.error(
+                "direction", f"sensor {node}{direction} is given twice for mode {mode}", "remove one of the lines"
+            )
+        im = row.optional("im")
+        value = sign * complex(row.number("re"), 0.0 if math.isnan(im) else im)
+        if max(abs(value.real), abs(value.imag)) > VALUE_LIMIT:
+            raise row.error("re", f"a shape entry above {VALUE_LIMIT:g} is not plausible", "correct it")
+        std = row.optional("std")
+        if not (math.isnan(std) or std == 0 or 1 / VALUE_LIMIT < std <= VALUE_LIMIT):
+            raise row.error("std", f"standard deviation {std:g} is negative, too small or too large", "correct it")
+        entries[key] = (value, std)
+    return {label: _shape_set(path, label, entries, names[label]) for label, entries in tables.items()}
+
+
+def _shape_set(
+    path: Path,
+    label: str,
+    entries: Mapping[tuple[tuple[int, str], str], tuple[complex, float]],
+    names: Sequence[str],
+) -> ShapeSet:
+    sensors = tuple(dict.fromkeys(sensor for sensor, _ in entries))
+    where = {sensor: k for k, sensor in enumerate(sensors)}
+    column = {name: k for k, name in enumerate(names)}
+    shapes = np.full((len(sensors), len(names)), complex(np.nan, np.nan))
+    std_table = np.full(shapes.shape, np.nan)
+    for (sensor, mode), (value, std) in entries.items():
+        key = where[sensor], column[mode]
+        shapes[key], std_table[key] = value, std
+    for name, k in column.items():
+        given = shapes[np.isfinite(shapes[:, k]), k]
+        if given.size and np.max(np.abs(given)) < 1 / VALUE_LIMIT:
+            raise InputError(
+                f"the shape of mode {name!r} is zero everywhere", place=_source(path, label),
+                remedy="leave its lines out",
+            )  # fmt: skip
+    return ShapeSet(_source(path, label), sensors, shapes, std_table)
+
+
+def read_sensor_table(path: Path) -> dict[int, tuple[tuple[float, float, float], str | None]]:
+    """Places of nodes from a table ``node, x, y, z, on``, in metres; ``on`` (the part that carries it) is optional.
+
+    Returns
+    -------
+    dict
+        ``{node: ((x, y, z), on)}``.
+
+    Raises
+    ------
+    InputError
+        With file, line and column, for anything that is not such a table, and nodes given twice.
+    """
+    places: dict[int, tuple[tuple[float, float, float], str | None]] = {}
+    for row in read_rows(path, ("node", "x", "y", "z"), ("on",)):
+        node = row.node()
+        if node in places:
+            raise row.error("node", f"node {node} is given twice", "remove one of the lines")
+        places[node] = ((row.number("x"), row.number("y"), row.number("z")), row.cells.get("on") or None)
+    return places
+
+
+def place_of_node(path: Path, node: int) -> Place | None:
+    """Line of a sensor table that gives the place of a node; None where it has none or cannot be read any more."""
+    try:
+        rows = read_rows(path, ("node", "x", "y", "z"), ("on",))
+        return next((row.place("node") for row in rows if row.node() == node), None)
+    except InputError:
+        return None
+
+
+def read_responses_csv(path: Path) -> dict[str, dict[str, tuple[float, float | None]]]:
+    """Scalar responses from a table ``response, value, std, repeat``; ``std`` may be absent or empty (unknown).
+
+    With a column ``repeat`` the table holds many repeats, each under its own label; a response that a repeat lacks has
+    no line there.
+
+    Returns
+    -------
+    dict
+        ``{label of the repeat: {response: (value, standard deviation or None)}}``, each in the response's own unit;
+        `ONE` is the label of a table without that column.
+
+    Raises
+    ------
+    InputError
+        With file, line and column, for anything that is not such a table, and responses given twice.
+    """
+    found: dict[str, dict[str, tuple[float, float | None]]] = {}
+    for row in read_rows(path, ("response", "value"), ("std", "repeat")):
+        name, value, own = row.text("response"), row.number("value"), found.setdefault(_label(row), {})
+        if name in own:
+            raise row.error("response", f"response {name!r} is given twice", "remove one of the lines")
+        if abs(value) > VALUE_LIMIT:
+            raise row.error("value", f"a response above {VALUE_LIMIT:g} is not plausible", "correct it")
+        std = _deviation(row, "std", value, VALUE_LIMIT)
+        if 0 < std < 1 / VALUE_LIMIT:
+            raise row.error("std", f"standard deviation {std:g} is too small", "correct it, or leave it empty")
+        own[name] = (value, None if math.isnan(std) else std)
+    return found

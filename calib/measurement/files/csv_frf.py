@@ -1,0 +1,165 @@
+"""Frequency response functions from CSV tables; errors name line and column."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from calib.errors.errors import InputError
+from calib.errors.place import Place
+from calib.measurement.files.csv_format import FREQ_LIMIT, VALUE_LIMIT, parse_direction
+from calib.measurement.frf import NO_PHASE, QUANTITIES, Quantity
+from calib.measurement.frf_repeats import FRFRepeat, Key, function_name, off_axis, repeat_of
+from calib.measurement.frf_units import FRFUnits, parse_unit
+from calib.measurement.modal import DIRECTIONS
+from calib.results.table import Row, read_rows
+
+_PLACE = re.compile(r"(\d{1,10})\s*([+-]?[a-zA-Z]+)", re.ASCII)
+_STATED = re.compile(r"#\s*(quantity|unit)\s*[:=]\s*(.*?)[\s,;]*", re.IGNORECASE)
+
+
+def read_frfs_csv(path: Path, quantity: Quantity | None = None, unit: str | None = None) -> FRFRepeat:
+    """Read one repeat from a table ``freq, response, reference, re, im, coherence``.
+
+    A line holds one value of one function: its frequency in Hz, response and reference such as ``12z`` or ``12-z`` (a
+    minus sign reverses the value), real and imaginary part, and the coherence, which may be absent or empty. Lines may
+    stand in any order; all functions must have the same frequencies. Comment lines state quantity and unit once::
+
+        # quantity: accelerance
+        # unit: g/N
+
+    The unit is that of translations under forces (see `calib.measurement.frf_units.parse_unit`) and implies the
+    quantity; without it SI is assumed and noted. At 0 Hz only a receptance is kept.
+
+    Parameters
+    ----------
+    path : Path
+    quantity : {"receptance", "mobility", "accelerance"}, optional
+    unit : str, optional
+        Where the file does not state them; a contradiction is refused.
+
+    Raises
+    ------
+    InputError
+        With file, line and column, for anything that is not such a table: amplitudes alone, no quantity, an unknown
+        unit, an entry given twice, frequencies that differ between functions, a dead channel.
+    """
+    rows = read_rows(path, ("freq", "response", "reference"), ("re", "im", "coherence"))
+    for column in ("re", "im"):
+        if column not in rows[0].cells:
+            raise InputError(f"it has no column {column!r}", place=path, remedy=NO_PHASE)
+    found, units, notes = _stated(path, quantity, unit)
+    entries: dict[Key, dict[float, tuple[complex, float, Row]]] = {}
+    for row in rows:
+        freq, value, coherence = _entry(row)
+        (response, one), (reference, other) = _end(row, "response"), _end(row, "reference")
+        own = entries.setdefault((response, reference), {})
+        if freq in own:
+            raise row.error("freq", f"this function has its line at {freq:g} Hz twice", "keep one, one file a repeat")
+        own[freq] = one * other * value, coherence, row
+    _require_phase(path, entries)
+    axis, functions, coherences = np.array(sorted(next(iter(entries.values())))), {}, {}
+    for key, own in entries.items():
+        _require_axis(path, key, own, axis)
+        ordered = [own[freq] for freq in sorted(own)]
+        values = np.array([value for value, _, _ in ordered])
+        if not values.any():
+            raise ordered[0][2].error("re", "this function is zero on every line: a dead channel", "leave it out")
+        functions[key] = values * units.factor(key)
+        if any(gamma == gamma for _, gamma, _ in ordered):
+            coherences[key] = np.array([gamma for _, gamma, _ in ordered])
+    return repeat_of(str(path), axis, found, functions, coherences, notes)
+
+
+def _stated(path: Path, quantity: Quantity | None, unit: str | None) -> tuple[Quantity, FRFUnits, tuple[str, ...]]:
+    """Quantity, units, and what is assumed of them."""
+    said = _comments(path)
+    where = {name: place for name, (_, place) in said.items()}
+    units = [parse_unit(*said["unit"])] if "unit" in said else []
+    if unit is not None:
+        units.append(parse_unit(unit, path))
+    if len(units) == 2 and not units[0][1].agrees(units[1][1]):
+        raise InputError(
+            f"it states the unit {said['unit'][0]}, not {unit}", place=where["unit"], remedy="correct one of them"
+        )
+    given = [implied for implied, _ in units] + ([] if quantity is None else [quantity])
+    if "quantity" in said:
+        own = next((known for known in QUANTITIES if known == said["quantity"][0].lower()), None)
+        if own is None:
+            raise InputError(
+                f"the quantity {said['quantity'][0][:40]!r} is unknown", place=where["quantity"],
+                remedy=f"one of {', '.join(QUANTITIES)}",
+            )  # fmt: skip
+        given.append(own)
+    if not given:
+        raise InputError(
+            "neither quantity nor unit is stated", place=path, remedy="start it with a line '# unit: (m/s2)/N'"
+        )
+    for other in given[1:]:
+        if other != given[0]:
+            place = where.get("quantity", where.get("unit", path))
+            raise InputError(f"it is {given[0]} and {other}", place=place, remedy="correct quantity or unit")
+    if units:
+        return given[0], units[0][1], ()
+    return given[0], FRFUnits(), (f"{path}: no unit is stated: metres and newtons assumed",)
+
+
+def _comments(path: Path) -> dict[str, tuple[str, Place]]:
+    """What comment lines say of quantity and unit, and where."""
+    said: dict[str, tuple[str, Place]] = {}
+    for number, line in enumerate(path.read_text("utf-8-sig").splitlines(), start=1):
+        match = _STATED.fullmatch(line.strip())
+        if match is None:
+            continue
+        name, place = match.group(1).lower(), Place(str(path), number, line)
+        if name in said and said[name][0] != match.group(2):
+            raise InputError(f"the {name} is stated twice, differently", place=place, remedy="keep one")
+        said[name] = match.group(2), place
+    return said
+
+
+def _entry(row: Row) -> tuple[float, complex, float]:
+    """Frequency, value and coherence of a line."""
+    freq, value, coherence = row.number("freq"), complex(row.number("re"), row.number("im")), row.optional("coherence")
+    if not 0 <= freq < FREQ_LIMIT:
+        raise row.error("freq", f"frequency {freq:g} Hz is outside [0, {FREQ_LIMIT:g})", "give it in Hz")
+    if max(abs(value.real), abs(value.imag)) > VALUE_LIMIT:
+        raise row.error("re", f"a value above {VALUE_LIMIT:g} is not plausible", "correct it")
+    if coherence == coherence and not 0 <= coherence <= 1:
+        raise row.error("coherence", f"coherence {coherence:g} is outside [0, 1]", "correct it, or leave it empty")
+    return freq, value, coherence
+
+
+def _end(row: Row, column: str) -> tuple[tuple[int, str], int]:
+    """Node and direction of a response or reference, and the sign of the direction."""
+    match = _PLACE.fullmatch(row.text(column))
+    parsed = parse_direction(match.group(2)) if match else None
+    if match is None or parsed is None:
+        raise row.error(
+            column, f"{row.text(column)!r:.60} is no node with a direction",
+            f"write it like 12z or 12-z; directions are {', '.join(DIRECTIONS)}",
+        )  # fmt: skip
+    return (int(match.group(1)), parsed[0]), parsed[1]
+
+
+def _require_phase(path: Path, entries: Mapping[Key, Mapping[float, tuple[complex, float, Row]]]) -> None:
+    """InputError for amplitudes; an undamped simulation is real too, but changes its sign."""
+    values = [value for own in entries.values() for value, _, _ in own.values()]
+    if all(value.imag == 0 for value in values) and all(value.real >= 0 for value in values):
+        raise InputError("its values are real and nowhere negative: amplitudes", place=path, remedy=NO_PHASE)
+
+
+def _require_axis(path: Path, key: Key, own: Mapping[float, tuple[complex, float, Row]], axis: np.ndarray) -> None:
+    """InputError where the frequencies of a function are not those of the first one."""
+    freq = np.array(sorted(own))
+    remedy = "export all on common frequencies"
+    if len(freq) != len(axis):
+        words = f"the function {function_name(key)} has {len(freq)} lines, the first one {len(axis)}"
+        raise InputError(words, place=path, remedy=remedy)
+    off = off_axis(freq, axis)
+    if off.any():
+        row = own[float(freq[np.argmax(off)])][2]
+        raise row.error("freq", f"the first function has no line at {row.number('freq'):g} Hz", remedy)

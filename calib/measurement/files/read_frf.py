@@ -1,0 +1,98 @@
+"""Measured frequency response functions from files: UFF/UNV or CSV, one file a repeat."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from calib.errors.arguments import integer
+from calib.errors.arguments import path as path_of
+from calib.errors.errors import InputError
+from calib.measurement.files.csv_format import read_sensor_table
+from calib.measurement.files.csv_frf import read_frfs_csv
+from calib.measurement.files.read import Named, found_files, require_files
+from calib.measurement.files.uff_frf import read_uff_frfs
+from calib.measurement.frf import QUANTITIES, MeasuredFRFs, Quantity
+from calib.measurement.frf_repeats import combine_frfs
+from calib.measurement.places import common_points
+from calib.measurement.sensors import place_sensors
+
+
+def read_frfs(
+    files: Named,
+    *,
+    quantity: Quantity | None = None,
+    unit: str | None = None,
+    sensors: str | Path | None = None,
+    averages: int | None = None,
+    synthetic: bool = False,
+) -> MeasuredFRFs:
+    r"""Read measured frequency response functions; each file is one repeat.
+
+    Parameters
+    ----------
+    files : path, pattern such as ``"measured/*.uff"``, or sequence of them
+        Files that match a pattern are sorted by name. Universal files (``.uff``, ``.unv``, ``.uf``; see
+        `calib.measurement.files.uff_frf.read_uff_frfs`) or tables (``.csv``; see
+        `calib.measurement.files.csv_frf.read_frfs_csv`), one kind only.
+    quantity : {"receptance", "mobility", "accelerance"}, optional
+        Where the files do not state it.
+    unit : str, optional
+        Of translations under forces, such as ``(m/s2)/N``, ``g/N`` or ``mm/N``, where the files do not state it; see
+        `calib.measurement.frf_units.parse_unit`. What contradicts the files is refused.
+    sensors : path, optional
+        Table of node places in metres, of responses and references; it takes precedence over places in universal
+        files.
+    averages : int, optional
+        Averages behind each function of a single file, from 1; with them its coherence gives standard deviations.
+    synthetic : bool
+        True when no structure was measured.
+
+    Raises
+    ------
+    InputError
+        With the file, and where possible line and column, for files that cannot be read as repeats of the same
+        functions.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import calib
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     table = Path(folder, "hammer.csv")
+    ...     lines = "freq,response,reference,re,im", "10,12z,3z,0.2,-0.01", "11,12z,3z,0.3,-0.02"
+    ...     _ = table.write_text("\n".join(lines))
+    ...     frfs = calib.read_frfs(table, unit="g/N")
+    >>> frfs.quantity, [one.name for one in frfs.functions]
+    ('accelerance', ['12z/3z'])
+    >>> frfs.values.real.round(2).tolist()  # (m/s2)/N
+    [[[1.96]], [[2.94]]]
+    """
+    paths = found_files(files)
+    table_path = None if sensors is None else path_of(sensors, "sensors")
+    averages = None if averages is None else integer(averages, 1, "averages")
+    if quantity is not None and quantity not in QUANTITIES:
+        raise InputError(f"quantity is {quantity!r}", place="measurement", remedy=f"one of {', '.join(QUANTITIES)}")
+    is_uff = require_files(paths)
+    if averages is not None and len(paths) > 1:
+        raise InputError(
+            f"averages are given beside {len(paths)} repeats", place="measurement",
+            remedy="leave them out: the repeats give the standard deviations",
+        )  # fmt: skip
+    table = read_sensor_table(table_path) if table_path is not None else {}
+    repeats = [read_uff_frfs(p, quantity, unit) if is_uff else read_frfs_csv(p, quantity, unit) for p in paths]
+    found = combine_frfs(repeats, averages, synthetic)
+    if averages is not None and not repeats[0].coherence:
+        raise InputError("averages are given, but it holds no coherence", place=paths[0], remedy="leave them out")
+    points = common_points([(one.source, one.points) for one in repeats], table)
+    ends = [(s.node, s.direction) for s in (*found.responses, *found.references)]
+    placed = place_sensors(ends, points, table, paths[0], table_path)
+    count = len(found.responses)
+    return replace(
+        found,
+        responses=placed.sensors[:count],
+        references=placed.sensors[count:],
+        notes=(*placed.notes, *found.notes),
+        misplaced=placed.misplaced,
+    )

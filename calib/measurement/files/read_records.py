@@ -1,0 +1,96 @@
+"""Measured time records from files: UFF/UNV or CSV, one file a record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from calib.errors.arguments import path as path_of
+from calib.errors.errors import InputError
+from calib.measurement.files.csv_format import read_sensor_table
+from calib.measurement.files.csv_record import TIME, header_of, read_record_csv
+from calib.measurement.files.read import Named, found_files, require_files
+from calib.measurement.files.uff_record import TIME_RESPONSE, function_types, read_record_uff
+from calib.measurement.places import Point, common_points
+from calib.measurement.record import SAME_RATE, MeasuredRecord
+from calib.measurement.sensors import place_sensors
+
+_FRF = 4
+
+
+def hold_records(paths: Sequence[Path]) -> bool:
+    """Whether files hold time records rather than FRFs, by their content.
+
+    Raises InputError for files that cannot be read and where both kinds are given.
+    """
+    is_uff = require_files(paths)
+    kinds = [_holds_uff(path) if is_uff else TIME in header_of(path)[0] for path in paths]
+    if len(set(kinds)) > 1:
+        raise InputError(
+            f"it holds no time record, as {paths[kinds.index(True)]} does", place=paths[kinds.index(False)],
+            remedy="give records or FRFs, one kind at a time",
+        )  # fmt: skip
+    return kinds[0]
+
+
+def _holds_uff(path: Path) -> bool:
+    types = function_types(path)
+    if {TIME_RESPONSE, _FRF} <= types:
+        raise InputError("it holds FRFs and time records", place=path, remedy="export them to files of their own")
+    return TIME_RESPONSE in types
+
+
+def read_records(
+    files: Named, *, unit: str | None = None, sensors: str | Path | None = None, synthetic: bool = False
+) -> tuple[MeasuredRecord, ...]:
+    """Read measured time records; each file is one record.
+
+    Parameters
+    ----------
+    files : path, pattern such as ``"measured/*.csv"``, or sequence of them
+        Files that match a pattern are sorted by name. Universal files (``.uff``, ``.unv``, ``.uf``; see
+        `calib.measurement.files.uff_record.read_record_uff`) or tables (``.csv``; see
+        `calib.measurement.files.csv_record.read_record_csv`), one kind only.
+    unit : str, optional
+        Of translations, such as ``m/s2`` or ``g``, where the files do not state it.
+    sensors : path, optional
+        Table of node places in metres; it takes precedence over places in universal files.
+    synthetic : bool
+        True when no structure was measured.
+
+    Returns
+    -------
+    tuple of MeasuredRecord
+        All with the same sensors, in the order of the first file.
+
+    Raises
+    ------
+    InputError
+        For files that cannot be read, and records whose sensors, motions or rates differ.
+    """
+    paths = found_files(files)
+    is_uff = require_files(paths)
+    table_path = None if sensors is None else path_of(sensors, "sensors")
+    table = read_sensor_table(table_path) if table_path is not None else {}
+    points: list[tuple[str, dict[int, Point]]] = []
+    read: list[MeasuredRecord] = []
+    for path in paths:
+        if is_uff:
+            own, places = read_record_uff(path, unit)
+            points.append((str(path), places))
+        else:
+            own = read_record_csv(path, unit)
+        read.append(own.in_order(read[0].sensors) if read else own)
+        if abs(own.rate / read[0].rate - 1) > SAME_RATE or own.motion != read[0].motion:
+            what = "motion" if own.motion != read[0].motion else f"rate of {own.rate:.6g} Hz"
+            raise InputError(
+                f"its {what} is not that of {read[0].source}", place=path, remedy="give records measured alike"
+            )
+    measured = [(sensor.node, sensor.direction) for sensor in read[0].sensors]
+    placed = place_sensors(measured, common_points(points, table), table, paths[0], table_path)
+    return tuple(
+        replace(one, sensors=placed.sensors, notes=(*placed.notes * (k == 0), *one.notes), misplaced=placed.misplaced,
+                synthetic=synthetic)
+        for k, one in enumerate(read)
+    )  # fmt: skip

@@ -1,0 +1,348 @@
+"""Measured modes from universal files (UFF, UNV): datasets 55 or 2414, the nodes of 15 or 2411, the units of 164."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.errors.errors import InputError
+from calib.measurement.files.csv_format import FREQ_LIMIT, VALUE_LIMIT
+from calib.measurement.files.uff_2414 import as_dataset_55
+from calib.measurement.files.uff_blocks import MODAL, USED_KINDS, Block, extract_sets, halves_of_six, read_blocks
+from calib.measurement.files.uff_write import Point, write_uff
+from calib.measurement.modal import DIRECTIONS
+from calib.measurement.repeats import Repeat, ShapeSet
+
+__all__ = ["Point", "UniversalFile", "drop_unmeasured", "read_uff", "write_uff"]
+
+_PER_METRE = {1: 1.0, 2: 1 / 0.3048, 3: 1.0, 4: 1 / 0.3048, 5: 1e3, 6: 1e2, 7: 1 / 0.0254, 8: 1e3}
+"""Length factor that belongs to each unit code of dataset 164 (9 is user-defined)."""
+_DAMAGED = -1
+_NAME_LINE = re.compile(r"mode\s+(\S+)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class UniversalFile:
+    """Contents of one universal file: its modes, and the places of its nodes in metres (empty without dataset 15)."""
+
+    repeat: Repeat
+    points: Mapping[int, Point]
+
+
+def read_uff(path: Path) -> UniversalFile:
+    """Read one repeat from a universal file.
+
+    Modes are the datasets 55 of analysis type 2 (natural frequency in Hz and viscous damping ratio, 0 for unknown), 3
+    and 7 (eigenvalue in rad/s), in the order of the file, or the datasets 2414 of these types where the file has no
+    such 55; of a conjugate pair the one with positive imaginary part is kept. Datasets 55 and 2414 that are not modes,
+    such as frequency responses (type 5), are skipped and noted. A mode is named by the first ID line that reads
+    ``mode NAME`` (one word) provided every mode has such a line, the names differ, and they are not just the numbers
+    from 1 in order; otherwise modes are numbered from 1. Nodes without a record in a mode count as not measured in it.
+    Zeros are kept here; see `drop_unmeasured`. Lengths, and with them translations, are converted to SI.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read, is damaged or truncated, or holds no modes.
+    """
+    blocks = read_blocks(path)
+    notes: list[str] = []
+    used = _with_modes(path, [block for block in blocks if block.kind in USED_KINDS], notes)
+    parts = [part for block in used for part in halves_of_six(path, block)]
+    if not any(block.kind == 55 for block in parts):
+        found = ", ".join(str(kind) for kind in sorted({block.kind for block in blocks}))
+        types = sorted({_analysis_type(block) for block in blocks if block.kind == 55})
+        if types:
+            raise InputError(
+                f"its datasets 55 are of analysis type {', '.join(map(str, types))}, which are no modes",
+                place=path,
+                remedy="export normal (2) or complex (3, 7) modes",
+            )
+        raise InputError(
+            f"it holds no modes (dataset 55 or 2414), only datasets {found}",
+            place=path,
+            remedy="export the identified modes as dataset 55",
+        )
+    sets = extract_sets(path, parts)
+    per_metre = length_factor(path, parts, sets, notes)
+    with np.errstate(all="ignore"):  # what overflows is refused as not finite
+        points = _points(path, parts, sets, per_metre, notes)
+        repeat = _modes(path, parts, sets, per_metre, notes)
+    return UniversalFile(replace(repeat, notes=tuple(notes)), points)
+
+
+def _with_modes(path: Path, blocks: Sequence[Block], notes: list[str]) -> list[Block]:
+    """Blocks with the modes as datasets 55; analysis data that are not modes are dropped and noted."""
+    modes = [block for block in blocks if block.kind == 55 and _analysis_type(block) in MODAL]
+    others: dict[tuple[int, int], int] = {}
+    out = []
+    for block in blocks:
+        kept: Block | None = block
+        if block.kind == 55:
+            kept = block if _analysis_type(block) in (*MODAL, _DAMAGED) else None
+        elif block.kind == 2414:
+            kept = None if modes else as_dataset_55(path, block)
+        if kept is None:
+            key = block.kind, _analysis_type(block)
+            others[key] = others.get(key, 0) + 1
+        else:
+            out.append(kept)
+    for (kind, analysis), count in others.items():
+        what = f"{count} dataset{'s' * (count > 1)} {kind} of analysis type {analysis}"
+        what += " (frequency responses)" if analysis == 5 else ""
+        why = "the modes are those of its datasets 55" if kind == 2414 and modes else "they hold no mode shapes"
+        notes.append(f"{path}: {what} skipped: {why}")
+    return out
+
+
+def _analysis_type(block: Block) -> int:
+    """Analysis type of a dataset 55 or 2414; `_DAMAGED` where it cannot be read."""
+    at = 5 if block.kind == 55 else 8
+    text = block.lines[at][10:20].strip() if len(block.lines) > at else ""
+    return int(text) if text.isdecimal() and text.isascii() else _DAMAGED
+
+
+def length_factor(path: Path, blocks: Sequence[Block], sets: Sequence[Mapping[str, Any]], notes: list[str]) -> float:
+    """Length units of the file per metre; dividing by the factor of dataset 164 gives SI."""
+    factors = set()
+    for block, data in zip(blocks, sets, strict=True):
+        if block.kind != 164:
+            continue
+        factor, code = float(data["length"]), int(data["units_code"])
+        if not (math.isfinite(factor) and factor > 0):
+            raise block.error(path, f"the length factor of dataset 164 is {factor:g}", "correct it")
+        if code in _PER_METRE and abs(factor / _PER_METRE[code] - 1) > 1e-3:
+            raise block.error(
+                path,
+                f"dataset 164 states unit code {code} ({_PER_METRE[code]:g} units a metre) but factor {factor:g}",
+                "correct the code or the factor (code 9 for own units)",
+            )
+        factors.add(factor)
+    if len(factors) > 1:
+        raise InputError("two datasets 164 state different units", place=path, remedy="keep one of them")
+    if not factors and any(block.kind in (15, 2411) for block in blocks):
+        notes.append(f"{path}: no units (dataset 164): lengths taken as metres")
+    return factors.pop() if factors else 1.0
+
+
+def points_of(path: Path, blocks: Sequence[Block], per_metre: float, notes: list[str]) -> dict[int, Point]:
+    """Places of the nodes of a file in metres, from its units of length per metre."""
+    used = [block for block in blocks if block.kind in (15, 2411)]
+    sets = extract_sets(path, used)
+    with np.errstate(all="ignore"):  # what overflows is refused as not finite
+        return _points(path, used, sets, per_metre, notes)
+
+
+def _points(
+    path: Path,
+    blocks: Sequence[Block],
+    sets: Sequence[Mapping[str, Any]],
+    per_metre: float,
+    notes: list[str],
+) -> dict[int, Point]:
+    points: dict[int, Point] = {}
+    local = False
+    for block, data in zip(blocks, sets, strict=True):
+        if block.kind not in (15, 2411):
+            continue
+        columns = [data[key] for key in ("node_nums", "def_cs", "disp_cs", "color", "x", "y", "z")]
+        count = sum(1 for line in block.lines if line.strip()) // (1 if block.kind == 15 else 2)
+        if {len(c) for c in columns} != {count}:
+            raise block.error(
+                path, f"the dataset {block.kind} that starts here has not 7 values a node", "export it again"
+            )
+        table = np.array(columns, dtype=float).T
+        for row in table:
+            point = (row[4] / per_metre, row[5] / per_metre, row[6] / per_metre)
+            if not np.isfinite((row[0], *point)).all() or row[0] != int(row[0]) or np.max(np.abs(point)) > VALUE_LIMIT:
+                raise block.error(
+                    path,
+                    f"a node in the dataset {block.kind} that starts here is not a label and three finite coordinates",
+                    "correct it",
+                )
+            node = int(row[0])
+            here: Point = (float(point[0]), float(point[1]), float(point[2]))
+            if points.setdefault(node, here) != here:
+                raise block.error(path, f"node {node} has two places", "remove one of them")
+        # 0 and 1 both stand for the global Cartesian system
+        local = local or bool(np.any(table[:, 1:3] > 1))
+    if local:
+        notes.append(f"{path}: nodes refer to local coordinate systems, which are not read: all taken as global")
+    return points
+
+
+@dataclass(frozen=True)
+class _Mode:
+    name: str | None
+    freq: float
+    damping: float
+    eigenvalue: complex | None
+    values: dict[tuple[int, str], complex]
+
+
+def _modes(
+    path: Path, blocks: Sequence[Block], sets: Sequence[Mapping[str, Any]], per_metre: float, notes: list[str]
+) -> Repeat:
+    modes: list[_Mode] = []
+    for block, data in zip(blocks, sets, strict=True):
+        if abs(block.kind) != 55:
+            continue
+        values = _values(path, block, data, per_metre)
+        if block.kind == -55:
+            modes[-1].values.update(values)
+            continue
+        freq, damping, eigenvalue = _frequency(path, block, data, notes)
+        matches = (_NAME_LINE.fullmatch(str(data[f"id{k}"]).strip()) for k in range(1, 6))
+        name = next((match.group(1) for match in matches if match), None)
+        modes.append(_Mode(name, freq, damping, eigenvalue, values))
+    modes = _upper_half(modes)
+    given = [mode.name for mode in modes]
+    counted = [str(k + 1) for k in range(len(given))]
+    named = None not in given and len(set(given)) == len(given) and given != counted
+    names = tuple(str(name) for name in given) if named else tuple(str(k + 1) for k in range(len(modes)))
+    present = {key for mode in modes for key in mode.values}
+    nodes = dict.fromkeys(node for mode in modes for node, _ in mode.values)
+    sensors = [(node, direction) for node in nodes for direction in DIRECTIONS if (node, direction) in present]
+    where = {key: k for k, key in enumerate(sensors)}
+    shapes = np.full((len(sensors), len(modes)), complex(np.nan, np.nan))
+    for m, mode in enumerate(modes):
+        for key, value in mode.values.items():
+            shapes[where[key], m] = value
+    if any(len(mode.values) != len(sensors) for mode in modes):
+        notes.append(f"{path}: nodes without a record in a mode count as not measured in it")
+    return Repeat(
+        str(path),
+        names,
+        named,
+        np.array([mode.freq for mode in modes]),
+        np.full(len(modes), np.nan),
+        np.array([mode.damping for mode in modes]),
+        np.full(len(modes), np.nan),
+        ShapeSet(str(path), tuple(sensors), shapes, np.full(shapes.shape, np.nan)),
+    )
+
+
+def _values(path: Path, block: Block, data: Mapping[str, Any], per_metre: float) -> dict[tuple[int, str], complex]:
+    """Shape values of one dataset 55 by node and direction, translations in SI."""
+    width = int(data["n_data_per_node"])
+    if width not in (3, 6):
+        words = f"the dataset 55 that starts here has {width} values a node"
+        raise block.error(path, words, "export 3 or 6 components")
+    nodes = [int(node) for node in data["node_nums"]]
+    columns = [np.asarray(data[f"r{k}"], dtype=complex) for k in range(1, width + 1)]
+    if any(len(column) != len(nodes) for column in columns):
+        words = f"the dataset 55 that starts here has not {width} values a node"
+        raise block.error(path, words, "export it again")
+    if len(set(nodes)) != len(nodes):
+        raise block.error(path, "the dataset 55 that starts here gives a node twice", "remove one")
+    values: dict[tuple[int, str], complex] = {}
+    for k, column in enumerate(columns):
+        code = k + (3 if block.kind == -55 else 0)
+        scaled = column / per_metre if code < 3 else column
+        for node, value in zip(nodes, scaled.tolist(), strict=True):
+            # NaN fails the comparison too
+            if not max(abs(value.real), abs(value.imag)) <= VALUE_LIMIT or math.isnan(value.imag):
+                words = f"node {node}{DIRECTIONS[code]} in the dataset 55 that starts here has no finite value"
+                raise block.error(path, words, "export it again")
+            values[node, DIRECTIONS[code]] = value
+    return values
+
+
+def _frequency(
+    path: Path, block: Block, data: Mapping[str, Any], notes: list[str]
+) -> tuple[float, float, complex | None]:
+    """Natural frequency in Hz, damping ratio and eigenvalue (None for a normal mode)."""
+    eigenvalue: complex | None = None
+    if data["analysis_type"] == 2:
+        freq, damping = float(data["freq"]), float(data["modal_damp_vis"])
+        if damping == 0:
+            damping = math.nan  # exporters write 0 for unknown damping
+            if float(data["modal_damp_his"]) != 0:
+                notes.append(f"{path}, line {block.line}: only hysteretic damping is given, which is not used")
+    else:
+        re_part, im_part = complex(data["eig"]).real, complex(data["eig"]).imag
+        size = math.hypot(re_part, im_part)
+        freq = size / (2 * math.pi)
+        if im_part == 0 and size > 0:
+            raise block.error(
+                path,
+                "the eigenvalue in the dataset 55 that starts here is real: no vibration mode",
+                "leave it out of the export",
+            )
+        damping = -re_part / size if size > 0 else 0.0
+        eigenvalue = complex(re_part, im_part)
+    if not 0 < freq < FREQ_LIMIT:
+        raise block.error(
+            path,
+            f"the frequency in the dataset 55 that starts here is {freq:g} Hz, outside (0, {FREQ_LIMIT:g})",
+            "correct it",
+        )
+    unreadable = data["analysis_type"] == 2 and math.isnan(data["modal_damp_vis"])
+    if unreadable or not (math.isnan(damping) or 0 <= damping < 1):
+        raise block.error(
+            path,
+            f"the damping ratio in the dataset 55 that starts here is {damping:g}, outside [0, 1)",
+            "give a ratio, and a decaying mode an eigenvalue with negative real part",
+        )
+    return freq, abs(damping), eigenvalue
+
+
+def _upper_half(modes: Sequence[_Mode]) -> list[_Mode]:
+    """Modes with eigenvalues in the upper half plane; one below is conjugated, or dropped if its conjugate is there."""
+    out = []
+    for mode in modes:
+        eigenvalue = mode.eigenvalue
+        if eigenvalue is None or eigenvalue.imag > 0:
+            out.append(mode)
+            continue
+        partner = eigenvalue.conjugate()
+        if not any(m.eigenvalue is not None and abs(m.eigenvalue - partner) < 1e-4 * abs(partner) for m in modes):
+            out.append(
+                replace(mode, eigenvalue=partner, values={key: value.conjugate() for key, value in mode.values.items()})
+            )
+    return out
+
+
+def drop_unmeasured(repeats: Sequence[Repeat]) -> list[Repeat]:
+    """Repeats without the directions that were never measured.
+
+    Dataset 55 holds zeros for components without a sensor. A direction that is exactly zero in every mode of every
+    repeat is therefore dropped; one that is zero in every mode of some repeats becomes NaN in those only, and a mode
+    that is zero everywhere has no shape (NaN).
+    """
+    alive: dict[tuple[int, str], None] = {}
+    for repeat in repeats:
+        if repeat.shape_set is not None:
+            moving = np.any(np.nan_to_num(repeat.shape_set.shapes) != 0, axis=1)
+            alive.update((s, None) for s, moves in zip(repeat.shape_set.sensors, moving, strict=True) if moves)
+    out = []
+    for repeat in repeats:
+        given = repeat.shape_set
+        if given is None or not alive:
+            note = () if given is None else (f"{repeat.source}: no shape values, frequencies only",)
+            out.append(replace(repeat, shape_set=None, notes=(*repeat.notes, *note)))
+            continue
+        kept = [k for k, sensor in enumerate(given.sensors) if sensor in alive]
+        shapes = given.shapes[kept].copy()
+        zero = ~(np.nan_to_num(shapes) != 0)
+        dead = zero.all(axis=1)
+        notes = [
+            f"{repeat.source}: sensor {node}{direction} is zero in every mode, taken as not measured"
+            for (node, direction), is_dead in zip((given.sensors[k] for k in kept), dead, strict=True)
+            if is_dead
+        ]
+        shapes[dead] = complex(np.nan, np.nan)
+        shapes[:, zero.all(axis=0)] = complex(np.nan, np.nan)
+        new = ShapeSet(given.source, tuple(given.sensors[k] for k in kept), shapes, given.std[kept])
+        out.append(replace(repeat, shape_set=new, notes=(*repeat.notes, *notes)))
+    return out

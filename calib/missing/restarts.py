@@ -1,0 +1,125 @@
+"""Refits of single effects from the nominal values, for a base fit that is a poor starting point."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.errors.errors import EvaluationError
+from calib.missing.candidate_fit import AdequacyTests, CandidateFit
+from calib.missing.linearised_fit import LinearisedFit, linearised
+from calib.missing.refits import Refits
+from calib.missing.rules import RULES
+from calib.problem.candidate import Candidate
+
+_Start = tuple[float, str, dict[str, float]]
+
+
+def led_astray(base: CandidateFit, adequacy: AdequacyTests) -> bool:
+    """Whether the base fit may be far from the true parameters.
+
+    It is when a parameter is pulled further than a correctly specified model needs (`plausible.pulls`) or when the
+    base model is strongly rejected.
+    """
+    strongest = float(max(adequacy.named.magnitude, default=0.0))
+    return bool(base.implausible) or strongest > RULES.rejected or adequacy.p_fit < RULES.rejected_fit
+
+
+def anew(
+    fits: Refits, base: CandidateFit, singles: Sequence[CandidateFit], effects: Sequence[Candidate]
+) -> list[CandidateFit]:
+    """Fit single effects from the nominal values with every magnitude of their grid; best first.
+
+    Where the data have a linear start (FRFs), each effect is started from its own as well: at the nominal values
+    resonances may be off by more than their width, so that no first-order prediction tells which effect is promising.
+    Starts are ranked by the sum of squares left after a first-order update of the parameters. The most promising ones
+    are fitted, and integer parameters are chosen again for the best fit. A fit replaces an earlier one of the same
+    effect only if its sum of squares is smaller.
+    """
+    fits.tell("fitting from the nominal values too")
+    own = replace(fits, settings=replace(fits.settings, budget=RULES.anew * fits.settings.budget))
+    best = {t.names[0]: t for t in singles}
+    try:
+        starts = _starts(own, effects)
+    except EvaluationError:
+        return list(singles)
+    tried: Counter[str] = Counter()
+    for _, name, start in starts:
+        if own.spent():
+            break
+        if tried[name] < RULES.starts_anew:
+            tried[name] += 1
+            refit = own.best_of((name,), [start], base)
+            if refit is not None and (name not in best or refit.fit.misfit < best[name].fit.misfit):
+                best[name] = refit
+    first = max(best.values(), key=lambda t: t.ln_evidence)
+    if not any(first is t for t in singles):
+        first = own.followed(first, whole=2)
+        best[first.names[0]] = own.moved(first) or first
+    return sorted(best.values(), key=lambda t: (-t.ln_evidence, t.names))
+
+
+def _starts(fits: Refits, effects: Sequence[Candidate]) -> list[_Start]:
+    """Predicted sum of squares, effect and start of the most promising effects at the nominal values; best first."""
+    fit_problem = fits.fit_problem(())
+    nominal = linearised(fit_problem, (), fit_problem.space.values)
+    found = fits.scores(nominal, effects)
+    by_name = {e.name: e for e in effects}
+    out: list[_Start] = []
+    for k, name in enumerate(found.owners):
+        effect, point, size = by_name[name], dict(found.points[k]), float(found.size[k])
+        if not point:
+            p, step = effect.magnitude, float(found.z[k]) / size if size > 0 else 0.0
+            point = {name: min(max(step, p.lower), p.upper)}
+        out.append(_start(nominal, effect, point, nominal.residual - found.raw[:, k] * point[name]))
+    order = list(dict.fromkeys(name for _, name, _ in sorted(out, key=lambda s: s[:2])))[: fits.settings.refits]
+    out = [start for start in out if start[1] in order]
+    sign = {
+        e.name: -1.0 if e.signed and found.z[found.best(e.name)] < 0 else 1.0 for e in effects if e.name in found.owners
+    }
+    for name in order:
+        if not by_name[name].grid and not fits.spent():
+            out += _at_magnitudes(fits, nominal, by_name[name], sign[name])
+    for name, side in sign.items():
+        if not fits.spent():
+            effect = by_name[name]
+            point = dict(found.points[found.best(name)]) or {name: side * effect.plausible}
+            out += _linear(fits, nominal, effect, point)
+    return sorted(out, key=lambda s: s[:2])
+
+
+def _linear(fits: Refits, nominal: LinearisedFit, effect: Candidate, point: Mapping[str, float]) -> Iterator[_Start]:
+    """The linear start of a model with an effect, about a point of it; nothing where the data have none."""
+    start = fits.hypotheses.linear_start((effect.name,), {**nominal.values, **point})
+    if start is None:
+        return
+    try:
+        there = linearised(fits.fit_problem((effect.name,)), (effect.name,), start)
+    except EvaluationError:
+        return
+    predicted = there.relinearised({}, there.residual).misfit
+    yield predicted if math.isfinite(predicted) else math.inf, effect.name, start
+
+
+def _at_magnitudes(fits: Refits, nominal: LinearisedFit, effect: Candidate, sign: float) -> Iterator[_Start]:
+    """Starts of an effect without a grid, evaluated by the model itself."""
+    fit_problem, p = fits.fit_problem((effect.name,)), effect.magnitude
+    for part in RULES.magnitudes:
+        point = {effect.name: sign * part * effect.plausible}
+        if p.lower <= point[effect.name] <= p.upper:
+            try:
+                residual = fit_problem.residual({**nominal.values, **point})
+            except EvaluationError:
+                continue
+            yield _start(nominal, effect, point, residual)
+
+
+def _start(nominal: LinearisedFit, effect: Candidate, point: Mapping[str, float], residual: np.ndarray) -> _Start:
+    """A start with the sum of squares predicted from it."""
+    linear = nominal.relinearised(point, residual)
+    predicted = linear.misfit + (point[effect.name] / effect.plausible) ** 2
+    return predicted if math.isfinite(predicted) else math.inf, effect.name, {**nominal.values, **point}

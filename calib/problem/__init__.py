@@ -1,0 +1,1 @@
+"""Parameters, effects, candidates, and a problem: residual and Jacobian."""

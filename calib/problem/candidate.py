@@ -1,0 +1,106 @@
+"""Candidate: what may explain a misfit, an effect that a model lacks or a fault of the measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from calib.problem.space import Parameter
+
+
+class Candidate(Protocol):
+    """What ranking, fits and words need of a candidate; see `Effect` and `Fault`.
+
+    Its column, the change of the data per unit of its magnitude, comes from the fit problem that has its parameters.
+    """
+
+    @property
+    def name(self) -> str:
+        """Identifier, also of its magnitude."""
+        ...
+
+    @property
+    def title(self) -> str:
+        """Common engineering name."""
+        ...
+
+    @property
+    def lacks(self) -> str:
+        """What is assumed without it, one sentence."""
+        ...
+
+    @property
+    def look_for(self) -> str:
+        """What to look for, one sentence."""
+        ...
+
+    @property
+    def magnitude(self) -> Parameter:
+        """Its ``prior_sd`` is a large but plausible magnitude, on which the evidence depends."""
+        ...
+
+    @property
+    def nuisance(self) -> tuple[Parameter, ...]:
+        """Further parameters at nonzero magnitude."""
+        ...
+
+    @property
+    def grid(self) -> tuple[Mapping[str, float], ...]:
+        """Points at which its column is taken by difference; empty for a derivative."""
+        ...
+
+    @property
+    def part(self) -> str:
+        """Part of the model that is scaled by 1 + magnitude; empty for all others."""
+        ...
+
+    @property
+    def of_measurement(self) -> bool:
+        """Whether it is an error of the measurement."""
+        ...
+
+    @property
+    def told(self) -> Callable[[float], str] | None:
+        """What a fitted magnitude of such an error means, in words."""
+        ...
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Magnitude first, then nuisance parameters."""
+        ...
+
+    @property
+    def in_words(self) -> str:
+        """The candidate as part of a sentence."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        ...
+
+    @property
+    def signed(self) -> bool:
+        """Whether the magnitude may be negative."""
+        ...
+
+    @property
+    def plausible(self) -> float:
+        """A large but plausible magnitude, in its own unit."""
+        ...
+
+
+class WithMagnitude:
+    """What a candidate's magnitude, a `calib.problem.space.Parameter`, tells of it."""
+
+    magnitude: Parameter
+
+    @property
+    def signed(self) -> bool:
+        """Whether the magnitude may be negative."""
+        return self.magnitude.lower < 0
+
+    @property
+    def plausible(self) -> float:
+        """A large but plausible magnitude, in its own unit."""
+        return self.magnitude.prior_width

@@ -1,0 +1,76 @@
+"""Finite-difference derivatives of a vector, for models that give none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from calib.errors.errors import EvaluationError
+from calib.problem.space import Parameter, ParameterSpace
+
+STEP = 1e-4
+"""Half step of a central difference, over the range of a parameter."""
+
+
+def central_jacobian(
+    residual: Callable[[Mapping[str, float]], np.ndarray],
+    space: ParameterSpace,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    step: float = STEP,
+) -> np.ndarray:
+    """Derivative of a vector by central differences, per one of each parameter's own unit, shape (n_rows, n_params).
+
+    Parameters
+    ----------
+    residual : callable
+    space : ParameterSpace
+        Both points are kept within its limits.
+    values : mapping
+    names : sequence of str
+    step : float
+        Half the distance between the two points, as a share of the range between the limits.
+    """
+    complete = space.complete(dict(values))
+    if not names:
+        return np.zeros((len(residual(complete)), 0))
+    return np.column_stack([difference(residual, complete, space[name], step) for name in names])
+
+
+def difference(
+    residual: Callable[[Mapping[str, float]], np.ndarray], values: Mapping[str, float], p: Parameter, step: float
+) -> np.ndarray:
+    """Derivative of a vector along one parameter by a central difference within its limits, shape (n_rows,).
+
+    It is one-sided at a limit, where one end fails, and for an entry that is NaN at one end; an entry that is NaN at
+    both ends has the derivative NaN. Integer and held parameters have the derivative 0.
+
+    Raises
+    ------
+    EvaluationError
+        When the vector cannot be evaluated on either side.
+    """
+    middle, half = values[p.name], step * (p.upper - p.lower)
+    if p.integer or half == 0:
+        return np.zeros_like(np.asarray(residual(values), dtype=float))
+    ends, fault = [], EvaluationError(f"no difference along {p.name!r} lies within its limits")
+    for at in (min(middle + half, p.upper), max(middle - half, p.lower)):
+        if at == middle:
+            continue
+        try:
+            ends.append((at, np.asarray(residual({**values, p.name: at}), dtype=float)))
+        except EvaluationError as failed:
+            fault = failed
+    if not ends:
+        raise fault
+    if len(ends) == 1:
+        ends.append((middle, np.asarray(residual(values), dtype=float)))
+    (a, high), (b, low) = ends
+    out = np.asarray((high - low) / (a - b))
+    if np.isnan(out).any():
+        here = np.asarray(residual(values), dtype=float)
+        for at, end in ends:
+            if at != middle:
+                out = np.where(np.isnan(out), (end - here) / (at - middle), out)
+    return out

@@ -1,0 +1,373 @@
+"""Problem: a model and its test as one residual over a parameter space, with solved points cached."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+import pandas as pd
+
+from calib.errors.errors import EvaluationError, again
+from calib.execution.outcome import Outcome, failure, key_of
+from calib.problem.space import ParameterSpace
+
+REMEMBERED = 8
+"""Number of cached solutions, so that a derivative does not solve its point again."""
+
+
+class Label(Protocol):
+    """Label of one row of the residual, a named tuple; a test may add columns of its own to these three."""
+
+    @property
+    def mode(self) -> str:
+        """Measured mode; empty for a scalar response."""
+        ...
+
+    @property
+    def kind(self) -> str:
+        """Kind of response, such as ``frequency``, ``damping``, ``shape`` or ``response``."""
+        ...
+
+    @property
+    def sensor(self) -> str:
+        """Sensor of a shape or name of a scalar response, else empty."""
+        ...
+
+    def _asdict(self) -> dict[str, Any]:
+        """All columns of the label by name."""
+        ...
+
+
+class Labelled(Protocol):
+    """Anything with a residual whose rows have labels."""
+
+    @property
+    def rows(self) -> Sequence[Label]:
+        """Labels of the rows, length n_rows."""
+        ...
+
+    @property
+    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
+        """Real numbers that the residual fits itself, such as the scale of a shape, by (mode, kind)."""
+        ...
+
+    @property
+    def std_dof(self) -> Mapping[str, float]:
+        """Degrees of freedom behind the standard deviations of each kind of row; infinite where they are known."""
+        ...
+
+
+def label_table(rows: Sequence[Label]) -> pd.DataFrame:
+    """Labels of rows as a table, n_rows, with every column that any of them has; empty where a row has none."""
+    table = pd.DataFrame([row._asdict() for row in rows])
+    return table.astype(object).where(table.notna(), "").infer_objects()
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Labels of rows with their fitted factors and degrees of freedom; see `Labelled`.
+
+    Attributes
+    ----------
+    rows : sequence of Label
+    fitted_factors : mapping from (mode, kind) to int
+    std_dof : mapping from kind to float
+        Infinite for a missing kind.
+    """
+
+    rows: Sequence[Label]
+    fitted_factors: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    std_dof: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, whole: Labelled, kept: Iterable[int]) -> Rows:
+        """Selected rows, by index."""
+        return cls([whole.rows[k] for k in kept], whole.fitted_factors, whole.std_dof)
+
+
+class Pair(Labelled, Protocol):
+    """A model and a test of it: solution, responses, residual and derivatives.
+
+    Such as `calib.correlation.modal.residual.ModalResidual` and `calib.correlation.response.residual.ResponseResidual`.
+    The type of a solution is private to the pair.
+    """
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Parameters of the model."""
+        ...
+
+    @property
+    def relative_std(self) -> np.ndarray:
+        """Relative standard deviation of every row, (n_rows,)."""
+        ...
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash that changes whenever the residual or its derivatives at the same values could."""
+        ...
+
+    @property
+    def problem(self) -> Any:
+        """The problem solved; its ``fingerprint`` changes whenever the responses at the same values could."""
+        ...
+
+    @property
+    def told_by_responses(self) -> bool:
+        """Whether the solution can be restored from its responses, so that residuals need not be stored."""
+        ...
+
+    def solve(self, values: Mapping[str, float]) -> Any:
+        """The solution at values of all parameters; EvaluationError where the model fails."""
+        ...
+
+    def responses(self, solution: Any) -> dict[str, float]:
+        """Named responses of a solution."""
+        ...
+
+    def restored(self, responses: Mapping[str, float]) -> Any:
+        """The solution from its responses; None where it cannot be restored."""
+        ...
+
+    def of(self, solution: Any) -> np.ndarray:
+        """Whitened residual of a solution, (n_rows,)."""
+        ...
+
+    def slope(self, values: Mapping[str, float], names: Sequence[str], at: Callable[..., Any]) -> np.ndarray:
+        """Derivative of the residual per unit of each parameter, (n_rows, n_params).
+
+        ``at`` returns the solution at named values.
+        """
+        ...
+
+    def frequencies(
+        self, values: Mapping[str, float], names: Sequence[str], at: Callable[..., Any]
+    ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+        """Labels and natural frequencies of all model modes, Hz, and the derivatives of their logarithms."""
+        ...
+
+
+P = TypeVar("P", bound=Pair)
+
+
+class Store(Protocol):
+    """Persistent store of solved points, such as `calib.results.ledger.Ledger`."""
+
+    def lookup(self, fingerprint: str, keys: Iterable[str]) -> Mapping[str, Outcome]:
+        """Known outcomes by key."""
+        ...
+
+    def append(self, fingerprint: str, outcomes: Sequence[Outcome]) -> None:
+        """Keep outcomes."""
+        ...
+
+    def vectors(self, fingerprint: str, key: str, names: Sequence[str]) -> dict[str, np.ndarray]:
+        """Known vectors of a point by name."""
+        ...
+
+    def keep_vectors(self, fingerprint: str, key: str, vectors: Mapping[str, np.ndarray]) -> None:
+        """Keep vectors of a point."""
+        ...
+
+
+@dataclass(eq=False)
+class Counts:
+    """Number of points requested: solved, already known, and failed.
+
+    A derivative requests points too: both ends of a difference, or the point itself for analytic derivatives.
+    """
+
+    solved: int = 0
+    reused: int = 0
+    failed: int = 0
+
+    @contextmanager
+    def apart(self) -> Iterator[Counts]:
+        """Points requested within this context are counted apart."""
+        before, within = replace(self), Counts()
+        try:
+            yield within
+        finally:
+            for name, number in asdict(before).items():
+                setattr(within, name, getattr(self, name) - number)
+                setattr(self, name, number)
+
+    def add(self, more: Counts) -> None:
+        """Count points that were counted apart."""
+        self.solved += more.solved
+        self.reused += more.reused
+        self.failed += more.failed
+
+    @property
+    def asked(self) -> int:
+        """All of them."""
+        return self.solved + self.reused + self.failed
+
+
+@dataclass(frozen=True, eq=False)
+class Problem(Generic[P]):
+    """A pair of a model and a test over a parameter space: responses, residual, Jacobian and row labels.
+
+    A point is solved once while it is cached, and a failed point is not tried again. With a store this also holds
+    between runs, and residuals and derivatives are stored too where responses do not determine them.
+
+    Attributes
+    ----------
+    pair : Pair
+    space : ParameterSpace
+        Its free parameters are those that a fit changes. Parameters of the pair that it lacks keep their nominal
+        values.
+    store : Store or None
+    remembered : int
+        Number of cached solutions.
+    counts : Counts
+        Of the requested points; may be shared by several problems.
+    """
+
+    pair: P
+    space: ParameterSpace
+    store: Store | None = None
+    remembered: int = REMEMBERED
+    counts: Counts = field(default_factory=Counts, repr=False)
+    _solved: dict[str, Any] = field(init=False, repr=False, default_factory=dict)
+    _failed: dict[str, EvaluationError] = field(init=False, repr=False, default_factory=dict)
+    _identity: str = field(init=False, repr=False, default="")
+
+    def __post_init__(self) -> None:
+        if self.store is not None:
+            object.__setattr__(self, "_identity", self.pair.fingerprint)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Another process does not need the cached points, which are many.
+        return {**self.__dict__, "_solved": {}, "_failed": {}}
+
+    def forget(self) -> None:
+        """Drop all cached points, so that what is counted does not depend on earlier requests."""
+        self._solved.clear()
+        self._failed.clear()
+
+    @property
+    def rows(self) -> Sequence[Label]:
+        """Labels of the rows, length n_rows."""
+        return self.pair.rows
+
+    @property
+    def labels(self) -> pd.DataFrame:
+        """Labels of the rows as a table, n_rows; see `label_table`."""
+        return label_table(self.rows)
+
+    @property
+    def relative_std(self) -> np.ndarray:
+        """Relative standard deviation of every row, (n_rows,)."""
+        return self.pair.relative_std
+
+    @property
+    def fitted_factors(self) -> Mapping[tuple[str, str], int]:
+        """Real numbers that the residual fits itself, by (mode, kind); they reduce the degrees of freedom."""
+        return self.pair.fitted_factors
+
+    @property
+    def std_dof(self) -> Mapping[str, float]:
+        """Degrees of freedom behind the standard deviations of each kind of row; infinite where they are known."""
+        return self.pair.std_dof
+
+    def responses(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Named responses; EvaluationError where the model cannot be solved."""
+        return self.pair.responses(self.at(values))
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        """Whitened residual, (n_rows,); EvaluationError where the model cannot be solved or has failed before."""
+        complete = self.pair.space.complete(dict(values))
+        if self.store is None or self.pair.told_by_responses:
+            return self.pair.of(self.at(complete))
+        key = key_of(complete)
+        known = self.store.vectors(self._identity, key, [""])
+        if "" in known:
+            self.counts.reused += 1
+        else:
+            known = {"": self.pair.of(self.at(complete))}
+            self.store.keep_vectors(self._identity, key, known)
+        return known[""]
+
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        """Derivative of the residual per unit of each parameter, (n_rows, n_params)."""
+        complete = self.pair.space.complete(dict(values))
+        if self.store is None or self.pair.told_by_responses:
+            return self.pair.slope(complete, names, self.at)
+        key = key_of(complete)
+        known = self.store.vectors(self._identity, key, names)
+        new = [name for name in names if name not in known]
+        if new:
+            columns = dict(zip(new, self.pair.slope(complete, new, self.at).T, strict=True))
+            self.store.keep_vectors(self._identity, key, columns)
+            known = known | columns
+        elif names:
+            self.counts.reused += 1
+        return np.column_stack([known[name] for name in names]) if names else np.zeros((len(self.rows), 0))
+
+    def frequencies(
+        self, values: Mapping[str, float], names: Sequence[str]
+    ) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+        """Labels and natural frequencies of all model modes, Hz, and the derivatives of their logarithms; see `Pair`.
+
+        Without modes all are empty.
+        """
+        return self.pair.frequencies(self.pair.space.complete(dict(values)), names, self.at)
+
+    def at(self, values: Mapping[str, float]) -> Any:
+        """The pair's solution at named values; EvaluationError where the model fails."""
+        complete = self.pair.space.complete(dict(values))
+        key = key_of(complete)
+        if key in self._solved:
+            self.counts.reused += 1
+            return self._solved[key]
+        try:
+            found = self._found(key, complete)
+        except EvaluationError as fault:
+            self.counts.failed += 1
+            self._failed[key] = fault
+            raise
+        while len(self._solved) >= self.remembered:
+            del self._solved[next(iter(self._solved))]
+        self._solved[key] = found
+        return found
+
+    def _found(self, key: str, values: dict[str, float]) -> Any:
+        """The stored solution, or a new one."""
+        if key in self._failed:
+            raise again(self._failed[key])
+        found = self._restored(key)
+        if found is not None:
+            self.counts.reused += 1
+            return found
+        found = self._solve(values)
+        self.counts.solved += 1
+        return found
+
+    def _restored(self, key: str) -> Any:
+        """The solution from the store; None where the point must be solved."""
+        known = None if self.store is None else self.store.lookup(self.pair.problem.fingerprint, [key]).get(key)
+        if known is None or known.transient:
+            return None
+        if known.status == "failed":
+            raise failure(known)
+        return self.pair.restored(known.responses)
+
+    def _solve(self, values: dict[str, float]) -> Any:
+        started = time.perf_counter()
+        try:
+            found = self.pair.solve(values)
+        except EvaluationError as fault:
+            self._keep(Outcome(values, "failed", {}, str(fault), time.perf_counter() - started))
+            raise
+        if self.store is not None:
+            self._keep(Outcome(values, "ok", self.pair.responses(found), "", time.perf_counter() - started))
+        return found
+
+    def _keep(self, outcome: Outcome) -> None:
+        if self.store is not None:
+            self.store.append(self.pair.problem.fingerprint, [outcome])

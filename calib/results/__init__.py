@@ -1,0 +1,1 @@
+"""Tables and their safe writing, fingerprints, and the ledger of evaluations."""

@@ -1,0 +1,264 @@
+"""The evaluations of a study, and what its searches requested.
+
+Evaluations are append-only. A search needs no checkpoint: started again with the same seed it requests the same points,
+and the ledger returns those that were evaluated before.
+"""
+
+from __future__ import annotations
+
+import itertools
+import random
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import pandas as pd
+
+from calib.execution.evaluate import BatchEvaluator
+from calib.execution.outcome import Asked, Outcome, key_of
+from calib.results.ledger.blobs import array, blob_of_key, key_of_blob, named
+from calib.results.ledger.conversion import convert
+from calib.results.ledger.database import Database, connected, marks
+from calib.results.ledger.history import History
+from calib.results.ledger.identifiers import Identifiers
+from calib.results.ledger.rows import Rows
+from calib.results.ledger.schema import STATE, VERSION, create, version_of
+
+_BUSY_SECONDS = 30.0
+
+
+class Ledger:
+    """The evaluations of one study, made with `Ledger.open` or `Ledger.in_memory`.
+
+    Attributes
+    ----------
+    path : Path
+    retried : int
+        Points evaluated again since it was opened, because a process had died there or run out of memory or time.
+    """
+
+    def __init__(self, database: Database):
+        self.path = database.path
+        self.retried = 0
+        self._database = database
+        self._identifiers = Identifiers(database)
+        self._rows = Rows(database, self._identifiers)
+        self._history = History(database, self._rows)
+        self._tried: set[tuple[str, str]] = set()
+
+    @staticmethod
+    def open(path: Path, busy_seconds: float = _BUSY_SECONDS) -> Ledger:
+        """Open a ledger, making file and folder where there is none, and converting one of an earlier version.
+
+        Parameters
+        ----------
+        path : Path
+        busy_seconds : float
+            How long to wait for another process that is writing.
+
+        Raises
+        ------
+        InputError
+            When it cannot be written, is no ledger, or is locked for longer than that.
+        """
+        database = connected(path, busy_seconds)
+        try:
+            version_of(database)  # what is no ledger stays as it is, its journal mode too
+            database.use_write_ahead_log(busy_seconds)
+            _prepare(database)
+            database.shrink()
+        except BaseException:
+            database.close()
+            raise
+        return Ledger(database)
+
+    @staticmethod
+    def in_memory() -> Ledger:
+        """A ledger without a file, lost when it is closed."""
+        database = connected(Path(":memory:"), _BUSY_SECONDS)
+        _prepare(database)
+        return Ledger(database)
+
+    def __enter__(self) -> Ledger:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    # -- evaluations ---------------------------------------------------------------------------------------------------
+
+    def lookup(self, fingerprint: str, keys: Iterable[str]) -> dict[str, Outcome]:
+        """Stored outcomes by key; of several attempts the last one."""
+        query = (
+            "SELECT key, parameter_names, parameters, response_names, responses, status, error, seconds"
+            f" FROM evaluation WHERE key IN ({{}}) AND state = {STATE} ORDER BY key, attempt"
+        )
+        found: dict[str, Outcome] = {}
+        with self._database.explaining():
+            for row in self._database.among(query, map(blob_of_key, keys), fingerprint):
+                key, names, parameters, responding, responses, status, error, seconds = row
+                values = named(self._identifiers.names(names), parameters)
+                answer = named(self._identifiers.names(responding), responses)
+                found[key_of_blob(key)] = Outcome(values, status, answer, error, seconds)
+        return found
+
+    def append(self, fingerprint: str, outcomes: Sequence[Outcome]) -> None:
+        """Add evaluations in one transaction.
+
+        A stored point is left as it is, unless its last attempt failed transiently (see `Outcome.transient`): then the
+        new outcome becomes its next attempt.
+        """
+        keys = [key_of(outcome.values) for outcome in outcomes]
+        self._tried.update((fingerprint, key) for key in keys)
+        created = time.time_ns() // 1_000_000
+        with self._database.transaction():
+            known = self.lookup(fingerprint, keys)
+            for key, outcome in zip(keys, outcomes, strict=True):
+                if key not in known or known[key].transient:
+                    attempts = self._attempts(fingerprint, key) if key in known else 0
+                    self._rows.add_evaluation(fingerprint, key, attempts + 1, outcome, created)
+                    known[key] = outcome
+
+    def evaluate(
+        self,
+        fingerprint: str,
+        points: Sequence[Mapping[str, float]],
+        evaluator: BatchEvaluator,
+        told: Callable[[int], None] = lambda done: None,
+    ) -> list[Outcome]:
+        """Outcomes of a batch in the order of the points; those not stored are evaluated as one batch.
+
+        Each outcome is stored as soon as it is available: even a killed process loses only the points in progress.
+
+        A failed point is not tried again, with one exception: where a worker process died, or memory or time ran out,
+        the point is tried once each time the ledger is opened, provided that worker processes are used (in this
+        process such a point could end the command). ``told`` receives the number of points that are known so far.
+        """
+        keys = [key_of(values) for values in points]
+        known = self.lookup(fingerprint, keys)
+        if evaluator.isolated:
+            again = [k for k, o in known.items() if o.transient and (fingerprint, k) not in self._tried]
+            self.retried += len(again)
+            known = {k: o for k, o in known.items() if k not in again}
+        new = {key: values for key, values in zip(keys, points, strict=True) if key not in known}
+        if new:
+            done = itertools.count(len(points) - len(new) + 1)
+
+            def arrived(outcome: Outcome) -> None:
+                self.append(fingerprint, [outcome])
+                told(next(done))
+
+            outcomes = evaluator.evaluate(list(new.values()), arrived)
+            known |= dict(zip(new, outcomes, strict=True))
+        return [known[key] for key in keys]
+
+    def stored(self, fingerprint: str) -> Outcome | None:
+        """One successfully evaluated point; None without any.
+
+        It is drawn with the number of such points as the seed, so that the choice depends on the content alone.
+        """
+        keys = self._keys(fingerprint, "ok")
+        if not keys:
+            return None
+        key = random.Random(len(keys)).choice(keys)
+        return self.lookup(fingerprint, [key])[key]
+
+    def stored_at(self, fingerprint: str, values: Mapping[str, float]) -> str:
+        """Day and time (UTC) at which a point was last evaluated; empty when it never was."""
+        created = self._number(
+            f"SELECT MAX(created) FROM evaluation WHERE state = {STATE} AND key = ?",
+            fingerprint,
+            blob_of_key(key_of(values)),
+        )
+        return f"{datetime.fromtimestamp(created / 1000, UTC):%Y-%m-%d %H:%M} UTC" if created else ""
+
+    def failed(self, fingerprint: str) -> list[Outcome]:
+        """All points whose last attempt failed, in the order of their keys."""
+        keys = self._keys(fingerprint, "failed")
+        found = self.lookup(fingerprint, keys)
+        return [found[key] for key in keys if found[key].status == "failed"]
+
+    def count(self, fingerprint: str) -> int:
+        """Number of points evaluated in this state of model and measurement."""
+        return self._number(f"SELECT COUNT(*) FROM evaluation WHERE state = {STATE} AND attempt = 1", fingerprint)
+
+    def other_fingerprints(self, *current: str) -> int:
+        """Number of rows that belong to other states of model and measurement than the current ones."""
+        return self._number(
+            "SELECT COUNT(*) FROM evaluation WHERE state IN"
+            f" (SELECT id FROM state WHERE fingerprint NOT IN ({marks(current)}))",
+            *current,
+        )
+
+    def _keys(self, fingerprint: str, status: str) -> list[str]:
+        """Sorted keys of the points with an attempt of that status."""
+        with self._database.explaining():
+            rows = self._database.execute(
+                f"SELECT DISTINCT key FROM evaluation WHERE state = {STATE} AND status = ? ORDER BY key",
+                (fingerprint, status),
+            )
+            return [key_of_blob(key) for (key,) in rows]
+
+    def _attempts(self, fingerprint: str, key: str) -> int:
+        return self._number(
+            f"SELECT COUNT(*) FROM evaluation WHERE state = {STATE} AND key = ?", fingerprint, blob_of_key(key)
+        )
+
+    def _number(self, query: str, *given: object) -> int:
+        """The one number that a query finds; 0 for NULL."""
+        with self._database.explaining():
+            (number,) = self._database.execute(query, given).fetchone()
+        return int(number or 0)
+
+    # -- vectors -------------------------------------------------------------------------------------------------------
+
+    def vectors(self, fingerprint: str, key: str, names: Sequence[str]) -> dict[str, np.ndarray]:
+        """Stored vectors of one point by name, such as its residual and the columns of its Jacobian."""
+        query = f"SELECT name, numbers FROM vector WHERE name IN ({{}}) AND state = {STATE} AND key = ?"
+        found: dict[str, np.ndarray] = {}
+        with self._database.explaining():
+            for name, numbers in self._database.among(query, names, fingerprint, blob_of_key(key)):
+                found[name] = array(numbers)
+        return found
+
+    def keep_vectors(self, fingerprint: str, key: str, vectors: Mapping[str, np.ndarray]) -> None:
+        """Add vectors of one point, each (n,), in one transaction; one that is already stored stays."""
+        with self._database.transaction():
+            self._rows.add_vectors(fingerprint, key, vectors)
+
+    # -- history -------------------------------------------------------------------------------------------------------
+
+    def record(self, run: str, fingerprint: str, generation: int, asked: Sequence[Asked]) -> None:
+        """Record one generation of a search.
+
+        An evaluated point is ``reused`` if this run requested it earlier, or another run did before this run's first
+        generation was recorded; else it is ``solved``. That depends on the requests alone, not on the content of the
+        ledger, so a run that was killed and started again records the same history as one that was not.
+
+        The history of a run is always that of one search. A recorded generation stays if the new one is equal; if not
+        (after a transient failure, say), it and all later ones are replaced.
+        """
+        self._history.record(run, fingerprint, generation, asked)
+
+    def history(self, run: str) -> pd.DataFrame:
+        """Points requested by a run: ``generation, individual, key, status, misfit``, sorted by the first two."""
+        return self._history.of(run)
+
+
+def _prepare(database: Database) -> None:
+    """Make the tables of a new ledger, or convert those of an earlier version."""
+    with database.transaction():
+        version = version_of(database)
+        if not version:
+            create(database)
+        elif version != VERSION:
+            convert(database)

@@ -1,0 +1,1 @@
+"""Matrices of effects, attachments and local perturbations."""

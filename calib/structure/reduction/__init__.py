@@ -1,0 +1,1 @@
+"""Reduced bases with a certified error."""

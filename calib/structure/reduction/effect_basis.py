@@ -1,0 +1,234 @@
+"""Enrichment of a reduced basis by modes with effects and derivatives by local perturbations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+
+from calib.execution.stage import Progress, unheard
+from calib.execution.tasks import each
+from calib.problem.effect import Effect
+from calib.problem.space import ParameterSpace
+from calib.structure.effects.extend import extend
+from calib.structure.effects.perturbations import Perturbation
+from calib.structure.eigenproblem.derivatives import ModeDerivatives, mode_derivatives
+from calib.structure.eigenproblem.inertia import symmetric_factor
+from calib.structure.model import StructuralModel
+from calib.structure.modes import Modes
+from calib.structure.reduction.basis import Basis
+from calib.structure.reduction.frf_target import FRFTarget
+from calib.structure.reduction.growth import Growth, next_round
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.refinement import modes_near
+from calib.structure.reduction.space_filling import space_filling_points
+from calib.structure.rules import RULES
+
+_POINTS = 2
+"""Points of the space, beside its middle, at which modes with effects are sampled."""
+_STRONG = 2.0
+"""Largest sampled magnitude, over the plausible one."""
+_ERROR = 3e-5
+"""Squared projection error of every vector, relative to the strain energy of its mode."""
+_REFINED = 0.1 * _ERROR
+"""Accuracy of eigenvalues of refined modes: about the squared error of their shapes."""
+_EFFECTS = 4
+"""Effects solved from the same basis, as tasks that can be shared; all their shapes are in memory together."""
+_BATCH = 20
+"""Perturbations per batch: principal directions of all at once cost far more and save few vectors."""
+_MODES = 3
+"""Modes per task: each has a factor of its own, and all of them need the derivatives of the matrices."""
+_TOGETHER = 80
+"""Perturbations solved with one set of factors; fewer where their derivatives are more than ``_NUMBERS``."""
+_NUMBERS = 60_000_000
+"""Complex numbers of derivatives in memory, a gigabyte."""
+
+
+def effect_basis(
+    model: StructuralModel,
+    basis: Basis,
+    space: ParameterSpace,
+    effects: Sequence[Effect],
+    perturbations: Sequence[Perturbation],
+    seed: int,
+    progress: Progress = unheard,
+) -> Basis:
+    """The next version of a basis, which spans modes with effects and derivatives by perturbations.
+
+    The principal directions of the following are added: shapes of the model with each effect, at its plausible and at
+    twice its plausible magnitude or at all points of its grid, at a few points of the space; and derivatives of the
+    shapes by every perturbation, times its plausible magnitude, at the middle of the space. That of a grounded spring
+    is scaled by the lowest frequency of the model instead: no measured frequency enters.
+
+    Parameters
+    ----------
+    model : StructuralModel
+        The base model, for which ``basis`` was trained.
+    basis : Basis
+    space : ParameterSpace
+        Effects are sampled at its middle and a few points.
+    effects : sequence of Effect
+        Modes are solved with each.
+    perturbations : sequence of Perturbation
+        Derivatives are taken by each.
+    seed : int
+    progress : callable
+        Called before every few effects and every batch of perturbations.
+    """
+    growth, points = Growth(model, basis), _points(space, seed)
+    middle, vectors = points[0], basis.vectors
+    room = _NUMBERS // (model.n_dof * basis.count)
+    together = min(_TOGETHER, max(room // _BATCH, 1) * _BATCH)  # whole batches: the span does not depend on it
+    stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / together)
+    for first in range(0, len(effects), _EFFECTS):
+        progress(stage, first, len(effects) + batches)
+        few, known = effects[first : first + _EFFECTS], ReducedModel(model, replace(basis, vectors=vectors))
+        asked = [(k, {**point, **own}) for k, one in enumerate(few) for point in points for own in _sampled(one)]
+        solved = each(_near, [known.extended([one]) for one in few], asked)
+        for k in range(len(few)):
+            seen = [_unit(growth, m, model.n_dof, basis) for m, (of, _) in zip(solved, asked, strict=True) if of == k]
+            vectors = growth.widened(vectors, np.hstack(seen), _ERROR)
+    nominal = model.modes(middle, basis.count)
+    local = _local_factor(growth, middle) if any(_grounded(one) for one in perturbations) else None
+    for first in range(0, len(perturbations), together):
+        progress(stage, len(effects) + first // together, len(effects) + batches)
+        some = perturbations[first : first + together]
+        wider = extend(model, [one.effect for one in some])
+        slopes = _derivatives(growth, wider, middle, nominal, some, basis, local)
+        for k in range(0, len(slopes), _BATCH):
+            vectors = growth.widened(vectors, np.hstack(slopes[k : k + _BATCH]), _ERROR)
+    return replace(basis, vectors=vectors, version=basis.version + 1)
+
+
+def frf_effect_basis(
+    model: StructuralModel,
+    basis: Basis,
+    space: ParameterSpace,
+    effects: Sequence[Effect],
+    target: FRFTarget,
+    seed: int,
+    progress: Progress = unheard,
+) -> Basis:
+    """The next version of a basis of FRFs, which meets its tolerance with each effect too.
+
+    Effects are sampled as by `effect_basis`. Local perturbations need nothing: the derivative of an FRF holds the
+    solutions of the unperturbed model alone.
+
+    Parameters
+    ----------
+    model : StructuralModel
+        The base model, for which ``basis`` was trained.
+    basis : Basis
+    space : ParameterSpace
+        Of the model and of the loads of the target.
+    effects : sequence of Effect
+    target : FRFTarget
+        That the basis was trained for.
+    seed : int
+    progress : callable
+        Called before every effect.
+    """
+    growth, points = Growth(model, basis), _points(space, seed)
+    for number, effect in enumerate(effects):
+        progress("training the basis for the effects", number, len(effects))
+        sampled = [{**point, **own} for point in points for own in _sampled(effect)]
+        sampled = [{**{p.name: p.value for p in effect.parameters}, **point} for point in sampled]
+        basis = growth.enriched(basis, sampled, target.with_effects([effect]), next_round(basis), verified=1)[0]
+    return replace(basis, version=basis.version + 1)
+
+
+def _near(known: Sequence[ReducedModel], asked: tuple[int, Mapping[str, float]]) -> Modes:
+    of, point = asked
+    return modes_near(known[of], point, known[of].n_modes, _REFINED)
+
+
+def _points(space: ParameterSpace, seed: int) -> list[dict[str, float]]:
+    """Middle of a space and a few points in it."""
+    middle = {p.name: p.value for p in space.parameters}
+    return [middle, *space_filling_points(space, _POINTS, np.random.default_rng(seed))[:_POINTS]]
+
+
+def _sampled(effect: Effect) -> Iterator[Mapping[str, float]]:
+    """Magnitudes and nuisance values at which modes are solved."""
+    if effect.grid:
+        yield from effect.grid
+        return
+    for factor in (1.0, _STRONG) + ((-1.0,) if effect.signed else ()):
+        magnitude = min(max(factor * effect.plausible, effect.magnitude.lower), effect.magnitude.upper)
+        yield {effect.name: magnitude}
+
+
+def _unit(growth: Growth, modes: Modes, rows: int, basis: Basis) -> np.ndarray:
+    """Shapes at the model's own degrees of freedom, of unit energy or, where they hardly move, of less."""
+    shapes = modes.shapes[:rows, modes.natural_freq <= basis.freq_max]
+    energy = np.einsum("ij,ij->j", shapes.conj(), growth.matrix @ shapes).real
+    moving = energy > 1e-6 * energy.max(initial=0.0)
+    kept = shapes[:, moving] / np.sqrt(energy[moving])
+    return np.hstack([kept.real, kept.imag]) if modes.is_complex else kept
+
+
+def _derivatives(
+    growth: Growth,
+    model: StructuralModel,
+    point: Mapping[str, float],
+    modes: Modes,
+    perturbations: Sequence[Perturbation],
+    basis: Basis,
+    local: spla.SuperLU | None,
+) -> list[np.ndarray]:
+    """Derivatives of a model's modes by each perturbation, (n_dof, m) with real and imaginary parts.
+
+    Perturbations add no degrees of freedom and have magnitude 0 at the point.
+    """
+    chosen = np.flatnonzero(modes.natural_freq <= basis.freq_max)
+    some = [chosen[k : k + _MODES] for k in range(0, len(chosen), _MODES)]
+    parts = each(_slopes, (model, point, modes, [a.effect.name for a in perturbations]), some)
+    shapes = modes.shapes[:, chosen]
+    size = np.sqrt(np.einsum("ij,ij->j", shapes.conj(), growth.matrix @ shapes).real)
+    usable = np.hstack([part.regular for part in parts]) & (modes.damping_ratio[chosen] < basis.damping_max)
+    weights = [_weight(growth, model, one, local) for one in perturbations]
+    slopes = (np.hstack(own) for own in zip(*(part.shapes for part in parts), strict=True))
+    columns = [weight * slope[:, usable] / size[usable] for weight, slope in zip(weights, slopes, strict=True)]
+    return [np.hstack([c.real, c.imag]) if np.iscomplexobj(c) else c for c in columns]
+
+
+def _slopes(
+    shared: tuple[StructuralModel, Mapping[str, float], Modes, list[str]], which: np.ndarray
+) -> ModeDerivatives:
+    model, point, modes, names = shared
+    return mode_derivatives(model, point, modes, names, which)
+
+
+def weight_key(perturbation: Perturbation) -> tuple[str, float]:
+    """Name of a perturbation, and what its weight in a basis depends on beside the model."""
+    return perturbation.effect.name, RULES.local if _grounded(perturbation) else perturbation.effect.plausible
+
+
+def _grounded(perturbation: Perturbation) -> bool:
+    return bool(perturbation.sensor) and perturbation.kind == "stiffness"
+
+
+def _local_factor(growth: Growth, point: Mapping[str, float]) -> spla.SuperLU:
+    """Factor of ``K + omega^2 M`` at the lowest frequency of the reference model: it gives flexibilities at places."""
+    stiffness, _, mass = growth.model.matrices(point)
+    shift = (2 * np.pi * growth.modes.natural_freq[0]) ** 2
+    return symmetric_factor(sp.csc_array(stiffness + shift * mass))
+
+
+def _weight(growth: Growth, model: StructuralModel, perturbation: Perturbation, local: spla.SuperLU | None) -> float:
+    """Magnitude by which the derivative by a perturbation is weighed.
+
+    The plausible one of a grounded spring is scaled by a measured frequency; here by the lowest of the reference
+    model, so that measurements of other values need no other basis.
+    """
+    if local is None or not _grounded(perturbation):
+        return perturbation.effect.plausible
+    (matrix,) = (term.matrix for term in model.stiffness.terms if term.name == perturbation.effect.name)
+    touched = np.unique(matrix.indices)
+    forces = np.zeros((growth.model.n_dof, len(touched)))
+    forces[touched] = matrix[touched][:, touched].toarray()  # b b^T: the trace of its responses is the flexibility
+    return RULES.local / float(np.trace(local.solve(forces)[touched]))

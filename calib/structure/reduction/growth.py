@@ -1,0 +1,286 @@
+"""Growth of a reduced basis until it meets a target."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import scipy.linalg as la
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+
+from calib.execution.tasks import each
+from calib.structure.eigenproblem.solve import solve_modes
+from calib.structure.model import StructuralModel
+from calib.structure.modes import Modes
+from calib.structure.reduction.basis import Basis
+from calib.structure.reduction.reduced import ReducedModel, reference_factor, reference_matrix
+
+SAFETY = 0.5
+"""Limit of the error indicator, as a fraction of the tolerance."""
+POD = 0.5
+"""Squared projection error of every snapshot, as a fraction of the tolerance."""
+_STATIC = 1e-3
+"""Static vectors closer than this to the span of the others, in the energy norm, are dropped."""
+_COLUMNS = 64
+"""Columns that are multiplied at a time: copies of all would take several times their memory."""
+VERIFIED = 6
+"""Points of a passed round, worst indicators first, that are compared with the full model: only that detects missed
+modes. The first is solved at full order, the others are refined and counted."""
+
+
+class Target(Protocol):
+    """What a reduced basis must represent, and how well."""
+
+    @property
+    def count(self) -> int:
+        """Number of modes; 0 for none."""
+
+    @property
+    def freq_max(self) -> float:
+        """Highest frequency, Hz."""
+
+    @property
+    def damping_max(self) -> float:
+        """Largest damping ratio of a mode that must be represented."""
+
+    @property
+    def tolerance(self) -> float:
+        """Largest `error`."""
+
+    @property
+    def request(self) -> str:
+        """Hash of what else the target consists of; empty for modes."""
+
+    def forces(self, model: StructuralModel) -> np.ndarray:
+        """Forces whose static responses belong to the basis, (n_dof, n_forces)."""
+
+    def snapshots(
+        self,
+        model: StructuralModel,
+        energy: sp.csc_array,
+        values: Mapping[str, float],
+        known: ReducedModel | None = None,
+    ) -> np.ndarray:
+        """Real columns (n_dof, m) that the basis must represent, from the full model at named values.
+
+        A reduced model ``known`` so far may serve as the start of a solution.
+        They are scaled so that the tolerance is met where their squared projection errors in the inner product
+        ``energy`` (n_dof, n_dof) are below it, to the order of magnitude: `error` decides.
+        """
+
+    def posed(self, reduced: ReducedModel) -> ReducedModel:
+        """What the following take, from the reduced base model: the same with what the target adds to it."""
+
+    def missing(
+        self, reduced: ReducedModel, energy: sp.csc_array, values: Mapping[str, float], unseen: bool = False
+    ) -> np.ndarray:
+        """The same, chosen where the reduced model is wrong; ``unseen`` where `estimate` does not show it."""
+
+    def estimate(self, reduced: ReducedModel, values: Mapping[str, float]) -> float:
+        """Estimate of `error` without the full model's solution."""
+
+    def error(self, reduced: ReducedModel, values: Mapping[str, float], counted: bool = False) -> float:
+        """Largest error against the full model at named values.
+
+        ``counted`` allows a solution whose completeness rests on a count of undamped modes.
+        """
+
+
+class Growth:
+    """Inner product of a basis, and the projections and decompositions in it.
+
+    ``modes`` are `reference_modes` of the basis, where they are known.
+    """
+
+    def __init__(self, model: StructuralModel, basis: Basis, modes: Modes | None = None):
+        self.model = model
+        self._modes = modes
+        self.reference = basis.reference_values
+        self.offset = basis.offset
+        self.matrix = reference_matrix(model, self.reference, basis.offset)
+
+    @cached_property
+    def factor(self) -> spla.SuperLU:
+        """Factor of the inner product."""
+        return reference_factor(self.model, self.reference, self.offset)
+
+    @cached_property
+    def rigid(self) -> int:
+        """Number of rigid-body motions and mechanisms of the reference model."""
+        return _rigid_count(self.modes) if self.offset else 0
+
+    @cached_property
+    def modes(self) -> Modes:
+        """See `reference_modes`."""
+        return reference_modes(self.model, self.reference) if self._modes is None else self._modes
+
+    def _inertia_forces(self) -> np.ndarray:
+        """Forces whose responses are the rigid-body motions and mechanisms of the reference model."""
+        mass = self.model.mass(self.model.space.si(self.model.space.complete(self.reference)))
+        forces = np.random.default_rng(20110713).standard_normal((self.model.n_dof, self.rigid))
+        for _ in range(12):  # each pass reduces the first vibration mode by a factor of 100
+            motions = np.linalg.qr(self.factor.solve(forces))[0]
+            forces = mass @ motions
+        return forces
+
+    def project_out(self, vectors: np.ndarray, basis: np.ndarray) -> np.ndarray:
+        """Vectors with an orthonormal basis projected out in the energy product."""
+        rest = np.array(vectors)
+        for some in _blocks(rest.shape[1]):
+            for _ in range(2):
+                rest[:, some] -= basis @ (basis.T @ (self.matrix @ rest[:, some]))
+        return rest
+
+    def gram(self, vectors: np.ndarray) -> np.ndarray:
+        """Energy products of vectors (n_dof, m) with each other, (m, m)."""
+        return np.hstack([vectors.T @ (self.matrix @ vectors[:, some]) for some in _blocks(vectors.shape[1])])
+
+    def spanned(self, vectors: np.ndarray, least: float) -> np.ndarray:
+        """Orthonormal basis of vectors (n_dof, m); directions of energy below ``least`` (squared norm) are dropped."""
+        if not vectors.shape[1]:
+            return vectors
+        energies, turn = la.eigh(self.gram(vectors))
+        kept = energies > max(least, 1e-13 * energies[-1])
+        out = vectors @ (turn[:, kept] / np.sqrt(energies[kept]))
+        # A second pass, since the division has amplified the rounding error of small directions.
+        energies, turn = la.eigh(self.gram(out))
+        return out @ (turn / np.sqrt(energies)) @ turn.T
+
+    def statics(self, loads: np.ndarray) -> np.ndarray:
+        """Static responses of the reference model to selected vectors and forces; and its rigid-body motions.
+
+        The forces are those of the dampers and ``loads`` (n_dof, n_loads).
+        """
+        chosen = [b for term in self.model.stiffness.selected for b in term.vectors.values()]
+        forces = [np.column_stack(chosen)] if chosen else []
+        if loads.shape[1]:
+            forces.append(loads)
+        if self.rigid:
+            forces.append(self._inertia_forces())
+        if self.model.is_damped:
+            for term in self.model.damping.terms:
+                active = np.unique(term.matrix.indices[term.matrix.data != 0])
+                if len(active) <= 0.1 * self.model.n_dof:  # discrete dampers, not material damping
+                    sizes, turn = la.eigh(term.matrix[active][:, active].toarray())
+                    columns = np.zeros((self.model.n_dof, np.count_nonzero(sizes > 1e-10 * sizes[-1])))
+                    columns[active] = turn[:, sizes > 1e-10 * sizes[-1]]
+                    forces.append(columns)
+        if not forces:
+            return np.zeros((self.model.n_dof, 0))
+        responses = self.factor.solve(np.hstack(forces))
+        responses /= np.sqrt(np.einsum("ij,ij->j", responses, self.matrix @ responses))
+        return self.spanned(responses, _STATIC**2)
+
+    def decomposed(self, snapshots: np.ndarray, basis: np.ndarray, error: float) -> np.ndarray:
+        """Fewest principal directions that, with a basis, represent every snapshot to a squared error."""
+        rest = self.project_out(snapshots, basis)
+        gram = self.gram(rest)
+        if np.diag(gram).max(initial=0.0) < error:
+            return np.zeros((len(rest), 0))
+        energies, turn = la.eigh(gram)
+        energies, turn = energies[::-1], turn[:, ::-1]
+        left = np.diag(gram)[:, None] - np.cumsum(energies * turn**2, axis=1)
+        size = int(np.argmax(left.max(axis=0) < error)) + 1
+        size = min(size, int(np.count_nonzero(energies > 1e-13 * energies[0])))
+        return self.spanned(self.project_out(rest @ (turn[:, :size] / np.sqrt(energies[:size])), basis), 0.0)
+
+    def widened(self, basis: np.ndarray, vectors: np.ndarray, error: float) -> np.ndarray:
+        """An orthonormal basis, extended to represent given vectors to a squared error."""
+        return np.hstack([basis, self.decomposed(vectors, basis, error)])
+
+    def enriched(
+        self,
+        basis: Basis,
+        points: Sequence[Mapping[str, float]],
+        target: Target,
+        number: int,
+        verified: int = VERIFIED,
+    ) -> tuple[Basis, bool]:
+        """The basis with what is missing at the worst points added until all pass, and whether all passed at once.
+
+        ``number`` is that of the round; so many worst points that passed are ``verified`` at full order.
+        """
+        final = np.zeros(len(points))
+        waiting = list(range(len(points)))
+        passed = True
+        while waiting:
+            reduced = target.posed(ReducedModel(self.model, basis, factor=self.factor))
+            final[waiting] = each(_estimate, (target, reduced), [points[k] for k in waiting])
+            checks = [(number, basis.size, final[k], np.nan) for k in waiting]
+            waiting = [k for k in waiting if final[k] > SAFETY * target.tolerance]
+            worst = [max(waiting, key=lambda k: final[k])] if waiting else []
+            unseen = not waiting
+            if not waiting:
+                chosen = np.argsort(-final, kind="stable")[:verified].tolist()
+                asked = [(points[k], rank > 0) for rank, k in enumerate(chosen)]
+                for k, error in zip(chosen, each(_error, (target, reduced), asked), strict=True):
+                    checks.append((number, basis.size, final[k], error))
+                    if error > target.tolerance:
+                        worst.append(k)
+            basis = replace(basis, checks=np.vstack([basis.checks, checks]))
+            if not worst:
+                break
+            passed = False
+            lacking = each(_missing, (target, reduced, self.matrix, unseen), [points[k] for k in worst])
+            grown = self.added(basis.vectors, np.hstack(lacking), POD * target.tolerance)
+            if grown.shape[1] == basis.size:
+                break  # nothing is left to add: the indicator overestimates the error there
+            samples = np.vstack([basis.samples, sampled_rows(basis, [points[k] for k in worst])])
+            basis = replace(basis, vectors=grown, samples=samples)
+        return basis, passed
+
+    def added(self, basis: np.ndarray, vectors: np.ndarray, least: float) -> np.ndarray:
+        """An orthonormal basis with vectors added, directions of energy below ``least`` dropped."""
+        new = self.spanned(self.project_out(vectors, basis), least)
+        return np.hstack([basis, self.project_out(new, basis)])
+
+
+def _blocks(count: int) -> list[slice]:
+    """Columns in blocks, at least one."""
+    return [slice(first, first + _COLUMNS) for first in range(0, max(count, 1), _COLUMNS)]
+
+
+def _estimate(shared: tuple[Target, ReducedModel], point: Mapping[str, float]) -> float:
+    target, reduced = shared
+    return target.estimate(reduced, point)
+
+
+def _error(shared: tuple[Target, ReducedModel], asked: tuple[Mapping[str, float], bool]) -> float:
+    target, reduced = shared
+    point, counted = asked
+    return target.error(reduced, point, counted)
+
+
+def _missing(shared: tuple[Target, ReducedModel, sp.csc_array, bool], point: Mapping[str, float]) -> np.ndarray:
+    target, reduced, energy, unseen = shared
+    return target.missing(reduced, energy, point, unseen)
+
+
+def _rigid_count(modes: Modes) -> int:
+    """Number of rigid-body motions and mechanisms among the modes of a reference model."""
+    return sum(eigenvalue.kind in ("zero", "spin") for eigenvalue in modes.excluded)
+
+
+def offset_of(modes: Modes) -> float:
+    """Factor of the mass that keeps the inner product regular, by `reference_modes`; 0 without rigid-body motions."""
+    return float((0.1 * 2 * np.pi * modes.natural_freq[0]) ** 2) if _rigid_count(modes) else 0.0
+
+
+def reference_modes(model: StructuralModel, values: Mapping[str, float]) -> Modes:
+    """The lowest mode of a model without selected terms and damping, and what is excluded below it."""
+    stiffness = reference_matrix(model, values, 0.0)
+    return solve_modes(stiffness, None, model.mass(model.space.si(model.space.complete(values))), 1)
+
+
+def sampled_rows(basis: Basis, points: Sequence[Mapping[str, float]]) -> np.ndarray:
+    """Points as rows of `Basis.samples`, (n_points, n_names)."""
+    return np.array([[p[name] for name in basis.names] for p in points], dtype=float).reshape(-1, len(basis.names))
+
+
+def next_round(basis: Basis) -> int:
+    """Number of the next round of checks."""
+    return int(basis.checks[:, 0].max(initial=0)) + 1

@@ -1,0 +1,226 @@
+"""Training of a reduced basis on solutions of the full model over parameter spaces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from calib.errors.errors import InputError, ToleranceError
+from calib.execution.stage import Progress, unheard
+from calib.execution.tasks import each
+from calib.problem.space import ParameterSpace
+from calib.structure.model import StructuralModel
+from calib.structure.reduction.basis import CHECK_COLUMNS, Basis
+from calib.structure.reduction.growth import (
+    POD,
+    SAFETY,
+    Growth,
+    Target,
+    next_round,
+    offset_of,
+    reference_modes,
+    sampled_rows,
+)
+from calib.structure.reduction.mode_target import ModeTarget
+from calib.structure.reduction.reduced import ReducedModel
+from calib.structure.reduction.space_filling import box, levels, middle, space_filling_points
+
+_FRESH = 24
+"""Validation points of each space in a round of checks."""
+_FIRST = 4
+"""Snapshot points solved at full order; those after them start from a reduced model."""
+_ROUNDS = 16
+
+
+def train_basis(
+    model: StructuralModel,
+    spaces: ParameterSpace | Sequence[ParameterSpace],
+    count: int,
+    *,
+    seed: int,
+    freq_max: float = np.inf,
+    damping_max: float = 0.95,
+    tolerance: float = 1e-5,
+    samples: int | None = None,
+    progress: Progress = unheard,
+) -> Basis:
+    """Train a basis that represents the lowest modes of a model over whole parameter spaces.
+
+    The basis collects, in this order: static responses to all selected vectors b and to the dampers; the proper
+    orthogonal decomposition of snapshots (modes at Latin hypercube points, scaled to equal energy, real and imaginary
+    parts); and the modes at the validation points where `ReducedModel.indicator` is largest, until a round of new
+    points passes and its worst points agree with the full model without a missed mode. Points that were not solved rest
+    on the indicator alone; `calib.structure.reduction.certificate` measures the error.
+
+    After the first snapshots, modes are refined from the basis known so far (`calib.structure.reduction.refinement`)
+    where their number is confirmed by the law of inertia, and solved at full order elsewhere.
+
+    Parameters
+    ----------
+    model : StructuralModel
+    spaces : ParameterSpace or sequence of them
+        Domain of the basis, constraints included; integer parameters take all of their values.
+    count : int
+        Number of modes to represent.
+    seed : int
+        Same seed, same basis on the same machine.
+    freq_max, damping_max : float
+        Only modes below this natural frequency (Hz) and damping ratio must meet the tolerance. A nearly critical
+        eigenvalue is almost defective and cannot meet a tight tolerance.
+    tolerance : float
+        Relative eigenvalue error; the indicator must meet half of it. Errors of shapes, MAC and damping ratios are
+        about its square root, those of strain energy shares several times that, so that a hundredth of what frequencies
+        need is worthwhile.
+    samples : int, optional
+        Snapshot points of each space; default 8 plus 2 for each free parameter, at least as many as an integer
+        parameter has values.
+    progress : callable
+        Called before every point that is solved here; others may share them, see `calib.execution.tasks.each`.
+
+    Raises
+    ------
+    InputError
+        When a space does not belong to the model or has no feasible point.
+    ToleranceError
+        When the tolerance is not reached.
+    EvaluationError
+        When a point cannot be solved.
+    """
+    if count < 1:
+        raise InputError(f"the number of modes is {count}", place=_place(model), remedy="ask for at least 1")
+    target = ModeTarget(count, float(freq_max), float(damping_max), float(tolerance))
+    return train(model, spaces, target, seed=seed, samples=samples, progress=progress)
+
+
+def train(
+    model: StructuralModel,
+    spaces: ParameterSpace | Sequence[ParameterSpace],
+    target: Target,
+    *,
+    seed: int,
+    samples: int | None = None,
+    progress: Progress = unheard,
+) -> Basis:
+    """Train a basis that meets a target over whole parameter spaces; see `train_basis`.
+
+    The parameters of a space are those of the model, and after them those of the test's loads, which the target adds.
+    """
+    several = (spaces,) if isinstance(spaces, ParameterSpace) else tuple(spaces)
+    _check(model, several, target.tolerance)
+    rng = np.random.default_rng(seed)
+    lower, upper = (end[: len(model.space.names)] for end in box(several))
+    reference = middle(lower, upper)
+    modes = reference_modes(model, dict(zip(model.space.names, reference.tolist(), strict=True)))
+    basis = Basis(
+        vectors=np.zeros((model.n_dof, 0)),
+        model_fingerprint=model.fingerprint,
+        names=model.space.names,
+        reference=reference,
+        lower=lower,
+        upper=upper,
+        offset=offset_of(modes),
+        count=target.count,
+        freq_max=target.freq_max,
+        damping_max=target.damping_max,
+        tolerance=target.tolerance,
+        request=target.request,
+        samples=np.zeros((0, len(reference))),
+        checks=np.zeros((0, len(CHECK_COLUMNS))),
+        seed=seed,
+    )
+    growth = Growth(model, basis, modes)
+    vectors = growth.statics(target.forces(model))
+    points = [p for space in several for p in space_filling_points(space, samples or _sample_count(space), rng)]
+    snapshots = np.zeros((model.n_dof, 0))
+    known: ReducedModel | None = None
+    for some in _batches(len(points)):
+        if some.start:
+            so_far = growth.widened(vectors, snapshots, POD * target.tolerance)
+            known = ReducedModel(model, replace(basis, vectors=so_far))
+
+        def told(done: int, first: int = some.start) -> None:
+            progress("training the reduced basis", first + done, len(points))
+
+        solved = each(_snapshots, (target, model, growth.matrix, known), [points[k] for k in some], told)
+        snapshots = np.hstack([snapshots, *solved])
+    vectors = growth.widened(vectors, snapshots, POD * target.tolerance)
+    basis = replace(basis, vectors=vectors, samples=sampled_rows(basis, points))
+    for number in range(1, _ROUNDS + 1):
+        progress(f"checking the reduced basis, round {number}")
+        fresh = [p for space in several for p in space_filling_points(space, _fresh_count(space), rng)]
+        basis, passed = growth.enriched(basis, fresh, target, number)
+        if passed:
+            return basis
+    raise ToleranceError(
+        f"a basis of {basis.size} vectors misses its tolerance of {target.tolerance:g} {_missed(basis)}",
+        place=_place(model),
+        remedy="raise the tolerance, narrow the limits, or work with the full model",
+    )
+
+
+def _batches(count: int) -> Iterator[range]:
+    """Points that are solved from what is known at 0, 4, 8, 16 ... points: independently of each other."""
+    first, size = 0, _FIRST
+    while first < count:
+        yield range(first, min(first + size, count))
+        first = size = first + size
+
+
+def _snapshots(
+    shared: tuple[Target, StructuralModel, sp.csc_array, ReducedModel | None], point: Mapping[str, float]
+) -> np.ndarray:
+    target, model, energy, known = shared
+    return target.snapshots(model, energy, point, known)
+
+
+def _missed(basis: Basis) -> str:
+    """Failure of the last round of checks, in words."""
+    found = basis.checks[basis.checks[:, 0] == _ROUNDS]
+    error = float(np.nanmax(found[:, 3], initial=0.0))
+    if error > basis.tolerance:
+        return f"after {_ROUNDS} rounds of checks: the full model differs by up to {error:.1e}"
+    required, indicator = SAFETY * basis.tolerance, float(found[:, 2].max())
+    return f"after {_ROUNDS} rounds of checks: its error indicator of {indicator:.1e} exceeds {required:.1e}"
+
+
+def enrich_basis(
+    model: StructuralModel, basis: Basis, points: Sequence[Mapping[str, float]], target: Target | None = None
+) -> Basis:
+    """The next version of a basis, which also meets its tolerance at given points, in the order given.
+
+    ``target`` is the one it was trained for, by default modes. Do not change a basis during a search: results would
+    then depend on the order of evaluations.
+    """
+    growth = Growth(model, basis)
+    if target is None:
+        target = ModeTarget(basis.count, basis.freq_max, basis.damping_max, basis.tolerance)
+    complete = [{**p, **model.space.complete({n: v for n, v in p.items() if n in model.space})} for p in points]
+    grown = growth.enriched(basis, complete, target, next_round(basis))[0]
+    return replace(grown, version=basis.version + 1)
+
+
+def _place(model: StructuralModel) -> str:
+    return f"reduced model of {model.name}"
+
+
+def _check(model: StructuralModel, spaces: Sequence[ParameterSpace], tolerance: float) -> None:
+    place = _place(model)
+    if not 0 < tolerance < 1:
+        raise InputError(f"the tolerance is {tolerance}", place=place, remedy="choose one such as 1e-4")
+    if not spaces:
+        raise InputError("no parameter space is given", place=place)
+    for space in spaces:
+        if space.names[: len(model.space.names)] != model.space.names:
+            raise InputError("the parameters of a space are not those of the model", place=place)
+        space.require_feasible()
+
+
+def _sample_count(space: ParameterSpace) -> int:
+    return max(8 + 2 * len(space.free), levels(space))
+
+
+def _fresh_count(space: ParameterSpace) -> int:
+    return max(_FRESH, levels(space))

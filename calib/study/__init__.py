@@ -1,0 +1,1 @@
+"""A study: a problem in a folder, read from study.toml."""

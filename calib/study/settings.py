@@ -1,0 +1,301 @@
+"""Every key of ``study.toml`` with its type, default and validation."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import (
+    Field,
+    field_validator,
+    model_validator,
+)
+
+from calib.errors.errors import InputError
+from calib.measurement.accuracy import Claim
+from calib.study.measurement_settings import HeldOutSettings, MeasurementSettings, PairingSettings, TestSettings
+from calib.study.section import FUNCTION, NAME, FunctionText, Pair, PathText, Section, Seed, Share, WrongBelow
+
+
+class ParameterSettings(Section):
+    """``[parameters.NAME]``: changes to one parameter of the model, in its own unit."""
+
+    value: float | None = None
+    """Nominal value."""
+    limits: Pair | None = None
+    """Lower and upper limit; the range of the sensitivity analysis."""
+    search: Pair | None = None
+    """Lower and upper limit of the calibration; by default ``limits``."""
+    prior_sd: float | None = Field(default=None, gt=0)
+    """Standard deviation of the prior; by default that of a uniform distribution between the limits."""
+    fixed: bool | None = None
+    """Whether the parameter keeps its value in every analysis."""
+
+
+class AdoptedSettings(Section):
+    """``[adopted]``: parameters that are held at the fitted values of another study."""
+
+    study: PathText
+    """Folder of that study, relative to this one."""
+    parameters: tuple[str, ...] = Field(min_length=1)
+    """Parameters that keep the values fitted there."""
+
+
+class ConstraintSettings(Section):
+    """``[[constraints]]``: limits on a weighted sum of parameters."""
+
+    name: str
+    """Label in tables and messages."""
+    coefficients: dict[str, float]
+    """Weight of each parameter in the sum."""
+    limits: Pair
+    """Lower and upper limit of the sum, in ``unit``."""
+    unit: str = "-"
+    """Unit of the sum."""
+
+
+class SensitivitySettings(Section):
+    """``[sensitivity]``: samples of the sensitivity analysis."""
+
+    samples: int = Field(default=500, ge=3, le=1_000_000)
+    """Samples of the Latin hypercube."""
+    seed: Seed = 1
+    """Seed of the samples."""
+
+
+class CaseSettings(Section):
+    """``[[calibration.cases]]``: one run of the search from its own initial population."""
+
+    name: str = Field(pattern=NAME, max_length=100)
+    """Label of the case."""
+    seed: Seed
+    """Seed of its initial population."""
+
+
+class ReductionSettings(Section):
+    """``[reduction]``: search on a reduced basis of the model; reported results are always solved at full order."""
+
+    use: bool = True
+    """Whether searches of large models use a reduced basis."""
+    tolerance: float = Field(default=1e-5, gt=0, lt=0.1)
+    """Relative error of an eigenvalue up to which the basis counts as trained; FRFs may be off by 0.05 standard
+    deviations."""
+    seed: Seed = 1
+    """Seed of the points that train the basis."""
+
+
+class CalibrationSettings(Section):
+    """``[calibration]``: genetic searches from independent populations, and least squares after them."""
+
+    method: Literal["auto", "genetic", "gauss-newton", "cmcf"] = "auto"
+    """Least squares from random starts until they agree, else a genetic search as well; genetic search followed by
+    least squares; least squares alone from several starts; or of FRFs the linear cross-model equations alone (Li and
+    Hong 2012), with which least squares on FRFs begin too."""
+    refine: bool = True
+    """Whether least squares follow a search."""
+    starts: int = Field(default=6, ge=1, le=10_000)
+    """Starts of ``gauss-newton``."""
+    time_limit: float = Field(default=3600.0, gt=0, le=1e7)
+    """Longest time of one evaluation of a function of your own, s."""
+    weight_freq: float = Field(default=1.0, ge=0, le=1e12)
+    """Weight of the frequency errors in the objective of the search."""
+    weight_mac: float = Field(default=1.0, ge=0, le=1e12)
+    """Weight of 1 - MAC in the objective of the search."""
+    population: int = Field(default=30, ge=4, le=100_000)
+    """Individuals of a generation."""
+    generations: int = Field(default=250, ge=2, le=1_000_000)
+    """Generations of a search."""
+    crossover: Share = 0.5
+    """Probability of crossover."""
+    mutation: Share = 0.15
+    """Probability that a parameter mutates."""
+    sigma_start: float = Field(default=0.10, gt=0, le=1)
+    """Standard deviation of a mutation in the first generation, over the range of the parameter."""
+    sigma_end: float = Field(default=0.01, gt=0, le=1)
+    """The same in the last generation."""
+    begin_at: dict[str, float] = Field(default_factory=dict)
+    """A further start of least squares, besides the end of each search; parameters in their own units."""
+    cases: tuple[CaseSettings, ...] = Field(default=(CaseSettings(name="C1", seed=1),), min_length=1)
+    """Independent searches; agreement between them is reported for each parameter."""
+
+    @field_validator("cases")
+    @classmethod
+    def _distinct(cls, cases: tuple[CaseSettings, ...]) -> tuple[CaseSettings, ...]:
+        names = [case.name for case in cases]
+        for k, name in enumerate(names):
+            if name in names[:k]:
+                raise WrongBelow(f"two cases are named {name!r}", k, "name")
+        return cases
+
+
+class ExplainSettings(Section):
+    """``[explain]``: which physical effect is missing."""
+
+    alpha: float = Field(default=0.01, gt=0, lt=0.5)
+    """False-alarm rate: probability of reporting a missing effect when there is none."""
+    refits: int = Field(default=6, ge=1, le=10_000)
+    """Most promising effects that are fitted together with all parameters."""
+    merge: float = Field(default=0.98, gt=0, le=1)
+    """Correlation of signatures from which effects count as collinear, unless the data discriminate between them."""
+    finer_options: dict[str, Any] = {}
+    """Model options of a finer mesh, from which the discretisation error is estimated."""
+    samples: int = Field(default=10, ge=1, le=100_000)
+    """Posterior samples over which the recommended next measurement is averaged."""
+    fixed_sd: str | None = None
+    """Standard deviation of parameters that are not selected, a share of their nominal value such as ``"3 %"``; by
+    default they are exact."""
+    mesh_sd: float | None = Field(default=None, gt=0, le=10)
+    """Standard deviation of the error of the mesh, over the change that the mesh of ``finer_options`` makes in the
+    predictions; by default the mesh is exact."""
+    seed: Seed = 1
+    """Seed of all random numbers of the analysis."""
+
+    @field_validator("fixed_sd")
+    @classmethod
+    def _share(cls, given: str | None) -> str | None:
+        if given is not None and not 0 < Claim.of(given).share <= 0.2:
+            raise ValueError("fixed_sd is a share of the nominal values, from above 0 to '20 %', such as '3 %'")
+        return given
+
+
+class StudySettings(Section):
+    """The whole file: a model, and its measurement under ``[measurement]`` or test by test under ``[[tests]]``.
+
+    Keys of ``base`` hold where this file does not override them, tables key by key and lists as a whole; paths there
+    stay relative to their own folder.
+    """
+
+    title: str
+    """Title in figures and report."""
+    model: PathText = Field(pattern=FUNCTION)
+    """Function that returns the model: ``"file.py:function"`` in the folder, or ``"package.module:function"``."""
+    model_options: dict[str, Any] = {}
+    """Keyword arguments of that function."""
+    depends_on: tuple[PathText, ...] = ()
+    """Files that the model reads, such as a solver's input, relative to the folder; results become outdated
+    when one changes."""
+    effects: FunctionText | tuple[FunctionText, ...] | None = None
+    """Function that returns the library of effects that the model may lack; or a list of such functions."""
+    with_effects: tuple[str, ...] = ()
+    """Effects of the library that are in the model."""
+    base: PathText | tuple[PathText, ...] | None = None
+    """Another study whose keys hold where this file does not override them; of several the first that exists."""
+    measurement: MeasurementSettings = MeasurementSettings()
+    """The measurement."""
+    tests: tuple[TestSettings, ...] = ()
+    """Several measurements, each with the keys of ``[measurement]``, instead of it."""
+    held_out: HeldOutSettings = HeldOutSettings()
+    """Data that no fit uses."""
+    pairing: PairingSettings = PairingSettings()
+    """How measured and model modes are paired."""
+    adopted: AdoptedSettings | None = None
+    """Parameters held at the fitted values of another study."""
+    parameters: dict[str, ParameterSettings] = {}
+    """Changes to parameters of the model."""
+    constraints: tuple[ConstraintSettings, ...] = ()
+    """Linear constraints on parameters, kept by samples and searches."""
+    selection: tuple[str, ...] | Literal["from sensitivity"] | None = None
+    """Parameters that are fitted: names, or ``"from sensitivity"``; by default every free one."""
+    reduction: ReductionSettings = ReductionSettings()
+    """Reduced basis of a search."""
+    sensitivity: SensitivitySettings = SensitivitySettings()
+    """Sensitivity analysis."""
+    calibration: CalibrationSettings = CalibrationSettings()
+    """Calibration."""
+    explain: ExplainSettings = ExplainSettings()
+    """Search for a missing effect."""
+
+    @field_validator("tests")
+    @classmethod
+    def _named(cls, tests: tuple[TestSettings, ...]) -> tuple[TestSettings, ...]:
+        names = [test.name for test in tests]
+        for k, name in enumerate(names):
+            if name in names[:k]:
+                raise WrongBelow(f"two tests are named {name!r}", k, "name")
+        return tests
+
+    @model_validator(mode="after")
+    def _measured(self) -> StudySettings:
+        own = bool(self.measurement.files or self.measurement.responses)
+        if own == bool(self.tests):
+            words = "name what was measured, either under [measurement] or test by test under [[tests]]"
+            raise WrongBelow(words, *(["measurement"] if own else []))
+        for key, default in (("held_out", HeldOutSettings()), ("pairing", PairingSettings())):
+            if self.tests and getattr(self, key) != default:
+                words = "with [[tests]], held-out and pairing belong to a test: [tests.held_out], [tests.pairing]"
+                raise WrongBelow(words, key)
+        return self
+
+    @property
+    def several(self) -> bool:
+        """Whether several tests are fitted together."""
+        return len(self.tests) > 1
+
+    @property
+    def libraries(self) -> tuple[str, ...]:
+        """Functions that return the library of effects."""
+        if self.effects is None:
+            return ()
+        return (self.effects,) if isinstance(self.effects, str) else self.effects
+
+    @property
+    def functions(self) -> tuple[str, ...]:
+        """Functions that build models and effects, as named in the file."""
+        named = (self.model, *self.libraries, *(f for test in self.tests for f in (test.model, test.effects)))
+        return tuple(dict.fromkeys(name for name in named if name))
+
+    @property
+    def listed(self) -> tuple[str, ...] | None:
+        """The parameters that the study selects by name; None where it names none."""
+        return self.selection if isinstance(self.selection, tuple) else None
+
+    @property
+    def selected_by_sensitivity(self) -> bool:
+        """Whether the selection is left to the sensitivity analysis."""
+        return self.selection is not None and self.listed is None
+
+    @property
+    def mentioned(self) -> tuple[tuple[tuple[int | str, ...], str], ...]:
+        """Every parameter that the file mentions, with its key."""
+        selected = self.listed or ()
+        adopted = () if self.adopted is None else self.adopted.parameters
+        constrained = [(k, name) for k, c in enumerate(self.constraints) for name in c.coefficients]
+        return (
+            *((("parameters", name), name) for name in self.parameters),
+            *((("constraints", k, "coefficients", name), name) for k, name in constrained),
+            *((("adopted", "parameters", k), name) for k, name in enumerate(adopted)),
+            *((("selection", k), name) for k, name in enumerate(selected)),
+            *((("calibration", "begin_at", name), name) for name in self.calibration.begin_at),
+        )
+
+    def of_test(self, name: str) -> StudySettings:
+        """Settings of a study with one test alone, its ``set`` values fixed; InputError for an unknown name."""
+        known = {test.name: test for test in self.tests}
+        if name not in known:
+            raise InputError(f"there is no test {name!r}", remedy=f"the tests are {', '.join(known)}")
+        test = known[name]
+        held = {p: ParameterSettings(value=value, fixed=True) for p, value in test.set.items()}
+        other: dict[str, Any] = (
+            {} if test.model is None else {"model": test.model, "effects": test.effects, "model_options": {}}
+        )
+        options = {} if test.model_options is None else {"model_options": test.model_options}
+        own = test.model_dump(include=set(MeasurementSettings.model_fields))
+        title = f"{self.title}: {name}" if self.several else self.title
+        changed = {
+            "title": title,
+            "tests": (),
+            "measurement": MeasurementSettings(**own),
+            "held_out": test.held_out,
+            "pairing": test.pairing,
+            "parameters": {**self.parameters, **held},
+            **other,
+            **options,
+        }
+        return self.model_copy(update=changed)
+
+
+def schema() -> dict[str, Any]:
+    """JSON schema of ``study.toml``, with which editors complete and check its keys."""
+    keys = StudySettings.model_json_schema()
+    needed = keys.pop("required")
+    either = [{"required": needed}, {"required": ["base"]}]
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **keys, "anyOf": either}
