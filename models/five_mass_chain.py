@@ -9,10 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calib.errors.errors import EvaluationError
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter, ParameterSpace
-from calib.structure.function_model import FunctionModel
+from calib import Effect, EvaluationError, FunctionModel, Parameter, ParameterSpace
 from models.function_effect import function_effect
 
 MASSES = 5

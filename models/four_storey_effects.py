@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
-from calib.structure.affine import SeriesLoss, Term, parameter
-from calib.structure.effects.extend import Addition
-from calib.structure.model import StructuralModel
+from calib import Effect, Parameter, StructuralModel
+from calib.structure import Addition, SeriesLoss, Term, parameter
 from models.four_storey_rig import (
     LEAF_LENGTH,
     LEAF_THICKNESS,

@@ -8,10 +8,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from calib.problem.space import Parameter, ParameterSpace
-from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
-from calib.structure.geometry import DofMap, Mesh, NodeLocator
-from calib.structure.model import StructuralModel
+from calib import Parameter, ParameterSpace, StructuralModel
+from calib.structure import AffineMatrix, DofMap, Mesh, Monomial, NodeLocator, Term, parameter
 
 STOREYS = 4
 MASS = 0.1122

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
-from calib.structure.function_model import FunctionModel
-from calib.structure.modal_function import ModalFunctionModel
+from calib import Effect, FunctionModel, ModalFunctionModel, Parameter
 
 
 def function_effect(

@@ -16,11 +16,8 @@ import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors.errors import InputError
-from calib.problem.space import Parameter, ParameterSpace
-from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
-from calib.structure.geometry import DofMap, Mesh, NodeLocator
-from calib.structure.model import Assumption, Part, StructuralModel
+from calib import InputError, Parameter, ParameterSpace, StructuralModel
+from calib.structure import AffineMatrix, Assumption, DofMap, Mesh, Monomial, NodeLocator, Part, Term, parameter
 from models.fem import beam, thin_plate
 from models.fem.nodes import NodeTable, assemble
 from models.fem.section import Section

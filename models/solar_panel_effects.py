@@ -9,12 +9,22 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
-from calib.structure.affine import Monomial, SeriesLoss, Term, parameter
-from calib.structure.effects.attach import Place, between, hung_masses, motion, outer_term, part_of, scaled_part
-from calib.structure.effects.extend import Addition
-from calib.structure.model import Assumption, StructuralModel
+from calib import Effect, Parameter, StructuralModel
+from calib.structure import (
+    Addition,
+    Assumption,
+    Monomial,
+    Place,
+    SeriesLoss,
+    Term,
+    between,
+    hung_masses,
+    motion,
+    outer_term,
+    parameter,
+    part_of,
+    scaled_part,
+)
 from models.solar_panel import BEAM, E_BEAM, GAP, LENGTH, PLATE_DENSITY, THICKNESS, WIDTH
 
 UZ, RX, RY = 2, 3, 4

@@ -25,16 +25,11 @@ import numpy as np
 import scipy.linalg as la
 from scipy.optimize import linear_sum_assignment
 
+from calib import Effect, MeasuredModes, Parameter, ParameterSpace, Sensor, StructuralModel
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.measurement.mac import mac
-from calib.measurement.modal import MeasuredModes, Sensor
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter, ParameterSpace
-from calib.structure.effects.extend import extend
-from calib.structure.modal_model import ModalModel
-from calib.structure.model import StructuralModel
-from calib.structure.modes import Modes
+from calib.structure import ModalModel, Modes, extend
 from calib.study.limits import search_space, sensitivity_space
 from calib.study.loading import module_of
 from calib.study.settings import StudySettings

@@ -22,11 +22,10 @@ import pandas as pd
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
+from calib import Sensor, StructuralModel
 from calib.measurement.files.uff_frf_write import Form, write_uff_frfs
 from calib.measurement.frf import MeasuredFRFs, Quantity
-from calib.measurement.modal import Sensor
 from calib.structure.frf import motion_factor
-from calib.structure.model import StructuralModel
 
 
 @dataclass(frozen=True, eq=False)

@@ -67,8 +67,8 @@ ACCURACY = {  # of solutions, reduced bases and differences, which are checked a
     "problem/differences.py": "STEP",
     "correlation/modal/problem.py": "DAMPING_MAX",
     "structure/reduction/certificate.py": "_CLUSTER _LOST",
-    "structure/eigenproblem/compression.py": "_BESIDE _COUPLED _NEAREST _STRONG _START _ROOTS _ABOVE _SAME _REACH _NEGLIGIBLE "
-    "_PARALLEL",
+    "structure/eigenproblem/compression.py": "_BESIDE _COUPLED _NEAREST _STRONG _START _ROOTS _ABOVE _SAME _REACH "
+    "_NEGLIGIBLE _PARALLEL",
     "structure/reduction/effect_basis.py": "_EFFECTS _POINTS _STRONG _ERROR _REFINED _BATCH _MODES _TOGETHER _NUMBERS",
     "structure/reduction/frf_target.py": "TOLERANCE _BEYOND _SHAPE _LINES",
     "structure/reduction/growth.py": "SAFETY POD _STATIC _COLUMNS VERIFIED",
@@ -83,8 +83,8 @@ ACCURACY = {  # of solutions, reduced bases and differences, which are checked a
 EFFORT = {  # of iterations and searches that end by themselves, and of quick runs, which say that they are quick
     "hypotheses/proposals/compositions.py": "MODES RIGID",
     "hypotheses/linear_start.py": "EQUATION_ERROR LEVEL ROUNDS",
-    "analyses/provenance/places.py": "QUICK_SAMPLES QUICK_POPULATION QUICK_GENERATIONS QUICK_STARTS QUICK_TRAJECTORIES QUICK_BASE "
-    "QUICK_SAMPLED",
+    "analyses/provenance/places.py": "QUICK_SAMPLES QUICK_POPULATION QUICK_GENERATIONS QUICK_STARTS "
+    "QUICK_TRAJECTORIES QUICK_BASE QUICK_SAMPLED",
     "analyses/sensitivity.py": "TRAJECTORIES BASE",
     "correlation/modal/order.py": "_STEP",
     "inference/cases.py": "FAILED",

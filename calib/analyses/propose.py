@@ -181,7 +181,7 @@ def composed(
     own = compositions(model, measured, explained.base or model.space.values, taken)
     if not own.plain:
         words = "Nothing can be proposed: the model names no parts, and has no matrices from which to compose effects."
-        then = "Give it parts that its function scales: calib.structure.scaled_part.ScaledPart."
+        then = "Give it parts that its function scales: calib.structure.function_parts.ScaledPart."
         return ProposalResult(None, Answer(words, "Nothing was tested.", then))
     hypotheses = adapter.with_effects(own.effects)
     settings = Settings(given.alpha, given.refits, given.merge, given.seed, math.inf)

@@ -9,13 +9,15 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
+from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column
 
-from calib.command.terminal import ERR
 from calib.execution.stage import Progress as Told
 from calib.execution.stage import unheard
 
+ERR = Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
+"""The error stream, on which progress stands."""
 SPARSE = 10.0
 """Seconds between two lines where the error stream is no terminal; the first comes after that time."""
 OFTEN = 0.2

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from calib.api.progress import ERR
 from calib.errors.errors import InputError
 from calib.errors.excerpt import WIDEST, excerpt
 from calib.results.answer import LABEL
@@ -27,7 +28,6 @@ NARROWEST = 40
 
 _FREE = sys.stdout.isatty() or "COLUMNS" in os.environ
 _out = Console(highlight=False, markup=False, emoji=False, soft_wrap=True, width=None if _FREE else WIDTH)
-ERR = Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
 
 _PLAIN = str.maketrans({"\u2212": "-", "\u2013": "-", "\u2014": "-", "\u2192": "->", "\u00d7": "x", "\u2026": "..."})
 """For streams whose code page has no such characters."""

@@ -20,7 +20,7 @@ from calib.structure.function_model import DERIVES, FunctionModel, response_of, 
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.modal_result import modes_of
 from calib.structure.modes import Modes
-from calib.structure.scaled_part import ScaledPart
+from calib.structure.function_parts import ScaledPart
 
 _NOWHERE = (math.nan, math.nan, math.nan)
 

@@ -14,7 +14,7 @@ from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import Assumption
-from calib.structure.scaled_part import ScaledPart, scaled_parts
+from calib.structure.function_parts import ScaledPart, scaled_parts
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from calib.structure.modal_result import Numbered, modes_of, numbers_of
 from calib.structure.model import Assumption
 from calib.structure.modes import Modes
 from calib.structure.places import ModelPlace
-from calib.structure.scaled_part import ScaledPart, scaled_parts
+from calib.structure.function_parts import ScaledPart, scaled_parts
 
 REMEMBERED = 1000
 """Points whose modes are cached."""

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from calib.errors.errors import InputError
+from calib import InputError
 from models.fem.frame import Frame
 from models.fem.member import Point
 

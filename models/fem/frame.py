@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from calib.errors.errors import InputError
-from calib.structure.geometry import DofMap, Mesh
+from calib import InputError
+from calib.structure import DofMap, Mesh
 from models.fem import beam
 from models.fem.member import Member, Particle, Suppression, Tie
 from models.fem.nodes import MERGE, NodeTable, assemble

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.errors.errors import InputError
+from calib import InputError
 from models.fem.member import Member, Point
 from models.fem.section import Section
 from models.fem.sheet import Sheet

@@ -8,9 +8,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from calib.errors.errors import InputError
-from calib.structure.affine import Monomial, Term
-from calib.structure.model import Part
+from calib import InputError
+from calib.structure import Monomial, Part, Term
 from models.fem.discrete import PointMass, Spring, mass_matrix, spring_matrix
 from models.fem.frame import Frame
 from models.fem.sheet import Sheet

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.errors.errors import InputError
+from calib import InputError
 from models.fem.beam import arm_matrix
 
 CORNER = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

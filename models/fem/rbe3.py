@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.errors.errors import InputError
+from calib import InputError
 from models.fem.beam import arm_matrix
 from models.fem.frame import Frame
 from models.fem.member import Point

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from calib.errors.errors import InputError
+from calib import InputError
 
 
 @dataclass(frozen=True)

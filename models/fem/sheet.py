@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.errors.errors import InputError
+from calib import InputError
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import KDTree
 
-from calib.errors.errors import InputError
-from calib.structure.geometry import Mesh
+from calib import InputError
+from calib.structure import Mesh
 from models.fem import shell, surface
 from models.fem.frame import Carrier, Frame, indices_of, known_groups
 from models.fem.nodes import MERGE, NodeTable, assemble

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.structure.model import Assumption
+from calib.structure import Assumption
 from models.fem.discrete import PointMass, Spring, rod
 from models.fem.member import Member, Point, Suppression, Tie
 from models.fem.section import Section

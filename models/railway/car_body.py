@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from calib.structure.model import Assumption
+from calib.structure import Assumption
 from models.fem.member import Member, Point
 from models.fem.panel import Panel, sheet_panel
 from models.fem.section import Section

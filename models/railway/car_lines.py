@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.structure.model import Assumption
+from calib.structure import Assumption
 from models.railway.bolsters import FLOOR_X, FLOOR_Y
 
 BOGIE_X = 9.50

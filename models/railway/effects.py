@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calib.problem.effect import Effect
+from calib import Effect
 from models.railway.effects_frame import frame_effects
 from models.railway.effects_rig import rig_effects
 from models.railway.effects_suspension import suspension_effects

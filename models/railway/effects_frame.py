@@ -6,12 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
-from calib.structure.affine import parameter
-from calib.structure.effects.attach import Place, between, hung_masses, motion, outer_term
-from calib.structure.effects.extend import Addition
-from calib.structure.model import Assumption, StructuralModel
+from calib import Effect, Parameter, StructuralModel
+from calib.structure import Addition, Assumption, Place, between, hung_masses, motion, outer_term, parameter
 from models.fem.section import Section
 from models.railway.bogie import (
     AXLE_X,

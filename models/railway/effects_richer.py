@@ -8,12 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
-from calib.structure.body import fixed_body, mounted_body, mounted_mass
-from calib.structure.effects.attach import Place, motion
-from calib.structure.effects.extend import Addition
-from calib.structure.model import Assumption, StructuralModel
+from calib import Effect, Parameter, StructuralModel
+from calib.structure import Addition, Assumption, Place, fixed_body, motion, mounted_body, mounted_mass
 from models.railway.bogie import UY
 
 UNIT_MOUNTS = np.array([(x, 0.0, z) for x in (0.1, -0.1) for z in (0.15, -0.15)])

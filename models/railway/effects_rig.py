@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
-from calib.structure.affine import SelectedTerm, SeriesLoss, Term, parameter
-from calib.structure.effects.attach import Place, between, outer_term
-from calib.structure.effects.extend import Addition
-from calib.structure.model import StructuralModel
+from calib import Effect, Parameter, StructuralModel
+from calib.structure import Addition, Place, SelectedTerm, SeriesLoss, Term, between, outer_term, parameter
 from models.railway.bogie import GIRDER_Y, RX, SIDES
 from models.railway.rig import BLOCK_HALF, BLOCK_Y, BLOCK_Z
 

@@ -6,23 +6,22 @@ from functools import partial
 
 import numpy as np
 
-from calib.errors.errors import InputError
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
-from calib.structure.affine import Monomial, parameter
-from calib.structure.anywhere import leaning_masses
-from calib.structure.effects.attach import (
+from calib import Effect, InputError, Parameter, StructuralModel
+from calib.structure import (
+    Addition,
+    Assumption,
+    Monomial,
     Place,
     between,
     elongation,
+    leaning_masses,
     motion,
     moved_masses,
     outer_term,
+    parameter,
     scaled_part,
     soft_mounts,
 )
-from calib.structure.effects.extend import Addition
-from calib.structure.model import Assumption, StructuralModel
 from models.fem.discrete import PointMass
 from models.railway.bogie import AXLE_Y, CROSSBAR_X, GIRDER_Y, RY, RZ, SIDES, UX, UY, bogie
 from models.railway.effects_richer import gear_case_body

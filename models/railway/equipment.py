@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from calib.structure.model import Assumption
+from calib.structure import Assumption
 from models.fem.discrete import PointMass, Spring
 from models.fem.member import Particle, Point, Suppression
 from models.fem.rbe3 import Rbe3

@@ -7,7 +7,7 @@ mean and standard deviation of a uniform distribution where those are printed; e
 
 from __future__ import annotations
 
-from calib.problem.space import Parameter
+from calib import Parameter
 
 _TABLE_1 = "Ribeiro et al., case study, Table 1"
 _TABLE_3 = "Ribeiro et al., case study, Table 3"

@@ -11,10 +11,8 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from calib.problem.space import ParameterSpace
-from calib.structure.affine import AffineMatrix, Monomial, SelectedTerm, Term, parameter
-from calib.structure.geometry import DofMap
-from calib.structure.model import Assumption, StructuralModel
+from calib import ParameterSpace, StructuralModel
+from calib.structure import AffineMatrix, Assumption, DofMap, Monomial, SelectedTerm, Term, parameter
 from models.fem.discrete import FrameLocator, Spring, mass_matrix, spring_matrix
 from models.fem.frame import Frame
 from models.fem.member import Member

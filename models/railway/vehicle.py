@@ -8,11 +8,8 @@ from typing import Literal, get_args
 import numpy as np
 import scipy.sparse as sp
 
-from calib.errors.errors import InputError
-from calib.problem.space import ParameterSpace
-from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
-from calib.structure.geometry import DofMap
-from calib.structure.model import Assumption, Part, StructuralModel
+from calib import InputError, ParameterSpace, StructuralModel
+from calib.structure import AffineMatrix, Assumption, DofMap, Monomial, Part, Term, parameter
 from models.fem.discrete import FrameLocator, PointMass, Spring, mass_matrix, spring_matrix
 from models.fem.parts import (
     Reduced,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calib.problem.effect import Effect
+from calib import Effect
 from models.railway.vehicle_effects_body import body_effects
 from models.railway.vehicle_effects_bogies import bogie_and_track_effects
 from models.railway.vehicle_effects_equipment import equipment_effects

@@ -6,12 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
-from calib.structure.affine import Monomial, Term
-from calib.structure.effects.attach import Place, between, motion, outer_term
-from calib.structure.effects.extend import Addition
-from calib.structure.model import Assumption, StructuralModel
+from calib import Effect, Parameter, StructuralModel
+from calib.structure import Addition, Assumption, Monomial, Place, Term, between, motion, outer_term
 from models.fem.parts import shell_coefficients
 from models.railway.bogie import RX, RY, RZ, SIDES, UX, UY, UZ
 from models.railway.bolsters import FLOOR_Y, PAD_Z

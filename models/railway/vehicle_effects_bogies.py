@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
-from calib.structure.affine import parameter
-from calib.structure.effects.attach import Place, motion, outer_term, softened_part
-from calib.structure.effects.extend import Addition
-from calib.structure.model import Assumption, StructuralModel
+from calib import Effect, Parameter, StructuralModel
+from calib.structure import Addition, Assumption, Place, motion, outer_term, parameter, softened_part
 from models.railway.bogie import ENDS, SIDES, UX, UY
 from models.railway.bolsters import FLOOR_Y, LOAD_BOLSTER_Y, PAD_Z
 from models.railway.car_lines import BOGIE_X

@@ -7,13 +7,8 @@ from functools import partial
 
 import numpy as np
 
-from calib.errors.errors import InputError
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
-from calib.structure.effects.attach import loosened_masses, motion, moved_masses
-from calib.structure.effects.extend import Addition
-from calib.structure.model import Assumption, StructuralModel
-from calib.structure.mounted import MountedBody
+from calib import Effect, InputError, Parameter, StructuralModel
+from calib.structure import Addition, Assumption, MountedBody, loosened_masses, motion, moved_masses
 from models.railway.bogie import RX, RY, RZ, UX, UY, UZ
 from models.railway.equipment import SEAT_X, SEAT_Z, UNDER_FLOOR, equipment, passenger_seats
 from models.railway.vehicle_effects_richer import loosened_two_ways, swaying_seats, uneven_unit

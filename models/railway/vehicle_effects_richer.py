@@ -10,12 +10,8 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
-from calib.structure.affine import Grown, Monomial, Term
-from calib.structure.effects.attach import GRAVITY, maxwell_branches
-from calib.structure.effects.extend import Addition
-from calib.structure.model import StructuralModel
+from calib import Effect, Parameter, StructuralModel
+from calib.structure import GRAVITY, Addition, Grown, Monomial, Term, maxwell_branches
 
 UNEVEN, LIGHTER = 0.3, (0.6, 1.6)
 """Plausible unevenness of mounts, and rotary inertia over that of a uniform box, where a search starts."""

@@ -6,12 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
-from calib.structure.affine import parameter
-from calib.structure.effects.attach import between, elongation, maxwell_branches, outer_term, scaled_part, soft_mounts
-from calib.structure.effects.extend import Addition
-from calib.structure.model import Assumption, StructuralModel
+from calib import Effect, Parameter, StructuralModel
+from calib.structure import (
+    Addition,
+    Assumption,
+    between,
+    elongation,
+    maxwell_branches,
+    outer_term,
+    parameter,
+    scaled_part,
+    soft_mounts,
+)
 from models.fem.discrete import Spring
 from models.railway.bogie import ENDS, SIDES, UY
 from models.railway.bolsters import LOAD_BOLSTER_TIP, LOAD_BOLSTER_Y

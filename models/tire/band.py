@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.linalg import lapack
 
-from calib.errors.errors import EvaluationError
+from calib import EvaluationError
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import sparse
 
-from calib.errors.errors import EvaluationError, InputError
+from calib import EvaluationError, InputError
 from models.tire.band import BandFactor
 from models.tire.grid import Grid
 from models.tire.inflated import TOLERANCE, Inflated, node_motion

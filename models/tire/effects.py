@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
+from calib import Effect, Parameter
 from models.function_effect import function_effect
 
 

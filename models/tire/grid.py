@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from scipy import sparse
 
-from calib.errors.errors import InputError
+from calib import InputError
 
 
 class Meridian(Protocol):

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import linalg
 
-from calib.errors.errors import EvaluationError, InputError
+from calib import EvaluationError, InputError
 from models.tire.cells import Cells
 from models.tire.grid import Grid
 from models.tire.inflated import Inflated, Wall

@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.interpolate import CubicSpline
 from scipy.sparse import linalg
 
-from calib.errors.errors import EvaluationError, InputError
+from calib import EvaluationError, InputError
 from models.tire.band import SymmetricBand
 from models.tire.cells import Cells
 from models.tire.grid import Grid

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.errors.errors import InputError
+from calib import InputError
 from models.tire.micromechanics import Orthotropic
 
 

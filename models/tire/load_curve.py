@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.errors.errors import EvaluationError, InputError
+from calib import EvaluationError, InputError
 from models.tire.contact import Ground, Pressed, equilibrium
 
 WARNED_ROTATION = 0.35

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from calib.errors.errors import InputError
-from calib.structure.function_model import FunctionModel, response_of
+from calib import FunctionModel, InputError
+from calib.structure import response_of
 
 PRESSURE = "pressure"
 

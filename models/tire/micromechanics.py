@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.errors.errors import InputError
+from calib import InputError
 
 RULES = ("gough_tangorra", "akasaka_hirano", "halpin_tsai")
 

@@ -8,9 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.errors.errors import InputError
-from calib.problem.space import ParameterSpace
-from calib.structure.modal_function import ModalFunctionModel
+from calib import InputError, ModalFunctionModel, ParameterSpace
 from models.tire.harmonics import HoopModes, hoop_modes, rings
 from models.tire.inflated import Inflated, inflate
 from models.tire.model import KPA, assumptions, parameters, tire_of

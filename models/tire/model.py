@@ -8,10 +8,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from calib.problem.space import Parameter, ParameterSpace
-from calib.structure.effects.perturbations import relative_change
-from calib.structure.function_model import FunctionModel, slope_entry
-from calib.structure.model import Assumption
+from calib import FunctionModel, Parameter, ParameterSpace
+from calib.structure import Assumption, relative_change, slope_entry
 from models.tire.derivatives import Change, change
 from models.tire.effects import tire_effects
 from models.tire.grid import Grid

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.structure.scaled_part import ScaledPart
+from calib.structure import ScaledPart
 
 BEAD = 0.08
 """Share of the meridian beside a bead that counts as bead."""

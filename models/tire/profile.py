@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 
-from calib.errors.errors import InputError
+from calib import InputError
 
 CODAZZI = 1e-3
 """Allowed defect of the Codazzi equation, over the mean curvature. 61 points of a wall of 0.34 m with errors of 0.1 mm

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.errors.errors import InputError
+from calib import InputError
 from models.tire.contact import Ground, Pressed
 from models.tire.derivatives import STEP, Change, StripTangent, Tangent, along, frequency_slopes
 from models.tire.harmonics import HoopModes, hoop_modes

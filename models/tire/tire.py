@@ -8,8 +8,8 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from calib.errors.errors import InputError
-from calib.structure.scaled_part import ScaledPart
+from calib import InputError
+from calib.structure import ScaledPart
 from models.tire.contact import Ground
 from models.tire.grid import Grid
 from models.tire.inflated import Inflated, Wall, inflate

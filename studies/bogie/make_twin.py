@@ -24,13 +24,11 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from calib import ParameterSpace, Sensor, StructuralModel
 from calib.measurement.files.uff_write import write_uff
 from calib.measurement.mac import mac
-from calib.measurement.modal import Sensor
 from calib.problem.sampling import sample
-from calib.problem.space import ParameterSpace
-from calib.structure.model import StructuralModel
-from calib.structure.modes import Modes
+from calib.structure import Modes
 from calib.study.limits import search_space, sensitivity_space
 from calib.study.study_text import read_settings
 from models.railway import bogie_on_rig

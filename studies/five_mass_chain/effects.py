@@ -1,7 +1,6 @@
 """What the chain may lack: the effects that come with its model, and one of our own."""
 
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
+from calib import Effect, Parameter
 from models.five_mass_chain import chain_effects
 
 

@@ -7,12 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import scipy.sparse as sp
 
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
-from calib.structure.affine import Term, parameter
-from calib.structure.effects.attach import between, scaled_part
-from calib.structure.effects.extend import Addition
-from calib.structure.model import PartKind, StructuralModel
+from calib import Effect, Parameter, StructuralModel
+from calib.structure import Addition, PartKind, Term, between, parameter, scaled_part
 from models.railway.bogie import GIRDER_Y, UY, UZ
 from models.railway.rig import BLOCK_HALF, BLOCK_Y, BLOCK_Z
 

@@ -15,7 +15,7 @@ from unittest import mock
 
 import numpy as np
 
-from calib.structure.model import StructuralModel
+from calib import StructuralModel
 from models.fem.discrete import PointMass, Spring, rod
 from models.fem.member import Member, Point, Tie
 from models.fem.section import Section

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calib.problem.effect import Effect
+from calib import Effect
 from calib.study.loading import module_of
 
 designs = module_of(Path(__file__).resolve().parents[1] / "hidden_bogie" / "outside.py")

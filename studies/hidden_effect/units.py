@@ -11,10 +11,8 @@ from functools import partial
 
 import numpy as np
 
-from calib.problem.effect import Effect
-from calib.structure.effects.attach import loosened_masses, motion
-from calib.structure.effects.extend import Addition
-from calib.structure.model import StructuralModel
+from calib import Effect, StructuralModel
+from calib.structure import Addition, loosened_masses, motion
 from models.railway.bogie import UX, UY, UZ
 from models.railway.equipment import equipment
 from models.railway.vehicle_effects_equipment import UNIT_RATIO

@@ -31,18 +31,14 @@ import scipy.linalg as la
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
+from calib import Effect, MeasuredModes, Parameter, ParameterSpace, Sensor, StructuralModel
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.measurement.files.uff_write import write_uff
 from calib.measurement.mac import mac
-from calib.measurement.modal import MeasuredModes, Sensor
-from calib.problem.effect import Effect
 from calib.problem.problem import Pair
-from calib.problem.space import Parameter, ParameterSpace
-from calib.structure.effects.extend import extend
+from calib.structure import Modes, extend
 from calib.structure.eigenproblem.solve_dense import solve_dense
-from calib.structure.model import StructuralModel
-from calib.structure.modes import Modes
 from calib.study.limits import search_space, sensitivity_space
 from calib.study.loading import module_of
 from calib.study.settings import StudySettings

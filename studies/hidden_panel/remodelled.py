@@ -14,12 +14,8 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter
-from calib.structure.affine import Monomial, Term, parameter
-from calib.structure.effects.attach import between, motion, outer_term, part_of
-from calib.structure.effects.extend import Addition
-from calib.structure.model import StructuralModel
+from calib import Effect, Parameter, StructuralModel
+from calib.structure import Addition, Monomial, Term, between, motion, outer_term, parameter, part_of
 from models.fem import beam, thin_plate
 from models.solar_panel import BEAM, GAP, LENGTH, PLATE_DENSITY, PLATE_POISSON, THICKNESS, WIDTH
 from models.solar_panel_effects import (

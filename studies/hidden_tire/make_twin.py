@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.structure.function_model import slope_entry
+from calib.structure import slope_entry
 from calib.study.loading import module_of
 from calib.study.study_text import read_settings
 from models.tire.effects import tire_effects

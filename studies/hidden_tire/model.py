@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from calib.structure.function_model import FunctionModel
+from calib import FunctionModel
 from models.tire.mesh_correction import mesh_corrected, mesh_factors, read_factors
 from models.tire.model import tire_on_ground
 

@@ -24,10 +24,9 @@ import pandas as pd
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors.errors import EvaluationError
+from calib import EvaluationError, StructuralModel
 from calib.inference.cmcf import cmcf
 from calib.inference.cmcf_equations import Change, CmcfSettings, InitialModel, MeasuredReceptance, Reduce
-from calib.structure.model import StructuralModel
 from calib.structure.reduction.static_reduction import levels, static_reduction
 from calib.study.loading import module_of
 from models.solar_panel import GROUPS, MASTERS, solar_panel

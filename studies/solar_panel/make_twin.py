@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.measurement.modal import Sensor
+from calib import Sensor
 from calib.study.loading import module_of
 from models.solar_panel import GROUPS, MASTERS, solar_panel
 

@@ -30,11 +30,9 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from calib import ParameterSpace, Sensor, StructuralModel
 from calib.measurement.mac import mac
-from calib.measurement.modal import Sensor
-from calib.problem.space import ParameterSpace
-from calib.structure.model import StructuralModel
-from calib.structure.modes import Modes
+from calib.structure import Modes
 from calib.study.limits import search_space, sensitivity_space
 from calib.study.loading import module_of
 from calib.study.study_text import read_settings

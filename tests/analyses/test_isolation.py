@@ -36,7 +36,7 @@ def test_a_part_that_the_function_scales_acts_in_the_child_too(sums):
         'lambda v: {"s": (1 + v.get("mass of a", 0.0)) * v["a"] + v["b"]}, parts=[ScaledPart("a", "mass")])',
     )
     assert "parts" in text
-    file.write_text("from calib.structure.scaled_part import ScaledPart\n" + text)
+    file.write_text("from calib.structure.function_parts import ScaledPart\n" + text)
     study = isolated(Study.load(sums))
     extended = extend_function(study.model, [scaling_by_function(part) for part in study.model.parts])
     point = {"a": 2.0, "b": 0.5}

@@ -7,7 +7,7 @@ from calib.errors.errors import InputError
 from calib.hypotheses.function_perturbations import modal_function_perturbations, response_perturbations
 from calib.hypotheses.function_variants import FunctionVariants
 from calib.structure.function_model import FunctionModel, responses_of, slope_entry
-from calib.structure.scaled_part import ScaledPart
+from calib.structure.function_parts import ScaledPart
 from models.function_effect import function_effect
 from models.tire.modal import tire_modes
 from models.tire.model import tire_on_ground

@@ -345,7 +345,7 @@ def test_with_as_many_unknowns_as_data_the_fit_is_not_tested():
 
 def test_a_scalar_study_reports_its_held_out_responses(tmp_path):
     (tmp_path / "model.py").write_text(
-        "from calib.structure.function_model import FunctionModel\nfrom calib.problem.space import Parameter, ParameterSpace\n"
+        "from calib import FunctionModel, Parameter, ParameterSpace\n"
         "def line():\n"
         "    space = ParameterSpace(tuple(Parameter(name, 0.0, -9.0, 9.0, prior_sd=1.0) for name in 'ab'))\n"
         "    return FunctionModel('line', space, lambda v: {f'y{x}': v['a'] + v['b'] * x for x in range(6)})\n"

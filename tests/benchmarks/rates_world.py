@@ -45,7 +45,7 @@ from calib.study.study import Study
 
 ANSWERING = (
     "calib/missing", "calib/structure", "calib/correlation", "calib/inference", "calib/measurement", "models",
-    "calib/problem/problem.py", "calib/hypotheses/hypotheses.py", "calib/problem/effect.py", "calib/problem/space.py", "calib/measurement/mac.py",
+    "calib/problem", "calib/hypotheses/hypotheses.py",
     "calib/study/limits.py", "tests/benchmarks/rates_world.py", "tests/benchmarks/rates_scenarios.py",
     "tests/benchmarks/rates_outcome.py",
 )  # fmt: skip

@@ -109,7 +109,7 @@ def test_a_mistake_in_a_module_beside_the_model(plain, mistakes):
 EVALUATING = {
     "exception": "def answer(values):\n    return {'y': ⟦values['c']⟧}\n",
     "exception of a library": "def answer(values):\n    ⟦np.linalg.inv(np.zeros((2, 2)))⟧\n",
-    "own refusal": "from calib.errors.errors import EvaluationError\ndef answer(values):\n    ⟦raise EvaluationError('no')⟧\n",
+    "own refusal": "from calib import EvaluationError\ndef answer(values):\n    ⟦raise EvaluationError('no')⟧\n",
     "NaN": "def ⟦answer⟧(values):\n    return {'y': np.nan, 'z': 1.0}\n",
     "infinite": "@staticmethod\ndef ⟦answer⟧(values):\n    return {'y': np.inf, 'z': 1.0}\n",
     "response missing": "def ⟦answer⟧(values):\n    return {'y': 1.0}\n",

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib import EvaluationError
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.response.residual import ResponseResidual
-from calib.errors.errors import EvaluationError
 from calib.hypotheses.function_hypotheses import function_hypotheses
 from calib.missing.explain import explain
-from calib.structure.effects.extend import extend
+from calib.structure import extend
 from calib.structure.eigenproblem.derivatives import mode_derivatives
 from calib.structure.function_model import extend_function
 from calib.study.loading import module_of

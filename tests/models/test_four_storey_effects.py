@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import calib
-from calib.structure.effects.extend import extend
+from calib.structure import extend
 from models.four_storey_effects import GRAVITY, four_storey_effects, leaf_mass
 from models.four_storey_rig import LEAF_LENGTH, MASS, STOREYS, four_storey_rig, storey_stiffness
 

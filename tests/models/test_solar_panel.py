@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg as la
 
-from calib.errors.errors import InputError
+from calib import InputError
 from models.fem import beam, thin_plate
 from models.solar_panel import BEAM, BEAMS, E_BEAM, E_PLATE, GROUPS, MASTERS, solar_panel
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg as la
 
-from calib.structure.effects.extend import extend
+from calib.structure import extend
 from calib.study.loading import module_of
 from models.solar_panel import PLATE_DENSITY, THICKNESS, solar_panel
 from models.solar_panel_effects import solar_panel_effects

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from calib.hypotheses.proposals.composed import Builder, quoted
 from calib.hypotheses.proposals.proposal import Proposal
@@ -63,11 +62,8 @@ def _plain(text: str) -> str:
 
 
 def _imports(builders: Sequence[Builder]) -> list[str]:
-    names: Mapping[str, set[str]] = defaultdict(set)
-    for builder in builders:
-        for module, needed in builder.needs.items():
-            names[module] |= set(needed)
-    return [f"from {module} import {', '.join(sorted(names[module]))}" for module in sorted(names)]
+    names = sorted({name for builder in builders for name in builder.needs})
+    return [f"from calib.structure import {', '.join(names)}"] if names else []
 
 
 def _effect(rank: int, proposal: Proposal, beside: Sequence[str]) -> list[str]:

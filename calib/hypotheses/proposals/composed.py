@@ -40,17 +40,14 @@ class Builder(Protocol):
         ...
 
     @property
-    def needs(self) -> Mapping[str, tuple[str, ...]]:
-        """Names that the code uses, by module."""
+    def needs(self) -> tuple[str, ...]:
+        """Names of `calib.structure` that the code uses."""
         ...
 
 
 def _literal(place: Place) -> str:
     part, point = place
     return f"({None if part is None else quoted(part)}, ({', '.join(repr(float(c)) for c in point)}))"
-
-
-_ATTACH, _EXTEND, _AFFINE = "calib.structure.effects.attach", "calib.structure.effects.extend", "calib.structure.affine"
 
 
 @dataclass(frozen=True)
@@ -95,9 +92,9 @@ class ScaledParts:
         return (*lines, ")")
 
     @property
-    def needs(self) -> Mapping[str, tuple[str, ...]]:
+    def needs(self) -> tuple[str, ...]:
         """See `Builder`."""
-        return {_ATTACH: ("scaled_part",), _EXTEND: ("Addition",)}
+        return "Addition", "scaled_part"
 
 
 @dataclass(frozen=True)
@@ -125,9 +122,9 @@ class MountedDampers:
         return (f'return mounted_dampers(model, {_names(self.parts)}, "{self.name}")',)
 
     @property
-    def needs(self) -> Mapping[str, tuple[str, ...]]:
+    def needs(self) -> tuple[str, ...]:
         """See `Builder`."""
-        return {_ATTACH: ("mounted_dampers",)}
+        return ("mounted_dampers",)
 
 
 @dataclass(frozen=True)
@@ -154,9 +151,9 @@ class SoftSupports:
         return (f'return softened_supports(model, {_names(self.supports)}, "{self.name}")',)
 
     @property
-    def needs(self) -> Mapping[str, tuple[str, ...]]:
+    def needs(self) -> tuple[str, ...]:
         """See `Builder`."""
-        return {_ATTACH: ("softened_supports",)}
+        return ("softened_supports",)
 
 
 @dataclass(frozen=True)
@@ -193,10 +190,9 @@ class RotationalSprings:
         )
 
     @property
-    def needs(self) -> Mapping[str, tuple[str, ...]]:
+    def needs(self) -> tuple[str, ...]:
         """See `Builder`."""
-        names = ("outer_term", "part_of", "relative_rotation")
-        return {_ATTACH: names, _AFFINE: ("parameter",), _EXTEND: ("Addition",)}
+        return "Addition", "outer_term", "parameter", "part_of", "relative_rotation"
 
 
 @dataclass(frozen=True)
@@ -231,9 +227,9 @@ class AddedMass:
         )
 
     @property
-    def needs(self) -> Mapping[str, tuple[str, ...]]:
+    def needs(self) -> tuple[str, ...]:
         """See `Builder`."""
-        return {_ATTACH: ("motion", "outer_term"), _AFFINE: ("parameter",), _EXTEND: ("Addition",)}
+        return "Addition", "motion", "outer_term", "parameter"
 
 
 @dataclass(frozen=True)
@@ -281,12 +277,11 @@ class HungMass:
         )
 
     @property
-    def needs(self) -> Mapping[str, tuple[str, ...]]:
+    def needs(self) -> tuple[str, ...]:
         """See `Builder`."""
         if not self.others:
-            return {_ATTACH: ("hung_masses", "motion")}
-        names = ("hung_masses", "motion", "outer_term")
-        return {_ATTACH: names, _AFFINE: ("parameter",), _EXTEND: ("Addition",)}
+            return "hung_masses", "motion"
+        return "Addition", "hung_masses", "motion", "outer_term", "parameter"
 
 
 @dataclass(frozen=True)
@@ -332,10 +327,10 @@ class Connection:
         return (*lines, f"return Addition({self.matrix}=({term},))")
 
     @property
-    def needs(self) -> Mapping[str, tuple[str, ...]]:
+    def needs(self) -> tuple[str, ...]:
         """See `Builder`."""
         move = "motion" if self._grounded else "between"
-        return {_ATTACH: (move, "outer_term"), _AFFINE: ("parameter",), _EXTEND: ("Addition",)}
+        return "Addition", move, "outer_term", "parameter"
 
     @property
     def _grounded(self) -> bool:
@@ -350,7 +345,7 @@ class ScaledByFunction:
     ----------
     name : str
     part : str
-        The value by which the function scales it, see `calib.structure.scaled_part.ScaledPart`.
+        The value by which the function scales it, see `calib.structure.function_parts.ScaledPart`.
     """
 
     name: str
@@ -370,9 +365,9 @@ class ScaledByFunction:
         )
 
     @property
-    def needs(self) -> Mapping[str, tuple[str, ...]]:
+    def needs(self) -> tuple[str, ...]:
         """See `Builder`."""
-        return {}
+        return ()
 
 
 def quoted(text: str) -> str:

@@ -33,7 +33,7 @@ from calib.structure.elongations import elongations
 from calib.structure.model import Part, PartKind, StructuralModel
 from calib.structure.places import middles
 from calib.structure.rules import RULES
-from calib.structure.scaled_part import ScaledPart
+from calib.structure.function_parts import ScaledPart
 
 _FEW = 6
 """Most motions that a damper with ends damps."""

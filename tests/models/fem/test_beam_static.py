@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.errors.errors import InputError
+from calib import InputError
 from models.fem import beam
 from models.fem.frame import Frame
 from models.fem.member import Member, Suppression

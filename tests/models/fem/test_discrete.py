@@ -6,12 +6,9 @@ import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors.errors import InputError
-from calib.measurement.modal import Sensor
-from calib.problem.space import ParameterSpace
-from calib.structure.affine import AffineMatrix, Term
+from calib import InputError, ParameterSpace, Sensor, StructuralModel
+from calib.structure import AffineMatrix, Term
 from calib.structure.eigenproblem.solve import solve_modes
-from calib.structure.model import StructuralModel
 from models.fem.discrete import FrameLocator, PointMass, Spring, mass_matrix, rod, spring_matrix
 from models.fem.frame import Frame
 from models.fem.member import Member, Suppression

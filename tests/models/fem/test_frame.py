@@ -6,7 +6,7 @@ import scipy.linalg as la
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors.errors import InputError
+from calib import InputError
 from models.fem.frame import Frame
 from models.fem.member import Member, Suppression, Tie
 from models.fem.section import Section

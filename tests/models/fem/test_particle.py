@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.errors.errors import InputError
+from calib import InputError
 from calib.structure.eigenproblem.solve import solve_modes
 from models.fem.discrete import PointMass, Spring, mass_matrix, spring_matrix
 from models.fem.frame import Frame

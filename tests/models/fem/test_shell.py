@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors.errors import InputError
+from calib import InputError
 from models.fem import shell
 from models.fem.quad import projected
 from models.fem.sheet import Sheet

@@ -7,10 +7,8 @@ import pytest
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.errors.errors import InputError
-from calib.problem.space import Parameter, ParameterSpace
-from calib.structure.affine import AffineMatrix, Monomial, Term
-from calib.structure.model import StructuralModel
+from calib import InputError, Parameter, ParameterSpace, StructuralModel
+from calib.structure import AffineMatrix, Monomial, Term
 from models.fem.discrete import FrameLocator, PointMass, Spring, mass_matrix, spring_matrix
 from models.fem.member import Member, Suppression
 from models.fem.panel import Panel, sheet_panel

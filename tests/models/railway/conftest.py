@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from calib.measurement.modal import DIRECTIONS, Sensor
-from calib.problem.space import Parameter
+from calib import Parameter, Sensor, StructuralModel
+from calib.measurement.modal import DIRECTIONS
 from calib.structure.eigenproblem.solve import solve_modes
-from calib.structure.model import StructuralModel
 from calib.study.loading import module_of
 from models.railway import vehicle
 

@@ -10,17 +10,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from calib import Effect, MeasuredModes, ParameterSpace, Sensor, StructuralModel
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
 from calib.measurement.mac import mac
-from calib.measurement.modal import MeasuredModes, Sensor
-from calib.problem.effect import Effect
-from calib.problem.space import ParameterSpace
-from calib.structure.effects.extend import Addition, extend
+from calib.structure import Addition, Modes, extend
 from calib.structure.eigenproblem.inertia import symmetric_factor
-from calib.structure.model import StructuralModel
-from calib.structure.modes import Modes
 
 STD_FREQ, STD_DAMPING, STD_SHAPE = 0.005, 0.07, 0.025
 """Standard deviation of the mean of five repeats: relative, relative, of the largest motion."""

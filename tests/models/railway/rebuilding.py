@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.structure.affine import AffineMatrix, Term
-from calib.structure.model import StructuralModel
+from calib import StructuralModel
+from calib.structure import AffineMatrix, Term
 from models.fem.discrete import PointMass, Spring
 from models.fem.member import Member, Point
 from models.railway.bogie import BOX_ARM

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.sparse as sp
 
-from calib.structure.model import StructuralModel
+from calib import StructuralModel
 from models.fem.discrete import Spring
 from models.fem.member import Member
 from models.railway.bogie import SIDES, UY

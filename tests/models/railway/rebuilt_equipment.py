@@ -8,8 +8,8 @@ from itertools import product
 
 import numpy as np
 
-from calib.structure.effects.attach import GRAVITY
-from calib.structure.model import StructuralModel
+from calib import StructuralModel
+from calib.structure import GRAVITY
 from models.fem.discrete import PointMass, Spring
 from models.fem.member import Particle, Point, Suppression
 from models.fem.rbe3 import Rbe3

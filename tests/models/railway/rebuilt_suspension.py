@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from calib.structure.model import StructuralModel
+from calib import StructuralModel
 from models.fem.discrete import PointMass, Spring
 from models.fem.member import Point
 from models.railway.bogie import RX, SIDES, UX, UY

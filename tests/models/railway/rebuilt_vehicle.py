@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from calib.structure.model import StructuralModel
+from calib import StructuralModel
 from models.railway.bogie import ENDS, SIDES
 from models.railway.vehicle import BOGIES
 from tests.models.railway.rebuilding import Values

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from calib import Effect, MeasuredModes, StructuralModel
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
-from calib.measurement.modal import MeasuredModes
-from calib.problem.effect import Effect
-from calib.structure.effects.extend import extend
-from calib.structure.model import StructuralModel
+from calib.structure import extend
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from calib.errors.errors import InputError
-from calib.measurement.modal import Sensor
+from calib import InputError, Sensor
 from calib.structure.eigenproblem import solve
 from calib.structure.eigenproblem.solve import solve_modes
 from models.railway import bogie_on_rig

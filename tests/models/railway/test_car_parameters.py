@@ -2,7 +2,7 @@
 
 import pytest
 
-from calib.problem.space import LinearConstraint, ParameterSpace
+from calib import LinearConstraint, ParameterSpace
 from models.railway.parameters import BOGIE, CAR, RIG
 
 # symbol: name, nominal, lower, upper, unit; None where it is lost.

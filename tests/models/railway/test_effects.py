@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.measurement.files.read import read_modes
-from calib.structure.effects.extend import extend
+from calib.structure import extend
 from models.railway import bogie_effects, bogie_on_rig
 from models.railway.vehicle_effects import vehicle_effects
 

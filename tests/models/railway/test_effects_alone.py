@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.errors.errors import InputError
-from calib.structure.affine import Term, parameter
-from calib.structure.effects.attach import motion, outer_term
-from calib.structure.effects.extend import Addition, extend
+from calib import InputError
+from calib.structure import Addition, Term, extend, motion, outer_term, parameter
 from models.railway import bogie_effects, bogie_on_rig, rig
 from models.railway.bogie import AXLE_X, AXLE_Y, CROSSBAR_X, GIRDER_Y, bogie
 from models.railway.effects_frame import BRAKE_UNIT_Z, JOINT_LENGTH

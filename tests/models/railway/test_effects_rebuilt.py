@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.measurement.files.read import read_modes
-from calib.structure.effects.extend import extend
+from calib.structure import extend
 from calib.study.loading import module_of
 from models.railway import bogie_effects, bogie_on_rig
 

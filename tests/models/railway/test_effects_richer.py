@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg as la
 
-from calib.structure.effects.extend import extend
+from calib.structure import extend
 from models.railway import bogie_effects, bogie_on_rig
 from models.railway.bogie import AXLE_X, AXLE_Y
 from models.railway.bogie import bogie as railway_bogie

@@ -2,7 +2,7 @@
 
 import pytest
 
-from calib.problem.space import LinearConstraint, ParameterSpace
+from calib import LinearConstraint, ParameterSpace
 from models.railway import bogie_on_rig
 from models.railway.bogie import ASSUMPTIONS as BOGIE_ASSUMPTIONS
 from models.railway.parameters import BOGIE, RIG

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.errors.errors import InputError
+from calib import InputError
 from calib.structure.eigenproblem.inertia import count_below, symmetric_factor
 from calib.structure.eigenproblem.solve import solve_modes
 from models.railway import bogie_on_rig, vehicle

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calib.errors.errors import InputError
-from calib.structure.effects.extend import extend
+from calib import InputError
+from calib.structure import extend
 from models.railway import vehicle, vehicle_effects
 
 EFFECTS = {e.name: e for e in vehicle_effects()}

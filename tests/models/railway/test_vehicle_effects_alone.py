@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from calib.structure.effects.attach import GRAVITY, loosened_masses, motion
+from calib.structure import GRAVITY, loosened_masses, motion
 from calib.structure.eigenproblem.solve import solve_modes
 from models.railway import vehicle_effects
 from models.railway.equipment import passenger_seats

@@ -8,7 +8,7 @@ import pytest
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
-from calib.structure.effects.extend import extend
+from calib.structure import extend
 from calib.study.loading import module_of
 from models.railway import vehicle_effects
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.problem.space import ParameterSpace
-from calib.structure.effects.extend import extend
+from calib import ParameterSpace
+from calib.structure import extend
 from models.railway import vehicle_effects
 from models.railway.vehicle_effects_equipment import SEAT_RATIO
 

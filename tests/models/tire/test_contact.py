@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors.errors import EvaluationError, InputError
+from calib import EvaluationError, InputError
 from models.tire import base_tire
 from models.tire.contact import Ground
 from models.tire.load_curve import RotationWarning, load_curve, press_to_load

@@ -2,8 +2,7 @@
 
 import pytest
 
-from calib.structure.effects.perturbations import relative_change
-from calib.structure.function_model import slope_entry
+from calib.structure import relative_change, slope_entry
 from models.tire.effects import tire_effects
 from models.tire.model import parameters, tire_on_ground
 from models.tire.parts import PARTS

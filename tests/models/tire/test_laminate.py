@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.errors.errors import InputError
+from calib import InputError
 from models.tire.laminate import Ply, abd, pantograph
 from models.tire.micromechanics import CordRubber, isotropic
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.errors.errors import InputError
+from calib import InputError
 from calib.measurement.mac import mac
 from models.tire import base_tire
 from models.tire.inflated import inflate

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.errors.errors import InputError
+from calib import InputError
 from models.tire import base_tire
 from models.tire.effects import tire_effects
 from models.tire.harmonics import hoop_modes

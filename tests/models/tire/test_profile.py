@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.errors.errors import InputError
+from calib import InputError
 from models.tire.profile import Profile, netting_profile
 
 REACH = np.radians(130)

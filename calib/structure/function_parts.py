@@ -30,7 +30,7 @@ class ScaledPart:
 
     Examples
     --------
-    >>> from calib.structure.scaled_part import ScaledPart
+    >>> from calib.structure.function_parts import ScaledPart
     >>> ScaledPart("the sidewalls", "stiffness").parameter
     'stiffness of the sidewalls'
     """
