@@ -214,7 +214,8 @@ def constants(text: str) -> Iterator[str]:
 
 
 def found() -> set[tuple[str, str]]:
-    files = [file for file in ROOT.rglob("*.py") if file.relative_to(ROOT).parts[0] not in (*FOLDERS, "template")]
+    skipped = {ROOT / folder for folder in (*FOLDERS, "template")}
+    files = [file for file in ROOT.rglob("*.py") if not skipped & set(file.parents)]
     return {(file.relative_to(ROOT).as_posix(), name) for file in files for name in constants(file.read_text("utf-8"))}
 
 

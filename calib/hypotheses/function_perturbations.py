@@ -17,10 +17,10 @@ from calib.structure import rules as changes
 from calib.structure.effects.perturbations import Perturbation, scaling_by_function
 from calib.structure.eigenproblem.mode_tracking import successors
 from calib.structure.function_model import DERIVES, FunctionModel, response_of, responses_of, slope_entry
+from calib.structure.function_parts import ScaledPart
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.modal_result import modes_of
 from calib.structure.modes import Modes
-from calib.structure.function_parts import ScaledPart
 
 _NOWHERE = (math.nan, math.nan, math.nan)
 

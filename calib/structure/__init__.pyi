@@ -34,6 +34,7 @@ from .effects.extend import extend as extend
 from .effects.perturbations import relative_change as relative_change
 from .function_model import response_of as response_of
 from .function_model import slope_entry as slope_entry
+from .function_parts import ScaledPart as ScaledPart
 from .geometry import DofMap as DofMap
 from .geometry import Mesh as Mesh
 from .geometry import NodeLocator as NodeLocator
@@ -45,4 +46,3 @@ from .modes import Modes as Modes
 from .mounted import MountedBody as MountedBody
 from .rubber import relaxing_rubber as relaxing_rubber
 from .rubber import structural_damping as structural_damping
-from .function_parts import ScaledPart as ScaledPart

@@ -12,9 +12,9 @@ from calib.errors.own_code import defined_at
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of
+from calib.structure.function_parts import ScaledPart, scaled_parts
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import Assumption
-from calib.structure.function_parts import ScaledPart, scaled_parts
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,12 @@ from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of
 from calib.structure.eigenproblem.derivatives import ModeDerivatives
 from calib.structure.eigenproblem.mode_tracking import followed_derivatives
+from calib.structure.function_parts import ScaledPart, scaled_parts
 from calib.structure.geometry import Mesh
 from calib.structure.modal_result import Numbered, modes_of, numbers_of
 from calib.structure.model import Assumption
 from calib.structure.modes import Modes
 from calib.structure.places import ModelPlace
-from calib.structure.function_parts import ScaledPart, scaled_parts
 
 REMEMBERED = 1000
 """Points whose modes are cached."""

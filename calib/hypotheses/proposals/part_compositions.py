@@ -30,10 +30,10 @@ from calib.structure.effects.attach import ENDS, joined_nodes, parts_of, relativ
 from calib.structure.effects.perturbations import LEAST
 from calib.structure.eigenproblem.inertia import symmetric_factor
 from calib.structure.elongations import elongations
+from calib.structure.function_parts import ScaledPart
 from calib.structure.model import Part, PartKind, StructuralModel
 from calib.structure.places import middles
 from calib.structure.rules import RULES
-from calib.structure.function_parts import ScaledPart
 
 _FEW = 6
 """Most motions that a damper with ends damps."""

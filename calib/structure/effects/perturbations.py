@@ -16,9 +16,9 @@ from calib.structure.affine import Monomial, Term
 from calib.structure.effects.attach import outer_term, parts_of
 from calib.structure.effects.extend import Addition
 from calib.structure.eigenproblem.inertia import symmetric_factor
+from calib.structure.function_parts import ScaledPart
 from calib.structure.model import Part, StructuralModel
 from calib.structure.rules import RULES
-from calib.structure.function_parts import ScaledPart
 
 LEAST = {"stiffness": RULES.less, "damping": RULES.damper_less, "mass": RULES.less}
 """Smallest relative change of a part, by its kind."""
