@@ -6,9 +6,8 @@ import pytest
 
 from calib.correlation.frf.faults import FRFFault
 from calib.correlation.modal.faults import ModalFault
-from calib.problem.candidate import Candidate
+from calib.problem.candidate import Candidate, Fault
 from calib.problem.effect import Effect
-from calib.problem.fault import Fault
 from calib.problem.space import Parameter
 
 SIZE = Parameter("lamp", 0.0, -1.0, 3.0, "kg", prior_sd=0.5)

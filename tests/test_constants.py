@@ -48,12 +48,11 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "structure/energy.py": "_ZERO_ENERGY",
     "structure/expansion.py": "_ALIKE",
     "structure/frf.py": "_RANK _NEAR_RESONANCE _SINGULAR _THRESHOLD _BACKWARD",
-    "structure/reduction/growing_space.py": "_ORTHOGONAL",
     "structure/eigenproblem/inertia.py": "_BACKWARD",
     "structure/matrices.py": "_ROUNDING",
     "structure/places.py": "_LITTLE",
     "hypotheses/proposals/point_compositions.py": "_SAME",
-    "structure/reduction/refinement.py": "_ALONG ACCURACY _CLEAR _SHIFT",
+    "structure/reduction/refinement.py": "_ALONG ACCURACY _CLEAR _ORTHOGONAL _SHIFT",
     "structure/eigenproblem/solve.py": "_COPY _SHIFT _TURNING",
     "structure/eigenproblem/solve_dense.py": "_SHIFT",
     "structure/elongations.py": "_ELASTIC",
@@ -139,8 +138,8 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
     "hypotheses/proposals/code.py": "_WIDE",
     "analyses/provenance/stored.py": "SHOWN",
     "results/answer.py": "LABEL",
-    "correlation/response/values.py": "_LISTED",
-    "errors/excerpt.py": "WIDEST _LEAST TAB",
+    "correlation/response/problem.py": "_LISTED",
+    "errors/place.py": "WIDEST _LEAST TAB",
     "inference/agreement.py": "_NAMED",
     "measurement/sensors.py": "NAMED_MOST",
     "missing/competing.py": "EIGHT_OF_TEN",
@@ -152,7 +151,6 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
     "missing/worst_misfit.py": "_LEAST",
     "execution/outcome.py": "_TRACE",
     "api/progress.py": "SPARSE OFTEN _BAR _STEADY",
-    "command/terminal.py": "WIDTH NARROWEST",
 }
 
 FORMATS = {  # units, codes of files, and what a file may hold
@@ -174,11 +172,10 @@ FORMATS = {  # units, codes of files, and what a file may hold
     "measurement/files/uff_frf_write.py": "_NUMERATOR _FORCE _FREQUENCY _FRF",
     "measurement/files/uff_record.py": "TIME_RESPONSE _TIME _COMPLEX",
     "measurement/files/uff_sets.py": "SI_UNITS _LARGEST_NODE",
-    "problem/parameter.py": "MOST FINEST_PRIOR",
+    "problem/parameter.py": "MOST FINEST_PRIOR SI_FACTORS",
     "study/section.py": "LONGEST_NAME",
     "structure/amplitude.py": "_LEFT",
     "structure/effects/attach.py": "GRAVITY",
-    "problem/units.py": "SI_FACTORS",
 }
 
 ALLOWED = (ROUNDING, ACCURACY, EFFORT, SPEED, WORDS, FORMATS)

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors.errors import EvaluationError, InputError, ToleranceError, again
-from calib.errors.excerpt import TAB, excerpt
-from calib.errors.place import Place
+from calib.errors.place import TAB, Place, excerpt
 
 
 def columns(text: str) -> int:

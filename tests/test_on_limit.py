@@ -9,7 +9,7 @@ import pytest
 from calib.inference.cases import CaseResult, parameters_table
 from calib.inference.identify import identify
 from calib.inference.verdicts import parameter_verdicts
-from calib.problem.on_limit import RULES, LimitRules, limit_at
+from calib.problem.parameter import RULES, LimitRules, limit_at
 from calib.problem.space import Parameter, ParameterSpace
 
 LOWER, UPPER = 20.0, 60.0

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from calib.errors.errors import InputError
+from calib.problem.parameter import SI_FACTORS
 from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
-from calib.problem.units import SI_FACTORS
 
 
 def space() -> ParameterSpace:

@@ -17,7 +17,7 @@ from calib.analyses.uncertainty import std_notes
 from calib.correlation.frf.comparison import FRFComparison
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
-from calib.correlation.mesh import geometry_tables
+from calib.correlation.mesh_error import geometry_tables
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.expansion import ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
 from calib.correlation.modal.rigid import unpaired_sentence, unpaired_table

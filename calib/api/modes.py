@@ -11,8 +11,7 @@ from calib.measurement.files.read_frf import read_frfs
 from calib.measurement.files.read_records import hold_records, read_records
 from calib.measurement.frf import MeasuredFRFs, Quantity
 from calib.modal_analysis.ambient import modes_from_records
-from calib.modal_analysis.identify import Identification, modes_from_frfs
-from calib.modal_analysis.tables import modes_table, sensor_table, shapes_table
+from calib.modal_analysis.identify import Identification, modes_from_frfs, modes_table, sensor_table, shapes_table
 from calib.results.results import Results
 
 

@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeAlias, TypeVar, cast
 from calib.api.progress import in_python
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import EvaluationError, InputError
-from calib.errors.excerpt import excerpt
+from calib.errors.place import excerpt
 from calib.execution.stage import Progress
 from calib.experiment.modal import Model, Test
 from calib.problem.effect import Effect

@@ -17,7 +17,7 @@ from rich.console import Console
 
 from calib.api.progress import ERR
 from calib.errors.errors import InputError
-from calib.errors.excerpt import WIDEST, excerpt
+from calib.errors.place import WIDEST, excerpt
 from calib.results.answer import LABEL
 from calib.results.version import __version__
 

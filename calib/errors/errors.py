@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calib.errors.excerpt import excerpt
-from calib.errors.place import Place
+from calib.errors.place import Place, excerpt
 
 
 class InputError(ValueError):

@@ -9,9 +9,8 @@ from functools import cached_property
 
 from calib.analyses.explanation_result import MeasurementFacts
 from calib.correlation.modal.responses import response_problem
-from calib.correlation.response.problem import FunctionProblem
+from calib.correlation.response.problem import FunctionProblem, assumed_responses
 from calib.correlation.response.residual import ResponseResidual
-from calib.correlation.response.values import assumed_responses
 from calib.errors.arguments import by_name, number
 from calib.errors.errors import InputError
 from calib.experiment import Unseen, unseen_responses

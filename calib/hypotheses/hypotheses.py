@@ -13,10 +13,9 @@ from calib.errors.errors import EvaluationError, InputError
 from calib.errors.own_code import defined_at
 from calib.execution.outcome import Outcome, key_of
 from calib.hypotheses.linear_start import linear_starts
-from calib.problem.candidate import Candidate
+from calib.problem.candidate import Candidate, Fault
 from calib.problem.differences import STEP
 from calib.problem.effect import Effect
-from calib.problem.fault import Fault
 from calib.problem.problem import Counts, Label, Pair, Problem
 from calib.problem.space import ParameterSpace
 from calib.structure.reduction.basis import Basis

@@ -22,9 +22,8 @@ from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.results.results import Results
 from calib.results.written import is_own
-from calib.structure.effects.accelerometers import accelerometers
 from calib.structure.effects.extend import extend
-from calib.structure.effects.perturbations import Perturbation, perturbations
+from calib.structure.effects.perturbations import Perturbation, accelerometers, perturbations
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.basis import Basis
 from calib.structure.reduction.cache import kept_basis, key_of

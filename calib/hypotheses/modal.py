@@ -9,14 +9,12 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 import pandas as pd
 
-from calib.correlation.mesh import geometry_tables
-from calib.correlation.mesh_error import MeshError
+from calib.correlation.mesh_error import MeshError, geometry_tables
 from calib.correlation.modal.held_out import covariance_root, held_out_rows, kinds_of
-from calib.correlation.modal.mesh import both_meshes
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.modal.rigid import COLUMNS as UNPAIRED_COLUMNS
-from calib.correlation.modal.rigid import unpaired_sentence, unpaired_table
+from calib.correlation.modal.rigid import both_meshes, unpaired_sentence, unpaired_table
 from calib.errors.errors import InputError
 from calib.execution.stage import Progress, unheard
 from calib.execution.tasks import each

@@ -11,7 +11,7 @@ import pandas as pd
 
 from calib.analyses.explanation_result import MeasurementFacts
 from calib.correlation.frf.residual import FRFResidual
-from calib.correlation.mesh import geometry_tables
+from calib.correlation.mesh_error import geometry_tables
 from calib.correlation.response.residual import ResponseResidual
 from calib.execution.stage import Progress, unheard
 from calib.experiment import Unseen

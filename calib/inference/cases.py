@@ -250,8 +250,8 @@ def parameters_table(results: Sequence[CaseResult], space: ParameterSpace) -> pd
     -------
     DataFrame
         ``case, parameter, value, unit, lower, upper``; ``ratio`` (position between the limits, 0 to 1); ``on_limit``
-        (see `calib.problem.on_limit.limit_at`); ``spread`` (largest minus smallest ratio over the cases) and ``stable``
-        (spread of at most 0.10; Ribeiro et al. 2013). Both are missing when there is one case only.
+        (see `calib.problem.parameter.limit_at`); ``spread`` (largest minus smallest ratio over the cases) and
+        ``stable`` (spread of at most 0.10; Ribeiro et al. 2013). Both are missing when there is one case only.
     """
     position = ratios(results, space)
     spread = np.ptp(position, axis=0) if len(results) > 1 else np.full(len(space.free), np.nan)

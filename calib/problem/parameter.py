@@ -3,13 +3,60 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 from calib.errors.arguments import number
 from calib.errors.errors import InputError
-from calib.problem.on_limit import limit_at
-from calib.problem.units import SI_FACTORS
+
+SI_FACTORS: Mapping[str, float] = {
+    "-": 1.0,
+    "%": 0.01,
+    "m": 1.0,
+    "mm": 1e-3,
+    "kg": 1.0,
+    "g": 1e-3,
+    "t": 1e3,
+    "kg/m": 1.0,
+    "kg/m2": 1.0,
+    "kg/m3": 1.0,
+    "kgm2": 1.0,
+    "m2": 1.0,
+    "mm2": 1e-6,
+    "m4": 1.0,
+    "mm4": 1e-12,
+    "N": 1.0,
+    "kN": 1e3,
+    "MN": 1e6,
+    "Nm2": 1.0,
+    "kNm2": 1e3,
+    "MNm2": 1e6,
+    "N/m": 1.0,
+    "kN/m": 1e3,
+    "MN/m": 1e6,
+    "mm/kN": 1e-6,
+    "mm/MN": 1e-9,
+    "Nm/rad": 1.0,
+    "kNm/rad": 1e3,
+    "MNm/rad": 1e6,
+    "rad/kNm": 1e-3,
+    "Nms/rad": 1.0,
+    "Ns/m": 1.0,
+    "kNs/m": 1e3,
+    "Pa": 1.0,
+    "kPa": 1e3,
+    "MPa": 1e6,
+    "GPa": 1e9,
+    "mm/MPa": 1e-9,
+    "Hz": 1.0,
+    "rad": 1.0,
+    "deg": math.pi / 180,
+    "s": 1.0,
+    "ms": 1e-3,
+}
+"""Factor from the named unit to SI."""
+
 
 Distribution = Literal["uniform", "fixed"]
 MOST = 1e100
@@ -32,7 +79,7 @@ class Parameter:
     lower, upper : float
         Limits, in ``unit``.
     unit : str
-        One of `calib.problem.units.SI_FACTORS`.
+        One of `calib.problem.parameter.SI_FACTORS`.
     distribution : {"uniform", "fixed"}
         A fixed parameter is never sampled or searched.
     integer : bool
@@ -113,10 +160,56 @@ class Parameter:
     def limit_at(
         self, value: float, std: float | None = None, searched: bool = False
     ) -> Literal["lower", "upper"] | None:
-        """The limit that a value is on, see `calib.problem.on_limit.limit_at`; None between the limits."""
+        """The limit that a value is on, see `calib.problem.parameter.limit_at`; None between the limits."""
         return limit_at(value, self.lower, self.upper, std, searched)
 
     @property
     def prior_width(self) -> float:
         """Prior standard deviation in ``unit``."""
         return self.prior_sd if self.prior_sd is not None else (self.upper - self.lower) / math.sqrt(12.0)
+
+
+@dataclass(frozen=True)
+class LimitRules:
+    """Distances at which a value is on its limit; `record.json` holds those of a result.
+
+    Attributes
+    ----------
+    of_range : float
+        Largest distance over the range between the limits.
+    of_std : float
+        The same over the posterior standard deviation, where it is known: the smaller distance counts.
+    searched : float
+        Distance over the range at the end of a genetic search: random steps approach a limit without reaching it, and
+        a standard deviation says nothing of how near they came.
+    """
+
+    of_range: float = 1e-3
+    of_std: float = 0.05
+    searched: float = 0.01
+
+
+RULES = LimitRules()
+"""Distances in force."""
+
+
+def limit_at(
+    value: float, lower: float, upper: float, std: float | None = None, searched: bool = False
+) -> Literal["lower", "upper"] | None:
+    """The limit that a value is on or beyond; None between the limits.
+
+    Parameters
+    ----------
+    value, lower, upper : float
+        In one unit.
+    std : float, optional
+        Posterior standard deviation, in the same unit; NaN where unknown.
+    searched : bool
+        Whether a genetic search ended there, without least squares.
+    """
+    near = (RULES.searched if searched else RULES.of_range) * (upper - lower)
+    if std is not None and not searched:
+        near = min(near, RULES.of_std * std)
+    if upper - value <= near:
+        return "upper"
+    return "lower" if value - lower <= near else None

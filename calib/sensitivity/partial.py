@@ -11,7 +11,7 @@ from scipy import special
 from scipy.linalg import qr
 
 from calib.errors.errors import InputError
-from calib.sensitivity.ranks import mean_ranks
+from calib.sensitivity.spearman import mean_ranks
 
 OWN_PART = 1e-6
 """Part of a column's length outside the span of the others below which it counts as rounding."""

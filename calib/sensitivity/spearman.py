@@ -9,8 +9,14 @@ import pandas as pd
 from scipy import special
 
 from calib.errors.errors import InputError
-from calib.sensitivity.ranks import mean_ranks
 from calib.sensitivity.rules import RULES
+
+
+def mean_ranks(a: np.ndarray) -> np.ndarray:
+    """Ranks from 1 of each column (n_rows, n_columns), ties by mean rank; shape as given."""
+    from scipy.stats import rankdata  # slow to import, and not every command ranks
+
+    return np.asarray(rankdata(a, axis=0)) if a.size else a
 
 
 def spearman(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:

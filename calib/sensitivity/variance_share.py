@@ -12,8 +12,8 @@ import pandas as pd
 from scipy import special
 
 from calib.sensitivity.partial import orthonormal, orthonormal_beyond, same_rows, table_arrays
-from calib.sensitivity.ranks import mean_ranks
 from calib.sensitivity.rules import RULES
+from calib.sensitivity.spearman import mean_ranks
 
 Unit = tuple[str, ...]
 

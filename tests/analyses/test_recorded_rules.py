@@ -16,7 +16,7 @@ PLACES = {
     "faults": "calib.correlation.fault_rules.RULES",
     "models": "calib.structure.rules.RULES",
     "sensitivity": "calib.sensitivity.rules.RULES",
-    "limits": "calib.problem.on_limit.RULES",
+    "limits": "calib.problem.parameter.RULES",
     "inference": "calib.inference.rules.RULES",
     "analyses": "calib.hypotheses.rules.RULES",
     "missing": "calib.missing.rules.RULES",

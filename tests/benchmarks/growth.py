@@ -32,7 +32,7 @@ from calib.structure.reduction.basis import CHECK_COLUMNS, Basis
 from calib.structure.reduction.growth import Growth
 from calib.structure.reduction.mode_target import ModeTarget
 from calib.structure.reduction.reduced import ReducedModel
-from calib.structure.reduction.space_filling import box, middle, space_filling_points
+from calib.structure.reduction.training import box, middle, space_filling_points
 from calib.study.study import Study
 from models.railway import vehicle
 

@@ -33,8 +33,7 @@ import scipy.sparse.linalg as spla
 from scipy.optimize import linear_sum_assignment
 from threadpoolctl import threadpool_limits
 
-from calib.correlation.modal.energy import emac
-from calib.correlation.modal.pairing import in_window, pair_by_order, pair_by_shape
+from calib.correlation.modal.pairing import emac, in_window, pair_by_order, pair_by_shape
 from calib.measurement.mac import mac
 from calib.problem.sampling import sample
 from calib.problem.space import ParameterSpace

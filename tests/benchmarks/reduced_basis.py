@@ -23,8 +23,7 @@ from subject import STUDIES, study_of
 
 from calib.structure.reduction.certificate import certificate
 from calib.structure.reduction.reduced import ReducedModel
-from calib.structure.reduction.space_filling import space_filling_points
-from calib.structure.reduction.training import train_basis
+from calib.structure.reduction.training import space_filling_points, train_basis
 
 FRESH_SEED = 20260101
 TIMED = 10

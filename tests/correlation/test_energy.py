@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calib.correlation.modal.energy import emac
+from calib.correlation.modal.pairing import emac
 from calib.structure.energy import strain_energy_shares
 
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from calib.correlation.mesh import elements_table, points_table
+from calib.correlation.mesh_error import elements_table, points_table
 from calib.structure.geometry import Mesh
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 2, 0]], dtype=float)

@@ -12,9 +12,9 @@ from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.mesh_error import MeshError
 from calib.correlation.modal.held_out import held_out_errors
-from calib.correlation.modal.mesh import both_meshes
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
+from calib.correlation.modal.rigid import both_meshes
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calib.correlation.response.values import response_dof
+from calib.correlation.response.problem import response_dof
 from calib.errors.errors import InputError
 from calib.measurement.files.read import read_modes
 from calib.measurement.responses import read_responses

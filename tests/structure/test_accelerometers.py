@@ -6,8 +6,8 @@ import pytest
 
 from calib.measurement.modal import Sensor
 from calib.problem.space import Parameter
-from calib.structure.effects.accelerometers import accelerometers
 from calib.structure.effects.extend import extend
+from calib.structure.effects.perturbations import accelerometers
 from calib.structure.model import StructuralModel
 
 K = np.array([[3.2e4, -2e4, 0], [-2e4, 4e4, -2e4], [0, -2e4, 2e4]])

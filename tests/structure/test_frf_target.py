@@ -19,8 +19,7 @@ from calib.structure.reduction.basis import Basis
 from calib.structure.reduction.effect_basis import frf_effect_basis
 from calib.structure.reduction.frf_target import FRFTarget, error_estimate
 from calib.structure.reduction.reduced import ReducedModel
-from calib.structure.reduction.space_filling import space_filling_points
-from calib.structure.reduction.training import enrich_basis, train
+from calib.structure.reduction.training import enrich_basis, space_filling_points, train
 from calib.study.loading import module_of
 from calib.study.study import Study
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from calib.structure.reduction.growing_space import GrowingSpace
+from calib.structure.reduction.refinement import GrowingSpace
 
 SIZE = 12
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from calib.correlation.mesh import places_table
+from calib.correlation.mesh_error import places_table
 from calib.problem.space import Parameter
 from calib.structure.model import StructuralModel
 from calib.structure.places import ModelPlace

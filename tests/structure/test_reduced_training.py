@@ -16,8 +16,7 @@ from calib.structure.affine import AffineMatrix, Term
 from calib.structure.reduction.basis import Basis
 from calib.structure.reduction.certificate import certificate, mode_errors
 from calib.structure.reduction.reduced import ReducedModel
-from calib.structure.reduction.space_filling import space_filling_points
-from calib.structure.reduction.training import enrich_basis, train_basis
+from calib.structure.reduction.training import enrich_basis, space_filling_points, train_basis
 from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,8 +10,7 @@ from calib.structure.reduction import effect_basis, refinement, training
 from calib.structure.reduction.mode_target import ModeTarget
 from calib.structure.reduction.reduced import ReducedModel
 from calib.structure.reduction.refinement import modes_near, refined_modes, undamped_count_agrees
-from calib.structure.reduction.space_filling import space_filling_points
-from calib.structure.reduction.training import train_basis
+from calib.structure.reduction.training import space_filling_points, train_basis
 
 N, COUNT = 120, 6
 ACCURACY = 1e-7

@@ -12,7 +12,7 @@ from calib.hypotheses import rules as analyses
 from calib.inference import rules as inference
 from calib.measurement import rules as reading
 from calib.missing import rules as missing
-from calib.problem import degrees_of_freedom, on_limit
+from calib.problem import degrees_of_freedom, parameter
 from calib.sensitivity import rules as sensitivity
 from calib.structure import rules as models
 
@@ -39,7 +39,7 @@ def every_rule() -> dict[str, Any]:
         "faults": faults.RULES,
         "models": models.RULES,
         "sensitivity": sensitivity.RULES,
-        "limits": on_limit.RULES,
+        "limits": parameter.RULES,
         "inference": inference.RULES,
         "analyses": analyses.RULES,
         "missing": missing.RULES,

@@ -36,7 +36,7 @@ def _of_stages(*stages: str) -> tuple[str, ...]:
 
 
 GEOMETRY = ("mesh_points.csv", "mesh_elements.csv", "model_places.csv")
-"""Files of `calib.correlation.mesh.geometry_tables`."""
+"""Files of `calib.correlation.mesh_error.geometry_tables`."""
 ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv", "comparison_added.csv",
          "frf_added.csv", "frf_lines_added.csv", "where_it_fails_added.csv")  # fmt: skip
 """Files of `calib.analyses.added`, removed with the calibration or the explanation that they rest on."""

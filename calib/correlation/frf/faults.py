@@ -11,9 +11,9 @@ import numpy as np
 from calib.correlation.fault_rules import RULES
 from calib.correlation.frf.cross_talk import CrossTalkError
 from calib.correlation.frf.nuisance import ChannelError, ChannelKind, Nuisance
-from calib.correlation.frf.parameter import Side
 from calib.correlation.frf.places import PlaceError
 from calib.correlation.frf.rotation import RotationError
+from calib.correlation.frf.rows import Side
 from calib.correlation.modal.fault_library import (
     LACKS,
     LOOK_FOR,
@@ -30,7 +30,7 @@ from calib.correlation.modal.fault_library import (
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
-from calib.problem.fault import NOWHERE, Fault
+from calib.problem.candidate import NOWHERE, Fault
 from calib.problem.space import Parameter
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.reduced import ReducedModel

@@ -19,11 +19,10 @@ import numpy as np
 from calib.correlation.fault_rules import RULES
 from calib.correlation.frf.cross_talk import CrossTalkError
 from calib.correlation.frf.factor import FactorError
-from calib.correlation.frf.parameter import Side, in_test, require_positive
 from calib.correlation.frf.places import PlaceError
 from calib.correlation.frf.resonances import ResonanceError, of_every_resonance
 from calib.correlation.frf.rotation import RotationError
-from calib.correlation.frf.rows import RowError
+from calib.correlation.frf.rows import RowError, Side, in_test, require_positive
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, Sensor

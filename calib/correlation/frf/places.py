@@ -12,8 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.correlation.fault_rules import RULES
-from calib.correlation.frf.parameter import in_test, require_positive
-from calib.correlation.frf.rows import RowError
+from calib.correlation.frf.rows import RowError, in_test, require_positive
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, Sensor

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.correlation.frf.channels import Channels
 from calib.correlation.frf.comparison import frac_and_amplitude
+from calib.correlation.frf.factor import Channels
 from calib.correlation.frf.nuisance import Nuisance, require_channels
 from calib.correlation.frf.rows import Rows
 from calib.correlation.mesh_error import MeshError

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.correlation.fault_rules import RULES
 from calib.correlation.frf.factor import FactorError
-from calib.correlation.frf.parameter import in_test, require_positive
+from calib.correlation.frf.rows import in_test, require_positive
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.problem.space import Parameter

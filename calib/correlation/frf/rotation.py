@@ -11,8 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.correlation.fault_rules import RULES
-from calib.correlation.frf.parameter import Side, in_test, require_positive
-from calib.correlation.frf.rows import RowError
+from calib.correlation.frf.rows import RowError, Side, in_test, require_positive
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, Sensor

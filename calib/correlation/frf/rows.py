@@ -16,14 +16,30 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
+from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
 from calib.problem.space import Parameter
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.reduced import ReducedModel
+
+Side = Literal["response", "reference"]
+"""Channels of a test of FRFs: those of its responses, and those of the forces."""
+
+
+def in_test(test: str) -> str:
+    """End of the name of a parameter that belongs to one of several tests."""
+    return f" in test {test}" if test else ""
+
+
+def require_positive(prior_sd: float | None, place: str) -> None:
+    """InputError for a standard deviation that is given and not positive."""
+    if prior_sd is not None and not 0 < prior_sd < np.inf:
+        raise InputError(f"its standard deviation is {prior_sd:g}", place=place, remedy="give a positive number")
 
 
 class RowError(ABC):

@@ -13,7 +13,7 @@ from calib.correlation.modal.faults import ModalFault, Share
 from calib.errors.errors import InputError
 from calib.measurement.mac import is_real
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
-from calib.problem.fault import NOWHERE
+from calib.problem.candidate import NOWHERE
 from calib.problem.space import Parameter
 from calib.structure.along_mesh import along_mesh
 from calib.structure.geometry import Mesh

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from calib.measurement.modal import Sensor
-from calib.problem.fault import Fault
+from calib.problem.candidate import Fault
 
 Law = Literal["linear", "delay", "cosine", "sine"]
 

@@ -13,12 +13,12 @@ from scipy.optimize import linear_sum_assignment
 
 from calib.correlation.mesh_error import MeshError
 from calib.correlation.modal.comparison import Comparison
-from calib.correlation.modal.energy import emac
 from calib.correlation.modal.order import Costs
 from calib.correlation.modal.pairing import (
     Pairing,
     check_clusters,
     check_override,
+    emac,
     in_window,
     pair_by_order,
     pair_by_shape,

@@ -14,8 +14,8 @@ from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.faults import ModalFault
 from calib.correlation.modal.faulty_modes import FaultyModes
 from calib.correlation.modal.fitted_shape import FittedShape
-from calib.correlation.modal.mesh import both_meshes
 from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.rigid import both_meshes
 from calib.correlation.modal.rows import Row, damping_modes, rows_of, shape_parts
 from calib.correlation.standard_deviations import USUAL, Floors, StandardDeviations, dof_behind, std_for
 from calib.problem.space import ParameterSpace

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from calib.correlation.response.problem import FunctionProblem
-from calib.correlation.response.values import ResponseRow, response_rows
+from calib.correlation.response.problem import FunctionProblem, ResponseRow, response_rows
 from calib.correlation.rules import RULES
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.outcome import answered
+from calib.problem.candidate import Fault
 from calib.problem.differences import STEP, central_jacobian
-from calib.problem.fault import Fault
 from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of
 from calib.structure.function_model import DERIVES, Asked, FunctionModel, responses_of, slope_entry

@@ -25,7 +25,7 @@ from calib.structure.reduction.frf_target import FRFTarget
 from calib.structure.reduction.growth import Growth, next_round
 from calib.structure.reduction.reduced import ReducedModel
 from calib.structure.reduction.refinement import modes_near
-from calib.structure.reduction.space_filling import space_filling_points
+from calib.structure.reduction.training import space_filling_points
 from calib.structure.rules import RULES
 
 _POINTS = 2

@@ -26,8 +26,7 @@ from calib.structure.model import Assumption, StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.places import ModelPlace
 from calib.structure.reduction.basis import Basis
-from calib.structure.reduction.reduced_energy import ClusterEnergy
-from calib.structure.reduction.reduced_matrix import ReducedMatrix, ReducedSlope, reduce_matrix
+from calib.structure.reduction.reduced_matrix import ClusterEnergy, ReducedMatrix, ReducedSlope, reduce_matrix
 
 
 @dataclass(frozen=True, eq=False)
