@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.problem.degrees_of_freedom import KNOWN, behind, beside_known, chance, effective_dof, repeats_dof, row_dof
+from calib.problem.degrees_of_freedom import KNOWN, behind, beside_known, effective_dof, p_value, repeats_dof, row_dof
 
 
 def test_they_are_rows_less_the_trace_of_the_hat_matrix():
@@ -68,14 +68,14 @@ def test_a_row_without_a_contribution_from_repeats_adds_no_degrees_of_freedom():
 
 
 def test_the_p_value_is_that_of_chi_square_or_of_an_f_variate():
-    assert chance(12.0, 7.5) == pytest.approx(stats.chi2.sf(12.0, 7.5))
-    assert chance(12.0, 7.5, 20.0) == pytest.approx(stats.f.sf(12.0 / 7.5, 7.5, 20.0))
-    np.testing.assert_allclose(chance(np.array([1.0, 9.0]), np.array([2.0, 3.0])), stats.chi2.sf([1.0, 9.0], [2, 3]))
+    assert p_value(12.0, 7.5) == pytest.approx(stats.chi2.sf(12.0, 7.5))
+    assert p_value(12.0, 7.5, 20.0) == pytest.approx(stats.f.sf(12.0 / 7.5, 7.5, 20.0))
+    np.testing.assert_allclose(p_value(np.array([1.0, 9.0]), np.array([2.0, 3.0])), stats.chi2.sf([1.0, 9.0], [2, 3]))
 
 
 @pytest.mark.parametrize("dof", [-1.0, 0.0, 0.4, 0.9])
 def test_without_a_degree_of_freedom_only_a_nonzero_residual_is_evidence(dof):
-    assert chance(0.0, dof) == 1.0
-    assert chance(30.0, dof) < 1e-7
+    assert p_value(0.0, dof) == 1.0
+    assert p_value(30.0, dof) < 1e-7
     if dof > 0:
-        assert chance(4.0, dof) >= stats.chi2.sf(4.0, dof)
+        assert p_value(4.0, dof) >= stats.chi2.sf(4.0, dof)

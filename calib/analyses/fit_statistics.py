@@ -19,7 +19,7 @@ from calib.experiment import ForwardProblem
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import CaseResult
 from calib.inference.gauss_newton import FitResult, Prior
-from calib.inference.identify import Identification, identify, prediction_interval
+from calib.inference.identify import Identifiability, identify, prediction_interval
 from calib.inference.integers import MixedResult, fit_mixed
 from calib.inference.joint_part import JointPart, joint_parts
 from calib.inference.region import InfeasibleError, active_limits
@@ -134,7 +134,7 @@ class FitStatistics:
     p_fit: float
     alpha: float
     birge: float
-    identification: Identification
+    identification: Identifiability
     profiles: Profiles
     whole: Mapping[str, float]
     complete: bool

@@ -121,8 +121,8 @@ def std_for(measured: MeasuredModes, floors: Floors = USUAL, pool: bool | None =
     of repeats of each value. Standard deviations from a file with a single repeat, and those of ten or more repeats,
     are used individually, the latter widened by `calib.problem.degrees_of_freedom.widened_by`. Unknown ones, and those
     of values with fewer than `RULES.own_from` repeats, take the pooled value if there is one, else ``unknown_*`` of the
-    floors; see `assumptions`. The claimed accuracy of the measurement is added in quadrature, and stands alone where
-    the standard deviation is unknown.
+    floors; see `assumed_deviations`. The claimed accuracy of the measurement is added in quadrature, and stands alone
+    where the standard deviation is unknown.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def dof_behind(
     return np.asarray(own, dtype=float) * dof_each(each) * more
 
 
-def assumptions(measured: MeasuredModes, floors: Floors = USUAL) -> tuple[Assumption, ...]:
+def assumed_deviations(measured: MeasuredModes, floors: Floors = USUAL) -> tuple[Assumption, ...]:
     """Unstated standard deviations that `std_for` assumes; damping and shapes where they were measured.
 
     Where some values of a kind have one, the others take it, which is reported too.

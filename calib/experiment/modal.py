@@ -10,7 +10,7 @@ from calib.analyses.explanation_result import MeasurementFacts
 from calib.correlation.modal.fault_library import modal_faults
 from calib.correlation.modal.problem import ModalProblem, usual_mode_count
 from calib.correlation.modal.residual import ModalResidual
-from calib.correlation.standard_deviations import assumptions
+from calib.correlation.standard_deviations import assumed_deviations
 from calib.errors.arguments import by_name, integer, names, number, objects
 from calib.errors.errors import InputError
 from calib.experiment.checked import UNNAMED, Claimed, Model, band, named, place_of
@@ -191,7 +191,7 @@ class ModalTest(BaseTest):
     @property
     def assumed(self) -> tuple[Assumption, ...]:
         """Assumed standard deviations, where none is stated."""
-        return assumptions(self.used)
+        return assumed_deviations(self.used)
 
 
 TESTS = (ModalTest, ResponseTest, FRFTest)

@@ -19,7 +19,7 @@ from calib.structure.eigenproblem.mode_tracking import successors
 from calib.structure.function_model import DERIVES, FunctionModel, response_of, responses_of, slope_entry
 from calib.structure.function_parts import ScaledPart
 from calib.structure.modal_function import ModalFunctionModel
-from calib.structure.modal_result import modes_of
+from calib.structure.modal_result import modes_from_result
 from calib.structure.modes import Modes
 
 _NOWHERE = (math.nan, math.nan, math.nan)
@@ -246,7 +246,7 @@ def _scale(own: Collection[str]) -> Alter:
 
 
 def _modes(model: ModalFunctionModel, values: Mapping[str, float]) -> Modes:
-    return modes_of(model.function(values), model.sensors, model.n_modes, model.damped)
+    return modes_from_result(model.function(values), model.sensors, model.n_modes, model.damped)
 
 
 def _tracked(base: Modes, other: Modes) -> Modes:

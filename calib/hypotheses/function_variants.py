@@ -176,7 +176,7 @@ class _Chosen:
         return _called(self._model(values), values)
 
     def derivatives_by(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
-        """Derivatives that the base function can tell by magnitudes of 0; see `calib.structure.function_model.Asked`.
+        """Derivatives that the base function can tell by magnitudes of 0; see `DerivativesOnRequest`.
 
         What the function reads itself is told by one call. What is built upon it is told by one each, for which the
         base function is not called again.

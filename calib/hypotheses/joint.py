@@ -19,7 +19,7 @@ from calib.missing.explanation import Explanation
 from calib.missing.joint import JointHypotheses
 from calib.missing.recommendation import ExperimentalDesign
 from calib.missing.test import Adapter
-from calib.problem.degrees_of_freedom import behind, chance, matched
+from calib.problem.degrees_of_freedom import behind, matched, p_value
 from calib.problem.effect import Effect
 from calib.problem.joint import TEST, of_test, said, stacked
 
@@ -117,7 +117,7 @@ class JointAdapter:
         scale, dof = matched(fit.slope, fit.prior_sd, sum(labelled.fitted_factors.values()))
         kinds = [row.kind for row in labelled.rows]
         counts = {kind: float(kinds.count(kind)) for kind in dict.fromkeys(kinds)}
-        return float(chance(squares / scale, dof, behind(counts, labelled.std_dof)))
+        return float(p_value(squares / scale, dof, behind(counts, labelled.std_dof)))
 
     def _left_out_p(self, candidate_fit: CandidateFit) -> float:
         """p-value of the worst group of rows, each left out in turn of the joint fit (Bonferroni)."""

@@ -20,8 +20,8 @@ from calib.inference.identify import posterior, with_held
 from calib.inference.joint_part import JointPart
 from calib.inference.leave_one_out import leave_one_out
 from calib.inference.other_rows import OtherRows, none_beside
-from calib.problem.degrees_of_freedom import KNOWN, behind, chance, matched
-from calib.problem.joint import spread
+from calib.problem.degrees_of_freedom import KNOWN, behind, matched, p_value
+from calib.problem.joint import expand_columns
 from calib.problem.problem import Pair
 from calib.problem.space import ParameterSpace
 from calib.structure.modes import Modes
@@ -118,7 +118,7 @@ def whitened(
     own = [name for name in wanted if name in pair.space]
     point = {name: value for name, value in values.items() if name in pair.space}
     unit = np.array([*np.ones(len(names)), *held_sd.values()])
-    return pair.of(pair.solve(point)), spread(pair.slope(point, own, pair.solve), own, wanted) * unit
+    return pair.of(pair.solve(point)), expand_columns(pair.slope(point, own, pair.solve), own, wanted) * unit
 
 
 def std_behind(pair: Pair) -> float:
@@ -242,7 +242,7 @@ def modal_covariance(
     held, inside = None, tuple(name for name in held_sd if name in residual.problem.model.space)
     if held_sd:
         own_held = residual.slope_of(found, inside, residual.derivatives(found, inside))
-        held = spread(own_held, inside, tuple(held_sd)) * list(held_sd.values()) / scale
+        held = expand_columns(own_held, inside, tuple(held_sd)) * list(held_sd.values()) / scale
         held = np.vstack([held, -others.held])
     unit = np.array([*np.ones(len(names)), *held_sd.values()])
     covariance = with_held(posterior(names, every, prior_sd), every, held) * np.outer(unit, unit)
@@ -253,7 +253,7 @@ def modal_covariance(
 def _scaled(table: pd.DataFrame, scale: float, std: float) -> pd.DataFrame:
     """Errors in units of a larger standard deviation, with unchanged degrees of freedom."""
     table = table.assign(rms=table["rms"] / scale, chi2=table["chi2"] / scale**2)
-    return table.assign(p=chance(table["chi2"].to_numpy(float), table["dof"].to_numpy(float), std))
+    return table.assign(p=p_value(table["chi2"].to_numpy(float), table["dof"].to_numpy(float), std))
 
 
 def group_errors(
@@ -293,7 +293,7 @@ def group_errors(
     at_limit = [name in active for name in names]
     predicted = leave_one_out(residual, -jacobian, prior_sd, list(labels), others.slope, at_limit)
     scale, dof = matched(jacobian, prior_sd, others=others.slope)
-    p, p_left_out = float(chance(residual @ residual / scale, dof, std)), predicted.p({}, std)
+    p, p_left_out = float(p_value(residual @ residual / scale, dof, std)), predicted.p({}, std)
     rows: list[tuple[str, int, float, float, float, int]] = [
         ("fit", len(residual), _rms(residual), float(np.sqrt(scale * dof / len(residual))), p, 0),
         ("left_out", len(residual), _rms(predicted.residual), _rms(np.sqrt(predicted.variance)), p_left_out, 0),
@@ -303,7 +303,7 @@ def group_errors(
             # Covariance I + U U^T, by Woodbury's identity: FRFs have thousands of rows and few parameters.
             chi2 = float(e @ e - (u.T @ e) @ np.linalg.solve(np.eye(u.shape[1]) + u.T @ u, u.T @ e))
             expected = float(np.sqrt(1 + np.sum(u**2) / len(e)))
-            rows.append((group, len(e), _rms(e), expected, float(chance(chi2, len(e), std)), 0))
+            rows.append((group, len(e), _rms(e), expected, float(p_value(chi2, len(e), std)), 0))
     return pd.DataFrame(rows, columns=list(ERROR_COLUMNS))
 
 

@@ -115,7 +115,7 @@ def cmcf(
             base = reduced if settings.iteration == "traditional" else reduced.with_changes(np.zeros(n_changes))
             equations, builds = Equations.at(base, measured, settings, prior_sd), builds + 1
         theta = theta + equations.solve(reduced.imbalance(measured), theta - mean)
-        require_positive(model.changes, theta)
+        require_positive_factors(model.changes, theta)
         reduced = Reduced.of(model, theta)
         path.append(theta)
         freq.append(reduced.freq(settings.orders))
@@ -125,7 +125,7 @@ def cmcf(
     return CmcfResult(tuple(c.name for c in model.changes), np.array(path), np.array(freq), converged, builds)
 
 
-def require_positive(changes: Sequence[Change], theta: np.ndarray) -> None:
+def require_positive_factors(changes: Sequence[Change], theta: np.ndarray) -> None:
     """EvaluationError when a stiffness or mass factor 1 + theta is not positive, so that the model makes no sense."""
     for change, value in zip(changes, theta, strict=True):
         if change.is_factor and change.kind in ("stiffness", "mass") and not 1 + value > 0:

@@ -122,7 +122,7 @@ def with_held(known: Posterior, jacobian: np.ndarray, held: np.ndarray | None) -
 
 
 @dataclass(frozen=True, eq=False)
-class Identification:
+class Identifiability:
     """Identifiability of the parameters.
 
     Attributes
@@ -210,7 +210,7 @@ def faults(
     value : float, optional
         At the optimum; without it limits are not checked.
     searched : bool
-        See `Identification`.
+        See `Identifiability`.
     """
     found = {
         "wide": not std <= RULES.identified * (p.upper - p.lower),
@@ -230,7 +230,7 @@ def identify(
     held: np.ndarray | None = None,
     birge: float = 1.0,
     searched: bool = False,
-) -> Identification:
+) -> Identifiability:
     """Find which parameters the data determine, and which are confounded.
 
     Parameters
@@ -253,7 +253,7 @@ def identify(
         Factor by which the posterior scales the measurement uncertainty, above 1 where the model does not fit (Birge
         1932). Directions and common scale are for the uncertainty as stated.
     searched : bool
-        See `Identification`.
+        See `Identifiability`.
     """
     chosen = tuple(names)
     s = np.array([space[n].prior_width for n in chosen]) if prior_sd is None else np.asarray(prior_sd, dtype=float)
@@ -280,7 +280,7 @@ def identify(
     scale = math.nan
     if values is not None and len(chosen) > 1:
         scale = float(np.linalg.norm(g @ (0.1 * np.array([values[n] for n in chosen]))))
-    return Identification(found, parameters, _confounded(found, identified, threshold), directions, scale, searched)
+    return Identifiability(found, parameters, _confounded(found, identified, threshold), directions, scale, searched)
 
 
 def _confounded(found: Posterior, identified: np.ndarray, threshold: float) -> pd.DataFrame:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg as la
 
 from calib.errors.errors import InputError
-from calib.problem.degrees_of_freedom import chance
+from calib.problem.degrees_of_freedom import p_value
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class LeaveOneOut:
         if not some.any():
             return 1.0
         std = np.broadcast_to(std_dof, dof.shape)[some]
-        return float(min(1.0, chance(self.chi2[some], dof[some], std).min() * some.sum()))
+        return float(min(1.0, p_value(self.chi2[some], dof[some], std).min() * some.sum()))
 
 
 def leave_one_out(

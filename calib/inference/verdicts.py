@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from calib.errors.errors import InputError
-from calib.inference.identify import Identification, faults
+from calib.inference.identify import Identifiability, faults
 from calib.inference.rules import RULES
 from calib.problem.space import Parameter, ParameterSpace
 
@@ -46,7 +46,7 @@ def integer_std(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0.0, s
 def parameter_verdicts(
     space: ParameterSpace,
     values: Mapping[str, float],
-    found: Identification,
+    found: Identifiability,
     spread: Mapping[str, float] | None = None,
     whole: Mapping[str, float] | None = None,
     fits: bool | None = None,

@@ -8,7 +8,7 @@ from calib.measurement.mac import mac
 from calib.measurement.outliers import median_of_known
 
 
-def middle(stack: np.ndarray) -> np.ndarray:
+def median_of_repeats(stack: np.ndarray) -> np.ndarray:
     """Median over the repeats of real and imaginary parts separately; NaN where no repeat has a value."""
     known = np.isfinite(stack).any(axis=0)
     filled = np.where(known, stack, 0.0)
@@ -40,7 +40,7 @@ def aligned_repeats(stack: np.ndarray, trusted: np.ndarray | None = None) -> np.
         factors = np.ones(len(held), dtype=complex)
         for _ in range(3):
             factors = _factors(target, visible)
-            target = middle(factors[:, None] * visible)
+            target = median_of_repeats(factors[:, None] * visible)
             peak = np.nanmax(np.abs(target), initial=0.0)
             if not peak > 0:
                 break

@@ -145,10 +145,10 @@ class _Shapes:
     def after(self, operations: Sequence[Operation]) -> _Shapes:
         """Shapes after corrections; no sensor takes part in two of them."""
         exchanged = [rows for rows in operations if len(rows) > 1]
-        return _Shapes(corrected(self.a, operations), self.b, corrected(self.seen, exchanged))
+        return _Shapes(with_corrected_rows(self.a, operations), self.b, with_corrected_rows(self.seen, exchanged))
 
 
-def corrected(shapes: np.ndarray, operations: Sequence[Operation]) -> np.ndarray:
+def with_corrected_rows(shapes: np.ndarray, operations: Sequence[Operation]) -> np.ndarray:
     """Shapes (n_sensors, n_modes) with rows turned round or exchanged; no row takes part in two corrections."""
     out = shapes.copy()
     for rows in operations:

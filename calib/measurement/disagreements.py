@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from calib.measurement.alignment import aligned_repeats, middle
+from calib.measurement.alignment import aligned_repeats, median_of_repeats
 from calib.measurement.average import mean_and_std, scaled
 from calib.measurement.mac import mac
 from calib.measurement.outliers import emptied, far_values, find_outlying
@@ -102,7 +102,7 @@ def disagreeing(
     return found + _shape_disagreements(repeats, modes, names, stack, robust)
 
 
-def without(
+def leave_out(
     found: Sequence[Disagreement], freq: np.ndarray, damping: np.ndarray, stack: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Frequencies, damping ratios and shapes with NaN in place of what is left out."""
@@ -229,7 +229,9 @@ def _shape_disagreements(
     if not found:
         return []
     aligned = aligned_repeats(given, np.isfinite(cleaned))
-    (_, before), (_, after) = (mean_and_std(np.abs(a - middle(aligned))) for a in (aligned, _keep(aligned, cleaned)))
+    (_, before), (_, after) = (
+        mean_and_std(np.abs(a - median_of_repeats(aligned))) for a in (aligned, _keep(aligned, cleaned))
+    )
     return [_reported(one, repeats, modes, sensors, aligned, cleaned, before, after, robust) for one in found]
 
 
@@ -271,7 +273,7 @@ def _reported(
     after: np.ndarray,
     robust: bool,
 ) -> Disagreement:
-    others = middle(_keep(aligned, cleaned))
+    others = median_of_repeats(_keep(aligned, cleaned))
     mine, rest = aligned[one.place], others[one.place[1:]]
     both = np.isfinite(mine) & np.isfinite(rest)
     a, b = np.atleast_1d(mine)[np.atleast_1d(both)], np.atleast_1d(rest)[np.atleast_1d(both)]

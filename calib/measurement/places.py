@@ -71,7 +71,7 @@ def common_points(
     return common
 
 
-def contradictions(
+def place_conflicts(
     points: Mapping[int, Point], table: Mapping[int, Point]
 ) -> tuple[tuple[Misplaced, ...], float | None]:
     """Nodes whose places in table and universal files differ, most distant first, and the unit factor that explains it.

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.errors.errors import InputError
 from calib.measurement.average import mean_and_std, scaled
-from calib.measurement.disagreements import Disagreement, Pooling, bad_shape, disagreeing, without
+from calib.measurement.disagreements import Disagreement, Pooling, bad_shape, disagreeing, leave_out
 from calib.measurement.mac import mac
 from calib.measurement.matching import Matching, match_modes
 from calib.measurement.rules import RULES
@@ -157,7 +157,7 @@ def combine_repeats(
     if len(repeats) > 1:
         found += disagreeing(labels, names, freq, damping, rows, stack, pooling)
         if pooling == "robust":
-            freq, damping, stack = without(found, freq, damping, stack)
+            freq, damping, stack = leave_out(found, freq, damping, stack)
     unknown = [name for name, known in zip(names, np.isfinite(damping).any(axis=0), strict=True) if not known]
     if unknown:
         notes.append(f"damping of {', '.join(unknown)} unknown: natural and damped frequencies taken as equal")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from calib.errors.errors import InputError
 from calib.measurement.modal import Sensor
-from calib.measurement.places import Misplaced, Point, contradictions
+from calib.measurement.places import Misplaced, Point, place_conflicts
 
 NAMED_MOST = 3
 """Largest number of nodes named in one sentence."""
@@ -79,7 +79,7 @@ def place_sensors(
         else:
             sensors.append(Sensor(node, direction))
     given = {node: table[node][0] for node in nodes if node in table}
-    misplaced, factor = contradictions(points or {}, given)
+    misplaced, factor = place_conflicts(points or {}, given)
     notes = _notes(misplaced, factor, len(given), table_path)
     lost = list(dict.fromkeys(str(s.node) for s in sensors if s.point is None))
     if lost:

@@ -11,8 +11,8 @@ from calib.missing.explanation import Explanation
 from calib.missing.goodness import goodness, overall
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.score import Scores, family_p, scored
-from calib.problem.degrees_of_freedom import behind, beside_known, chance
-from calib.problem.problem import Labelled, Rows
+from calib.problem.degrees_of_freedom import behind, beside_known, p_value
+from calib.problem.problem import Labelled, RowLabels
 
 GRID = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 """Accuracies tried, ascending, relative to each value; for shapes, to the largest entry."""
@@ -54,7 +54,7 @@ def less_accurate(found: Explanation, labelled: Labelled, relative_std: np.ndarr
             kind: beside_known(dof, weight[[row.kind == kind for row in rows]] ** 2)
             for kind, dof in labelled.std_dof.items()
         }
-        weighted = Rows(rows, labelled.fitted_factors, std_dof)
+        weighted = RowLabels(rows, labelled.fitted_factors, std_dof)
         kinds, modes = goodness(fit, weighted)
         p_values = [
             family_p(_rescored(fit, scores, weight), weighted, seed)
@@ -64,7 +64,7 @@ def less_accurate(found: Explanation, labelled: Labelled, relative_std: np.ndarr
         missing = not (p_family > found.alpha and p_fit > found.alpha)
         misfit, dof = float(fit.residual @ fit.residual), float(kinds["dof"].sum())
         behind_std = behind(dict(zip(kinds["kind"], kinds["dof"], strict=True)), std_dof)
-        p_smaller = 1.0 - float(chance(misfit, dof, behind_std))
+        p_smaller = 1.0 - float(p_value(misfit, dof, behind_std))
         lines.append((accuracy, p_family, p_fit, misfit, dof, p_smaller, missing))
         if not missing:
             break

@@ -11,8 +11,8 @@ import pandas as pd
 from scipy import special
 
 from calib.missing.rules import RULES
-from calib.problem.degrees_of_freedom import chance, row_dof
-from calib.problem.problem import Labelled, Rows
+from calib.problem.degrees_of_freedom import p_value, row_dof
+from calib.problem.problem import Labelled, RowLabels
 
 _Name = TypeVar("_Name", bound=Hashable)
 
@@ -133,11 +133,11 @@ class Layout:
         left = np.where(kept, dof, 0.0) @ block - np.where(present, self.factors, 0.0)
         any_row = present.astype(float) @ kind > 0
         kinds = {"chi2": chi2 @ kind, "dof": left @ kind}
-        kinds["p"] = np.where(any_row, chance(kinds["chi2"], kinds["dof"], self.std), 1.0)
+        kinds["p"] = np.where(any_row, p_value(kinds["chi2"], kinds["dof"], self.std), 1.0)
         single = (counts == 1) & (left > RULES.followed)
         chi2 = np.divide(chi2, left, out=chi2.copy(), where=single)
         modes = {"chi2": chi2, "dof": np.where(single, 1.0, left)}
-        modes["p"] = np.where(present, chance(modes["chi2"], modes["dof"], self.std[self.kind_of]), 1.0)
+        modes["p"] = np.where(present, p_value(modes["chi2"], modes["dof"], self.std[self.kind_of]), 1.0)
         shapes = present & np.array([name == "shape" for _, name in self.blocks])
         worst = np.min(np.where(shapes, modes["p"], np.inf), axis=1, initial=np.inf)
         number = shapes.sum(axis=1)
@@ -163,7 +163,7 @@ def by_sensor(fit: Fit, labelled: Labelled) -> pd.DataFrame:
     """
     names, kinds, chi2, dof = _sensors(fit, labelled)
     std_dof = labelled.std_dof
-    p = chance(chi2, dof, np.array([std_dof.get(kind, np.inf) for kind in kinds]))
+    p = p_value(chi2, dof, np.array([std_dof.get(kind, np.inf) for kind in kinds]))
     order = [k for k in np.lexsort((-chi2, p)) if names[k]]
     return pd.DataFrame({"sensor": [names[k] for k in order], "chi2": chi2[order], "dof": dof[order], "p": p[order]})
 
@@ -243,7 +243,7 @@ def lone_sensor(fit: Fit, labelled: Labelled, level: float) -> str | None:
     if not usable.any():
         return None
     p = np.ones(len(names))
-    p[usable] = chance((chi2 * others)[usable] / rest[usable], dof[usable], others[usable])
+    p[usable] = p_value((chi2 * others)[usable] / rest[usable], dof[usable], others[usable])
     worst = int(np.argmin(p))
     return names[worst] if p[worst] * len(names) <= level else None
 
@@ -265,7 +265,7 @@ def common_scale(fit: Fit, labelled: Labelled, level: float) -> float:
         return factor
     kept = [k for k, row in enumerate(labelled.rows) if row.sensor != lone]
     rest = _Part(np.asarray(fit.residual)[kept], np.asarray(fit.slope)[kept], fit.prior_sd)
-    return _noise_scale_of(rest, Rows.of(labelled, kept))
+    return _noise_scale_of(rest, RowLabels.of(labelled, kept))
 
 
 def _noise_scale_of(fit: Fit, labelled: Labelled) -> float:

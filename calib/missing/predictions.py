@@ -13,7 +13,7 @@ import scipy.linalg as la
 from calib.missing.discrepancy import Discrepancy
 from calib.missing.held_out import UNSEEN
 from calib.missing.local import WIDE
-from calib.problem.degrees_of_freedom import KNOWN, chance
+from calib.problem.degrees_of_freedom import KNOWN, p_value
 from calib.problem.problem import Label, label_table
 
 TABLE, ERRORS = "unexplained_predictions", "unexplained_errors"
@@ -97,7 +97,7 @@ class HeldOut:
         root = la.cho_factor(np.eye(len(along)) + spread.T @ spread)
         chi2 = float(e @ e - along @ la.cho_solve(root, along))
         expected = math.sqrt((n - self.factors + float(np.sum(spread**2))) / n)
-        return expected, float(chance(chi2, n - self.factors, self.std_dof))
+        return expected, float(p_value(chi2, n - self.factors, self.std_dof))
 
 
 def predictions(

@@ -12,7 +12,7 @@ from calib.missing.goodness import Fit, Layout, overall_p
 from calib.missing.recommendation import as_ratio
 from calib.missing.rules import RULES
 from calib.problem import degrees_of_freedom
-from calib.problem.degrees_of_freedom import chance, hat_root
+from calib.problem.degrees_of_freedom import hat_root, p_value
 from calib.problem.problem import Label, Labelled
 
 COLUMNS = ("what", "kind", "rows", "chi2", "dof", "p", "p_fit_without", "explains")
@@ -140,7 +140,7 @@ def suspects(
         [(o.datum.what, o.datum.kind, len(o.datum.rows), o.chi2, o.dof) for o in tried], columns=list(COLUMNS[:5])
     )
     tests = np.array([(o.chi2, o.dof, o.std) for o in tried]).reshape(-1, 3)
-    table["p"] = np.minimum(1.0, len(data) * chance(*tests.T))
+    table["p"] = np.minimum(1.0, len(data) * p_value(*tests.T))
     table["p_fit_without"], left = np.nan, np.zeros(len(table))
     improbable = np.flatnonzero(table["p"] < level)
     for k in range(0, len(improbable), _AT_ONCE):

@@ -13,7 +13,7 @@ from calib.missing.hypotheses import Altered
 from calib.missing.linearised_fit import FINE, fitted
 from calib.missing.refits import Refits, near_to
 from calib.missing.suspect import data_of
-from calib.problem.problem import Rows
+from calib.problem.problem import RowLabels
 
 
 def wrong_datum(fits: Refits, base: CandidateFit, accused: pd.DataFrame, best: CandidateFit) -> WrongDatum | None:
@@ -51,7 +51,7 @@ def wrong_datum(fits: Refits, base: CandidateFit, accused: pd.DataFrame, best: C
         slope = fit_problem.jacobian(rest.values, rest.names)[gone]
     except EvaluationError:
         return None
-    p_fit = overall_p(rest, Rows.of(h, kept))
+    p_fit = overall_p(rest, RowLabels.of(h, kept))
     if p_fit <= fits.settings.alpha:
         return None
     covariance = np.eye(len(gone)) + slope @ rest.covariance @ slope.T

@@ -9,7 +9,7 @@ import numpy as np
 from calib.measurement import rules as reading
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_lines import resonances
-from calib.modal_analysis.model import ModalModel, refined_again
+from calib.modal_analysis.model import ModalFRFModel, refined_again
 from calib.modal_analysis.rules import RULES
 
 
@@ -35,7 +35,7 @@ class Adequacy:
     refused: str = ""
 
 
-def adequacy(frfs: MeasuredFRFs, model: ModalModel, n_modes: int) -> tuple[Adequacy, ...]:
+def adequacy(frfs: MeasuredFRFs, model: ModalFRFModel, n_modes: int) -> tuple[Adequacy, ...]:
     """Check each of the first ``n_modes`` poles of a model.
 
     A mode is refused when its excess is above `RULES.excess_most`. Where the fit is worst beyond noise, a further pole
@@ -58,7 +58,7 @@ def adequacy(frfs: MeasuredFRFs, model: ModalModel, n_modes: int) -> tuple[Adequ
     return tuple(out)
 
 
-def fits(frfs: MeasuredFRFs, model: ModalModel, n_modes: int) -> tuple[Adequacy, ...]:
+def fits(frfs: MeasuredFRFs, model: ModalFRFModel, n_modes: int) -> tuple[Adequacy, ...]:
     """The fit around each of the first ``n_modes`` poles of a model, none refused."""
     return tuple(_fit(frfs, model, _window(frfs, pole)) for pole in model.poles[:n_modes])
 
@@ -82,7 +82,7 @@ def _window(frfs: MeasuredFRFs, pole: complex) -> np.ndarray:
     return np.asarray(away <= reach)
 
 
-def _fit(frfs: MeasuredFRFs, model: ModalModel, window: np.ndarray) -> Adequacy:
+def _fit(frfs: MeasuredFRFs, model: ModalFRFModel, window: np.ndarray) -> Adequacy:
     measured, synthesised, std = frfs.values[window], model.synthesised[window], frfs.total_std[window]
     error, power = np.abs(measured - synthesised) ** 2, float(np.nansum(np.abs(measured) ** 2))
     product = abs(np.nansum(measured.conj() * synthesised)) ** 2
@@ -95,7 +95,7 @@ def _fit(frfs: MeasuredFRFs, model: ModalModel, window: np.ndarray) -> Adequacy:
     )
 
 
-def _surplus(frfs: MeasuredFRFs, model: ModalModel, window: np.ndarray) -> float:
+def _surplus(frfs: MeasuredFRFs, model: ModalFRFModel, window: np.ndarray) -> float:
     """Squared errors over a window beyond their expectation, in standard deviations of their sum; -inf if unknown."""
     std = frfs.total_std[window]
     known = std > 0
@@ -105,7 +105,7 @@ def _surplus(frfs: MeasuredFRFs, model: ModalModel, window: np.ndarray) -> float
     return float((squares.sum() - len(squares)) / np.sqrt(len(squares)))
 
 
-def _moved(frfs: MeasuredFRFs, model: ModalModel, n_modes: int, worst: int) -> dict[int, str]:
+def _moved(frfs: MeasuredFRFs, model: ModalFRFModel, n_modes: int, worst: int) -> dict[int, str]:
     """Modes that a further pole beside the worst one moves beyond the limits of stabilisation, with the reason."""
     pole = complex(model.poles[worst])
     tried = [refined_again(frfs, model, pole + side * 1j * abs(pole.real)) for side in (-1, 1)]
@@ -124,7 +124,7 @@ def _moved(frfs: MeasuredFRFs, model: ModalModel, n_modes: int, worst: int) -> d
     }
 
 
-def _squares(frfs: MeasuredFRFs, model: ModalModel) -> float:
+def _squares(frfs: MeasuredFRFs, model: ModalFRFModel) -> float:
     """Sum of squared errors of real and imaginary parts in standard deviations."""
     std = frfs.total_std
     return float(np.nansum(np.abs(frfs.values - model.synthesised)[std > 0] ** 2 / std[std > 0] ** 2))

@@ -21,7 +21,7 @@ from calib.modal_analysis.model import fit_residues, rank_one
 from calib.modal_analysis.rules import RULES
 from calib.modal_analysis.spread import Spread, aligned, both_parts
 from calib.modal_analysis.stabilisation import Chain
-from calib.modal_analysis.subspace import Correlations, Poles, correlations, modes_of, poles_at, poles_at_orders
+from calib.modal_analysis.subspace import Correlations, Poles, correlations, poles_at, poles_at_orders, stable_clusters
 
 DECIMATED_MOST = 10
 """Largest factor of one step of decimation."""
@@ -31,8 +31,8 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     """Identify modes from responses to unmeasured, broad-banded forces.
 
     Poles come from covariance-driven stochastic subspace identification at ascending orders (`poles_at_orders`),
-    clustered by pyOMA2's preset (`modes_of`); natural frequency, damping ratio and shape are medians over the orders.
-    Shapes have no scale.
+    clustered by pyOMA2's preset (`stable_clusters`); natural frequency, damping ratio and shape are medians over the
+    orders. Shapes have no scale.
 
     Standard deviations come from the jackknife (Efron and Stein 1981) with the poles at fixed orders: over the records
     where there are several, else over `RULES.parts` parts of the record, whose correlations count as independent.
@@ -62,7 +62,7 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     used = [replace(one, values=one.values / scale) for one in used]  # sensors of small motion count as others do
     table = correlations(used, RULES.parts)
     poles = poles_at_orders(table.hankel, table.rows, table.rate)
-    chains = tuple(c for c in modes_of(poles) if low <= abs(c.pole) / (2 * np.pi) <= high)
+    chains = tuple(c for c in stable_clusters(poles) if low <= abs(c.pole) / (2 * np.pi) <= high)
     if not chains:
         raise InputError("no pole is stable over the model orders", place=place, remedy=AMBIENT)
     shapes = np.stack([_shape(c) for c in chains], axis=1)

@@ -15,10 +15,10 @@ from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.mac import most_real
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.modal_analysis.adequacy import Adequacy, adequacy, resonances_without_mode
-from calib.modal_analysis.model import ModalModel, fit_residues, rank_one, refined
+from calib.modal_analysis.model import ModalFRFModel, fit_residues, rank_one, refined
 from calib.modal_analysis.poles import poles_by_order
 from calib.modal_analysis.spread import Spread, aligned, both_parts, jackknife
-from calib.modal_analysis.stabilisation import Chain, follow, pole_table, stable
+from calib.modal_analysis.stabilisation import Chain, pole_chains, pole_table, stable
 
 INSTEAD = 'fit the FRFs themselves: kind = "frf" in study.toml, or calib.FRFTest'
 """Remedy where modes do not describe the FRFs."""
@@ -156,7 +156,7 @@ class _Identified:
 
     every: tuple[Chain, ...]
     chains: tuple[Chain, ...]
-    model: ModalModel
+    model: ModalFRFModel
     shapes: np.ndarray
     rank_one: np.ndarray
 
@@ -172,7 +172,7 @@ class _Identified:
 
 def _identified(frfs: MeasuredFRFs) -> _Identified:
     poles = poles_by_order(frfs)
-    every = follow(frfs, poles)
+    every = pole_chains(frfs, poles)
     chains = stable(every, len(poles))
     if not chains:
         return _Identified(every, chains, fit_residues(frfs, np.zeros(0, complex)), np.zeros((0, 0)), np.zeros(0))

@@ -27,7 +27,7 @@ FARTHEST = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class ModalModel:
+class ModalFRFModel:
     """A modal model of FRFs.
 
     Attributes
@@ -44,12 +44,12 @@ class ModalModel:
     residues: np.ndarray
     synthesised: np.ndarray
 
-    def reordered(self, order: np.ndarray) -> ModalModel:
+    def reordered(self, order: np.ndarray) -> ModalFRFModel:
         """The same model with its poles in another order."""
-        return ModalModel(self.poles[order], self.residues[order], self.synthesised)
+        return ModalFRFModel(self.poles[order], self.residues[order], self.synthesised)
 
 
-def fit_residues(frfs: MeasuredFRFs, poles: np.ndarray) -> ModalModel:
+def fit_residues(frfs: MeasuredFRFs, poles: np.ndarray) -> ModalFRFModel:
     """Residues that describe the functions best, each function for itself.
 
     A receptance is ``sum_r R_r/(i omega - s_r) + R_r*/(i omega - s_r*)`` (Maia and Silva 1997, section 4.4), and modes
@@ -76,10 +76,10 @@ def fit_residues(frfs: MeasuredFRFs, poles: np.ndarray) -> ModalModel:
         parts = found[: 2 * n].reshape(-1, 2)
         residues[:, one.i, one.j] = parts[:, 0] + 1j * parts[:, 1]
         synthesised[one.index] = rows @ found
-    return ModalModel(poles, residues, synthesised)
+    return ModalFRFModel(poles, residues, synthesised)
 
 
-def refined(frfs: MeasuredFRFs, poles: np.ndarray) -> ModalModel:
+def refined(frfs: MeasuredFRFs, poles: np.ndarray) -> ModalFRFModel:
     """Modal model of largest likelihood near stable poles: all lines and functions, weighed as in `fit_residues`.
 
     Residues are eliminated (variable projection, Golub and Pereyra 1973, with the derivative of Kaufman 1975). Stable
@@ -102,12 +102,12 @@ def refined(frfs: MeasuredFRFs, poles: np.ndarray) -> ModalModel:
     return _refined_model(frfs, np.concatenate([poles, ends * (1j - BEYOND_DAMPING)]), free=len(poles))
 
 
-def refined_again(frfs: MeasuredFRFs, model: ModalModel, further: complex) -> ModalModel:
+def refined_again(frfs: MeasuredFRFs, model: ModalFRFModel, further: complex) -> ModalFRFModel:
     """The model with one more pole, before the others, all refined from where they are."""
     return _refined_model(frfs, np.concatenate([[further], model.poles]), free=len(model.poles) - 1)
 
 
-def _refined_model(frfs: MeasuredFRFs, poles: np.ndarray, free: int) -> ModalModel:
+def _refined_model(frfs: MeasuredFRFs, poles: np.ndarray, free: int) -> ModalFRFModel:
     """Refine all poles; the first ``free`` belong in the band, the last two stay outside."""
     start = np.concatenate([np.log(np.abs(poles)), np.log(-poles.real / np.abs(poles))])
     n, ratio = len(poles), -poles.real / np.abs(poles)

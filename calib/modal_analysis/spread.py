@@ -21,7 +21,7 @@ class Spread:
     shapes: np.ndarray
 
 
-class Found(Protocol):
+class ModeEstimates(Protocol):
     """Modes of one identification: frequencies (Hz) and ratios (n_modes,), shapes (n_sensors, n_modes)."""
 
     @property
@@ -32,7 +32,9 @@ class Found(Protocol):
     def shapes(self) -> np.ndarray: ...  # noqa: D102
 
 
-def jackknife(whole: Found, without: Sequence[Found], sources: Sequence[str]) -> tuple[Spread, set[int]]:
+def jackknife(
+    whole: ModeEstimates, without: Sequence[ModeEstimates], sources: Sequence[str]
+) -> tuple[Spread, set[int]]:
     """Standard deviations from the modes found without each repeat in turn, and the modes that some of these lack.
 
     The estimated bias is added in quadrature (Efron and Stein 1981).

@@ -54,7 +54,7 @@ class Chain:
         return float(np.std(self.natural_freq, ddof=1)), float(np.std(self.damping_ratio, ddof=1))
 
 
-def follow(frfs: MeasuredFRFs, poles: Sequence[np.ndarray]) -> tuple[Chain, ...]:
+def pole_chains(frfs: MeasuredFRFs, poles: Sequence[np.ndarray]) -> tuple[Chain, ...]:
     """Chains of poles that stay within the limits of this module from one order to the next, of any length.
 
     Residues are fitted anew at every order. A pole continues the chain of largest MAC among those within the limits;

@@ -123,7 +123,7 @@ def poles_at(hankel: np.ndarray, rows: int, rate: float, order: int) -> tuple[np
     return freq[there, -1], damping[there, -1], shapes[there, -1]
 
 
-def modes_of(poles: Poles) -> tuple[Chain, ...]:
+def stable_clusters(poles: Poles) -> tuple[Chain, ...]:
     """Clusters of poles that count as modes by pyOMA2's preset and by the rules of `stable`, in ascending frequency.
 
     The residues of a chain are its mode shapes.

@@ -186,7 +186,7 @@ def behind(counts: Mapping[str, float], std_dof: Mapping[str, float] | None) -> 
     return min(total**2 / spread, KNOWN) if spread > 0 else KNOWN
 
 
-def chance(chi2: np.ndarray | float, dof: np.ndarray | float, std_dof: np.ndarray | float = KNOWN) -> np.ndarray:
+def p_value(chi2: np.ndarray | float, dof: np.ndarray | float, std_dof: np.ndarray | float = KNOWN) -> np.ndarray:
     """p-value: probability of an equal or larger sum of squares for a correctly specified model, elementwise.
 
     F distribution when the standard deviations were estimated with ``std_dof`` degrees of freedom, else chi-square.

@@ -135,7 +135,7 @@ class JointProblem(JointRows):
         blocks = []
         for test, problem in self.parts.items():
             own = [name for name in names if name in problem.space or name in self.known.get(test, ())]
-            blocks.append(spread(self._evaluated(test, problem.jacobian, values, own), own, names))
+            blocks.append(expand_columns(self._evaluated(test, problem.jacobian, values, own), own, names))
         return np.vstack(blocks)
 
     def frequencies(
@@ -148,7 +148,7 @@ class JointProblem(JointRows):
             own = [name for name in names if name in problem.space]
             found, freq, slope = self._evaluated(test, problem.frequencies, values, own)
             labels += [of_test(test, label) for label in found]
-            blocks.append((freq, spread(slope, own, names)))
+            blocks.append((freq, expand_columns(slope, own, names)))
         return tuple(labels), np.concatenate([f for f, _ in blocks]), np.vstack([s for _, s in blocks])
 
     def own(self, test: str, values: Mapping[str, float]) -> dict[str, float]:
@@ -216,7 +216,7 @@ def _one(shared: Mapping[str, Parameter]) -> Parameter:
     return replace(chosen, lower=lower, upper=upper, value=value, prior_sd=chosen.prior_width)
 
 
-def spread(slope: np.ndarray, own: Sequence[str], names: Sequence[str]) -> np.ndarray:
+def expand_columns(slope: np.ndarray, own: Sequence[str], names: Sequence[str]) -> np.ndarray:
     """Columns for some parameters expanded to all parameters, 0 for the others."""
     out = np.zeros((len(slope), len(names)))
     out[:, [list(names).index(name) for name in own]] = slope

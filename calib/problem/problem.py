@@ -68,7 +68,7 @@ def label_table(rows: Sequence[Label]) -> pd.DataFrame:
 
 
 @dataclass(frozen=True)
-class Rows:
+class RowLabels:
     """Labels of rows with their fitted factors and degrees of freedom; see `Labelled`.
 
     Attributes
@@ -84,7 +84,7 @@ class Rows:
     std_dof: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, whole: Labelled, kept: Iterable[int]) -> Rows:
+    def of(cls, whole: Labelled, kept: Iterable[int]) -> RowLabels:
         """Selected rows, by index."""
         return cls([whole.rows[k] for k in kept], whole.fitted_factors, whole.std_dof)
 

@@ -38,7 +38,7 @@ _HINT = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     """One line of a table.
 
     Attributes
@@ -98,7 +98,7 @@ class Row:
         return int(text)
 
 
-def read_rows(path: Path, required: Sequence[str], optional: Sequence[str] = ()) -> list[Row]:
+def read_rows(path: Path, required: Sequence[str], optional: Sequence[str] = ()) -> list[TableRow]:
     """Rows of a table that the user has written; lines that start with # and blank lines are skipped.
 
     Raises InputError for a file that cannot be read, is no UTF-8 text, has a wrong column, or holds no row.
@@ -117,7 +117,7 @@ def read_rows(path: Path, required: Sequence[str], optional: Sequence[str] = ())
     if not sheet.cells:
         raise InputError("it holds a header but no rows", place=path, remedy="add one line a mode, sensor or node")
     return [
-        Row(path, line, dict(zip(sheet.header, cells, strict=True)), sheet.comma, text, sheet.separator)
+        TableRow(path, line, dict(zip(sheet.header, cells, strict=True)), sheet.comma, text, sheet.separator)
         for line, cells, text in zip(sheet.lines, sheet.cells, sheet.texts, strict=True)
     ]
 

@@ -96,7 +96,7 @@ def responses_of(result: Mapping[str, float]) -> dict[str, float]:
 
 
 @runtime_checkable
-class Asked(Protocol):
+class DerivativesOnRequest(Protocol):
     """A function that returns only part of the derivatives it knows, and the others where it is asked for them."""
 
     def derivatives_by(self, values: Mapping[str, float], names: Sequence[str]) -> Mapping[str, float]:

@@ -81,7 +81,7 @@ class DofTable:
         if isinstance(given, pd.DataFrame):
             table = given
         else:
-            table = pd.DataFrame(pairs(given, place, "(node, direction)"), columns=["node", "direction"])
+            table = pd.DataFrame(two_columns(given, place, "(node, direction)"), columns=["node", "direction"])
         for column in ("node", "direction"):
             if column not in table:
                 raise InputError(f"the column {column!r} is missing", place=place, remedy="name node and direction")
@@ -115,7 +115,7 @@ def _direction(given: object, k: int, place: str) -> int:
     )
 
 
-def pairs(given: object, place: str, of: str) -> list[tuple[Any, Any]]:
+def two_columns(given: object, place: str, of: str) -> list[tuple[Any, Any]]:
     """Rows of two entries each; InputError for anything else."""
     rows: list[Any] = list(given) if isinstance(given, Iterable) and not isinstance(given, str | Mapping) else [given]
     for k, row in enumerate(rows):

@@ -22,7 +22,7 @@ from calib.structure.eigenproblem.derivatives import ModeDerivatives
 from calib.structure.eigenproblem.mode_tracking import followed_derivatives
 from calib.structure.function_parts import ScaledPart, scaled_parts
 from calib.structure.geometry import Mesh
-from calib.structure.modal_result import Numbered, modes_of, numbers_of
+from calib.structure.modal_result import Numbered, modes_from_result, numbers_of
 from calib.structure.model import Assumption
 from calib.structure.modes import Modes
 from calib.structure.places import ModelPlace
@@ -186,7 +186,7 @@ class ModalFunctionModel:
         def ask(point: Mapping[str, float]) -> dict[str, float]:
             result = self.function(point)
             try:
-                found.append(modes_of(result, self.sensors, self.n_modes, self.damped))
+                found.append(modes_from_result(result, self.sensors, self.n_modes, self.damped))
             except EvaluationError as fault:
                 raise EvaluationError(*fault.args, at=defined_at(self.function, point)) from None
             return {}

@@ -15,7 +15,7 @@ from calib.structure.modes import Modes
 _PARTS = ("natural_freq", "damping_ratio", "shapes")
 
 
-def modes_of(result: Any, sensors: Sequence[Sensor], count: int, damped: bool) -> Modes:
+def modes_from_result(result: Any, sensors: Sequence[Sensor], count: int, damped: bool) -> Modes:
     """Modes from the result of a function; of more than ``count`` the lowest.
 
     Parameters
@@ -123,7 +123,7 @@ def numbers_of(modes: Modes, sensors: Sequence[Sensor]) -> dict[str, float]:
 
 
 def modes_from(numbers: Mapping[str, float], sensors: Sequence[Sensor], damped: bool) -> Mapping[str, Any]:
-    """Input of `modes_of` from such numbers; EvaluationError where one is missing."""
+    """Input of `modes_from_result` from such numbers; EvaluationError where one is missing."""
     count = sum(name.startswith("natural_freq ") for name in numbers)
     try:
         each = [f"{j + 1}" for j in range(count)]

@@ -20,7 +20,7 @@ from calib.structure.eigenproblem.derivatives import Analytic
 from calib.structure.eigenproblem.solve import solve_modes
 from calib.structure.energy import strain_energy, strain_energy_shares
 from calib.structure.geometry import DofMap, Locator, Mesh, NodeLocator
-from calib.structure.matrices import DofTable, Terms, affine, pairs, require_mass, require_used
+from calib.structure.matrices import DofTable, Terms, affine, require_mass, require_used, two_columns
 from calib.structure.modes import Modes
 from calib.structure.places import ModelPlace, model_places
 
@@ -177,7 +177,7 @@ class StructuralModel(Analytic):
         require_used(space, list(matrices.values()), name)
         require_mass(matrices["mass"](space.si(space.values)), table, name)
         place = {label: k for k, label in enumerate(table.labels)}
-        segments = pairs(lines, f"model {name}, lines", "(node, node)")
+        segments = two_columns(lines, f"model {name}, lines", "(node, node)")
         ends = [[_index(node, place, name) for node in line] for line in segments]
         expansion = table.expansion
         return StructuralModel(

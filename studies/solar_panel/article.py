@@ -27,7 +27,7 @@ import scipy.sparse as sp
 from calib import EvaluationError, StructuralModel
 from calib.inference.cmcf import cmcf
 from calib.inference.cmcf_equations import Change, CmcfSettings, InitialModel, MeasuredReceptance, Reduce
-from calib.structure.reduction.static_reduction import levels, static_reduction
+from calib.structure.reduction.static_reduction import reduction_levels, static_reduction
 from calib.study.loading import module_of
 from models.solar_panel import GROUPS, MASTERS, solar_panel
 
@@ -141,7 +141,7 @@ def reduction(example: Example) -> pd.DataFrame:
     k, m = example.model.stiffness, example.model.mass
     true = example.freq(np.ones(len(GROUPS)))
     rows = []
-    for level, reduced in enumerate(islice(levels(k, m, example.masters), LEVEL + 1)):
+    for level, reduced in enumerate(islice(reduction_levels(k, m, example.masters), LEVEL + 1)):
         for order, (own, full) in enumerate(zip(reduced.natural_freq, true, strict=False), start=1):
             rows.append({"level": level, "order": order, "freq": full, "error": 100 * (own / full - 1)})
     return pd.DataFrame(rows)

@@ -32,7 +32,7 @@ from calib.structure.reduction.basis import CHECK_COLUMNS, Basis
 from calib.structure.reduction.growth import Growth
 from calib.structure.reduction.mode_target import ModeTarget
 from calib.structure.reduction.reduced import ReducedModel
-from calib.structure.reduction.training import box, middle, space_filling_points
+from calib.structure.reduction.training import box, mid_point, space_filling_points
 from calib.study.study import Study
 from models.railway import vehicle
 
@@ -111,7 +111,7 @@ def basis_from(study: Study, model: StructuralModel, samples: int) -> Basis:
     points = space_filling_points(space, samples, np.random.default_rng(settings.seed))
     basis = Basis(
         vectors=np.zeros((model.n_dof, 0)), model_fingerprint=model.fingerprint, names=model.space.names,
-        reference=middle(lower, upper), lower=lower, upper=upper, offset=0.0, count=count,
+        reference=mid_point(lower, upper), lower=lower, upper=upper, offset=0.0, count=count,
         freq_max=window[1] if window else np.inf, damping_max=0.95, tolerance=settings.tolerance,
         samples=np.array([[p[name] for name in model.space.names] for p in points]),
         checks=np.zeros((0, len(CHECK_COLUMNS))), seed=settings.seed,

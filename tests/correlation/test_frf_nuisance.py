@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.correlation.frf.nuisance import AddedMass, ChannelError, Stinger, concerned
+from calib.correlation.frf.nuisance import AccelerometerMass, ChannelError, Stinger, concerned
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
 from calib.errors.errors import InputError
@@ -59,7 +59,7 @@ def chain():
 EVERY = (
     ChannelError("gain", "1x"), ChannelError("phase", "3x"), ChannelError("delay", "1x", prior_sd=1e-4),
     ChannelError("gain", "1x", "reference"), ChannelError("phase", "2x", "reference"),
-    ChannelError("delay", "2x", "reference", 1e-4), AddedMass(RESPONSES[1], 0.05),
+    ChannelError("delay", "2x", "reference", 1e-4), AccelerometerMass(RESPONSES[1], 0.05),
     Stinger(REFERENCES[1], 2e3, ("x",)),
 )  # fmt: skip
 AT = {
@@ -106,7 +106,7 @@ def test_derivatives_are_those_of_differences(chain):
 def test_nuisances_at_zero_change_nothing(chain):
     data = measured(truth(), 1)
     plain = FRFResidual(FRFProblem(chain, data))
-    massless = [n for n in EVERY if not isinstance(n, AddedMass)] + [AddedMass(RESPONSES[1], 0.0, 0.01)]
+    massless = [n for n in EVERY if not isinstance(n, AccelerometerMass)] + [AccelerometerMass(RESPONSES[1], 0.0, 0.01)]
     loaded = FRFResidual(FRFProblem(chain, data, tuple(massless)))
     np.testing.assert_array_equal(loaded.residual({}), plain.residual({}))
     np.testing.assert_array_equal(loaded.jacobian({}, ("k",)), plain.jacobian({}, ("k",)))
@@ -115,7 +115,12 @@ def test_nuisances_at_zero_change_nothing(chain):
 
 def test_each_nuisance_makes_another_problem(chain):
     data = measured(truth(), 1)
-    each = [(), *((n,) for n in EVERY), (AddedMass(RESPONSES[0], 0.05),), (Stinger(REFERENCES[0], 2e3, ("x",)),)]
+    each = [
+        (),
+        *((n,) for n in EVERY),
+        (AccelerometerMass(RESPONSES[0], 0.05),),
+        (Stinger(REFERENCES[0], 2e3, ("x",)),),
+    ]
     prints = {FRFProblem(chain, data, some).fingerprint for some in each}
     assert len(prints) == len(each)
     assert FRFProblem(chain, data, EVERY[1:2]).fingerprint in prints
@@ -128,7 +133,7 @@ def test_each_nuisance_makes_another_problem(chain):
     [
         (ChannelError("gain", "3x"), {"gain": 1.01}, 1.0),
         (ChannelError("phase", "3x"), {"phase": np.radians(0.6)}, 0.6),
-        (AddedMass(Sensor(3, "x"), 0.0, 0.02), {"mass": 0.03}, 0.03),
+        (AccelerometerMass(Sensor(3, "x"), 0.0, 0.02), {"mass": 0.03}, 0.03),
         (Stinger(Sensor(2, "x"), 300.0, ("x",)), {"ground": 400.0}, 400.0),
     ],
     ids=["gain", "phase", "mass", "stinger"],
@@ -164,7 +169,7 @@ def test_a_mass_moves_in_all_translations_that_the_model_has():
     sensors = tuple(Sensor(1, d) for d in "xyz")
     ones = np.ones((40, 3, 3))
     data = MeasuredFRFs(FREQ, sensors, sensors, "receptance", ones + 0j, ones)
-    heavy = FRFProblem(model, data, (AddedMass(sensors[0], 0.5),)).functions({})
+    heavy = FRFProblem(model, data, (AccelerometerMass(sensors[0], 0.5),)).functions({})
     omega = 2 * np.pi * FREQ
     for k, stiffness in enumerate((1e4, 2e4, 3e4)):
         np.testing.assert_allclose(heavy[:, k, k], 1 / (stiffness + 5j * omega - 1.5 * omega**2), rtol=1e-10)
@@ -183,7 +188,7 @@ def test_a_reduced_model_bears_loads_and_another_model_keeps_the_nuisances():
     freq = np.linspace(1.0, 11.0, 8)
     ones = np.ones((8, 1, 1))
     data = MeasuredFRFs(freq, (sensor,), (sensor,), "receptance", ones + 0j, ones)
-    nuisances = (AddedMass(sensor, 0.2), ChannelError("gain", "1z"))
+    nuisances = (AccelerometerMass(sensor, 0.2), ChannelError("gain", "1z"))
     small = FRFResidual(FRFProblem(reduced, data, nuisances))
     whole = small.with_model(panel)
     assert small.space.names == whole.space.names == (*GROUPS, "mass_1", "gain_1z")
@@ -207,7 +212,7 @@ def test_an_effect_with_its_own_motion_goes_with_nuisances_of_the_test():
     sensor = Sensor(1, "z", (0.0, -0.2, 0.0))
     ones = np.ones((8, 1, 1))
     data = MeasuredFRFs(np.linspace(1.0, 11.0, 8), (sensor,), (sensor,), "receptance", ones + 0j, ones)
-    nuisances, names = (AddedMass(sensor, 0.2), ChannelError("gain", "1z")), ("hung", "mass_1", "gain_1z")
+    nuisances, names = (AccelerometerMass(sensor, 0.2), ChannelError("gain", "1z")), ("hung", "mass_1", "gain_1z")
     found = []
     for model in (extend(panel, [effect]), reduced.extended([effect])):
         residual = FRFResidual(FRFProblem(model, data, nuisances))
@@ -236,7 +241,7 @@ def test_wrong_nuisances_are_refused(chain):
         ((ChannelError("gain", "2x"),), "response '2x' was not measured"),
         ((ChannelError("gain", "3x", "reference"),), "reference '3x' was not measured"),
         ((ChannelError("gain", "1x"), ChannelError("gain", "1x", prior_sd=2.0)), "'gain_1x' is a parameter twice"),
-        ((AddedMass(Sensor(9, "x"), 0.1),), "9x"),
+        ((AccelerometerMass(Sensor(9, "x"), 0.1),), "9x"),
         ((Stinger(REFERENCES[0], 1e3),), "suppresses y, z"),
     ):
         with pytest.raises(InputError, match=words):
@@ -260,9 +265,9 @@ def test_wrong_nuisances_are_refused(chain):
         (lambda: ChannelError("offset", "1x"), "'offset' of a 'response'"),
         (lambda: ChannelError("gain", "1x", "sensor"), "of a 'sensor'"),
         (lambda: ChannelError("gain", "1x", prior_sd=-1.0), "is -1"),
-        (lambda: AddedMass(RESPONSES[0], -0.1), "is -0.1 kg"),
-        (lambda: AddedMass(RESPONSES[0], 0.0), "mass or prior_sd"),
-        (lambda: AddedMass(RESPONSES[0], 0.1, 0.0), "is 0"),
+        (lambda: AccelerometerMass(RESPONSES[0], -0.1), "is -0.1 kg"),
+        (lambda: AccelerometerMass(RESPONSES[0], 0.0), "mass or prior_sd"),
+        (lambda: AccelerometerMass(RESPONSES[0], 0.1, 0.0), "is 0"),
         (lambda: Stinger(Sensor(1, "rx"), 1e3), "does not act along"),
         (lambda: Stinger(RESPONSES[0], 1e3, ("rx",)), "does not act along"),
         (lambda: Stinger(RESPONSES[0], float("nan")), "is nan"),

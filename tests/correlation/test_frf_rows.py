@@ -8,7 +8,7 @@ import pytest
 import calib
 from calib.analyses.reduction import Wanted
 from calib.correlation.frf.cross_talk import CrossTalkError
-from calib.correlation.frf.nuisance import AddedMass, ChannelError, belonging_to
+from calib.correlation.frf.nuisance import AccelerometerMass, ChannelError, belonging_to
 from calib.correlation.frf.places import PlaceError
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
@@ -158,7 +158,7 @@ def test_suspects_change_no_target_of_a_basis_but_fitted_errors_do(bogie):
         # A richer effect is added to the basis by the problem with suspects.
         one, other = (Wanted.of(pair.problem, 1e-5, 1).key(bogie, bogie.space) for pair in (plain, suspected))
         assert one == other
-    mass = AddedMass(GIRDER, 0.1)
+    mass = AccelerometerMass(GIRDER, 0.1)
     loaded = FRFProblem(bogie, empty(), (mass,), suspects=(mass,))
     assert mass.parameter.name in loaded.space and loaded.basis_names == bogie.space.names
     assert not loaded.basis_target(1e-5).loads

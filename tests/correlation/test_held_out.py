@@ -10,7 +10,7 @@ from scipy import stats
 from calib.correlation.modal.held_out import group_table, held_out_errors
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
-from calib.correlation.modal.rows import Row
+from calib.correlation.modal.rows import ModalRow
 from calib.correlation.standard_deviations import Floors
 from calib.errors.errors import InputError
 
@@ -325,7 +325,12 @@ def test_one_table_of_all_groups(build, twin):
     fitted, whole = split(model, data)
     values, v = fit(fitted, TRUTH, NAMES)
     held_out = held_out_errors(fitted, whole, values, NAMES, v, NONE)
-    rows = [Row("M1", "frequency"), Row("M2", "frequency"), Row("M1", "shape", "1x", "re"), Row("M1", "shape", "2x")]
+    rows = [
+        ModalRow("M1", "frequency"),
+        ModalRow("M2", "frequency"),
+        ModalRow("M1", "shape", "1x", "re"),
+        ModalRow("M1", "shape", "2x"),
+    ]
     used, out = np.array([1.0, -1.0, 2.0, 0.0]), np.array([2.0, -1.0, 2.0, 0.0])
     table = group_table(rows, used, 3.0, out, np.array([2.0, 1.0, 1.0, 2.0]), held_out, 1, 0.3, 2)
     assert table.columns.tolist() == ["group", "rows", "rms", "expected", "p", "unpaired"]

@@ -7,7 +7,7 @@ import pytest
 
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
-from calib.correlation.modal.rows import Row
+from calib.correlation.modal.rows import ModalRow
 from calib.correlation.standard_deviations import Floors, std_for
 from calib.errors.errors import InputError
 from calib.problem.effect import Effect
@@ -38,10 +38,10 @@ def numeric(residual, values, step=1e-5):
 def test_rows_and_a_perfect_model(build, twin):
     residual = made(build, twin)
     assert residual.n_rows == 4 + 4 + 2 * 4 * 12
-    assert residual.rows[0] == Row("M1", "frequency")
-    assert residual.rows[5] == Row("M2", "damping")
-    assert residual.rows[8] == Row("M1", "shape", "1x", "re")
-    assert residual.rows[8 + 12] == Row("M1", "shape", "1x", "im")
+    assert residual.rows[0] == ModalRow("M1", "frequency")
+    assert residual.rows[5] == ModalRow("M2", "damping")
+    assert residual.rows[8] == ModalRow("M1", "shape", "1x", "re")
+    assert residual.rows[8 + 12] == ModalRow("M1", "shape", "1x", "im")
     assert residual.n_fitted_factors == 8
     np.testing.assert_allclose(residual.residual(TRUTH), 0.0, atol=1e-6)
     away = residual.residual(AWAY)
@@ -126,7 +126,7 @@ def test_missing_entries_are_left_out(build, twin):
     problem = dataclasses.replace(residual.problem, measured=part, override={"M3": 3})
     less = ModalResidual(problem)
     assert less.n_rows == 4 + 2 + 2 * (12 + 11 + 12)
-    assert Row("M2", "shape", "2y", "im") not in less.rows
+    assert ModalRow("M2", "shape", "2y", "im") not in less.rows
     assert np.isfinite(less.residual(AWAY)).all()
     assert less.jacobian(AWAY, NAMES).shape == (less.n_rows, 4)
 

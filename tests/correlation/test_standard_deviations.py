@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.correlation.standard_deviations import Floors, assumptions, dof_behind, std_for
+from calib.correlation.standard_deviations import Floors, assumed_deviations, dof_behind, std_for
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.average import mean_and_std
 from calib.measurement.files.read import read_modes
-from calib.problem.degrees_of_freedom import chance
+from calib.problem.degrees_of_freedom import p_value
 
 MODES = "mode,freq,freq_kind,repeat\n" + "".join(
     f"{mode},{value + step},natural,{k}\n"
@@ -27,7 +27,7 @@ def test_the_reported_standard_deviation_of_a_mode_is_the_one_used(tmp_path):
     assert np.isnan(measured.freq_std).tolist() == [False, False, True]
     taken = std_for(measured).freq
     assert taken[2] > 1.5 * np.sqrt(np.mean(taken[:2] ** 2))
-    (assumption,) = [a for a in assumptions(measured) if "frequenc" in a.item]
+    (assumption,) = [a for a in assumed_deviations(measured) if "frequenc" in a.item]
     assert float(assumption.value) == pytest.approx(100 * taken[2], rel=0.05)
 
 
@@ -49,10 +49,10 @@ def test_few_repeats_beside_a_known_error_reject_as_often_as_the_level_says(tmp_
         measured = replace(read, natural_freq=mean, damped_freq=mean, freq_std=std)
         measured = replace(measured, accuracy=Accuracy.of({"freq": "1 %"} if claimed else None))
         behind, taken = dof_behind(measured, "frequency", 6, floors), std_for(measured, floors).freq
-        p.append(float(chance(np.sum((np.log(mean / truth) / taken) ** 2), 6, behind)))
+        p.append(float(p_value(np.sum((np.log(mean / truth) / taken) ** 2), 6, behind)))
         wrong = np.sum((np.log(mean / (0.97 * truth)) / taken) ** 2)  # three times the error
-        missed.append(float(chance(wrong, 6, behind)) > 0.01)
-        alone.append(float(chance(wrong, 6, 6.0)) > 0.01)
+        missed.append(float(p_value(wrong, 6, behind)) > 0.01)
+        alone.append(float(p_value(wrong, 6, 6.0)) > 0.01)
     for level in (0.01, 0.05, 0.5):
         assert np.mean(np.array(p) < level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / len(p)))
     # With the degrees of freedom of the repeats alone many of these would be accepted.
@@ -77,8 +77,8 @@ def test_a_correct_model_of_many_repeats_is_rejected_as_often_as_the_level_says(
         measured = replace(read, natural_freq=mean, damped_freq=mean, freq_std=std)
         off = mean / truth - 1
         behind = dof_behind(measured, "frequency", modes, none)
-        p.append(float(chance(np.sum((off / std_for(measured, none).freq) ** 2), modes, behind)))
-        known.append(float(chance(np.sum((off / (std / mean)) ** 2), modes, modes * (repeats - 1.0))))
+        p.append(float(p_value(np.sum((off / std_for(measured, none).freq) ** 2), modes, behind)))
+        known.append(float(p_value(np.sum((off / (std / mean)) ** 2), modes, modes * (repeats - 1.0))))
     for level in (0.01, 0.05):
         found = np.mean(np.array(p) < level)
         assert level / 5 < found < level + 3 * np.sqrt(level * (1 - level) / len(p))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.correlation.frf.nuisance import AddedMass, ChannelError
+from calib.correlation.frf.nuisance import AccelerometerMass, ChannelError
 from calib.errors.errors import InputError
 from calib.measurement.modal import Sensor
 from calib.report.html.measured import SYNTHETIC
@@ -194,7 +194,7 @@ def test_an_error_of_a_held_out_channel_is_no_parameter_of_the_fit(wrong_channel
     gain = ChannelError("gain", "3x", prior_sd=5.0)
     assert "gain_3x" in problem_of(wrong_channel, nuisances=[gain]).space
     assert "gain_3x" not in problem_of(wrong_channel, nuisances=[gain], held_out=["3x"]).space
-    mass = AddedMass(Sensor(3, "x"), 0.1)  # it loads the structure, whatever is fitted
+    mass = AccelerometerMass(Sensor(3, "x"), 0.1)  # it loads the structure, whatever is fitted
     assert "mass_3" in problem_of(wrong_channel, nuisances=[mass], held_out=["3x"]).space
 
 

@@ -9,7 +9,7 @@ import pytest
 import calib
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
-from calib.structure.modal_result import modes_from, modes_of, numbers_of
+from calib.structure.modal_result import modes_from, modes_from_result, numbers_of
 from tests.front.cantilever import (
     ADOPTED,
     BEAM,
@@ -175,7 +175,7 @@ def test_a_mode_that_leaves_those_given_has_one_sided_differences():
 
 
 def of(answer, damped=True):
-    return modes_of(answer, SENSORS[:2], 3, damped)
+    return modes_from_result(answer, SENSORS[:2], 3, damped)
 
 
 GOOD = {
@@ -236,7 +236,7 @@ def test_modes_come_as_mapping_tuple_or_object(form):
 
 
 def test_of_more_modes_the_lowest_are_taken():
-    assert modes_of(GOOD, SENSORS[:2], 2, True).n_modes == 2
+    assert modes_from_result(GOOD, SENSORS[:2], 2, True).n_modes == 2
 
 
 @pytest.mark.parametrize("damped", [True, False])

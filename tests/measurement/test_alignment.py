@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.measurement.alignment import aligned_repeats, middle
+from calib.measurement.alignment import aligned_repeats, median_of_repeats
 
 N_REPEATS, N_SENSORS = 4, 9
 
@@ -57,5 +57,5 @@ def test_what_does_not_move_or_was_seen_once_stays_as_it_is():
 def test_the_middle_is_the_median_of_the_known_values():
     stack = np.array([1.0 + 5j, 2.0 + 1j, 9.0 + 3j, np.nan])[:, None] * np.ones(2)
     stack[:, 1] = complex(np.nan, np.nan)
-    found = middle(stack)
+    found = median_of_repeats(stack)
     assert found[0] == 2.0 + 3j and np.isnan(found[1])

@@ -5,7 +5,7 @@ from calib.correlation.response.problem import response_dof
 from calib.errors.errors import InputError
 from calib.measurement.files.read import read_modes
 from calib.measurement.responses import read_responses
-from calib.problem.degrees_of_freedom import chance, repeats_dof
+from calib.problem.degrees_of_freedom import p_value, repeats_dof
 
 VALUES = {"freq_1": 4.5, "freq_2": 13.4, "mass": 1200.0, "sag": 0.003, "zeta_1": 0.011}
 
@@ -184,7 +184,7 @@ def test_a_correct_model_is_rejected_as_often_as_the_level_says(tmp_path, repeat
         found = read_responses(path, "plain").pooled(kinds)
         mean, std = np.array(list(found.targets.values())).T
         behind = repeats_dof(kinds.values(), found.pooled_repeats)["r"]
-        rejected += bool(chance(np.sum(((mean - truth) / std) ** 2), count, behind) < level)
+        rejected += bool(p_value(np.sum(((mean - truth) / std) ** 2), count, behind) < level)
     assert rejected / runs < level + 3 * np.sqrt(level * (1 - level) / runs)
 
 
@@ -201,7 +201,7 @@ def test_a_claimed_accuracy_is_known_however_few_the_repeats(tmp_path):
         found = read_responses(path, "plain").pooled(kinds).claiming(kinds, "1 %")
         (behind,) = response_dof(found.targets, found.pooled_repeats, found.shares).values()
         mean, std = np.array(list(found.targets.values())).T
-        p.append(float(chance(np.sum(((mean - truth) / std) ** 2), count, behind)))
-        assert chance(count * 3.5**2, count, behind) < 0.01 < chance(count * 3.5**2, count, count)
+        p.append(float(p_value(np.sum(((mean - truth) / std) ** 2), count, behind)))
+        assert p_value(count * 3.5**2, count, behind) < 0.01 < p_value(count * 3.5**2, count, count)
     for level in (0.05, 0.5):
         assert np.mean(np.array(p) < level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / len(p)))

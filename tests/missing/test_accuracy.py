@@ -9,13 +9,13 @@ from scipy.stats import chi2, f
 
 from calib.missing.accuracy import less_accurate, sentence
 from calib.missing.explain import explain
-from calib.problem.problem import Rows
+from calib.problem.problem import RowLabels
 
 
 @pytest.mark.parametrize("verdict", ["nothing_detectable", "noise_underestimated"])
 def test_no_accuracy_is_tried_where_nothing_is_missing(verdict):
     found = SimpleNamespace(verdict=verdict, noise_scale=2.0)
-    table = less_accurate(found, Rows(()), np.zeros(0), 1)
+    table = less_accurate(found, RowLabels(()), np.zeros(0), 1)
     assert table.empty and sentence(table, 0.01) == ""
 
 
@@ -26,7 +26,7 @@ def test_an_assumed_accuracy_counts_as_known_standard_deviation(toy):
 
     def p_fit(dof):
         std_dof = {row.kind: dof for row in rows}
-        return less_accurate(found, Rows(rows, {}, std_dof), np.full(len(rows), 2.5e-4), 1)["p_fit"][0]
+        return less_accurate(found, RowLabels(rows, {}, std_dof), np.full(len(rows), 2.5e-4), 1)["p_fit"][0]
 
     few, known = p_fit(4.0), p_fit(np.inf)
     assert known < few < 2 * known < 1e-4
@@ -47,7 +47,7 @@ def test_the_probability_of_a_smaller_sum_of_squares_is_a_lower_tail(toy):
 
     def table(dof):
         std_dof = {row.kind: dof for row in rows}
-        return less_accurate(found, Rows(rows, {}, std_dof), np.full(len(rows), own), 1)
+        return less_accurate(found, RowLabels(rows, {}, std_dof), np.full(len(rows), own), 1)
 
     known, few = table(np.inf), table(8.0)
     np.testing.assert_allclose(known["p_smaller"], chi2.cdf(known["misfit"], known["dof"]), atol=1e-9)

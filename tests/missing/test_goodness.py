@@ -8,11 +8,11 @@ import pytest
 from scipy import stats
 
 from calib.missing.goodness import goodness, misfit_factor, noise_scale, overall
-from calib.problem.problem import Rows
+from calib.problem.problem import RowLabels
 
 
 def tables(toy, fit, factors=None, dof=None):
-    return goodness(fit, Rows(toy.rows, factors or {}, dof or {}))
+    return goodness(fit, RowLabels(toy.rows, factors or {}, dof or {}))
 
 
 def redrawn(toy, fit, rng, noise=1.0):

@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg as la
 from scipy.stats import chi2
 
-from calib.correlation.modal.rows import Row
+from calib.correlation.modal.rows import ModalRow
 from calib.missing.discrepancy import discrepancy
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.predictions import ERROR_COLUMNS, HeldOut, predictions, sentence
@@ -34,7 +34,7 @@ def world(seed, size):
         residual[:N], slope[:N], np.ones(P), values, True,
     )  # fmt: skip
     scores = scored(fit, [f"c{k}" for k in range(M)], [{}] * M, signatures[:N], np.ones(M, bool), np.zeros(M))
-    labels = [Row("1B", "shape", f"s{k}", "re") for k in range(HELD)]
+    labels = [ModalRow("1B", "shape", f"s{k}", "re") for k in range(HELD)]
     held = HeldOut(
         labels, data[N:], np.ones(HELD), np.zeros(HELD, bool), residual[N:], names, slope[N:],
         slope[N:] @ la.cholesky(fit.covariance, lower=True),
@@ -83,7 +83,8 @@ def test_interval_and_error_are_those_of_the_covariance():
 def test_frequencies_have_intervals_of_their_logarithm_and_lost_modes_none():
     held, wide, _ = world(4, 3.0)
     few = HeldOut(
-        [Row("1B", "frequency"), Row("2B", "frequency"), Row("1B", "shape", "s1", "im")], np.array([10.0, 20.0, 0.5]),
+        [ModalRow("1B", "frequency"), ModalRow("2B", "frequency"), ModalRow("1B", "shape", "s1", "im")],
+        np.array([10.0, 20.0, 0.5]),
         np.array([0.01, 0.01, 0.02]), np.array([True, True, False]), np.array([2.0, 100.0, 2.0]), held.names,
         np.zeros((3, P)), np.zeros((3, 0)), lost=np.array([False, True, False]),
     )  # fmt: skip

@@ -11,7 +11,7 @@ from calib.missing.evidence import ln_evidence
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, _reached, correlation, family_p, noise_limit, scores
-from calib.problem.problem import Rows
+from calib.problem.problem import RowLabels
 
 
 def many(toy, fit: LinearisedFit, found: Scores, draws: int, seed: int, scale=None) -> np.ndarray:
@@ -28,7 +28,7 @@ def critical(found: Scores, toy, level: float, dof=None) -> float:
     low, high = 0.0, 60.0
     for _ in range(22):
         middle = 0.5 * (low + high)
-        p = family_p(replace(found, z=np.full(len(found.z), middle)), Rows(toy.rows, {}, dof or {}), seed=1)
+        p = family_p(replace(found, z=np.full(len(found.z), middle)), RowLabels(toy.rows, {}, dof or {}), seed=1)
         low, high = (middle, high) if p > level else (low, middle)
     return 0.5 * (low + high)
 
@@ -219,7 +219,7 @@ def test_the_family_keeps_its_level(toy, bump):
 def test_samples_are_spared_only_where_none_would_reach_the_score(toy, monkeypatch, dof):
     """The least p-value is that of samples without one above the score; below it they are drawn as ever."""
     toy = toy(effects=4, signed=("E1",)).drawn(np.random.default_rng(9))
-    found, labelled = scores(toy.calibrated(), toy.effects, {}), Rows(toy.rows, {}, dof)
+    found, labelled = scores(toy.calibrated(), toy.effects, {}), RowLabels(toy.rows, {}, dof)
     with_score = [replace(found, z=np.full(len(found.z), z)) for z in (2.0, 3.0, 4.0, 7.0, 40.0)]
     told = [family_p(one, labelled, seed=1) for one in with_score]
     monkeypatch.setattr("calib.missing.score._NEVER", 0.0)
@@ -262,22 +262,22 @@ def test_every_kind_has_its_own_degrees_of_freedom(toy):
     fit = toy.calibrated()
     for name, exact in (("E0", stats.t.sf(2.5, 3)), ("E1", stats.norm.sf(2.5))):
         found = replace(scores(fit, [e for e in toy.effects if e.name == name], {}), z=np.array([2.5]))
-        p = family_p(found, Rows(toy.rows, {}, dof), seed=1)
+        p = family_p(found, RowLabels(toy.rows, {}, dof), seed=1)
         assert p == pytest.approx(exact, abs=4 * np.sqrt(exact / 8000))
 
 
 def test_the_same_seed_gives_the_same_p_value(toy):
     toy = toy().drawn(np.random.default_rng(14))
     found = scores(toy.calibrated(), toy.effects, {})
-    first = family_p(found, Rows(toy.rows, {}, {"shape": 9.0}), seed=1)
-    assert first == family_p(found, Rows(toy.rows, {}, {"shape": 9.0}), seed=1)
-    assert first != family_p(found, Rows(toy.rows, {}, {"shape": 9.0}), seed=2)
+    first = family_p(found, RowLabels(toy.rows, {}, {"shape": 9.0}), seed=1)
+    assert first == family_p(found, RowLabels(toy.rows, {}, {"shape": 9.0}), seed=1)
+    assert first != family_p(found, RowLabels(toy.rows, {}, {"shape": 9.0}), seed=2)
 
 
 def test_the_p_value_is_that_of_any_machine(toy, monkeypatch):
     """Machines choose the signs of eigenvectors differently; samples must not follow them."""
     toy = toy().drawn(np.random.default_rng(14))
-    found, few = scores(toy.calibrated(), toy.effects, {}), Rows(toy.rows, {}, {"shape": 9.0})
+    found, few = scores(toy.calibrated(), toy.effects, {}), RowLabels(toy.rows, {}, {"shape": 9.0})
     asked, eigh = family_p(found, few, seed=1), score.la.eigh
     assert 0.01 < asked < 0.99
     monkeypatch.setattr(score.la, "eigh", lambda matrix: (eigh(matrix)[0], eigh(matrix)[1] * [1, -1, 1, -1, -1]))

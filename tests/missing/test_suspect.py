@@ -10,7 +10,7 @@ import pytest
 from calib.missing.goodness import goodness, overall
 from calib.missing.linearised_fit import FINE, fitted, linearised
 from calib.missing.suspect import data_of, in_short, sentence, suspects
-from calib.problem.problem import Rows
+from calib.problem.problem import RowLabels
 
 
 def linear(toy, wrong, seed=1, modes=6, sensors=6):
@@ -73,7 +73,7 @@ def test_the_closed_form_is_a_fit_without_the_datum(toy):
         if np.isfinite(table["p_fit_without"][datum.what]):
             kept = np.delete(np.arange(len(made.rows)), datum.rows)
             rest = replace(alone, residual=alone.residual[kept], slope=alone.slope[kept])
-            expected = overall(*goodness(rest, Rows.of(made, kept)))
+            expected = overall(*goodness(rest, RowLabels.of(made, kept)))
             assert table["p_fit_without"][datum.what] == pytest.approx(expected, rel=1e-6)
 
 
@@ -153,4 +153,4 @@ def test_batches_of_data_left_out_do_not_change_the_result(toy, monkeypatch):
 def test_data_that_alone_determine_a_parameter_are_not_tested():
     rows = [SimpleNamespace(mode="", kind="response", sensor=f"y{k}") for k in range(2)]
     optimum = _Fit(np.array([9.0, 9.0]), np.eye(2), np.full(2, np.inf))
-    assert suspects(optimum, Rows(rows)).empty
+    assert suspects(optimum, RowLabels(rows)).empty

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.modal_analysis.stabilisation import Chain, follow, pole_table, stable
+from calib.modal_analysis.stabilisation import Chain, pole_chains, pole_table, stable
 from calib.study.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,11 +29,11 @@ def changed(value, freq=0.0, damping=0.0):
 
 def orders_of(frfs, *sets):
     """Orders at which the chain that holds the first pole was found."""
-    return follow(frfs, [np.array(one) for one in sets])[0].orders
+    return pole_chains(frfs, [np.array(one) for one in sets])[0].orders
 
 
 def test_a_pole_that_stays_is_one_chain(frfs):
-    chains = follow(frfs, [TRUE.copy() for _ in range(4)])
+    chains = pole_chains(frfs, [TRUE.copy() for _ in range(4)])
     assert [chain.orders for chain in chains] == [(1, 2, 3, 4)] * 3
     np.testing.assert_allclose([chain.pole for chain in chains], TRUE)
     assert chains[0].residues.shape == (4, 6) and chains[0].spread == pytest.approx((0.0, 0.0), abs=1e-12)

@@ -8,7 +8,7 @@ import scipy.linalg as la
 import scipy.sparse as sp
 
 from calib.errors.errors import EvaluationError, InputError
-from calib.structure.reduction.static_reduction import levels, serep, static_reduction
+from calib.structure.reduction.static_reduction import reduction_levels, serep, static_reduction
 from models.solar_panel import MASTERS, solar_panel
 
 
@@ -33,7 +33,7 @@ def test_guyan_and_irs_are_those_of_the_formulas():
     k, m = chain(6)
     masters, slaves = [1, 5], [0, 2, 3, 4]
     dense = k.toarray()
-    guyan, irs = islice(levels(k, m, masters), 2)
+    guyan, irs = islice(reduction_levels(k, m, masters), 2)
     t = -la.solve(dense[np.ix_(slaves, slaves)], dense[np.ix_(slaves, masters)])
     np.testing.assert_allclose(guyan.transformation[slaves], t, atol=1e-14)
     np.testing.assert_array_equal(guyan.transformation[masters], np.eye(2))
@@ -56,7 +56,9 @@ def test_without_slaves_and_without_inertia_of_slaves_nothing_is_lost():
 
 def test_errors_are_positive_and_fall_with_every_level(panel):
     k, m, masters, modes = panel
-    errors = np.array([r.natural_freq[:8] / modes.natural_freq[:8] - 1 for r in islice(levels(k, m, masters), 5)])
+    errors = np.array(
+        [r.natural_freq[:8] / modes.natural_freq[:8] - 1 for r in islice(reduction_levels(k, m, masters), 5)]
+    )
     assert np.all(errors > -1e-9)  # rejects the levels with the matrices of Guyan throughout, which grow
     assert np.all(np.diff(errors, axis=0) < 1e-9)
     np.testing.assert_allclose(100 * errors[0, 3:], [0.593, 0.197, 2.387, 4.674, 4.918], atol=0.001)
@@ -110,7 +112,7 @@ def test_a_part_that_hangs_on_no_master_is_named():
 
 def test_masters_without_mass_have_no_second_level():
     k, _ = chain(3)
-    found = levels(k, sp.csc_array(np.diag([0.0, 0.0, 1.0])), [0, 1])
+    found = reduction_levels(k, sp.csc_array(np.diag([0.0, 0.0, 1.0])), [0, 1])
     next(found)
     with pytest.raises(EvaluationError, match="no mass"):
         next(found)

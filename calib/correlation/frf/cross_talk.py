@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calib.correlation.fault_rules import RULES
-from calib.correlation.frf.rows import RowError, in_test, require_positive
+from calib.correlation.frf.rows import RowError, in_test, require_positive_std
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
@@ -48,7 +48,7 @@ class CrossTalkError(RowError):
     def __post_init__(self) -> None:
         if self.sensor.name == self.source.name:
             raise InputError("both are the same sensor", place=self.place, remedy="give another source")
-        require_positive(self.prior_sd, self.place)
+        require_positive_std(self.prior_sd, self.place)
 
     @property
     def place(self) -> str:

@@ -17,11 +17,11 @@ from calib.correlation.frf.rows import Side
 from calib.correlation.modal.fault_library import (
     LACKS,
     LOOK_FOR,
+    adjacent_channels,
     cross_talk_words,
     delay_words,
     gain_words,
-    neighbours,
-    place_words,
+    place_error_words,
     rotation_words,
     shift_size,
     turned,
@@ -169,7 +169,7 @@ def _of_transducers(model: Model, measured: MeasuredFRFs) -> Iterator[FRFFault]:
         sides = [word for word, names in (("sensor", responses), ("force", references)) if sensor.name in names]
         yield from _places(model, sensor, " and ".join(sides))
     for k, sensor in enumerate(measured.responses):
-        for source in neighbours(measured.responses, k):
+        for source in adjacent_channels(measured.responses, k):
             told = partial(cross_talk_words, sensor.name, source.name)
             error = CrossTalkError(sensor, source, RULES.cross_talk)
             of = f"sensor {source.name} into {sensor.name}"
@@ -193,7 +193,7 @@ def _places(model: Model, sensor: Sensor, what: str) -> Iterator[FRFFault]:
         sizes[way[0]] = max(shift_size(before, after), sizes.get(way[0], 0.0))
     for axis, size in sizes.items():
         of = f"{what} {sensor.name}" if what == "sensor" else f"{what} at {sensor.name}"
-        error, told = PlaceError(sensor, axis, size), partial(place_words, of, axis)
+        error, told = PlaceError(sensor, axis, size), partial(place_error_words, of, axis)
         if not _matters(error, model):
             continue
         reach = RULES.shift_most * size

@@ -22,7 +22,7 @@ from calib.correlation.frf.factor import FactorError
 from calib.correlation.frf.places import PlaceError
 from calib.correlation.frf.resonances import ResonanceError, of_every_resonance
 from calib.correlation.frf.rotation import RotationError
-from calib.correlation.frf.rows import RowError, Side, in_test, require_positive
+from calib.correlation.frf.rows import RowError, Side, in_test, require_positive_std
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, Sensor
@@ -77,7 +77,7 @@ class ChannelError(FactorError):
             )  # fmt: skip
         if self.prior_sd is None and self.kind not in CHANNEL_SD:
             raise InputError(f"its {self.kind} has no standard deviation", place=place, remedy="give prior_sd in s")
-        require_positive(self.prior_sd, place)
+        require_positive_std(self.prior_sd, place)
 
     @property
     def name(self) -> str:
@@ -155,7 +155,7 @@ class Loading(ABC):
 
 
 @dataclass(frozen=True)
-class AddedMass(Loading):
+class AccelerometerMass(Loading):
     """Mass of an accelerometer at its place, in all three translations; it is there during the whole test.
 
     Attributes
@@ -186,7 +186,7 @@ class AddedMass(Loading):
             raise InputError(f"it is {self.mass:g} kg", place=place, remedy="give that of the data sheet, in kg")
         if self.mass == 0 and self.prior_sd is None:
             raise InputError("it has no standard deviation", place=place, remedy="give mass or prior_sd in kg")
-        require_positive(self.prior_sd, place)
+        require_positive_std(self.prior_sd, place)
 
     @property
     def parameter(self) -> Parameter:
@@ -234,7 +234,7 @@ class Stinger(Loading):
         place = f"stinger at {self.sensor.name}"
         if self.sensor.direction not in DIRECTIONS[:3] or not set(self.directions) <= set(DIRECTIONS[:3]):
             raise InputError("it does not act along x, y or z", place=place, remedy="give translations")
-        require_positive(self.prior_sd, place)
+        require_positive_std(self.prior_sd, place)
 
     @property
     def parameter(self) -> Parameter:
@@ -257,7 +257,7 @@ class Stinger(Loading):
         return Load(self.parameter, "stiffness", rows)
 
 
-Nuisance = ChannelError | PlaceError | RotationError | CrossTalkError | AddedMass | Stinger | ResonanceError
+Nuisance = ChannelError | PlaceError | RotationError | CrossTalkError | AccelerometerMass | Stinger | ResonanceError
 NUISANCES = get_args(Nuisance)
 """All kinds."""
 
@@ -294,7 +294,7 @@ def of_every_channel(
             out += [ChannelError(kind, s.name, "reference", sd) for s in measured.references]
     if accelerometer is not None:
         nodes = {s.node: s for s in reversed(measured.responses)}
-        out += [AddedMass(sensor, accelerometer) for sensor in reversed(nodes.values())]
+        out += [AccelerometerMass(sensor, accelerometer) for sensor in reversed(nodes.values())]
     if stinger is not None:
         out += [Stinger(sensor, stinger) for sensor in measured.references]
     if resonance is not None:

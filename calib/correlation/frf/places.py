@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.correlation.fault_rules import RULES
-from calib.correlation.frf.rows import RowError, in_test, require_positive
+from calib.correlation.frf.rows import RowError, in_test, require_positive_std
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, Sensor
@@ -59,7 +59,7 @@ class PlaceError(RowError):
             raise InputError(f"it is wrong along {self.along!r}", place=place, remedy="give x, y or z")
         if self.sensor.point is None:
             raise InputError("it is not stated", place=place, remedy="give its coordinates in the table of sensors")
-        require_positive(self.prior_sd, place)
+        require_positive_std(self.prior_sd, place)
 
     @property
     def place(self) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from calib.correlation.frf.comparison import frac_and_amplitude
 from calib.correlation.frf.factor import Channels
 from calib.correlation.frf.nuisance import Nuisance, require_channels
-from calib.correlation.frf.rows import Rows
+from calib.correlation.frf.rows import TransducerRows
 from calib.correlation.mesh_error import MeshError
 from calib.correlation.rules import RULES
 from calib.errors.errors import InputError
@@ -69,7 +69,7 @@ class FRFProblem:
     space: ParameterSpace = field(init=False, repr=False)
     loaded_model: StructuralModel | ReducedModel = field(init=False, repr=False)
     _channels: Channels = field(init=False, repr=False)
-    _rows: Rows = field(init=False, repr=False)
+    _rows: TransducerRows = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         names = [nuisance.parameter.name for nuisance in self.nuisances]
@@ -79,7 +79,7 @@ class FRFProblem:
         require_channels(self.nuisances, self.measured)
         loads = [load for n in self.nuisances for load in n.loads(self.model.whole)]
         errors = tuple(error for n in self.nuisances for error in n.of_channel)
-        rows = Rows.of([error for n in self.nuisances for error in n.of_rows], self.measured, self.model)
+        rows = TransducerRows.of([error for n in self.nuisances for error in n.of_rows], self.measured, self.model)
         model, own = loaded(self.model, loads), self.model.space
         parameters = (*model.space.parameters, *(e.parameter for e in errors), *(e.parameter for e in rows.errors))
         parameters += () if self.mesh is None else (self.mesh.parameter,)

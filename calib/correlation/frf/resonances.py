@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.correlation.fault_rules import RULES
 from calib.correlation.frf.factor import FactorError
-from calib.correlation.frf.rows import in_test, require_positive
+from calib.correlation.frf.rows import in_test, require_positive_std
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.problem.space import Parameter
@@ -61,7 +61,7 @@ class ResonanceError(FactorError):
                 f"it is at {self.freq:g} Hz and {self.width:g} Hz wide", place=self.place,
                 remedy="give positive numbers in Hz",
             )  # fmt: skip
-        require_positive(self.share, self.place)
+        require_positive_std(self.share, self.place)
         if self.share > RULES.resonance_most:
             raise InputError(
                 f"the model may be off by {self.share:g} % at it, where its factor is no longer linear",

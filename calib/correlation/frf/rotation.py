@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.correlation.fault_rules import RULES
-from calib.correlation.frf.rows import RowError, Side, in_test, require_positive
+from calib.correlation.frf.rows import RowError, Side, in_test, require_positive_std
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, Sensor
@@ -58,7 +58,7 @@ class RotationError(RowError):
             )
         if self.side not in ("response", "reference"):
             raise InputError(f"it is of a {self.side!r}", place=self.place, remedy="give response or reference")
-        require_positive(self.prior_sd, self.place)
+        require_positive_std(self.prior_sd, self.place)
 
     @property
     def side_words(self) -> str:

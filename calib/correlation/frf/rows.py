@@ -36,7 +36,7 @@ def in_test(test: str) -> str:
     return f" in test {test}" if test else ""
 
 
-def require_positive(prior_sd: float | None, place: str) -> None:
+def require_positive_std(prior_sd: float | None, place: str) -> None:
     """InputError for a standard deviation that is given and not positive."""
     if prior_sd is not None and not 0 < prior_sd < np.inf:
         raise InputError(f"its standard deviation is {prior_sd:g}", place=place, remedy="give a positive number")
@@ -119,7 +119,7 @@ class RowError(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class TransducerRows:
     """Rows of the transducers of measured FRFs, as functions of errors.
 
     Attributes
@@ -141,7 +141,9 @@ class Rows:
     at: tuple[tuple[int | None, int | None], ...]
 
     @classmethod
-    def of(cls, errors: Sequence[RowError], measured: MeasuredFRFs, model: StructuralModel | ReducedModel) -> Rows:
+    def of(
+        cls, errors: Sequence[RowError], measured: MeasuredFRFs, model: StructuralModel | ReducedModel
+    ) -> TransducerRows:
         """Those of measured FRFs on a model; InputError for a transducer or an error that the model cannot place."""
         responses, references = (model.sensor_rows(sensors) for sensors in (measured.responses, measured.references))
         others = np.array([error.other(model) for error in errors]).reshape(len(errors), responses.shape[1])

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from calib.correlation.fault_rules import RULES
-from calib.correlation.modal.faults import ModalFault, Share
+from calib.correlation.modal.faults import Contribution, ModalFault
 from calib.errors.errors import InputError
 from calib.measurement.mac import is_real
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
@@ -91,7 +91,7 @@ def _of_sensors(model: ModalModel, measured: MeasuredModes) -> Iterator[ModalFau
         for source in turned(model, sensor, rows[k]):
             yield _rotation(k, sensor, source, at)
         yield from _shifts(model, k, sensor, at)
-        for source in neighbours(sensors, k):
+        for source in adjacent_channels(sensors, k):
             yield _cross_talk(k, sensor, source, at)
 
 
@@ -106,7 +106,7 @@ def turned(model: ModalModel, sensor: Sensor, row: np.ndarray) -> Iterator[Senso
             yield source
 
 
-def neighbours(sensors: Sequence[Sensor], k: int) -> tuple[Sensor, ...]:
+def adjacent_channels(sensors: Sequence[Sensor], k: int) -> tuple[Sensor, ...]:
     """Sensors of the channels before and after one in the list."""
     return tuple(sensors[i] for i in (k - 1, k + 1) if 0 <= i < len(sensors))
 
@@ -128,7 +128,7 @@ def _gain(k: int, sensor: Sensor, at: At) -> ModalFault:
     name = f"gain of sensor {sensor.name}"
     return ModalFault(
         _sized(name, RULES.gain, RULES.gain_lower, RULES.gain_upper), name, LACKS["gain"], LOOK_FOR["gain"],
-        lambda by: gain_words(f"sensor {sensor.name}", by), "gain", *at, shares=(Share(k, sensor),),
+        lambda by: gain_words(f"sensor {sensor.name}", by), "gain", *at, shares=(Contribution(k, sensor),),
     )  # fmt: skip
 
 
@@ -148,13 +148,13 @@ def _delay(k: int, sensor: Sensor, highest: float, at: At) -> ModalFault:
     reach = RULES.limit * size
     return ModalFault(
         _sized(name, size, -reach, reach, "ms"), name, LACKS["delay"], LOOK_FOR["delay"],
-        lambda by: delay_words(f"sensor {sensor.name}", by), "delay", *at, shares=(Share(k, sensor, "delay"),),
+        lambda by: delay_words(f"sensor {sensor.name}", by), "delay", *at, shares=(Contribution(k, sensor, "delay"),),
     )  # fmt: skip
 
 
 def _rotation(k: int, sensor: Sensor, source: Sensor, at: At) -> ModalFault:
     name = f"rotation of sensor {sensor.name} towards {source.direction}"
-    shares = (Share(k, sensor, "cosine"), Share(k, source, "sine"))
+    shares = (Contribution(k, sensor, "cosine"), Contribution(k, source, "sine"))
     most = RULES.rotation_most
     return ModalFault(
         _sized(name, RULES.rotation, -most, most, "deg"), name, f"The sensor's axis is {sensor.direction}.",
@@ -177,10 +177,10 @@ def _shifts(model: ModalModel, k: int, sensor: Sensor, at: At) -> Iterator[Modal
         name = f"place of sensor {sensor.name} along {axis}"
         size = shift_size(before, after)
         reach = RULES.shift_most * size
-        shares = (Share(k, last, factor=1 / length), Share(k, first, factor=-1 / length))
+        shares = (Contribution(k, last, factor=1 / length), Contribution(k, first, factor=-1 / length))
         yield ModalFault(
             _sized(name, size, -reach, reach, "mm"), name, LACKS["place"], LOOK_FOR["place"],
-            partial(place_words, f"sensor {sensor.name}", axis), "place", *at, shares=shares,
+            partial(place_error_words, f"sensor {sensor.name}", axis), "place", *at, shares=shares,
         )  # fmt: skip
 
 
@@ -199,7 +199,7 @@ def cross_talk_words(name: str, source: str, by: float) -> str:
     return f"sensor {name} reads {100 * by:.2g} % of sensor {source} beside its own motion"
 
 
-def place_words(what: str, axis: str, by: float) -> str:
+def place_error_words(what: str, axis: str, by: float) -> str:
     """An error of a place in mm in words, such as ``sensor 12y sits 2.4 cm off along +x``."""
     return (
         f"{what} {'sit' if ' and ' in what else 'sits'} {abs(by) / 10:.2g} cm off along {'+' if by > 0 else '-'}{axis}"
@@ -221,7 +221,7 @@ def _cross_talk(k: int, sensor: Sensor, source: Sensor, at: At) -> ModalFault:
     name = f"cross-talk of sensor {source.name} into {sensor.name}"
     return ModalFault(
         _sized(name, RULES.cross_talk, -1.0, 1.0), name, LACKS["cross-talk"], LOOK_FOR["cross-talk"],
-        lambda by: cross_talk_words(sensor.name, source.name, by), "cross-talk", *at, shares=(Share(k, source),),
+        lambda by: cross_talk_words(sensor.name, source.name, by), "cross-talk", *at, shares=(Contribution(k, source),),
     )  # fmt: skip
 
 
@@ -240,7 +240,7 @@ def _of_set_ups(measured: MeasuredModes, set_ups: Mapping[str, Sequence[str]]) -
             _sized(name, RULES.set_up, RULES.gain_lower, RULES.gain_upper), name, "All set-ups are scaled alike.",
             "Check how the set-ups were joined, and the reference sensors.",
             partial(gain_words, f"set-up {label}"),
-            "set-up", shares=tuple(Share(k, measured.sensors[k]) for k in own),
+            "set-up", shares=tuple(Contribution(k, measured.sensors[k]) for k in own),
         )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ Law = Literal["linear", "delay", "cosine", "sine"]
 
 
 @dataclass(frozen=True)
-class Share:
+class Contribution:
     """What one motion adds to the reading of a sensor.
 
     Attributes
@@ -64,7 +64,7 @@ class ModalFault(Fault):
         Whether the magnitude, from 0 to 1, moves real shapes from the part in phase to modulus and sign.
     """
 
-    shares: tuple[Share, ...] = ()
+    shares: tuple[Contribution, ...] = ()
     damping: tuple[float, ...] = ()
     modulus: bool = False
 

@@ -12,10 +12,10 @@ import pandas as pd
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
-from calib.correlation.modal.rows import Row
+from calib.correlation.modal.rows import ModalRow
 from calib.correlation.standard_deviations import Floors
 from calib.errors.errors import InputError
-from calib.problem.degrees_of_freedom import behind, chance
+from calib.problem.degrees_of_freedom import behind, p_value
 from calib.structure.modes import Modes
 
 COLUMNS = ("group", "rows", "rms", "expected", "chi2", "dof", "p", "unpaired")
@@ -49,7 +49,7 @@ class HeldOutRows:
         Standard deviation: relative of frequencies and damping, else in the unit of the value.
     """
 
-    labels: tuple[Row, ...]
+    labels: tuple[ModalRow, ...]
     residual: np.ndarray
     slope: np.ndarray
     factor_spread: np.ndarray
@@ -202,7 +202,7 @@ def measured_values(residual: ModalResidual) -> np.ndarray:
 
 
 def group_table(
-    rows: Sequence[Row],
+    rows: Sequence[ModalRow],
     used: np.ndarray,
     dof: float,
     left_out: np.ndarray,
@@ -253,7 +253,7 @@ def group_table(
     counts = pd.Series([row.kind for row in rows]).value_counts()
     behind_std = behind({str(kind): float(count) for kind, count in counts.items()}, std_dof)
     expected = math.sqrt(max(float(variance.sum()) - fitted_factors, 0.0) / n)
-    p = float(chance(float(e @ e) / scale, dof, behind_std))
+    p = float(p_value(float(e @ e) / scale, dof, behind_std))
     table = pd.DataFrame(
         [
             ("fit", n, _rms(e), math.sqrt(max(scale * dof, 0.0) / n), p, unpaired),
@@ -348,7 +348,7 @@ def _errors(
     dof = float(n - own.factors)
     expected = math.sqrt((dof + float(np.sum(s**2))) / n)
     unpaired = len({row.mode for row, lost in zip(own.labels, own.lost, strict=True) if lost})
-    p = float(chance(chi2, dof, behind(kinds_of(own), std_dof)))
+    p = float(p_value(chi2, dof, behind(kinds_of(own), std_dof)))
     return group, n, _rms(e), expected, chi2, dof, p, unpaired
 
 

@@ -24,7 +24,7 @@ from calib.correlation.modal.pairing import (
     pair_by_shape,
 )
 from calib.correlation.mode_tracking import Point, follow
-from calib.correlation.standard_deviations import assumptions, known_std
+from calib.correlation.standard_deviations import assumed_deviations, known_std
 from calib.errors.errors import EvaluationError, InputError
 from calib.measurement.mac import mac
 from calib.measurement.modal import MeasuredModes
@@ -163,7 +163,7 @@ class ModalProblem:
     @property
     def assumed_std(self) -> tuple[Assumption, ...]:
         """Assumed standard deviations, where none is known."""
-        return assumptions(self.measured)
+        return assumed_deviations(self.measured)
 
     @property
     def relative_std(self) -> np.ndarray:

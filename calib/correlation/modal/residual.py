@@ -16,7 +16,7 @@ from calib.correlation.modal.faulty_modes import FaultyModes
 from calib.correlation.modal.fitted_shape import FittedShape
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.rigid import both_meshes
-from calib.correlation.modal.rows import Row, damping_modes, rows_of, shape_parts
+from calib.correlation.modal.rows import ModalRow, damping_modes, rows_of, shape_parts
 from calib.correlation.standard_deviations import USUAL, Floors, StandardDeviations, dof_behind, std_for
 from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of
@@ -72,7 +72,7 @@ class ModalResidual:
     factor_sensors: tuple[str, ...] | None = None
     faults: tuple[ModalFault, ...] = ()
     std: StandardDeviations = field(init=False, repr=False)
-    rows: tuple[Row, ...] = field(init=False, repr=False)
+    rows: tuple[ModalRow, ...] = field(init=False, repr=False)
     _damped: tuple[int, ...] = field(init=False, repr=False)
     _parts: tuple[tuple[int, str], ...] = field(init=False, repr=False)
     _faulty: FaultyModes = field(init=False, repr=False)

@@ -27,7 +27,7 @@ class ModalResponses:
 
     Vibration modes count from 1 in ascending frequency; those of a mode that crosses another one change places with it.
     A model of matrices also tells exact derivatives, where it is asked for them
-    (`calib.structure.function_model.Asked`).
+    (`calib.structure.function_model.DerivativesOnRequest`).
 
     Attributes
     ----------

@@ -13,7 +13,7 @@ from calib.measurement.modal import MeasuredModes
 Kind = Literal["frequency", "damping", "shape"]
 
 
-class Row(NamedTuple):
+class ModalRow(NamedTuple):
     """What one entry of the residual compares.
 
     Attributes
@@ -51,11 +51,11 @@ def shape_parts(measured: MeasuredModes) -> tuple[tuple[int, str], ...]:
     return tuple(out)
 
 
-def rows_of(measured: MeasuredModes, damped: Sequence[int], parts: Sequence[tuple[int, str]]) -> tuple[Row, ...]:
+def rows_of(measured: MeasuredModes, damped: Sequence[int], parts: Sequence[tuple[int, str]]) -> tuple[ModalRow, ...]:
     """A row for the frequency of every mode, the damping of some, and every measured entry of parts of shapes."""
-    rows = [Row(mode, "frequency") for mode in measured.names]
-    rows += [Row(measured.names[i], "damping") for i in damped]
+    rows = [ModalRow(mode, "frequency") for mode in measured.names]
+    rows += [ModalRow(measured.names[i], "damping") for i in damped]
     for i, part in parts:
         known = np.flatnonzero(np.isfinite(measured.shapes[:, i]))
-        rows += [Row(measured.names[i], "shape", measured.sensors[s].name, part) for s in known]
+        rows += [ModalRow(measured.names[i], "shape", measured.sensors[s].name, part) for s in known]
     return tuple(rows)

@@ -16,10 +16,10 @@ from calib.measurement.check import (
     Operation,
     SensorFinding,
     check_sensors,
-    corrected,
     evidence_required,
     log_likelihood_ratio,
     silent_rows,
+    with_corrected_rows,
 )
 
 
@@ -79,8 +79,8 @@ class _Search:
         chosen: list[Operation] = []
         pairing = self._pair(shapes)
         while True:
-            tried = [[*chosen, one] for one in self._promising(corrected(shapes, chosen), chosen)]
-            pairs = [self._pair(corrected(shapes, operations)) for operations in tried]
+            tried = [[*chosen, one] for one in self._promising(with_corrected_rows(shapes, chosen), chosen)]
+            pairs = [self._pair(with_corrected_rows(shapes, operations)) for operations in tried]
             best = max(range(len(pairs)), key=lambda k: _score(pairs[k]), default=None)
             if best is None or _score(pairs[best]) <= _score(pairing) + reading.RULES.check_gain * n:
                 break

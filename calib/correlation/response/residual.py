@@ -16,7 +16,7 @@ from calib.problem.candidate import Fault
 from calib.problem.differences import STEP, central_jacobian
 from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of
-from calib.structure.function_model import DERIVES, Asked, FunctionModel, responses_of, slope_entry
+from calib.structure.function_model import DERIVES, DerivativesOnRequest, FunctionModel, responses_of, slope_entry
 from calib.structure.modal_model import ModalModel
 
 _DEFINITION = "response residual 1"
@@ -169,7 +169,9 @@ class ResponseResidual:
         space, here = self.problem.space, at(values)
         entries = {name: [slope_entry(response, name) for response in self.problem.targets] for name in names}
         function: Any = self.problem.function
-        if isinstance(function, Asked) and (getattr(function, DERIVES, False) or len(responses_of(here)) < len(here)):
+        if isinstance(function, DerivativesOnRequest) and (
+            getattr(function, DERIVES, False) or len(responses_of(here)) < len(here)
+        ):
             unknown = [name for name, own in entries.items() if any(entry not in here for entry in own)]
             here = {**here, **_told(function, values, unknown)}
         known = {
@@ -192,7 +194,7 @@ class ResponseResidual:
         return (), np.zeros(0), np.zeros((0, len(names)))
 
 
-def _told(function: Asked, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
+def _told(function: DerivativesOnRequest, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
     """Derivatives that a function tells where it is asked; none where it fails, as two evaluations differ as well."""
     try:
         told = answered(lambda point: function.derivatives_by(point, names), values)

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from calib.correlation.modal.residual import ModalResidual
-from calib.correlation.modal.rows import Row
+from calib.correlation.modal.rows import ModalRow
 from calib.execution.stage import Progress, unheard
 from calib.hypotheses.design.imagined import linearised
 from calib.hypotheses.design.imagined_measurement import ImaginedMeasurement
@@ -81,7 +81,7 @@ def _options(
     hypotheses: ModelHypotheses[ModalResidual],
     fit: LinearisedFit,
     imagined: ImaginedMeasurement,
-    labels: Sequence[Row],
+    labels: Sequence[ModalRow],
     linearisations: Sequence[Linearisation],
     competing: CompetingModels | None,
 ) -> list[CandidateMeasurement]:
@@ -151,7 +151,7 @@ def bench_tests(space: ParameterSpace, fit: LinearisedFit) -> list[CandidateMeas
     return out
 
 
-def _rows_of(labels: Sequence[Row], modes: Collection[str], sensors: Collection[str]) -> np.ndarray:
+def _rows_of(labels: Sequence[ModalRow], modes: Collection[str], sensors: Collection[str]) -> np.ndarray:
     """Mask of the rows of some modes at some sensors, with frequencies and damping, which need none, (n_rows,)."""
     return np.array([row.mode in modes and (not row.sensor or row.sensor in sensors) for row in labels])
 

@@ -12,7 +12,7 @@ from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.measurement.modal import DIRECTIONS
 from calib.measurement.repeats import Repeat, ShapeSet
-from calib.results.table import Row, read_rows
+from calib.results.table import TableRow, read_rows
 
 FREQ_LIMIT = 1e12
 """Hz; a larger frequency is a corrupt number."""
@@ -73,7 +73,7 @@ def read_modes_csv(path: Path) -> dict[str, Repeat]:
     return out
 
 
-def _label(row: Row) -> str:
+def _label(row: TableRow) -> str:
     """Label of the repeat that a line belongs to."""
     return row.text("repeat") if "repeat" in row.cells else ONE
 
@@ -82,7 +82,7 @@ def _source(path: Path, label: str) -> str:
     return str(path) if label == ONE else f"{path}, repeat {label}"
 
 
-def _deviation(row: Row, column: str, value: float, most: float) -> float:
+def _deviation(row: TableRow, column: str, value: float, most: float) -> float:
     """A plausible standard deviation, between `FINEST` times the value and ``most``; NaN where none is given."""
     std = row.optional(column)
     least = 0.0 if math.isnan(value) else FINEST * abs(value)

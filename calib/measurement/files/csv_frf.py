@@ -15,7 +15,7 @@ from calib.measurement.frf import NO_PHASE, QUANTITIES, Quantity
 from calib.measurement.frf_repeats import FRFRepeat, Key, function_name, off_axis, repeat_of
 from calib.measurement.frf_units import FRFUnits, parse_unit
 from calib.measurement.modal import DIRECTIONS
-from calib.results.table import Row, read_rows
+from calib.results.table import TableRow, read_rows
 
 _PLACE = re.compile(r"(\d{1,10})\s*([+-]?[a-zA-Z]+)", re.ASCII)
 _STATED = re.compile(r"#\s*(quantity|unit)\s*[:=]\s*(.*?)[\s,;]*", re.IGNORECASE)
@@ -52,7 +52,7 @@ def read_frfs_csv(path: Path, quantity: Quantity | None = None, unit: str | None
         if column not in rows[0].cells:
             raise InputError(f"it has no column {column!r}", place=path, remedy=NO_PHASE)
     found, units, notes = _stated(path, quantity, unit)
-    entries: dict[Key, dict[float, tuple[complex, float, Row]]] = {}
+    entries: dict[Key, dict[float, tuple[complex, float, TableRow]]] = {}
     for row in rows:
         freq, value, coherence = _entry(row)
         (response, one), (reference, other) = _end(row, "response"), _end(row, "reference")
@@ -121,7 +121,7 @@ def _comments(path: Path) -> dict[str, tuple[str, Place]]:
     return said
 
 
-def _entry(row: Row) -> tuple[float, complex, float]:
+def _entry(row: TableRow) -> tuple[float, complex, float]:
     """Frequency, value and coherence of a line."""
     freq, value, coherence = row.number("freq"), complex(row.number("re"), row.number("im")), row.optional("coherence")
     if not 0 <= freq < FREQ_LIMIT:
@@ -133,7 +133,7 @@ def _entry(row: Row) -> tuple[float, complex, float]:
     return freq, value, coherence
 
 
-def _end(row: Row, column: str) -> tuple[tuple[int, str], int]:
+def _end(row: TableRow, column: str) -> tuple[tuple[int, str], int]:
     """Node and direction of a response or reference, and the sign of the direction."""
     match = _PLACE.fullmatch(row.text(column))
     parsed = parse_direction(match.group(2)) if match else None
@@ -145,14 +145,14 @@ def _end(row: Row, column: str) -> tuple[tuple[int, str], int]:
     return (int(match.group(1)), parsed[0]), parsed[1]
 
 
-def _require_phase(path: Path, entries: Mapping[Key, Mapping[float, tuple[complex, float, Row]]]) -> None:
+def _require_phase(path: Path, entries: Mapping[Key, Mapping[float, tuple[complex, float, TableRow]]]) -> None:
     """InputError for amplitudes; an undamped simulation is real too, but changes its sign."""
     values = [value for own in entries.values() for value, _, _ in own.values()]
     if all(value.imag == 0 for value in values) and all(value.real >= 0 for value in values):
         raise InputError("its values are real and nowhere negative: amplitudes", place=path, remedy=NO_PHASE)
 
 
-def _require_axis(path: Path, key: Key, own: Mapping[float, tuple[complex, float, Row]], axis: np.ndarray) -> None:
+def _require_axis(path: Path, key: Key, own: Mapping[float, tuple[complex, float, TableRow]], axis: np.ndarray) -> None:
     """InputError where the frequencies of a function are not those of the first one."""
     freq = np.array(sorted(own))
     remedy = "export all on common frequencies"

@@ -14,7 +14,7 @@ import numpy as np
 from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import FREQ_LIMIT, VALUE_LIMIT
 from calib.measurement.files.uff_2414 import as_dataset_55
-from calib.measurement.files.uff_blocks import MODAL, USED_KINDS, Block, extract_sets, halves_of_six, read_blocks
+from calib.measurement.files.uff_blocks import MODAL, USED_KINDS, Dataset, extract_sets, halves_of_six, read_blocks
 from calib.measurement.files.uff_write import Point, write_uff
 from calib.measurement.modal import DIRECTIONS
 from calib.measurement.repeats import Repeat, ShapeSet
@@ -81,13 +81,13 @@ def read_uff(path: Path) -> UniversalFile:
     return UniversalFile(replace(repeat, notes=tuple(notes)), points)
 
 
-def _with_modes(path: Path, blocks: Sequence[Block], notes: list[str]) -> list[Block]:
+def _with_modes(path: Path, blocks: Sequence[Dataset], notes: list[str]) -> list[Dataset]:
     """Blocks with the modes as datasets 55; analysis data that are not modes are dropped and noted."""
     modes = [block for block in blocks if block.kind == 55 and _analysis_type(block) in MODAL]
     others: dict[tuple[int, int], int] = {}
     out = []
     for block in blocks:
-        kept: Block | None = block
+        kept: Dataset | None = block
         if block.kind == 55:
             kept = block if _analysis_type(block) in (*MODAL, _DAMAGED) else None
         elif block.kind == 2414:
@@ -105,14 +105,14 @@ def _with_modes(path: Path, blocks: Sequence[Block], notes: list[str]) -> list[B
     return out
 
 
-def _analysis_type(block: Block) -> int:
+def _analysis_type(block: Dataset) -> int:
     """Analysis type of a dataset 55 or 2414; `_DAMAGED` where it cannot be read."""
     at = 5 if block.kind == 55 else 8
     text = block.lines[at][10:20].strip() if len(block.lines) > at else ""
     return int(text) if text.isdecimal() and text.isascii() else _DAMAGED
 
 
-def length_factor(path: Path, blocks: Sequence[Block], sets: Sequence[Mapping[str, Any]], notes: list[str]) -> float:
+def length_factor(path: Path, blocks: Sequence[Dataset], sets: Sequence[Mapping[str, Any]], notes: list[str]) -> float:
     """Length units of the file per metre; dividing by the factor of dataset 164 gives SI."""
     factors = set()
     for block, data in zip(blocks, sets, strict=True):
@@ -135,7 +135,7 @@ def length_factor(path: Path, blocks: Sequence[Block], sets: Sequence[Mapping[st
     return factors.pop() if factors else 1.0
 
 
-def points_of(path: Path, blocks: Sequence[Block], per_metre: float, notes: list[str]) -> dict[int, Point]:
+def points_of(path: Path, blocks: Sequence[Dataset], per_metre: float, notes: list[str]) -> dict[int, Point]:
     """Places of the nodes of a file in metres, from its units of length per metre."""
     used = [block for block in blocks if block.kind in (15, 2411)]
     sets = extract_sets(path, used)
@@ -145,7 +145,7 @@ def points_of(path: Path, blocks: Sequence[Block], per_metre: float, notes: list
 
 def _points(
     path: Path,
-    blocks: Sequence[Block],
+    blocks: Sequence[Dataset],
     sets: Sequence[Mapping[str, Any]],
     per_metre: float,
     notes: list[str],
@@ -191,7 +191,7 @@ class _Mode:
 
 
 def _modes(
-    path: Path, blocks: Sequence[Block], sets: Sequence[Mapping[str, Any]], per_metre: float, notes: list[str]
+    path: Path, blocks: Sequence[Dataset], sets: Sequence[Mapping[str, Any]], per_metre: float, notes: list[str]
 ) -> Repeat:
     modes: list[_Mode] = []
     for block, data in zip(blocks, sets, strict=True):
@@ -232,7 +232,7 @@ def _modes(
     )
 
 
-def _values(path: Path, block: Block, data: Mapping[str, Any], per_metre: float) -> dict[tuple[int, str], complex]:
+def _values(path: Path, block: Dataset, data: Mapping[str, Any], per_metre: float) -> dict[tuple[int, str], complex]:
     """Shape values of one dataset 55 by node and direction, translations in SI."""
     width = int(data["n_data_per_node"])
     if width not in (3, 6):
@@ -259,7 +259,7 @@ def _values(path: Path, block: Block, data: Mapping[str, Any], per_metre: float)
 
 
 def _frequency(
-    path: Path, block: Block, data: Mapping[str, Any], notes: list[str]
+    path: Path, block: Dataset, data: Mapping[str, Any], notes: list[str]
 ) -> tuple[float, float, complex | None]:
     """Natural frequency in Hz, damping ratio and eigenvalue (None for a normal mode)."""
     eigenvalue: complex | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from calib.measurement.files.uff_blocks import MODAL, Block
+from calib.measurement.files.uff_blocks import MODAL, Dataset
 
 _AT_NODES = 1
 _MOTIONS = (0, 8, 11, 12, 93, 95, 96)
@@ -17,7 +17,7 @@ _COMPLEX = {2: False, 4: False, 5: True, 6: True}
 _UNREADABLE = "the dataset 2414 that starts here cannot be read"
 
 
-def as_dataset_55(path: Path, block: Block) -> Block | None:
+def as_dataset_55(path: Path, block: Dataset) -> Dataset | None:
     """The dataset 55 equivalent to a dataset 2414, or None for one that holds no mode shape.
 
     Modes are analysis types 2 (frequency in Hz, modal mass, viscous and hysteretic damping ratio), 3 and 7 (eigenvalue
@@ -62,7 +62,7 @@ def as_dataset_55(path: Path, block: Block) -> Block | None:
     for node, values in body:
         lines.append(f"{node:10d}")
         lines += ["".join(f"{x:13.5e}" for x in values[k : k + 6]) for k in range(0, size, 6)]
-    return Block(55, block.line, tuple(lines), block)
+    return Dataset(55, block.line, tuple(lines), block)
 
 
 def _whole(line: str, count: int) -> list[int]:

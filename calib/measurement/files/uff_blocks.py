@@ -34,7 +34,7 @@ _NUMBERS = re.compile(r"(?:[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)+", re.ASCI
 
 
 @dataclass(frozen=True)
-class Block:
+class Dataset:
     """One dataset as text: its type, the line it starts on (from 1), and the lines after the type line.
 
     ``origin`` is the dataset of the file, where this one was converted from it.
@@ -43,7 +43,7 @@ class Block:
     kind: int
     line: int
     lines: tuple[str, ...]
-    origin: Block | None = None
+    origin: Dataset | None = None
 
     def error(self, path: Path, problem: str, remedy: str) -> InputError:
         """An InputError that names file and line, and shows the first entry that is no number, if there is one."""
@@ -57,7 +57,7 @@ class Block:
         return Place(str(path), self.line + 1, f"{self.kind:6d}")
 
 
-def read_blocks(path: Path) -> list[Block]:
+def read_blocks(path: Path) -> list[Dataset]:
     """Split a universal file into its datasets.
 
     The bytes of a binary function (dataset 58b) are skipped by the count in its header line, so that no byte among them
@@ -73,7 +73,7 @@ def read_blocks(path: Path) -> list[Block]:
     if not data.strip():
         raise InputError("it is empty", place=path, remedy="export it again")
     lines = _Lines(data.rstrip(b"\x1a"))
-    blocks: list[Block] = []
+    blocks: list[Dataset] = []
     begun: list[bytes] | None = None
     start = 0
     while not lines.ended:
@@ -155,7 +155,7 @@ def _bytes_of_values(texts: Sequence[bytes]) -> list[int]:
     return [int(entries[1]) * size * (parts if int(entries[2]) else parts + 1)]
 
 
-def _block(path: Path, start: int, lines: Sequence[bytes]) -> Block:
+def _block(path: Path, start: int, lines: Sequence[bytes]) -> Dataset:
     head = lines[0][:6].strip() if lines else b""
     if not head.isdigit() or int(head) == 0:
         place = Place(str(path), start + 1, _text(lines[0]) if lines else "")
@@ -163,12 +163,12 @@ def _block(path: Path, start: int, lines: Sequence[bytes]) -> Block:
     kind = int(head)
     # the other datasets are not read, and may be binary
     if kind not in USED_KINDS:
-        return Block(kind, start, ())
+        return Dataset(kind, start, ())
     free = _ID_LINES.get(kind, ())
     texts = (_text(raw) for raw in lines[1:])
     # Fortran's double precision writes 1.0D+03
     read = (text if k in free else _FORTRAN_EXPONENT.sub("E", text) for k, text in enumerate(texts))
-    return Block(kind, start, tuple(read))
+    return Dataset(kind, start, tuple(read))
 
 
 def _text(raw: bytes) -> str:
@@ -180,7 +180,7 @@ def _text(raw: bytes) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def halves_of_six(path: Path, block: Block) -> list[Block]:
+def halves_of_six(path: Path, block: Dataset) -> list[Dataset]:
     """The block itself, or two (x, y, z and rx, ry, rz) for complex data of six components a node.
 
     pyuff cannot read six complex components. The second half has the kind -55 until the halves are joined.
@@ -196,11 +196,11 @@ def halves_of_six(path: Path, block: Block) -> list[Block]:
     halves = []
     for kind, offset in ((55, 1), (-55, 2)):
         lines = [line for k in range(0, len(body), 3) for line in (body[k], body[k + offset])]
-        halves.append(Block(kind, block.line, (*head, *lines), block.origin or block))
+        halves.append(Dataset(kind, block.line, (*head, *lines), block.origin or block))
     return halves
 
 
-def extract_sets(path: Path, blocks: Sequence[Block]) -> list[dict[str, Any]]:
+def extract_sets(path: Path, blocks: Sequence[Dataset]) -> list[dict[str, Any]]:
     """Contents of the blocks, through pyuff.
 
     pyuff sees a cleaned copy: it silently drops an unclosed dataset, trips over lines padded to 80 columns, and takes

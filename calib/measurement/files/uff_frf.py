@@ -13,7 +13,7 @@ import pyuff
 from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import VALUE_LIMIT
 from calib.measurement.files.uff import length_factor, points_of
-from calib.measurement.files.uff_blocks import Block, extract_sets, read_blocks
+from calib.measurement.files.uff_blocks import Dataset, extract_sets, read_blocks
 from calib.measurement.files.uff_sets import pyuff_faults
 from calib.measurement.frf import NO_PHASE, Quantity
 from calib.measurement.frf_repeats import FRFRepeat, Key, off_axis, repeat_of
@@ -117,7 +117,7 @@ def _sets(path: Path) -> list[dict[str, Any]]:
         return [dict(reader.read_sets(k)) for k, kind in enumerate(reader.get_set_types()) if int(kind) == 58]
 
 
-def _units(path: Path, blocks: Sequence[Block]) -> FRFUnits | None:
+def _units(path: Path, blocks: Sequence[Dataset]) -> FRFUnits | None:
     """Units by dataset 164 of the file; None without one."""
     own = [block for block in blocks if block.kind == 164]
     if not own:

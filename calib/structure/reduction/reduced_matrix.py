@@ -13,7 +13,7 @@ from calib.structure.affine import AffineMatrix, Term
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class ReducedTerm:
     """Projection of one term; a term with few nonzero rows is kept with the rows of the vectors there.
 
     Attributes
@@ -68,7 +68,7 @@ class ReducedMatrix:
 
     affine: AffineMatrix
     size: int
-    blocks: tuple[Block, ...]
+    blocks: tuple[ReducedTerm, ...]
     vectors: tuple[Mapping[tuple[int, ...], np.ndarray], ...]
 
     def __call__(self, si: Mapping[str, float]) -> np.ndarray:
@@ -119,7 +119,7 @@ class ReducedSlope:
     """
 
     size: int
-    parts: tuple[tuple[float, Block], ...]
+    parts: tuple[tuple[float, ReducedTerm], ...]
     picked: tuple[tuple[float, np.ndarray], ...] = ()
 
     def __matmul__(self, shapes: np.ndarray) -> np.ndarray:
@@ -155,7 +155,7 @@ def _add(matrix: np.ndarray, factor: float, block: np.ndarray) -> None:
     matrix[:size, :size] += factor * block
 
 
-def reduce_matrix(affine: AffineMatrix, vectors: np.ndarray, known: Sequence[Block] = ()) -> ReducedMatrix:
+def reduce_matrix(affine: AffineMatrix, vectors: np.ndarray, known: Sequence[ReducedTerm] = ()) -> ReducedMatrix:
     """Project an affine matrix on vectors.
 
     Parameters
@@ -172,10 +172,10 @@ def reduce_matrix(affine: AffineMatrix, vectors: np.ndarray, known: Sequence[Blo
         active = np.flatnonzero(np.diff(matrix.indptr))  # most terms have few nonzero rows
         rows = vectors[active]
         if 2 * len(active) <= size:
-            blocks.append(Block(matrix[active][:, active].toarray(), rows))
+            blocks.append(ReducedTerm(matrix[active][:, active].toarray(), rows))
         else:
             product = rows.T @ (matrix[active] @ vectors)
-            blocks.append(Block(0.5 * (product + product.T)))
+            blocks.append(ReducedTerm(0.5 * (product + product.T)))
     chosen = tuple({key: vectors.T @ b for key, b in term.vectors.items()} for term in affine.selected)
     return ReducedMatrix(affine, size, tuple(blocks), chosen)
 

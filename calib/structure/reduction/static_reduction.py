@@ -64,7 +64,7 @@ class StaticReduction:
         return self.transformation @ shapes
 
 
-def levels(
+def reduction_levels(
     stiffness: sp.csc_array, mass: sp.csc_array, masters: Sequence[int] | np.ndarray
 ) -> Iterator[StaticReduction]:
     """Successive reductions: Guyan, IRS, and the iterated IRS from level 2 on, without end.
@@ -107,7 +107,7 @@ def levels(
 def static_reduction(
     stiffness: sp.csc_array, mass: sp.csc_array, masters: Sequence[int] | np.ndarray, level: int = 0
 ) -> StaticReduction:
-    """The reduction at one level: 0 is Guyan, 1 the improved reduced system; see `levels`.
+    """The reduction at one level: 0 is Guyan, 1 the improved reduced system; see `reduction_levels`.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def static_reduction(
     """
     if level < 0:
         raise InputError(f"level {level} is asked for", place="static reduction", remedy="0 (Guyan) or more")
-    found = levels(stiffness, mass, masters)
+    found = reduction_levels(stiffness, mass, masters)
     for _ in range(level):
         next(found)
     return next(found)

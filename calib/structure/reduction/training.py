@@ -39,12 +39,12 @@ def box(spaces: Sequence[ParameterSpace]) -> tuple[np.ndarray, np.ndarray]:
     return table[:, :, 0].min(axis=0), table[:, :, 1].max(axis=0)
 
 
-def middle(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+def mid_point(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Middle of the limits: the geometric mean where both are positive, so that both ends are equally far in ratio."""
     return np.where(lower > 0, np.sqrt(np.abs(lower * upper)), 0.5 * (lower + upper))
 
 
-def levels(space: ParameterSpace) -> int:
+def integer_levels(space: ParameterSpace) -> int:
     """Largest number of values of an integer parameter."""
     return int(max((p.upper - p.lower + 1 for p in space.free if p.integer), default=1))
 
@@ -146,7 +146,7 @@ def train(
     _check(model, several, target.tolerance)
     rng = np.random.default_rng(seed)
     lower, upper = (end[: len(model.space.names)] for end in box(several))
-    reference = middle(lower, upper)
+    reference = mid_point(lower, upper)
     modes = reference_modes(model, dict(zip(model.space.names, reference.tolist(), strict=True)))
     basis = Basis(
         vectors=np.zeros((model.n_dof, 0)),
@@ -253,8 +253,8 @@ def _check(model: StructuralModel, spaces: Sequence[ParameterSpace], tolerance: 
 
 
 def _sample_count(space: ParameterSpace) -> int:
-    return max(8 + 2 * len(space.free), levels(space))
+    return max(8 + 2 * len(space.free), integer_levels(space))
 
 
 def _fresh_count(space: ParameterSpace) -> int:
-    return max(_FRESH, levels(space))
+    return max(_FRESH, integer_levels(space))
