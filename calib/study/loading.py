@@ -26,7 +26,7 @@ from calib.structure.function_model import FunctionModel, extend_function
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.structure.soundness import require_sound
-from calib.study.neighbours import Neighbours
+from calib.study.neighbours import Neighbours, project_folders
 from calib.study.settings import StudySettings
 
 Model = StructuralModel | ModalFunctionModel | FunctionModel
@@ -175,7 +175,10 @@ class Sources:
                 keys = (self.settings.model, *self.settings.libraries)
                 named = [self.folder / key.rpartition(":")[0] for key in keys]
                 own = [path.parent.resolve() for path in named if path.suffix == ".py"]
-                _NEIGHBOURS.enter(list(dict.fromkeys([self.folder, *own])))
+                # A module is named relative to the project of the file that names it, which may be that of a base.
+                naming = [Path(self.place(key).file).resolve().parent for key in ("model", "effects")]
+                above = [folder for home in (self.folder, *naming) for folder in project_folders(home)]
+                _NEIGHBOURS.enter(list(dict.fromkeys([self.folder, *own])), list(dict.fromkeys(above)))
                 self._entered.append(True)
             if not where.endswith(".py"):
                 return importlib.import_module(where)
@@ -185,7 +188,10 @@ class Sources:
             return _NEIGHBOURS.module(path)  # a second run would make other classes of the same names
         except ModuleNotFoundError as fault:
             if fault.name and where.startswith(fault.name):
-                raise InputError(f"unknown {what}: there is no module {where!r}", place=place, remedy=remedy) from None
+                raise InputError(
+                    f"unknown {what}: there is no module {where!r}{_found_instead(where)}", place=place,
+                    remedy=f"{remedy}, or put the module into the study's folder or into that of its project",
+                ) from None  # fmt: skip
             raise InputError(
                 f"{where!r} needs the module {fault.name!r}", place=place,
                 remedy="install it, or put its file into the study's folder", at=raised_at(fault),
@@ -207,6 +213,13 @@ def _mismatch(build: Callable[..., Any], options: Mapping[str, Any]) -> TypeErro
     except TypeError as fault:
         return fault
     return None
+
+
+def _found_instead(where: str) -> str:
+    """Where the package lies that was found in place of the one that holds a module; empty where there is none."""
+    package, _, below = where.partition(".")
+    places = list(getattr(sys.modules.get(package), "__path__", ()))
+    return f" ({package!r} is {places[0]})" if below and places else ""
 
 
 def module_of(path: Path) -> ModuleType:

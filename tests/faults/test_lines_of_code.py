@@ -80,8 +80,8 @@ def test_an_option_that_a_shipped_model_refuses(tmp_path, mistakes):
 
 def test_a_mistake_in_the_use_of_shipped_elements(tmp_path, mistakes):
     write_example(tmp_path / "mast")
-    changes = ("Section(area", "⟦Section(area"), ("density=7850.0)", "density=-7850.0)⟧")
-    expected = mistakes.put(tmp_path / "mast/model.py", *changes)
+    section = "from models.fem.section import Section\nTUBE = ⟦Section(4e-3, 4e-6, 7e-6, 6e-6, density=-7850.0)⟧"
+    expected = mistakes.put(tmp_path / "mast/model.py", ("import numpy as np", f"import numpy as np\n{section}"))
     mistakes.check(mistakes.refused(tmp_path / "mast").at, expected)
 
 

@@ -139,9 +139,9 @@ def test_a_mesh_whose_points_are_unknown_is_sound(bare):
 def test_a_mesh_that_does_not_fit_is_the_users_to_mend(mast, capsys, lines, one_sentence):
     file = mast / "model.py"
     text = file.read_text()
-    changed = f"mesh=(lambda q: __import__('dataclasses').replace(q, lines={lines}))(frame.mesh()),"
-    assert text.count("mesh=frame.mesh(),") == 1
-    file.write_text(text.replace("mesh=frame.mesh(),", changed))
+    changed = f"mesh=(lambda q: __import__('dataclasses').replace(q, lines={lines}))(mesh),"
+    assert text.count("mesh=mesh,") == 1
+    file.write_text(text.replace("mesh=mesh,", changed))
     assert cli.execute(["compare", str(mast)]) == 2
     said = capsys.readouterr().err
     assert one_sentence(said) and "model mast, mesh" in said and "study.toml" in said

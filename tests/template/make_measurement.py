@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.measurement.modal import Sensor
+from calib.study.loading import module_of
 
 TRUTH = {"E": 203.0, "m_top": 52.0, "K_base": 1.1}
 NAMES = ("B1x", "B1z", "B2x", "B2z")
@@ -17,9 +18,7 @@ STD_FREQ, STD_SHAPE = 0.003, 0.02
 
 
 def main(folder: Path) -> None:
-    scope: dict[str, object] = {}
-    exec(resources.files("calib").joinpath("template/model.py.txt").read_text("utf-8"), scope)
-    model = scope["mast"](element_size=0.1)
+    model = module_of(Path(str(resources.files("calib") / "template/model.py.txt"))).mast(element_size=0.1)
     rng = np.random.default_rng(20)
     layout = [Sensor(k + 1, d, (0.0, y, 0.0), "mast") for k, y in enumerate((1.5, 3.0, 4.5, 6.0)) for d in "xz"]
     modes = model.modes(TRUTH, 6)

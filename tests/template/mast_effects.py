@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from functools import cache
 from importlib import resources
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,6 +21,7 @@ from calib.problem.effect import Effect
 from calib.problem.space import Parameter
 from calib.structure.affine import Term, parameter
 from calib.structure.effects.extend import Addition, extend
+from calib.study.loading import module_of
 
 TRUTH = {"E": 206.0, "m_top": 46.0, "K_base": 1.8}
 HEIGHTS = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
@@ -87,11 +89,14 @@ def _one(
     return Effect(name, title, "It is left out.", f"Look at {height:g} m.", magnitude, build)
 
 
+@cache
+def _example() -> ModuleType:
+    return module_of(Path(str(resources.files("calib") / "template/model.py.txt")))
+
+
 def mast(element_size: float = 0.5):
     """The example's model."""
-    scope: dict[str, object] = {}
-    exec(resources.files("calib").joinpath("template/model.py.txt").read_text("utf-8"), scope)
-    return scope["mast"](element_size=element_size)
+    return _example().mast(element_size=element_size)
 
 
 def sensors() -> tuple[Sensor, ...]:
