@@ -88,17 +88,24 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     arguments.add_argument("--results", type=Path, default=Path("results"), help="where the studies' results are")
     arguments.add_argument("--into", type=Path, default=HERE / "figures", help="where the figures go")
+    arguments.add_argument("--only", metavar="NAME", help="one figure, which must be drawn")
     given = arguments.parse_args()
     given.into.mkdir(parents=True, exist_ok=True)
     both = [given.results / name for name in ("hidden_bogie", "hidden_bogie_extended")]
     drawn = {"hidden_bogie": lambda: before_and_after(*both)}
     drawn |= {name: partial(of_folder, given.results / shown.folder, shown.name) for name, shown in FIGURES.items()}
+    if given.only is not None and given.only not in drawn:
+        arguments.error(f"there is no figure {given.only!r}")
     for name, draw in drawn.items():
+        if given.only not in (None, name):
+            continue
         figure = draw()
-        if figure is None:
+        if figure is not None:
+            write(figure, given.into / f"{name}.png")
+        elif given.only is None:
             print(f"{name}: kept, its results are not in {given.results}")
         else:
-            write(figure, given.into / f"{name}.png")
+            raise SystemExit(f"{name}: its results are not in {given.results}")
 
 
 def of_folder(folder: Path, name: str) -> Figure | None:
@@ -156,7 +163,7 @@ def write(figure: Figure, path: Path) -> None:
         if draft.stat().st_size <= LARGEST:
             break
     os.replace(draft, path)
-    print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
+    print(path)
 
 
 if __name__ == "__main__":

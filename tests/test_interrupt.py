@@ -25,8 +25,12 @@ def hand(times=1):
 def say(words):
     print(words, flush=True)
 
+def alarm():
+    signal.raise_signal(signal.SIGALRM)
+
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
 interrupt.PATIENCE = {patience}
+{timer}
 interrupt.once()
 try:
 {work}
@@ -34,15 +38,24 @@ except KeyboardInterrupt:
     say("leaving")
 {leaving}
 """
+BY_HAND = """\
+interrupt.LOOK = -1.0  # the time until the next check is always over
+timers = []
+signal.setitimer = lambda *given: timers.append(given)
+"""
+"""The test itself rings when time would have passed: nothing depends on how fast the process is."""
+AT_ONCE, NEVER = -1.0, 3600.0
+"""When the patience with a leaving ends."""
+TIMED = pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="the system has no timer that interrupts")
 
 
-def child(patience, *leaving, work=("hand()", "say('nothing was raised')")):
+def child(patience, *leaving, work=("hand()", "say('nothing was raised')"), timer=BY_HAND):
     """Exit code, output and complaints of a process that is interrupted at work, and of what it does while leaving."""
     work, leaving = ("\n".join("    " + line for line in lines) for lines in (work, leaving))
-    script = CHILD.format(patience=patience, work=work, leaving=leaving)
+    script = CHILD.format(patience=patience, timer=timer, work=work, leaving=leaving)
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     run = subprocess.run(
-        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, timeout=600, check=False
     )
     return run.returncode, run.stdout, run.stderr
 
@@ -71,47 +84,56 @@ def test_another_handler_is_left_alone(handled, own):
 
 
 def test_the_first_interrupt_is_raised_and_later_ones_are_ignored():
-    code, out, err = child(60.0, "hand(5)", "say('left in order')")
+    code, out, err = child(NEVER, "hand(5)", "say('left in order')")
     assert (code, out, err) == (0, "leaving\nleft in order\n", "")
 
 
 def test_a_leaving_that_takes_too_long_is_ended_by_the_next_interrupt():
-    code, out, err = child(0.1, "time.sleep(0.2)", "say('still here')", "hand()", "say('never said')")
+    code, out, err = child(AT_ONCE, "say('still here')", "hand()", "say('never said')")
     assert (code, out, err) == (130, "leaving\nstill here\n", f"calib: {interrupt.WORDS}\n")
     assert interrupt.CODE == 130 and interrupt.WORDS == "interrupted; the same command again completes it"
 
 
+@TIMED
 def test_nothing_but_an_interrupt_ends_a_leaving_that_takes_long():
-    assert child(0.1, "time.sleep(0.2)", "say('left in order')") == (0, "leaving\nleft in order\n", "")
+    code, out, err = child(AT_ONCE, "alarm()", "say('left in order')", "alarm()", "interrupt.answered()", "alarm()")
+    assert (code, out, err) == (0, "leaving\nleft in order\n", "")
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="the system has no timer that interrupts")
+DEAF = (
+    "import sys",
+    "sys.unraisablehook = lambda given: None",
+    "class Deaf:",
+    "    def __del__(self):",  # what this raises cannot reach anybody
+    "        hand()",
+    "Deaf()",
+)
+
+
+@TIMED
 def test_an_interrupt_that_is_swallowed_is_raised_again():
-    work = (
-        "import sys",
-        "sys.unraisablehook = lambda given: say('swallowed')",
-        "class Deaf:",
-        "    def __del__(self):",  # what this raises cannot reach anybody
-        "        hand()",
-        "Deaf()",
-        "say('going on')",
-        "time.sleep(20.0)",
-        "say('nobody noticed')",
-    )
-    wait = "time.sleep(4 * interrupt.LOOK)"
-    code, out, err = child(60.0, wait, "say('in order')", "interrupt.answered()", wait, "hand()", work=work)
-    assert (code, out, err) == (0, "swallowed\ngoing on\nleaving\nin order\n", "")
+    work = (*DEAF, "say('going on')", "alarm()", "say('nobody noticed')")
+    leaving = ("alarm()", "say('in order')", "interrupt.answered()", "alarm()", "hand()", "say(timers)")
+    code, out, err = child(NEVER, *leaving, work=work)
+    timers = [(0, -1.0, -1.0)] * 2 + [(0, 0.0)]  # set for each time it is raised, and no more when all is over
+    assert (code, out, err) == (0, f"going on\nleaving\nin order\n{timers}\n", "")
 
 
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="the system has no timer that interrupts")
+@TIMED
+def test_a_timer_notices_an_interrupt_that_is_swallowed():
+    work = (*DEAF, "time.sleep(300.0)", "say('nobody noticed')")
+    code, out, _ = child(NEVER, "say('in order')", "interrupt.answered()", work=work, timer="")
+    assert (code, out) == (0, "leaving\nin order\n")
+
+
+@TIMED
 def test_an_interrupt_that_became_another_error_is_on_its_way():
     code, out, err = child(
-        60.0,
+        NEVER,
         "try:",
         "    raise SystemExit(7) from None",
         "finally:",
-        "    time.sleep(4 * interrupt.LOOK)",
+        "    alarm()",
         "    say('in order')",
         "    interrupt.answered()",
     )
@@ -135,4 +157,4 @@ def test_an_interrupt_that_compiled_code_turned_into_another_error_ends_as_one(h
 
 def test_an_interrupt_waits_for_what_must_not_be_left_half_done():
     work = ("with interrupt.held():", "    hand(2)", "    say('whole')", "say('nobody noticed')")
-    assert child(60.0, "say('in order')", work=work) == (0, "whole\nleaving\nin order\n", "")
+    assert child(NEVER, "say('in order')", work=work) == (0, "whole\nleaving\nin order\n", "")

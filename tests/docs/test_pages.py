@@ -10,11 +10,14 @@ from pathlib import Path
 
 import pytest
 
+import calib
 from calib.analyses.provenance.recorded_rules import every_rule
+from calib.results.version import FALLBACK
 from calib.study.settings import schema
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
+PROJECT = [ROOT / name for name in ("CHANGELOG.md", "CONTRIBUTING.md", "findings/README.md")]
 PAGES = [page for page in sorted((ROOT / "docs").rglob("*.md")) if "_build" not in page.parts]
 STUDIES = sorted((ROOT / "studies").glob("*/README.md"))
 LINK = re.compile(r"\]\(([^)\s#:]+)(?:#([\w-]+))?\)")
@@ -25,10 +28,22 @@ def test_the_read_me_has_at_most_900_words():
     assert len(README.read_text("utf-8").split()) <= 900
 
 
-@pytest.mark.parametrize("page", [README, *PAGES, *STUDIES], ids=lambda p: str(p.relative_to(ROOT)))
+@pytest.mark.parametrize("page", [README, *PROJECT, *PAGES, *STUDIES], ids=lambda p: str(p.relative_to(ROOT)))
 def test_links_lead_somewhere(page):
     for target, _ in LINK.findall(page.read_text("utf-8")):
         assert (page.parent / target).exists(), target
+
+
+def test_the_page_of_import_paths_names_all_that_is_public():
+    rows = (ROOT / "docs/import_paths.md").read_text("utf-8").split("|---|---|\n")[1].split("\n\n")[0]
+    named = re.findall(r"`(\w+)`", rows)
+    assert len(named) == len(set(named)) and {*named, "__version__"} == set(calib.__all__)
+
+
+def test_the_citation_is_of_the_version_of_a_clone():
+    cited = (ROOT / "CITATION.cff").read_text("utf-8")
+    assert f"\nversion: {FALLBACK}\n" in cited and cited.startswith("cff-version: 1.2.0\n")
+    assert f"## [{FALLBACK}]" in (ROOT / "CHANGELOG.md").read_text("utf-8")
 
 
 def test_every_figure_is_small_and_shown_and_every_drawn_one_is_there():
