@@ -3,7 +3,9 @@
 import multiprocessing
 import os
 import sys
-import time
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from calib.execution.team import Team
 # Other processes import functions by name, so they live in a module of their own on the path.
 MODULE = """
 import os, time
+from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_info
@@ -24,45 +27,59 @@ from calib.errors.errors import EvaluationError
 from calib.execution.tasks import each
 
 
-def who(shared, item):
-    time.sleep(0.05)
+def who(folder, item):
+    # With a folder every process waits there until two have begun a task.
+    if folder is not None:
+        meet(folder)
     return os.getpid()
 
 
+def meet(folder):
+    (folder / str(os.getpid())).touch()
+    until = time.monotonic() + 300.0  # a hang becomes a failure
+    while len(list(folder.iterdir())) < 2:
+        if time.monotonic() > until:
+            raise TimeoutError
+        time.sleep(0.005)
+
+
 def product(shared, item):
-    matrix, home = shared
-    time.sleep(0.02)
+    matrix, folder = shared
+    if isinstance(folder, Path):
+        meet(folder)
     return item, matrix @ matrix[:, item], matrix.flags.f_contiguous, matrix.flags.writeable
 
 
-def threads(shared, item):
-    time.sleep(0.05)
+def threads(folder, item):
+    meet(folder)
     np.linalg.inv(np.eye(3))
     return os.getpid(), max(one["num_threads"] for one in threadpool_info())
 
 
 def fails(shared, item):
-    time.sleep(0.02)
     if item in shared:
         raise EvaluationError(f"no convergence at {item}")
     return item
 
 
-def dies_elsewhere(home, item):
-    time.sleep(0.02)
+def dies_elsewhere(shared, item):
+    home, folder = shared
+    meet(folder)
     if os.getpid() != home:
         os._exit(3)
     return item
 
 
-def fails_elsewhere(home, item):
-    time.sleep(0.02)
+def fails_elsewhere(shared, item):
+    home, folder = shared
+    meet(folder)
     if os.getpid() != home:
         raise MemoryError
     return item
 
 
-def nested(shared, item):
+def nested(folder, item):
+    meet(folder)
     return [os.getpid(), *each(who, None, range(6))]
 
 
@@ -75,14 +92,22 @@ class Unread:
 
 
 def unread(shared, item):
-    time.sleep(0.05)
     return item
 
 
 def stops(home, item):
-    time.sleep(0.02)
-    if item == 3 and os.getpid() == home:
+    if os.getpid() != home:
+        time.sleep(600.0)  # it is ended with its process
+    if item == 3:
         raise KeyboardInterrupt
+    return item
+
+
+now = [0.0]
+
+
+def lasts(seconds, item):
+    now[0] += seconds
     return item
 """
 
@@ -98,24 +123,41 @@ def module(tmp_path_factory):
     sys.path.remove(str(folder))
 
 
-def ready(one, module):
-    """The team, once another process does tasks: to start takes it seconds."""
-    until = time.monotonic() + 60
-    while len(set(one(module.who, None, range(12)))) == 1:
-        assert time.monotonic() < until
+@pytest.fixture(scope="module", autouse=True)
+def every_call_is_shared():
+    """However fast these tasks are."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(team, "_WORTH", 0.0)
+        yield
+
+
+@pytest.fixture
+def meeting(tmp_path):
+    """An empty folder in which two processes meet, see the tasks."""
+    return new(tmp_path)
+
+
+def new(folder):
+    return Path(tempfile.mkdtemp(dir=folder))
+
+
+def ready(one, module, folder):
+    """The team, once another process does tasks."""
+    assert len(set(one(module.who, new(folder), range(12)))) >= 2
     return one
 
 
 @pytest.fixture(scope="module")
-def two(module):
+def two(module, tmp_path_factory):
     with Team(2) as one:
-        yield ready(one, module)
+        yield ready(one, module, tmp_path_factory.mktemp("meeting"))
 
 
-def test_results_are_those_of_one_process_in_the_order_of_the_items(two, module):
+def test_results_are_those_of_one_process_in_the_order_of_the_items(two, module, meeting):
     matrix = np.asfortranarray(np.random.default_rng(1).standard_normal((90, 90)))
-    shared, told = (matrix, os.getpid()), []
-    own, both = alone(module.product, shared, range(30)), two(module.product, shared, range(30), told.append)
+    told = []
+    own = alone(module.product, (matrix, None), range(30))
+    both = two(module.product, (matrix, meeting), range(30), told.append)
     assert two.shares
     for (k, mine, *order), (j, theirs, *other) in zip(own, both, strict=True):
         assert k == j and order == other == [True, True]
@@ -133,8 +175,8 @@ def test_the_same_array_is_written_once_and_a_dropped_one_is_deleted(two, module
     assert files[0] == files[1] and files[1] & files[2] == set() and len(files[2]) == 1
 
 
-def test_libraries_use_one_thread_in_every_process(two, module):
-    found = two(module.threads, None, range(12))
+def test_libraries_use_one_thread_in_every_process(two, module, meeting):
+    found = two(module.threads, meeting, range(12))
     assert len({pid for pid, _ in found}) == 2
     assert {count for _, count in found} == {1}
 
@@ -152,36 +194,37 @@ def test_what_cannot_be_sent_is_done_here(module):
         assert not one.shares
 
 
-def test_what_cannot_be_sent_prevents_no_other_tasks_from_being_shared(module):
+def test_what_cannot_be_sent_prevents_no_other_tasks_from_being_shared(module, meeting):
     with Team(2) as one:
         one(lambda shared, item: item, None, range(5))
-        ready(one, module)
+        ready(one, module, meeting)
         assert one(module.unread, module.Unread(), range(9)) == list(range(9))
         assert one.shares
-        ready(one, module)
+        ready(one, module, meeting)
 
 
-def test_tasks_within_a_task_are_done_by_its_process(two, module):
+def test_tasks_within_a_task_are_done_by_its_process(two, module, meeting):
     with shared_by(two):
-        found = two(module.nested, None, range(6))
+        found = two(module.nested, meeting, range(6))
     assert len({row[0] for row in found}) == 2
     assert all(set(row) == {row[0]} for row in found)
 
 
-def test_what_fails_or_dies_elsewhere_is_done_here(module):
+def test_what_fails_or_dies_elsewhere_is_done_here(module, meeting):
     with Team(2) as one:
-        ready(one, module)
-        assert one(module.fails_elsewhere, os.getpid(), range(20)) == list(range(20))
+        ready(one, module, meeting)
+        assert one(module.fails_elsewhere, (os.getpid(), new(meeting)), range(20)) == list(range(20))
         assert one.shares
-        assert one(module.dies_elsewhere, os.getpid(), range(20)) == list(range(20))
+        last = new(meeting)
+        assert one(module.dies_elsewhere, (os.getpid(), last), range(20)) == list(range(20))
         assert not one.shares
-        assert one(module.dies_elsewhere, os.getpid(), range(3)) == [0, 1, 2]
+        assert one(module.dies_elsewhere, (os.getpid(), last), range(3)) == [0, 1, 2]
 
 
-def test_no_process_and_no_file_is_left_after_an_interrupt(module):
+def test_no_process_and_no_file_is_left_after_an_interrupt(module, meeting):
     before = set(multiprocessing.active_children())
     with pytest.raises(KeyboardInterrupt), Team(3) as one:
-        ready(one, module)
+        ready(one, module, meeting)
         others, folder = set(multiprocessing.active_children()) - before, one._store.file("").parent
         assert len(others) == 2 and folder.is_dir()
         one(module.stops, os.getpid(), range(40))
@@ -190,32 +233,41 @@ def test_no_process_and_no_file_is_left_after_an_interrupt(module):
     assert not others & set(multiprocessing.active_children())
 
 
-def test_others_are_started_when_they_pay_off(module, monkeypatch):
+@pytest.fixture
+def timed(module, monkeypatch):
+    """Tasks that last as long as they say, by a clock of their own."""
+    monkeypatch.setattr(team, "time", SimpleNamespace(perf_counter=lambda: module.now[0]))
+    monkeypatch.setattr(team, "_WORTH", 0.3)
+    return module
+
+
+def test_others_are_started_when_they_pay_off(timed):
     with Team(2, patience=0.5) as one:
-        one(module.who, None, range(2))
+        one(timed.lasts, 0.05, range(2))
         assert one._pool is None
-        one(module.who, None, range(10))
-        one(module.who, None, range(10))
+        one(timed.lasts, 0.05, range(10))
+        one(timed.lasts, 0.05, range(10))
         assert one._pool is not None
     told = []
     with Team(2, patience=0.5) as one:  # the first task shows that the others take long enough
-        assert len(one(module.who, None, range(60), told.append)) == 60
+        assert one(timed.lasts, 0.05, range(60), told.append) == list(range(60))
         assert one._pool is not None
-    assert told[:2] == [0, 1] and sorted(told) == told and told[-1] < 60
+    assert told[0] == 0 and sorted(told) == told and told[-1] < 60
     with Team(2) as one:
-        one._seconds[module.who] = 1e-4
-        one(module.who, None, range(5))
+        one._seconds[timed.lasts] = 1e-4
+        one(timed.lasts, 1e-4, range(5))
         assert one._pool is None
-        one(module.fails, (), [1])
+        one(timed.fails, (), [1])
         assert one._pool is None
 
 
-def test_calls_of_two_tasks_are_shared_too_once_they_took_long(module):
+def test_calls_of_two_tasks_are_shared_too_once_they_took_long(timed):
     with Team(2, patience=0.2) as one:
-        for _ in range(4):
-            one(module.who, None, range(2))
-        one._seconds[module.who] = 1.0
-        one(module.who, None, range(2))
+        for _ in range(5):
+            one(timed.lasts, 0.05, range(2))
+            assert one._pool is None
+        one._seconds[timed.lasts] = 1.0
+        one(timed.lasts, 0.05, range(2))
         assert one._pool is not None
 
 

@@ -47,8 +47,11 @@ def rows():
     ("fault", "told", "more"),
     [("os._exit(3)", WORKER_DIED, []), ("time.sleep(1000)", f"{TOOK_TOO_LONG} 1 s", ["--workers", "1"])],
 )
-def test_a_point_that_ends_its_process_is_a_row_whatever_the_workers(faults, fault, told, more, runner):
+def test_a_point_that_ends_its_process_is_a_row_whatever_the_workers(
+    faults, fault, told, more, runner, late_only_where
+):
     faults(fault)
+    late_only_where(lambda values: values["a"] > 2.75)
     run = runner.fork("sensitivity", "plain", *more)  # were it to end this process, the run would tell
     assert run.wait() == 0, run.err
     found = rows()
