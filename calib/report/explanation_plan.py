@@ -14,7 +14,7 @@ from calib.report.frf import draw_frf_misfit
 from calib.report.mesh import rest_lines
 from calib.report.misfit import draw_pulls, where_it_fails_figure
 from calib.report.predictions import NUMBERS, draw_predictions
-from calib.report.proposals import drawn, proposals_figure
+from calib.report.proposals import placed_proposals, proposals_figure
 from calib.report.responses import draw_response_misfit
 from calib.report.scene import PLACE
 from calib.report.shown import Folder
@@ -84,7 +84,7 @@ def plan_explanation(folder: Folder) -> Iterator[Drawing]:
         folder, "proposal_places", ["kind", "at"], ["rank", "evidence", *PLACE], flags=["fitted", "close"],
         complete=["rank", *PLACE],
     )  # fmt: skip
-    if rest is not None and placed is not None and len(drawn(placed)):
+    if rest is not None and placed is not None and len(placed_proposals(placed)):
         caption = "proposed effects and their places"
         yield Drawing("proposals", caption, bound(proposals_figure, placed, rest), ("proposals", "proposal_places"))
     gains = [f"{name}{end}" for name in ("gain", "ln_bayes") for end in ("", "_low", "_high")]

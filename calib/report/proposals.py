@@ -40,7 +40,7 @@ _MOST_LINES = 3
 """Lines for one proposal in the key."""
 
 
-def drawn(table: pd.DataFrame) -> pd.DataFrame:
+def placed_proposals(table: pd.DataFrame) -> pd.DataFrame:
     """Rows of the best three proposals, of the ones as good as the first, and of compositions like the first.
 
     Parameters
@@ -54,7 +54,7 @@ def drawn(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def draw_proposals(table: pd.DataFrame, rest: np.ndarray, ax: Axes3D | None = None) -> Axes3D:
-    """Draw the places of the proposals that `drawn` selects.
+    """Draw the places of the proposals that `placed_proposals` selects.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def draw_proposals(table: pd.DataFrame, rest: np.ndarray, ax: Axes3D | None = No
         Circles with the gid ``evidence``, numbered by rank, and small open squares with the gid ``alike``.
     """
     ax = new_axes(ax)
-    rows = drawn(table)
+    rows = placed_proposals(table)
     fitted = rows["fitted"].map(flag)
     plot_lines(ax, rest, color=REST, linewidth=0.8, gid="structure", zorder=1)
     alike = rows[~fitted][PLACE].to_numpy(dtype=float)
@@ -94,7 +94,7 @@ def draw_proposals(table: pd.DataFrame, rest: np.ndarray, ax: Axes3D | None = No
 
 def proposals_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     """Draw `draw_proposals`, and below it what each number is: a place to inspect, not a cause."""
-    rows = drawn(table)
+    rows = placed_proposals(table)
     fitted = rows["fitted"].map(flag)
     own = rows[fitted].drop_duplicates("rank").sort_values("rank")
     lines = [line for row in own.to_dict("records") for line in _in_words(row)]
@@ -114,7 +114,7 @@ def proposals_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
 
 
 def _largest(table: pd.DataFrame) -> float:
-    return float(np.nanmax(np.append(drawn(table)["evidence"].to_numpy(dtype=float), 3.0)))
+    return float(np.nanmax(np.append(placed_proposals(table)["evidence"].to_numpy(dtype=float), 3.0)))
 
 
 def _in_words(row: Mapping[Hashable, Any]) -> list[str]:

@@ -69,12 +69,16 @@ KEYS = {
 STAGES = ("_initial", "_before", "_after", "_added")
 
 
-def read_table(path: Path, text: Sequence[str], numbers: Sequence[str] = (), **more: Any) -> pd.DataFrame:
-    """Read a table as `calib.results.table.read_table` does, with rows that are unique by their `KEYS`."""
-    name = path.stem
+def without_stage(name: str) -> str:
+    """Name of a table without the stage of the model that it is of."""
     for stage in STAGES:
         name = name.removesuffix(stage)
-    more.setdefault("unique", KEYS.get(name, ()))
+    return name
+
+
+def read_table(path: Path, text: Sequence[str], numbers: Sequence[str] = (), **more: Any) -> pd.DataFrame:
+    """Read a table as `calib.results.table.read_table` does, with rows that are unique by their `KEYS`."""
+    more.setdefault("unique", KEYS.get(without_stage(path.stem), ()))
     return table.read_table(path, text, numbers, **more)
 
 

@@ -13,12 +13,12 @@ from calib.analyses.explained_fit import explained_fit, explained_fits
 from calib.analyses.extend import extend
 from calib.analyses.provenance.record import write_record
 from calib.errors.errors import InputError
-from calib.report.html.calibrated import section
-from calib.report.html.page import Picture, Table, Words
 from calib.report.html.study_results import StudyResults
+from calib.report.html.write import sections
 from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.study.study import Study
+from tests.report.html.page_blocks import Picture, Table, Words, section_blocks
 
 MODEL = """
 from calib.structure.function_model import FunctionModel
@@ -123,7 +123,8 @@ def test_least_squares_that_did_not_run_are_not_reported(study, tmp_path):
     table = pd.read_csv(folder / "parameters.csv")
     assert table["value"].item() == pytest.approx(found.best.search.values["a"], rel=1e-9)
     assert table["search_value"].isna().all()
-    blocks = section(StudyResults(folder, "Two valleys", True)).blocks
+    shown = {section.name: section for section in sections(StudyResults(folder, "Two valleys", True))}
+    blocks = section_blocks(shown["calibrated"])
     assert [block.name for block in blocks if isinstance(block, Picture)][:1] == ["parameters"]
     assert "searches" not in [block.name for block in blocks if isinstance(block, Picture)]
     assert not [block for block in blocks if isinstance(block, Table) and "Both criteria" in block.caption]

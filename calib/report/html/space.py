@@ -132,9 +132,8 @@ def _stages(
     """Stages, the sites of their sensors, and all points reached by a motion in metres (n, 3)."""
     known, found, reached = _Sites(), [], [np.zeros((0, 3))]
     for stage in STAGES:
-        shapes = results.table(f"shapes_{stage}", ["mode", "sensor", "direction"], [*PLACE, "measured_re"])
-        columns = ["point", "u", "v", "w"]
-        moves = results.table(f"deflection_{stage}", ["mode"], columns, complete=columns)
+        shapes = results.table(f"shapes_{stage}")
+        moves = results.table(f"deflection_{stage}")
         if mesh is None or shapes is None or moves is None:
             continue
         compared = results.compared(stage)
@@ -255,7 +254,7 @@ def _sensors(results: StudyResults, structure: _Structure) -> tuple[dict[str, An
 
 
 def _misfit(results: StudyResults, structure: _Structure) -> tuple[dict[str, Any], np.ndarray] | None:
-    table = results.sensor_misfit
+    table = results.table("sensor_misfit")
     found = None if table is None else sensor_rms(table[table["stage"] == "base"]).dropna()
     if found is None or found.empty:
         return None
@@ -272,7 +271,7 @@ def _misfit(results: StudyResults, structure: _Structure) -> tuple[dict[str, Any
 
 def _perturbations(results: StudyResults) -> list[tuple[dict[str, Any], np.ndarray]]:
     """A layer for each kind: perturbations of stiffness and of mass are often at one place."""
-    table = results.perturbations
+    table = results.table("perturbations")
     if table is None or table.empty:
         return []
     limit, largest = float(table["limit"].iloc[0]), float(table["score"].abs().max()) or 1.0

@@ -11,11 +11,11 @@ import pandas as pd
 
 from calib.errors.errors import InputError
 from calib.report.figures import Figures
-from calib.report.frf_tables import Kind, kind_of
-from calib.report.html.page import Picture
+from calib.report.frf_tables import Kind, kind_of, read_stages
+from calib.report.html.columns import COLUMNS
 from calib.report.shown import Folder
 from calib.report.style import stage_words
-from calib.report.tables import read_table
+from calib.report.tables import read_table, without_stage
 from calib.results.json_file import ANY, read_json
 
 STAGES = ("before", "after")
@@ -69,6 +69,7 @@ class StudyResults:
     title: str
     synthetic: bool
     stale: Mapping[str, str] = field(default_factory=dict)
+    _tables: dict[str, pd.DataFrame | None] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -103,11 +104,6 @@ class StudyResults:
         """The figures of the folder."""
         return Figures(self.folder, self.title, self.synthetic)
 
-    def picture(self, name: str, caption: str, alt: str) -> list[Picture]:
-        """Return the figure of that name with its caption and its text alternative; none where there is no such."""
-        drawing = self.figures.plan.get(name)
-        return [] if drawing is None else [Picture(name, caption, alt, drawing.tables)]
-
     @property
     def added_effects(self) -> str:
         """Names of the effects that were added, joined by " + "; empty where there are none."""
@@ -126,13 +122,28 @@ class StudyResults:
         """Whether the folder has a table of that name."""
         return (self.folder / f"{name}.csv").exists()
 
-    def table(
-        self, name: str, text: Sequence[str] = (), numbers: Sequence[str] = (), **more: Any
-    ) -> pd.DataFrame | None:
-        """Read ``name.csv`` as `calib.report.tables.read_table` does; None without the file or without rows in it."""
-        if not self.has(name):
-            return None
-        table = read_table(self.folder / f"{name}.csv", text, numbers, may_be_empty=True, **more)
+    def table(self, name: str) -> pd.DataFrame | None:
+        """Read the `COLUMNS` of ``name.csv``; None without the file or without rows in it.
+
+        Each table is read once: who changes one makes a copy.
+        """
+        if name not in self._tables:
+            self._tables[name] = self._read(name) if self.has(name) else None
+        return self._tables[name]
+
+    def of_stages(self, name: str) -> dict[str, pd.DataFrame]:
+        """The tables of that name that are there, by the stage of the model."""
+        found = {stage: self.table(f"{name}_{stage}") for stage in self.stages}
+        return {stage: table for stage, table in found.items() if table is not None}
+
+    def functions(self, name: str) -> dict[str, pd.DataFrame]:
+        """Tables of FRFs by the stage of the model, as `calib.report.frf_tables.read_stages` reads them."""
+        return read_stages(self.folder, name, self.stages)
+
+    def _read(self, name: str) -> pd.DataFrame | None:
+        kind = without_stage(name)
+        columns = dict(COLUMNS.get(kind) or COLUMNS[f"{kind} of {self.kind}"])
+        table = read_table(self.folder / f"{name}.csv", columns.pop("text"), may_be_empty=True, **columns)
         return None if table.empty else table
 
     def sentences(self, analysis: str) -> tuple[str, ...]:
@@ -170,33 +181,12 @@ class StudyResults:
 
     def compared(self, stage: str) -> pd.DataFrame | None:
         """``comparison_before.csv``, ``comparison_after.csv`` or ``comparison_added.csv`` of a modal study."""
-        numbers = [
-            *("model_mode", "natural_freq_measured", "natural_freq_model", "freq_error", "damping_ratio_measured"),
-            *("damping_ratio_model", "mac", "emac", "margin"),
-        ]
-        return None if self.kind != "modes" else self.table(f"comparison_{stage}", ["mode"], numbers, unique="mode")
-
-    @cached_property
-    def sensors(self) -> pd.DataFrame | None:
-        """``sensors.csv``."""
-        numbers = ["x", "y", "z", "shape_std"]
-        return self.table("sensors", ["sensor", "direction"], numbers, flags=["held_out"], blank=["part"])
-
-    @cached_property
-    def sensor_misfit(self) -> pd.DataFrame | None:
-        """``sensor_misfit.csv`` of an explanation."""
-        return self.table("sensor_misfit", ["stage", "mode", "sensor", "direction"], ["x", "y", "z", "re", "im"])
-
-    @cached_property
-    def perturbations(self) -> pd.DataFrame | None:
-        """``perturbations.csv`` of an explanation."""
-        return self.table("perturbations", ["perturbation", "kind"], ["x", "y", "z", "score", "unabsorbed", "limit"])
+        return self.table(f"comparison_{stage}") if self.kind == "modes" else None
 
     @property
-    def noise_mac(self) -> float:
-        """Mean MAC of a perfect model with this noise; NaN where unknown."""
-        value = self.summary.get("noise_mac")
-        return float("nan") if value is None else float(value)
+    def sensors(self) -> pd.DataFrame | None:
+        """``sensors.csv``."""
+        return self.table("sensors")
 
     def _json(self, name: str, kinds: Mapping[Any, Any], required: Sequence[str] = ()) -> dict[str, Any]:
         path = self.folder / f"{name}.json"

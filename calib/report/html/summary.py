@@ -20,8 +20,8 @@ DATA = {
     "held_out_bands": "error in held-out bands",
 }
 
-_MEASURED = {"modes": ("mode", "mode"), "responses": ("response", "response"), "frf": ("FRF", "response")}
-"""What a row of ``measured.csv`` is, and a column of it, by kind of measurement."""
+_MEASURED = {"modes": "mode", "responses": "response", "frf": "FRF"}
+"""What a row of ``measured.csv`` is, by kind of measurement."""
 ANSWERING = ("explain", "calibrate", "compare")
 """Analyses whose answer heads the page, the most telling first."""
 
@@ -73,11 +73,11 @@ def _origin(results: StudyResults) -> str:
 
 
 def _measured(results: StudyResults) -> list[tuple[str, str]]:
-    name, of_one = _MEASURED[results.kind]
-    table = results.table("measured", [of_one])
+    name = _MEASURED[results.kind]
+    table = results.table("measured")
     if table is None:
         return []
-    sensors = results.table("sensors", ["sensor"])
+    sensors = results.sensors
     words = f"{len(table)} {name}{'s' * (len(table) != 1)}"
     words += "" if sensors is None else f", {len(sensors)} sensors"
     repeats = results.record.get("repeats")
@@ -106,10 +106,10 @@ def _calibrated(results: StudyResults) -> list[tuple[str, str]]:
         noise = "" if figures.get("noise_mac") is None else f" (noise allows {fixed(figures['noise_mac'], 3)})"
         macs = [figures[f"mean_mac_{stage}"] for stage in ("before", "after")] + ([added["mean_mac"]] if added else [])
         out.append((f"mean {criterion}, nominal → calibrated{more}", " → ".join(fixed(mac, 3) for mac in macs) + noise))
-    verdicts = results.table("verdicts", ["parameter"], flags=["identified"])
+    verdicts = results.table("verdicts")
     if verdicts is not None:
         counts = [_identified(verdicts["identified"])]
-        table = results.table("added_parameters", ["parameter"], flags=["after_identified"]) if added else None
+        table = results.table("added_parameters") if added else None
         counts += [] if table is None else [_identified(table["after_identified"])]
         out.append(("parameters identified", " → ".join(counts)))
     return out
@@ -141,7 +141,7 @@ def _explained(results: StudyResults) -> list[tuple[str, str]]:
 
 def _added_errors(results: StudyResults) -> dict[str, dict[str, float]]:
     """Errors of the calibrated models by group and stage, where effects were added."""
-    table = results.table("added_errors", ["group", "stage"], ["rms"])
+    table = results.table("added_errors")
     if table is None:
         return {}
     rms = table.set_index(["group", "stage"])["rms"]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
 from importlib import resources
 from itertools import count
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -15,59 +18,106 @@ from markupsafe import Markup
 from calib.errors.errors import InputError
 from calib.execution.stage import Progress, unheard
 from calib.report.html import (
-    added,
     calibrated,
-    compared,
+    comparison,
     effects,
-    explained,
+    explanation,
     fails,
-    measured,
-    proposed,
     provenance,
-    recommended,
-    stepped,
-    suspected,
-    variance_share,
+    sensitivity,
+    space,
     verified,
 )
-from calib.report.html.page import Picture, Section, Viewer
+from calib.report.html.cells import FILTERS, filled, is_words
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import Summary, summary
 from calib.results.written import replacing
 
 NAME = "report.html"
 SECTIONS = (
-    provenance.stale,
-    measured.section,
-    compared.section,
-    fails.section,
-    variance_share.section,
-    calibrated.section,
-    explained.pulls,
-    effects.section,
-    explained.verdict,
-    stepped.section,
-    proposed.section,
-    suspected.section,
-    added.section,
-    recommended.section,
-    verified.errors,
-    explained.candidate_fits,
-    provenance.assumptions,
-    provenance.versions,
-    provenance.not_run,
+    *("stale", "measured", "compared", "fails", "sensitivity", "calibrated", "pulled", "effects", "verdict", "steps"),
+    *("proposals", "suspect", "added", "next", "errors", "candidate_fits", "assumptions", "versions", "not_run"),
 )
-"""The sections in their order on the page; one without results is omitted."""
+"""The sections in their order on the page, each a template; one without content is omitted."""
+VIEWER = "viewer"
+"""The figure that can be turned; the others are drawings."""
+LONGEST = 12
+"""Rows of the longest table that is shown unfolded."""
+ASKED = {
+    "calibrated": calibrated, "comparison": comparison, "effects": effects, "explanation": explanation, "fails": fails,
+    "provenance": provenance, "sensitivity": sensitivity, "space": space, "verified": verified,
+}  # fmt: skip
+"""Modules that templates ask for what is computed from the tables."""
 
 
-def sections(results: StudyResults) -> tuple[Section, ...]:
-    """Return the sections for which there are tables."""
-    return tuple(found for section in SECTIONS if (found := section(results)) is not None)
+@dataclass(frozen=True)
+class Section:
+    """A section of the page.
+
+    Attributes
+    ----------
+    name : str
+        Identifier in the page, and name of its template.
+    title : str
+    body : Markup
+    """
+
+    name: str
+    title: str
+    body: Markup
+
+
+@dataclass
+class _Numbers:
+    """Numbers of the figures in their order on the page."""
+
+    names: list[str] = field(default_factory=list)
+
+    def __call__(self, name: str) -> int:
+        self.names.append(name)
+        return len(self.names)
+
+
+@cache
+def environment() -> Environment:
+    """The templates of the page."""
+    loader = PackageLoader("calib.report.html", "template")
+    made = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    made.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
+    made.filters.update(FILTERS)
+    made.tests["words"] = is_words
+    made.globals.update(ASKED, filled=filled, longest=LONGEST)
+    return made
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a section holds beside words and tables: numbers of figures, their drawings, and tables as addresses."""
+
+    number: Callable[[str], int]
+    drawing: Callable[[str], Markup] = lambda name: Markup()
+    file: Callable[[str], str] = lambda table: ""
+
+
+def section(name: str, results: StudyResults, contents: Contents) -> Section | None:
+    """Return a section; None without tables for it."""
+    values: dict[str, Any] = {"results": results, **vars(contents)}
+    made = environment().get_template(f"section/{name}.html.j2").make_module(values)
+    body = Markup(made).strip()
+    return Section(name, vars(made)["title"], body) if body else None
+
+
+def sections(results: StudyResults, contents: Contents | None = None) -> tuple[Section, ...]:
+    """Return the sections for which there are tables, without drawings and files unless ``contents`` holds them."""
+    contents = contents or Contents(_Numbers())
+    return tuple(found for name in SECTIONS if (found := section(name, results, contents)) is not None)
 
 
 def pictures(results: StudyResults) -> list[str]:
-    """Return the names of the figures in these sections, in their order."""
-    return [block.name for section in sections(results) for block in section.blocks if isinstance(block, Picture)]
+    """Return the names of the drawings in these sections, in their order."""
+    numbers = _Numbers()
+    sections(results, Contents(numbers))
+    return [name for name in numbers.names if name != VIEWER]
 
 
 @dataclass(frozen=True)
@@ -103,28 +153,22 @@ def write_report(results: StudyResults, progress: Progress = unheard) -> Page:
 
 def page(results: StudyResults, progress: Progress = unheard) -> str:
     """Return the HTML of the whole page."""
-    loader = PackageLoader("calib.report.html", "template")
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
-    shown = sections(results)
-    blocks = [block for section in shown for block in section.blocks]
-    drawn, pictures = count(), sum(isinstance(block, Picture) for block in blocks)
+    done, total, number = count(), len(pictures(results)), _Numbers()
 
-    def svg(picture: Picture) -> Markup:
-        progress("drawing the report", next(drawn), pictures)
-        return Markup(results.figures.svg(picture.name))
+    def drawing(name: str) -> Markup:
+        progress("drawing the report", next(done), total)
+        return Markup(results.figures.svg(name))
 
-    environment.filters["svg"] = svg
-    environment.filters["file"] = lambda table: _address(results.folder / f"{table}.csv")
-    environment.globals["number"] = count(1).__next__
-    in_space = any(isinstance(block, Viewer) for block in blocks)
-    scripts = ("report.js", "three.min.js", "viewer.js") if in_space else ("report.js",)
-    return environment.get_template("report.html").render(
+    def file(table: str) -> str:
+        return _address(results.folder / f"{table}.csv")
+
+    found = sections(results, Contents(number, drawing, file))
+    scripts = ("report.js", "three.min.js", "viewer.js") if VIEWER in number.names else ("report.js",)
+    template = environment().get_template("page.html.j2")
+    return template.render(
         results=results,
         summary=summary(results),
-        sections=shown,
+        sections=found,
         style=Markup(_file("report.css")),
         scripts=[Markup(_file(name)) for name in scripts],
     )

@@ -11,8 +11,9 @@ import pytest
 from calib.command import cli
 from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
-from calib.report.html.write import page, sections
+from calib.report.html.write import page
 from calib.study.loading import module_of
+from tests.report.html.page_blocks import page_blocks
 
 ROOT = Path(__file__).resolve().parents[3]
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
@@ -162,9 +163,9 @@ def blocks(everything):
 
     def blocks_of(folder):
         if folder != everything:  # a copy of it, which the test may have changed
-            return [b for s in sections(StudyResults(folder, TITLE, True)) for b in s.blocks]
+            return page_blocks(StudyResults(folder, TITLE, True))
         if folder not in known:
-            known[folder] = [b for s in sections(StudyResults(folder, TITLE, True)) for b in s.blocks]
+            known[folder] = page_blocks(StudyResults(folder, TITLE, True))
         return known[folder]
 
     def of_kind(folder, kind):

@@ -15,7 +15,7 @@ from calib.errors.errors import InputError
 from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
-from calib.report.html.write import SECTIONS
+from calib.report.html.write import SECTIONS, Contents, section
 
 BENCH = Path(__file__).resolve().parents[2] / "benchmarks"
 VALUES = ("x", 7, -1.5, None, True, [], {}, [1], ["a"], {"a": 1}, [[]])
@@ -50,9 +50,14 @@ def changed(value, rng):
     return rng.choice(VALUES)
 
 
-def reads(section, results, name):
-    """Whether a section of the page reads that file, which `StudyResults` then caches."""
-    section(results)
+def reader(name):
+    """Function of the results that makes a section of the page."""
+    return lambda results: section(name, results, Contents(lambda figure: 1))
+
+
+def reads(part, results, name):
+    """Whether a part of the page reads that file, which `StudyResults` then caches."""
+    part(results)
     return name in vars(results)
 
 
@@ -65,7 +70,11 @@ def test_values_of_another_type_are_read_or_refused(folder, name, trials):
     whole = json.loads(path.read_text())
     for table in ("mesh_points", "deflection_after"):  # the slowest figures, which read no such value
         (folder / f"{table}.csv").unlink()
-    readers = [part for part in (summary, *SECTIONS) if reads(part, StudyResults(folder, "Whole", True), name)]
+    readers = [
+        part
+        for part in (summary, *(reader(name) for name in SECTIONS))
+        if reads(part, StudyResults(folder, "Whole", True), name)
+    ]
     assert len(readers) >= 2
     refused = 0
     for number in range(trials):

@@ -8,10 +8,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib.report.html.page import Picture, Table, Words
 from calib.report.html.study_results import StudyResults
-from calib.report.html.write import sections
 from calib.study.loading import module_of
+from tests.report.html.page_blocks import Picture, Table, Words, page_blocks
 
 WORLD = module_of(Path(__file__).resolve().parents[2] / "template/frf_chain.py")
 
@@ -25,7 +24,7 @@ def chain(run, tmp_path_factory):
 
 @pytest.fixture
 def blocks(chain, unpainted):
-    return [block for section in sections(StudyResults(chain, "chain", True)) for block in section.blocks]
+    return page_blocks(StudyResults(chain, "chain", True))
 
 
 def tables(blocks):
@@ -53,7 +52,7 @@ def test_notes_on_the_measurement_are_reported(chain, unpainted, tmp_path):
     folder = Path(shutil.copytree(chain, tmp_path / "chain"))
     record = json.loads((folder / "record.json").read_text("utf-8"))
     (folder / "record.json").write_text(json.dumps(record | {"notes": ["channel 2 was repaired"]}), "utf-8")
-    every = [block for section in sections(StudyResults(folder, "chain", True)) for block in section.blocks]
+    every = page_blocks(StudyResults(folder, "chain", True))
     assert every.count(Words("Channel 2 was repaired.", "reported")) == 1
 
 

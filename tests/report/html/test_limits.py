@@ -12,11 +12,10 @@ from calib.correlation import rules
 from calib.correlation.modal import comparison
 from calib.missing.rules import RULES
 from calib.report.explanation import COLLINEAR, LEAST_BAYES_FACTOR
-from calib.report.html.limits import BEYOND, BY_CHANCE, CONTRADICTED, NONE, TESTS, WITHIN
-from calib.report.html.page import Picture, Table, Terms
+from calib.report.html.fails import BEYOND, BY_CHANCE, CONTRADICTED, NONE, TESTS, WITHIN
 from calib.report.html.study_results import StudyResults
-from calib.report.html.write import sections
 from calib.report.numbers import fixed
+from tests.report.html.page_blocks import Picture, Table, Terms, page_blocks
 
 KEY = "Key to p-values and limits"
 
@@ -27,7 +26,7 @@ def key(folder, blocks):
 
 
 def test_the_key_stands_once_before_every_table_and_figure_of_p_values_and_limits(results):
-    every = [block for section in sections(results) for block in section.blocks]
+    every = page_blocks(results)
     (place,) = [k for k, block in enumerate(every) if isinstance(block, Table) and block.caption == KEY]
     later = [b.name for b in every[place:] if isinstance(b, Picture)]
     assert {"where_it_fails", "where_it_fails_sigma", "pulls", "ranked_effects", "perturbation_map"} <= set(later)
@@ -113,5 +112,5 @@ def test_pulled_parameters_are_named_with_their_model(folder, blocks, pulled):
 def test_without_an_explanation_p_is_told_with_the_errors(folder, blocks):
     (folder / "explanation.json").unlink()
     assert KEY not in blocks(folder, Table)
-    every = [b for s in sections(StudyResults(folder, "", True)) for b in s.blocks]
+    every = page_blocks(StudyResults(folder, "", True))
     assert [t for b in every if isinstance(b, Terms) for t, _ in b.pairs].count("p") == 1

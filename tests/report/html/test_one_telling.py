@@ -11,10 +11,11 @@ from calib.inference.verdicts import identified_sentence
 from calib.report.calibration import draw_searches
 from calib.report.comparison import draw_frequency_error
 from calib.report.frequencies import draw_frequencies
-from calib.report.html.page import Picture, Viewer
+from calib.report.html.space import scene
 from calib.report.html.summary import summary
 from calib.report.numbers import fixed, percent
 from calib.report.parameters import draw_parameters
+from tests.report.html.page_blocks import Picture, Viewer
 
 
 @pytest.fixture
@@ -69,9 +70,9 @@ def test_the_mean_error_has_one_value_and_one_rounding(everything, results):
     assert not any("%" in t.get_text() for t in every.get_legend().get_texts())  # held-out modes have another mean
 
 
-def test_the_viewer_opens_with_the_stage_of_its_section(everything, blocks):
+def test_the_viewer_opens_with_the_stage_of_its_section(everything, results, blocks):
     shapes = blocks(everything, Viewer)["viewer"]
-    assert [stage["name"] for stage in shapes.scene["stages"]] == ["before calibration", "after calibration"]
+    assert [stage["name"] for stage in scene(results)["stages"]] == ["before calibration", "after calibration"]
     assert "before calibration" in shapes.alt
 
 

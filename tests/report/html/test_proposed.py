@@ -6,10 +6,10 @@ import pandas as pd
 import pytest
 
 from calib.hypotheses.proposals.words import COLUMNS, PLACES
-from calib.report.html import proposed
-from calib.report.html.page import Table, Words
 from calib.report.html.study_results import StudyResults
+from calib.report.html.write import sections
 from calib.report.shown import Shown
+from tests.report.html.page_blocks import Table, Words, section_blocks
 
 ANSWER = {"found": "Proposed: a mass.", "sure": "Ln Bayes 20.", "then": "Look there."}
 
@@ -32,14 +32,14 @@ def folder(tmp_path):
 
 
 def section(folder):
-    return proposed.section(StudyResults(Shown(folder, frozenset()), "title", True))
+    return {s.name: s for s in sections(StudyResults(Shown(folder, frozenset()), "title", True))}.get("proposals")
 
 
 def test_it_has_the_answer_what_was_not_tried_and_every_proposal(folder):
-    found = section(folder)
-    words = [block.text for block in found.blocks if isinstance(block, Words)]
+    found = section_blocks(section(folder))
+    words = [block.text for block in found if isinstance(block, Words)]
     assert words == [ANSWER["found"], ANSWER["sure"], "Not tried: a mount (no convergence).", ANSWER["then"]]
-    (table,) = [block for block in found.blocks if isinstance(block, Table)]
+    (table,) = [block for block in found if isinstance(block, Table)]
     assert [row[:2] for row in table.rows] == [("1", "A mass on a spring"), ("2", "Stiffness of beam")]
     assert table.rows[0][2] == "12.5 kg (11 to 14), at 7.25 Hz" and table.rows[0][6:8] == (
         "yes", "mass of a; mass of b; mass of c …",
@@ -51,7 +51,7 @@ def test_it_has_the_answer_what_was_not_tried_and_every_proposal(folder):
 def test_without_a_proposal_the_reason_stands_alone(folder):
     for name in ("proposals", "proposal_places"):
         pd.read_csv(folder / f"{name}.csv").iloc[:0].to_csv(folder / f"{name}.csv", index=False)
-    assert all(isinstance(block, Words) for block in section(folder).blocks)
+    assert all(isinstance(block, Words) for block in section_blocks(section(folder)))
 
 
 def test_there_is_no_section_before_proposals_were_sought(folder):

@@ -20,6 +20,7 @@ from calib.report.shown import Shown
 from calib.results.results import OWNER, Results
 from calib.study.study import Study
 from calib.study.study_file import StudyFile
+from tests.report.html.page_blocks import section_blocks
 from tests.template import plain
 
 FUNCTION = """
@@ -120,7 +121,7 @@ def test_a_new_comparison_never_stands_under_an_old_calibration(sums):
     for words in found.sentences.values():
         assert "measured.csv" in words and words in " ".join(output.split("\n"))
     shown = {s.name: s for s in sections(results(found))}
-    assert {block.text.rstrip(".") for block in shown["stale"].blocks} == set(found.sentences.values())
+    assert {block.text.rstrip(".") for block in section_blocks(shown["stale"])} == set(found.sentences.values())
     assert not {"calibrated", "sensitivity"} & set(shown) and "compared" in shown
     now = summary(results(found))
     assert now.found != before.found and "calibrated" not in " ".join(what for what, _ in now.facts)

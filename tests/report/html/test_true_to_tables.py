@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.html.page import Picture, Table, Words
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import page, sections
 from calib.report.numbers import fixed, percent, with_unit
 from calib.report.verification import GROUPS
+from tests.report.html.page_blocks import Picture, Table, Words, page_blocks, section_blocks
 
 
 def test_measured_modes_are_those_of_the_table(everything, read, reader):
@@ -194,7 +194,7 @@ def test_a_mode_of_an_added_effect_is_told_in_the_section_of_that_model(folder):
         return [
             (section.name, block.text)
             for section in sections(StudyResults(folder, "", True))
-            for block in section.blocks
+            for block in section_blocks(section)
             if isinstance(block, Words) and "of its own" in block.text
         ]
 
@@ -211,7 +211,7 @@ def test_the_axes_stand_with_the_places_of_the_effects_as_the_model_names_them(f
     assert record["axes"] == ""  # the mast's model names none
     for axes, words in (("x to the bow, z to port", "x to the bow, z to port"), ("", "x along, y up, z across")):
         file.write_text(json.dumps(record | {"axes": axes}))
-        every = [block for section in sections(StudyResults(folder, "", True)) for block in section.blocks]
+        every = page_blocks(StudyResults(folder, "", True))
         (k,) = [k for k, b in enumerate(every) if isinstance(b, Table) and b.caption == "Description of the effects"]
         assert every[k - 1] == Words(f"Axes: {words}.") and "acts at (x, y, z), m" in every[k].heads
 

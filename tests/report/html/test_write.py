@@ -9,9 +9,9 @@ import pytest
 
 from calib.errors.errors import InputError
 from calib.report.html import write
-from calib.report.html.page import LONGEST, Picture, Table, Viewer
 from calib.report.html.study_results import StudyResults
-from calib.report.html.write import page, sections, write_report
+from calib.report.html.write import LONGEST, page, sections, write_report
+from tests.report.html.page_blocks import Picture, Table, Viewer, section_blocks
 
 TITLE = "A mast that may lack something"
 WHOLE = [
@@ -59,7 +59,7 @@ def test_an_analysis_that_was_not_run_is_omitted_and_its_command_named(folder, g
             (folder / f"{name}.{suffix}").unlink(missing_ok=True)
     *shown, last = sections(StudyResults(folder, TITLE, True))
     assert [s.name for s in shown] == [n for n in WHOLE if n != section] and last.name == "not_run"
-    assert any(f"{command} mast" in words.text for words in last.blocks)
+    assert any(f"{command} mast" in words.text for words in section_blocks(last))
 
 
 def test_every_section_depends_on_its_own_tables_alone(folder):
@@ -117,8 +117,9 @@ def test_versions_seeds_and_times_of_every_analysis_are_shown(everything, read):
 def test_adopted_values_are_shown(folder):
     record = json.loads((folder / "record.json").read_text())
     (folder / "record.json").write_text(json.dumps({**record, "adopted": {"E": 205.25}, "adopted_from": "../older"}))
-    shown = next(s for s in sections(StudyResults(folder, TITLE, True)) if s.name == "versions").blocks
-    assert any("Adopted from the study ../older and held fixed: E 205.25." == getattr(b, "text", "") for b in shown)
+    shown = next(s for s in sections(StudyResults(folder, TITLE, True)) if s.name == "versions")
+    told = [getattr(block, "text", "") for block in section_blocks(shown)]
+    assert "Adopted from the study ../older and held fixed: E 205.25." in told
 
 
 @pytest.mark.slow
@@ -127,7 +128,7 @@ def test_until_something_is_added_the_errors_are_those_of_the_explanation(folder
         file.unlink()
     *shown, last = sections(StudyResults(folder, TITLE, True))
     assert [s.name for s in shown] == [n for n in WHOLE if n != "added"] and last.name == "not_run"
-    assert any("calib run mast" in words.text for words in last.blocks)
+    assert any("calib run mast" in words.text for words in section_blocks(last))
     errors = pd.read_csv(folder / "errors.csv")
     rows = blocks(folder, Table)["Errors before and after adding guy"].rows
     np.testing.assert_allclose([reader.number(r[3]) for r in rows], errors["rms"], atol=0.00501)
@@ -188,7 +189,8 @@ def test_every_table_has_a_caption_heads_and_as_many_cells(everything, scalar, b
 
 def test_long_tables_and_further_matrices_are_folded_and_only_they(everything, read, blocks):
     tables, pictures = blocks(everything, Table), blocks(everything, Picture)
-    long = [c for c, t in tables.items() if len(t.rows) > LONGEST and not t.unfolded]
+    long = [caption for caption, table in tables.items() if table.folded]
+    assert all(len(tables[caption].rows) > LONGEST for caption in long)
     folded = [name for name, picture in pictures.items() if picture.folded]
     assert long and folded == ["sensitivity", "variance_share"]
     assert len(read.named("details")) == len(long) + len(folded)

@@ -1,0 +1,86 @@
+"""What the page tells of the sensitivity: the matrices, and where they differ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from calib.report.correlation import pairs
+from calib.report.html.study_results import StudyResults
+from calib.report.numbers import fixed
+from calib.report.sensitivity import RESPONSE_KINDS
+
+_MATRICES = {
+    "partial": "partial rank correlation",
+    "sensitivity": "Spearman's rank correlation",
+    "variance_share": "variance share (square root)",
+}
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """A measure of every parameter with every response.
+
+    Attributes
+    ----------
+    name, label : str
+        Of its table, and of the measure.
+    words : str
+        Its largest values.
+    difference : str
+        How far it differs from the first matrix; empty for that one, which alone is shown unfolded.
+    """
+
+    name: str
+    label: str
+    words: str
+    difference: str
+
+
+def matrices(results: StudyResults) -> list[Matrix]:
+    """The matrices of the folder."""
+    found: list[Matrix] = []
+    first = pd.DataFrame()
+    for name, label in _MATRICES.items():
+        table = results.table(name)
+        if table is None:
+            continue
+        values = table.set_index("parameter")
+        difference = f"{label.capitalize()}: {_difference(values, found[0].label, first)}" if found else ""
+        first = first if found else values
+        found.append(Matrix(name, label, _strongest(values, label), difference))
+    return found
+
+
+def _difference(values: pd.DataFrame, label: str, of_first: pd.DataFrame) -> str:
+    """Where the absolute values of two measures differ most."""
+    one, other = values.reindex_like(of_first).abs().to_numpy(dtype=float), of_first.abs().to_numpy(dtype=float)
+    apart = np.abs(one - other)
+    if np.isnan(apart).all():
+        return f"nothing in common with the {label}"
+    at = divmod(int(np.nanargmax(apart)), apart.shape[1])
+    which = f"{of_first.index[at[0]]} on {_response(str(of_first.columns[at[1]]))}"
+    return f"differs most from the {label} for {which}, {fixed(one[at], 2)} instead of {fixed(other[at], 2)}"
+
+
+def _strongest(values: pd.DataFrame, label: str) -> str:
+    known = values.abs().dropna(how="all")
+    found = [
+        f"{name} on {_response(str(row.idxmax()))} ({fixed(float(row.max()), 2)})" for name, row in known.iterrows()
+    ]
+    return f"Largest absolute {label} of each parameter: {'; '.join(found)}."
+
+
+def _response(name: str) -> str:
+    for beginning, kind in RESPONSE_KINDS.items():
+        if name.startswith(beginning):
+            return f"{kind} {name.removeprefix(beginning)}"
+    return name
+
+
+def largest_pair(table: pd.DataFrame) -> str:
+    """The two parameters of the largest correlation, in words."""
+    a, b, value = pairs(table).iloc[0]
+    return f"{fixed(value, 2)}, of {a} and {b}"
