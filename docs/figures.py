@@ -18,10 +18,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 from PIL import Image
 
+from calib.report.comparison import draw_worst
 from calib.report.figures import Figures
 from calib.report.style import DPI, add_heading, legend_above, style, take_dollars_literally
 from calib.report.tables import read_table
-from calib.report.worst import draw_worst
 from calib.study.loading import module_of
 
 HERE = Path(__file__).resolve().parent

@@ -17,8 +17,8 @@ from calib.report.figures import Asked
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import pictures, write_report
-from calib.report.shown import Shown
 from calib.report.style import FORMATS, Format, Width
+from calib.report.tables import Shown
 from calib.results.results import RESULTS, Results
 from calib.results.written import is_own
 from calib.study.study_file import StudyFile

@@ -9,7 +9,7 @@ from typing import Any
 from calib.execution.stage import Progress
 from calib.execution.tasks import each
 from calib.report.figures import Asked, Figures, Made
-from calib.report.shown import Shown
+from calib.report.tables import Shown
 
 
 def make_all(figures: Figures, asked: Asked, progress: Progress) -> dict[str, Made]:

@@ -11,13 +11,12 @@ import pandas as pd
 
 from calib.errors.errors import InputError
 from calib.report.calibration import draw_convergence, draw_searches, search_runs
-from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix
+from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix, draw_worst
 from calib.report.correlation import INDUCED, INPUTS, MOST_IN_MATRIX, POSTERIOR, STRONG, draw_correlation
 from calib.report.drawing import Drawing, bound, existing
 from calib.report.explanation_plan import plan_explanation
 from calib.report.frequencies import draw_frequencies, stages_of_added
 from calib.report.frf import draw_frac, draw_frf_lines, overlay_figure
-from calib.report.frf_tables import kind_of, read_stages
 from calib.report.mesh import read_mesh
 from calib.report.model import face_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
@@ -28,10 +27,8 @@ from calib.report.responses import draw_responses
 from calib.report.scene import PLACE
 from calib.report.sensitivity import MEASURES, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
-from calib.report.shown import Folder
 from calib.report.style import stage_words
-from calib.report.tables import read_square, read_table
-from calib.report.worst import draw_worst
+from calib.report.tables import Folder, kind_of, read_square, read_stages, read_table
 from calib.results.json_file import read_json
 
 _MATRICES: dict[str, tuple[str, dict[str, Any]]] = {

@@ -9,8 +9,8 @@ from typing import ParamSpec
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calib.report.shown import Folder
 from calib.report.style import owner_of
+from calib.report.tables import Folder
 
 _P = ParamSpec("_P")
 

@@ -12,14 +12,12 @@ from calib.report.drawing import Drawing, bound, existing
 from calib.report.explanation import draw_confounding, ranked_effects_figure
 from calib.report.frf import draw_frf_misfit
 from calib.report.mesh import rest_lines
-from calib.report.misfit import draw_pulls, where_it_fails_figure
+from calib.report.misfit import draw_pulls, draw_suspects, where_it_fails_figure
 from calib.report.predictions import NUMBERS, draw_predictions
 from calib.report.proposals import placed_proposals, proposals_figure
 from calib.report.responses import draw_response_misfit
 from calib.report.scene import PLACE
-from calib.report.shown import Folder
-from calib.report.suspects import draw_suspects
-from calib.report.tables import read_square, read_table
+from calib.report.tables import Folder, read_square, read_table
 from calib.report.verification import (
     STEP_ERRORS,
     draw_error_steps,

@@ -15,8 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from calib.errors.errors import InputError
 from calib.report.scene import PLACE, plot_coordinates, view_directions
-from calib.report.shown import Folder
-from calib.report.tables import read_table
+from calib.report.tables import Folder, read_table
 
 FACE, BORDER, LINE = 0, 1, 2
 

@@ -8,8 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from calib.errors.errors import InputError
-from calib.report.figures import Figures
-from calib.report.legible import is_legible
+from calib.report.figures import Figures, is_legible
 from calib.report.style import COLUMN, NO_GLYPH, SYNTHETIC, WIDTH, add_heading, new_figure, save, style
 from calib.report.tables import read_table
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from calib.report.frf import OVERLAID, draw_frac, draw_frf_lines, overlay_figure
-from calib.report.frf_tables import kind_of
+from calib.report.tables import kind_of
 
 FREQ = np.array([1.0, 2.0, 3.0, 4.0, 8.0, 9.0])
 """A gap between 4 and 8 Hz, where a band is left out."""

@@ -1,6 +1,6 @@
 import pytest
 
-from calib.report.legible import is_legible, wrap_labels
+from calib.report.figures import is_legible, wrap_labels
 from calib.report.style import COLUMN, WIDTH, new_figure, style
 
 

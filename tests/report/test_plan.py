@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from calib.report import draw, explanation_plan
 from calib.report.draw import plan
 from calib.report.drawing import bound
-from calib.report.shown import Shown
+from calib.report.tables import Shown
 
 
 @pytest.mark.parametrize("others", [(), ("sensitivity", "partial", "variance_share")])

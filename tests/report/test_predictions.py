@@ -5,9 +5,8 @@ import pandas as pd
 import pytest
 from calib.report.html.predictions import predictions
 
-from calib.report.figures import Figures
+from calib.report.figures import Figures, is_legible
 from calib.report.html.study_results import StudyResults
-from calib.report.legible import is_legible
 from calib.report.predictions import draw_predictions
 
 

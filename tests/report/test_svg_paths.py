@@ -11,8 +11,7 @@ from matplotlib import hatch
 from PIL import Image
 
 from calib.report.style import new_figure, style
-from calib.report.svg import svg_text
-from calib.report.svg_paths import PNG, boxed, shorter, smaller
+from calib.report.svg import PNG, boxed, shorter, smaller, svg_text
 
 LINES = "fill: none; stroke: #000000"
 

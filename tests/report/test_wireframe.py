@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from calib.report.mesh import Mesh
-from calib.report.wireframe import wireframe
+from calib.report.shapes import wireframe
 
 
 def mesh(points, *elements):

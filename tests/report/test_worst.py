@@ -1,7 +1,7 @@
 import numpy as np
 import pandas as pd
 
-from calib.report.worst import draw_worst
+from calib.report.comparison import draw_worst
 
 
 def table(**sizes):

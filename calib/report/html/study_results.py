@@ -11,11 +11,9 @@ import pandas as pd
 
 from calib.errors.errors import InputError
 from calib.report.figures import Figures
-from calib.report.frf_tables import Kind, kind_of, read_stages
 from calib.report.html.columns import COLUMNS
-from calib.report.shown import Folder
 from calib.report.style import stage_words
-from calib.report.tables import read_table, without_stage
+from calib.report.tables import Folder, Kind, kind_of, read_stages, read_table, without_stage
 from calib.results.json_file import ANY, read_json
 
 STAGES = ("before", "after")
@@ -137,7 +135,7 @@ class StudyResults:
         return {stage: table for stage, table in found.items() if table is not None}
 
     def functions(self, name: str) -> dict[str, pd.DataFrame]:
-        """Tables of FRFs by the stage of the model, as `calib.report.frf_tables.read_stages` reads them."""
+        """Tables of FRFs by the stage of the model, as `calib.report.tables.read_stages` reads them."""
         return read_stages(self.folder, name, self.stages)
 
     def _read(self, name: str) -> pd.DataFrame | None:

@@ -8,7 +8,7 @@ import pytest
 from calib.hypotheses.proposals.words import COLUMNS, PLACES
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import sections
-from calib.report.shown import Shown
+from calib.report.tables import Shown
 from tests.report.html.page_blocks import Table, Words, section_blocks
 
 ANSWER = {"found": "Proposed: a mass.", "sure": "Ln Bayes 20.", "then": "Look there."}

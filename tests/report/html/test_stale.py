@@ -16,7 +16,7 @@ from calib.errors.errors import InputError
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import summary
 from calib.report.html.write import NAME, sections
-from calib.report.shown import Shown
+from calib.report.tables import Shown
 from calib.results.results import OWNER, Results
 from calib.study.study import Study
 from calib.study.study_file import StudyFile
