@@ -21,7 +21,7 @@ from PIL import Image
 from calib.report.comparison import draw_worst
 from calib.report.figures import Figures
 from calib.report.style import DPI, add_heading, legend_above, style, take_dollars_literally
-from calib.report.tables import read_table
+from calib.report.tables import read_results
 from calib.study.loading import module_of
 
 HERE = Path(__file__).resolve().parent
@@ -134,7 +134,7 @@ def before_and_after(base: Path, extended: Path) -> Figure | None:
     name = effect["name"].replace("_", " ")
     labels = (f"without the {name}", f"with it ({effect['value']:.3g} {effect['unit']})")
     with style():
-        without, having = (read_table(file, ["kind", "what"], ["in_std"]) for file in files)
+        without, having = (read_results(file, ["kind", "what"], ["in_std"]) for file in files)
         ax = draw_worst(None, without, added=having)
         dots = [marks for marks in ax.collections if not str(marks.get_label()).startswith("_")]
         for marks, label in zip(dots, labels, strict=True):

@@ -26,7 +26,7 @@ import pytest
 from hypothesis import settings
 
 from calib.analyses.provenance import places
-from calib.report.html.summary import summary
+from calib.report.html.summary import page_summary
 from calib.report.html.write import Page
 
 # A busy machine makes any deadline fail; a submitted change must not fail by the luck of one draw.
@@ -148,7 +148,7 @@ def unrendered(monkeypatch: pytest.MonkeyPatch, without_pixels: Callable[[Any, s
 
 def _unwritten(results: Any, *given: Any) -> Page:
     """Stands in for the writing of a report."""
-    return Page(results.folder / "report.html", summary(results))
+    return Page(results.folder / "report.html", page_summary(results))
 
 
 def _draw_nothing(patch: pytest.MonkeyPatch) -> None:

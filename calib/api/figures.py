@@ -13,12 +13,12 @@ from calib.api.figures_made import make_all
 from calib.api.first_test import in_order
 from calib.api.listener import Listener
 from calib.errors.errors import InputError
-from calib.report.figures import Asked
+from calib.report.figures import FigureRequest
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import pictures, write_report
 from calib.report.style import FORMATS, Format, Width
-from calib.report.tables import Shown
+from calib.report.tables import CurrentFolder
 from calib.results.results import RESULTS, Results
 from calib.results.written import is_own
 from calib.study.study_file import StudyFile
@@ -59,12 +59,12 @@ def draw(
     title, synthetic = study.settings.title, study.synthetic
     stale = stale_answers(study, folder, None if root == RESULTS else root)
     try:
-        shown = StudyResults(Shown(folder.path, stale.files), title, synthetic, stale.sentences)
+        shown = StudyResults(CurrentFolder(folder.path, stale.files), title, synthetic, stale.sentences)
         report = report or folder.has(REPORT)
 
         with listener.progress() as step, places.tasks_shared(workers):
             own = shown.figures
-            own.take(lambda: make_all(own, Asked(pictures(shown) if report else (), formats, width), step))
+            own.take(lambda: make_all(own, FigureRequest(pictures(shown) if report else (), formats, width), step))
             written = write_report(shown, step) if report else None
             figures = own.save(formats, step, width)
     except OSError as fault:

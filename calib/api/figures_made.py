@@ -8,17 +8,17 @@ from typing import Any
 
 from calib.execution.stage import Progress
 from calib.execution.tasks import each
-from calib.report.figures import Asked, Figures, Made
-from calib.report.tables import Shown
+from calib.report.figures import FigureRequest, Figures, RenderedFigure
+from calib.report.tables import CurrentFolder
 
 
-def make_all(figures: Figures, asked: Asked, progress: Progress) -> dict[str, Made]:
+def make_all(figures: Figures, asked: FigureRequest, progress: Progress) -> dict[str, RenderedFigure]:
     """Make all figures of a folder; they are the same whoever makes them.
 
     Parameters
     ----------
     figures : Figures
-    asked : Asked
+    asked : FigureRequest
         What is made of each figure.
     progress : callable
         Called before every figure that this process makes.
@@ -38,10 +38,10 @@ def make_all(figures: Figures, asked: Asked, progress: Progress) -> dict[str, Ma
 class _Given:
     """What every process needs; each reads the tables itself."""
 
-    folder: Shown
+    folder: CurrentFolder
     title: str
     synthetic: bool
-    asked: Asked
+    asked: FigureRequest
 
     @cached_property
     def figures(self) -> Figures:
@@ -51,5 +51,5 @@ class _Given:
         return {name: value for name, value in self.__dict__.items() if name != "figures"}
 
 
-def _make_one(given: _Given, name: str) -> Made:
-    return given.figures.made(name, given.asked)
+def _make_one(given: _Given, name: str) -> RenderedFigure:
+    return given.figures.render(name, given.asked)

@@ -7,7 +7,7 @@ from typing import Protocol, TypeVar
 
 from calib.missing.by_test import BY_TEST
 from calib.problem.joint import TEST
-from calib.report.tables import read_table
+from calib.report.tables import read_results
 from calib.results.results import Results
 
 
@@ -26,7 +26,7 @@ def first_test(folder: Results) -> str:
     name = f"{BY_TEST}.csv"
     if not folder.has(name):
         return ""
-    table = read_table(folder.path / name, ["effects", TEST], flags=["shown_first"], may_be_empty=True)
+    table = read_results(folder.path / name, ["effects", TEST], flags=["shown_first"], may_be_empty=True)
     return next(iter(table.loc[table["shown_first"].astype(bool), TEST].astype(str)), "")
 
 

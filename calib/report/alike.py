@@ -76,7 +76,7 @@ def draw_alike(
     return ax
 
 
-def place_words(places: pd.DataFrame, effect: str) -> str:
+def alike_words(places: pd.DataFrame, effect: str) -> str:
     """Name the local perturbation of `most_alike`; empty where no perturbation has coordinates."""
     best = most_alike(places, effect)
     if best is None:

@@ -54,7 +54,7 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
     for k, case in enumerate(cases):
         rows = table[table["case"] == case].set_index("parameter").reindex(names)
         y = np.arange(len(names)) + (k - (len(cases) - 1) / 2) * height
-        lengths = 100.0 * searched(rows).to_numpy(dtype=float)
+        lengths = 100.0 * search_span(rows).to_numpy(dtype=float)
         bars = ax.barh(y, lengths, height * 0.92, color=CASES[k % len(CASES)], label=str(case))
         for bar, name in zip(bars, names, strict=True):
             row = rows.loc[name]
@@ -101,7 +101,7 @@ def _write_bar_values(ax: Axes, rows: pd.DataFrame, y: np.ndarray) -> None:
             _beside(ax, at, plain(value).replace("-", "−"), "black", fontsize=6.5, gid="bar value")
 
 
-def searched(table: pd.DataFrame) -> pd.Series[float]:
+def search_span(table: pd.DataFrame) -> pd.Series[float]:
     """Return the position between the limits (0 to 1) where the search ended; the final position without a search."""
     if "search_value" not in table:
         return table["ratio"].astype(float)

@@ -23,7 +23,7 @@ MOST_IN_MATRIX = 8
 _MOST_BARS = 20
 
 
-def pairs(table: pd.DataFrame) -> pd.DataFrame:
+def correlated_pairs(table: pd.DataFrame) -> pd.DataFrame:
     """Return every pair of a correlation matrix once.
 
     Parameters
@@ -50,14 +50,14 @@ def pairs(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def strongest(table: pd.DataFrame, threshold: float) -> pd.DataFrame:
-    """Return the `pairs` whose absolute value exceeds a threshold, at most 20."""
-    found = pairs(table)
+    """Return the `correlated_pairs` whose absolute value exceeds a threshold, at most 20."""
+    found = correlated_pairs(table)
     return found[found["value"].abs() > threshold].head(_MOST_BARS)
 
 
 def others(table: pd.DataFrame, threshold: float) -> str:
     """Describe the pairs that `strongest` leaves out; empty where there are none."""
-    found = pairs(table)
+    found = correlated_pairs(table)
     rest = found["value"].abs().iloc[len(strongest(table, threshold)) :]
     known, unknown = rest.dropna(), int(rest.isna().sum())
     words = []
@@ -76,7 +76,7 @@ def draw_correlation(
     Parameters
     ----------
     table : DataFrame
-        As for `pairs`.
+        As for `correlated_pairs`.
     ax : Axes, optional
     threshold : float
         Absolute value that a pair must exceed for a bar.

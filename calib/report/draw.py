@@ -28,7 +28,7 @@ from calib.report.scene import PLACE
 from calib.report.sensitivity import MEASURES, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
 from calib.report.style import stage_words
-from calib.report.tables import Folder, kind_of, read_square, read_stages, read_table
+from calib.report.tables import Folder, kind_of, read_results, read_square, read_stages
 from calib.results.json_file import read_json
 
 _MATRICES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -107,12 +107,12 @@ def _correlations_of_shapes(folder: Folder, effects: str) -> Iterator[Drawing]:
     for stage in _STAGES:
         path = folder / f"mac_{stage}.csv"
         if path.exists():
-            mac = read_table(path, ["mode"], others_are_numbers=True)
+            mac = read_results(path, ["mode"], others_are_numbers=True)
             yield Drawing(path.stem, f"MAC, {stage_words(stage, effects)}", bound(draw_mac_matrix, mac), (path.stem,))
     for stage in _STAGES:
         names = tuple(f"{kind}_orthogonality_{stage}" for kind in ("cross", "self"))
         if all((folder / f"{name}.csv").exists() for name in names):
-            cross = read_table(folder / f"{names[0]}.csv", ["mode"], ["model_mode"], others_are_numbers=True)
+            cross = read_results(folder / f"{names[0]}.csv", ["mode"], ["model_mode"], others_are_numbers=True)
             own = read_square(folder / f"{names[1]}.csv", "mode")
             caption = f"mass-orthogonality of the measured shapes, {stage_words(stage, effects)}"
             yield Drawing(f"orthogonality_{stage}", caption, bound(orthogonality_figure, cross, own), names)
@@ -134,7 +134,7 @@ def _shapes_on_mesh(folder: Folder, compared: Mapping[str, pd.DataFrame | None],
         yield Drawing("model", "the model", bound(model_figure, mesh, sensors), ("mesh_points", "mesh_elements"))
     path = folder / "model_places.csv"
     if path.exists():
-        marks = read_table(
+        marks = read_results(
             path, ["name", "form"], PLACE, complete=PLACE, blank=["kind", "parameters"], may_be_empty=True
         )
         if len(marks):
@@ -146,8 +146,8 @@ def _shapes_on_mesh(folder: Folder, compared: Mapping[str, pd.DataFrame | None],
         if not moved.exists() or not listed.exists():
             continue
         columns, found = ["point", "u", "v", "w"], ["damped_freq", "damping_ratio"]
-        motion = read_table(moved, ["mode"], columns, complete=columns, may_be_empty=True)
-        modes = read_table(listed, ["mode"], found, complete=["damped_freq"], may_be_empty=True)
+        motion = read_results(moved, ["mode"], columns, complete=columns, may_be_empty=True)
+        modes = read_results(listed, ["mode"], found, complete=["damped_freq"], may_be_empty=True)
         for page, some in pages(modes).items():
             caption = f"modes of the model, {words}: damped frequency"
             draw = bound(model_modes_figure, some, motion, mesh)
@@ -155,7 +155,7 @@ def _shapes_on_mesh(folder: Folder, compared: Mapping[str, pd.DataFrame | None],
         if (measured := shapes.get(stage)) is not None:
             path = folder / f"expanded_shapes_{stage}.csv"
             expanded = (
-                read_table(path, ["mode"], columns, complete=columns, may_be_empty=True) if path.exists() else None
+                read_results(path, ["mode"], columns, complete=columns, may_be_empty=True) if path.exists() else None
             )
             draw = bound(mode_shapes_figure, measured, motion, mesh, compared[stage], expanded)
             caption = f"mode shapes, {words}: measured/model"
@@ -187,7 +187,7 @@ def _sensitivities(folder: Folder) -> Iterator[Drawing]:
     for name, (caption, looks) in _MATRICES.items():
         path = folder / f"{name}.csv"
         if path.exists():
-            matrix = read_table(path, ["parameter"], others_are_numbers=True)
+            matrix = read_results(path, ["parameter"], others_are_numbers=True)
             yield Drawing(name, caption, bound(draw_sensitivity, matrix, **looks), (name,))
     path = folder / "input_correlation.csv"
     if path.exists() and len(inputs := read_square(path)) > 1:
@@ -196,7 +196,7 @@ def _sensitivities(folder: Folder) -> Iterator[Drawing]:
     path = folder / "selection.csv"
     if path.exists():
         numbers = [name for measure in MEASURES for name in (f"max_{measure}", f"{measure}_floor")]
-        chosen = read_table(path, ["parameter"], numbers, flags=["measured", "selected"])
+        chosen = read_results(path, ["parameter"], numbers, flags=["measured", "selected"])
         yield Drawing("selection", "selection of parameters", bound(draw_selection, chosen), ("selection",))
 
 
@@ -204,7 +204,7 @@ def _calibration(folder: Folder) -> Iterator[Drawing]:
     """Calibrated parameters, their posterior correlation, and the searches."""
     path = folder / "parameters.csv"
     if path.exists():
-        found = read_table(
+        found = read_results(
             path,
             ["case", "parameter", "unit"],
             ["value", "ratio", "spread"],
@@ -214,7 +214,7 @@ def _calibration(folder: Folder) -> Iterator[Drawing]:
         )
         best = _best_case(folder / "summary.json", list(dict.fromkeys(found["case"])))
         space = folder / "parameter_space.csv"
-        known = read_table(space, ["parameter"], ["value", "prior_sd"]) if space.exists() else None
+        known = read_results(space, ["parameter"], ["value", "prior_sd"]) if space.exists() else None
         draw = bound(draw_parameters, found, None, best, known)
         yield Drawing("parameters", "calibrated parameters", draw, ("parameters",))
         if found["case"].nunique() > 1 or ("search_value" in found and found["search_value"].notna().any()):
@@ -228,7 +228,7 @@ def _calibration(folder: Folder) -> Iterator[Drawing]:
     path = folder / "convergence.csv"
     if path.exists():
         misfit = ["best", "mean"]
-        runs = read_table(path, ["case"], ["generation", *misfit], complete=["generation"], unbounded=misfit)
+        runs = read_results(path, ["case"], ["generation", *misfit], complete=["generation"], unbounded=misfit)
         runs = search_runs(runs)
         if len(runs):
             draw = bound(draw_convergence, runs)
@@ -241,7 +241,7 @@ def _all_modes(path: Path) -> pd.DataFrame | None:
         return None
     kinds = ("damped_freq", "error", "mac")
     wanted = [f"{kind}_{stage}" for kind in kinds for stage in _STAGES]
-    table = read_table(
+    table = read_results(
         path, ["mode"], ["damped_freq_measured", *wanted], flags=["held_out"], may_be_empty=True,
         if_there=[f"{kind}_initial" for kind in kinds],
     )  # fmt: skip
@@ -249,14 +249,14 @@ def _all_modes(path: Path) -> pd.DataFrame | None:
 
 
 def _shapes(path: Path) -> pd.DataFrame | None:
-    return read_table(path, ["mode", "direction"], ["x", "y", "z", "measured_re"]) if path.exists() else None
+    return read_results(path, ["mode", "direction"], ["x", "y", "z", "measured_re"]) if path.exists() else None
 
 
 def _comparison(path: Path) -> pd.DataFrame | None:
     if not path.exists() or kind_of(path) != "modes":
         return None
     numbers = ["natural_freq_measured", "natural_freq_model", "freq_error", "mac"]
-    return read_table(path, ["mode"], numbers, complete=["natural_freq_measured"], unique="mode")
+    return read_results(path, ["mode"], numbers, complete=["natural_freq_measured"], unique="mode")
 
 
 def _there(folder: Folder, name: str, stages: Sequence[str]) -> tuple[str, ...]:
@@ -267,19 +267,19 @@ def _there(folder: Folder, name: str, stages: Sequence[str]) -> tuple[str, ...]:
 def _scalar_comparison(path: Path) -> pd.DataFrame | None:
     if not path.exists() or kind_of(path) != "responses":
         return None
-    return read_table(path, ["response"], ["measured", "model", "error", "error_in_std"], unique="response")
+    return read_results(path, ["response"], ["measured", "model", "error", "error_in_std"], unique="response")
 
 
 def _failing(path: Path) -> pd.DataFrame | None:
     """The comparisons with a standard deviation; None without the file or any."""
     if not path.exists():
         return None
-    table = read_table(path, ["kind", "what"], ["in_std"], may_be_empty=True)
+    table = read_results(path, ["kind", "what"], ["in_std"], may_be_empty=True)
     return table if table["in_std"].notna().any() else None
 
 
 def _comac(path: Path) -> pd.DataFrame | None:
-    return read_table(path, ["sensor"], ["comac"], if_there=["motion"]) if path.exists() else None
+    return read_results(path, ["sensor"], ["comac"], if_there=["motion"]) if path.exists() else None
 
 
 def added_effects(folder: Folder) -> str:

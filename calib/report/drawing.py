@@ -48,11 +48,11 @@ def bound(draw: Callable[_P, Axes | Figure], /, *data: _P.args, **looks: _P.kwar
         Its arguments.
     """
 
-    def drawn() -> Figure:
+    def figure() -> Figure:
         found = draw(*data, **looks)
         return owner_of(found) if isinstance(found, Axes) else found
 
-    return drawn
+    return figure
 
 
 def existing(folder: Folder, names: Sequence[str]) -> tuple[str, ...]:

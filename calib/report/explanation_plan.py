@@ -17,7 +17,7 @@ from calib.report.predictions import NUMBERS, draw_predictions
 from calib.report.proposals import placed_proposals, proposals_figure
 from calib.report.responses import draw_response_misfit
 from calib.report.scene import PLACE
-from calib.report.tables import Folder, read_square, read_table
+from calib.report.tables import Folder, read_results, read_square
 from calib.report.verification import (
     STEP_ERRORS,
     draw_error_steps,
@@ -163,5 +163,5 @@ def _effects(folder: Folder, rest: np.ndarray | None, attempt: bool) -> Iterator
 def _read(folder: Folder, name: str, text: list[str], numbers: list[str], **more: Any) -> pd.DataFrame | None:
     """A table; None without the file or without rows in it."""
     path = folder / f"{name}.csv"
-    table = read_table(path, text, numbers, may_be_empty=True, **more) if path.exists() else None
+    table = read_results(path, text, numbers, may_be_empty=True, **more) if path.exists() else None
     return None if table is None or table.empty else table

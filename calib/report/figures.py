@@ -21,11 +21,11 @@ from calib.report.draw import plan
 from calib.report.drawing import Drawing
 from calib.report.style import COLUMN, Format, Width, add_heading, content, style, take_dollars_literally, write
 from calib.report.svg import svg_text
-from calib.report.tables import Shown
+from calib.report.tables import CurrentFolder
 
 
 @dataclass(frozen=True)
-class Asked:
+class FigureRequest:
     """What is made of every figure of a folder.
 
     Attributes
@@ -44,7 +44,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Made:
+class RenderedFigure:
     """One figure: its ``svg`` element, empty unless a page shows it, and the content of its files by format."""
 
     svg: str
@@ -56,7 +56,7 @@ class Figures:
 
     Parameters
     ----------
-    folder : Path or Shown
+    folder : Path or CurrentFolder
         The CSV tables, and optionally ``summary.json`` with a key ``best_case``; stale tables are hidden.
     title : str
         First part of every figure's heading.
@@ -64,13 +64,13 @@ class Figures:
         Whether the measurement is synthetic; every file is then labelled so.
     """
 
-    def __init__(self, folder: Path | Shown, title: str, synthetic: bool):
-        self.folder = folder if isinstance(folder, Shown) else Shown(Path(folder), frozenset())
+    def __init__(self, folder: Path | CurrentFolder, title: str, synthetic: bool):
+        self.folder = folder if isinstance(folder, CurrentFolder) else CurrentFolder(Path(folder), frozenset())
         self.title = title
         self.synthetic = synthetic
         self._drawn: dict[str, Figure] = {}
-        self._made: Mapping[str, Made] = {}
-        self._make: Callable[[], Mapping[str, Made]] | None = None
+        self._rendered: Mapping[str, RenderedFigure] = {}
+        self._render_all: Callable[[], Mapping[str, RenderedFigure]] | None = None
 
     @cached_property
     def plan(self) -> dict[str, Drawing]:
@@ -102,20 +102,20 @@ class Figures:
             take_dollars_literally(figure)
             return svg_text(figure, identifier or name)
 
-    def made(self, name: str, asked: Asked) -> Made:
+    def render(self, name: str, request: FigureRequest) -> RenderedFigure:
         """Make one figure for page and files, without writing it; see `save` for what is raised."""
-        svg = self.svg(name) if name in asked.page else ""
-        return Made(svg, self._content(self.plan[name], asked.formats, asked.width))
+        svg = self.svg(name) if name in request.page else ""
+        return RenderedFigure(svg, self._content(self.plan[name], request.formats, request.width))
 
-    def take(self, made: Callable[[], Mapping[str, Made]]) -> None:
+    def take(self, rendered: Callable[[], Mapping[str, RenderedFigure]]) -> None:
         """Use figures made elsewhere, for pages and files of what was asked for; all are made once one is needed."""
-        self._make = made
+        self._render_all = rendered
 
-    def _taken(self, name: str) -> Made | None:
-        if self._make is not None:
-            (make, self._make) = self._make, None
-            self._made = make()
-        return self._made.get(name)
+    def _taken(self, name: str) -> RenderedFigure | None:
+        if self._render_all is not None:
+            (make, self._render_all) = self._render_all, None
+            self._rendered = make()
+        return self._rendered.get(name)
 
     def save(
         self, formats: Sequence[Format] = ("png",), progress: Progress = unheard, width: Width = "page"
@@ -193,7 +193,7 @@ def is_legible(figure: Figure) -> bool:
         return False
     whole = figure.bbox.padded(_PIXEL)
     beyond = [label for ax in figure.axes for axis in (ax.xaxis, ax.yaxis) for label in _ticks(axis, False)]
-    texts = [text for text in figure.findobj(Text) if isinstance(text, Text) and _is_shown(text)]
+    texts = [text for text in figure.findobj(Text) if isinstance(text, Text) and _is_visible(text)]
     boxes = _boxes(text for text in texts if not any(text is label for label in beyond))
     if not all(whole.containsx(box.x0) and whole.containsx(box.x1) for box in boxes):
         return False
@@ -216,14 +216,14 @@ def _ticks(axis: Axis, inside: bool) -> list[Text]:
     return [label for at, label in found if (low - reach <= at <= high + reach) == inside]
 
 
-def _is_shown(text: Text) -> bool:
+def _is_visible(text: Text) -> bool:
     return text.get_visible() and bool(text.get_text().strip())
 
 
 def _groups(ax: Axes) -> list[list[Text]]:
     """Texts of a panel that must not cover each other: labels of either axis, and those written into it."""
     groups = [_ticks(ax.xaxis, True), _ticks(ax.yaxis, True), list(ax.texts)]
-    return [[text for text in group if _is_shown(text)] for group in groups]
+    return [[text for text in group if _is_visible(text)] for group in groups]
 
 
 def _boxes(texts: Iterable[Text]) -> list[Bbox]:

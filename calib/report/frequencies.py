@@ -25,7 +25,7 @@ class Look(NamedTuple):
     words: str
 
 
-STAGES = {
+STAGE_LOOKS = {
     "initial": Look("D", PURPLE, "initial", "before any calibration"),
     "before": Look("s", BEFORE, "before", stage_words("before")),
     "after": Look("o", AFTER, "after", stage_words("after")),
@@ -46,7 +46,7 @@ _WIDE, _NARROW, _GAP = 42.0, 36.0, 12.0
 """Widths of a column of frequencies and of MAC, and the gap between the two, in points."""
 
 
-def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapping[str, Look] = STAGES) -> Axes:
+def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapping[str, Look] = STAGE_LOOKS) -> Axes:
     """Draw the error of every damped frequency at every stage, with frequencies and MAC written beside it.
 
     Parameters

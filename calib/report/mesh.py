@@ -15,12 +15,12 @@ from scipy.sparse.csgraph import connected_components
 
 from calib.errors.errors import InputError
 from calib.report.scene import PLACE, plot_coordinates, view_directions
-from calib.report.tables import Folder, read_table
+from calib.report.tables import Folder, read_results
 
 FACE, BORDER, LINE = 0, 1, 2
 
 
-class Mesh(NamedTuple):
+class MeshTables(NamedTuple):
     """Tables of a mesh.
 
     Attributes
@@ -61,15 +61,15 @@ class Pieces(NamedTuple):
         return Pieces(self.corners[which], self.kind[which], self.group[which])
 
 
-def read_mesh(folder: Folder) -> Mesh | None:
+def read_mesh(folder: Folder) -> MeshTables | None:
     """Read ``mesh_points.csv`` and ``mesh_elements.csv`` of a folder; None where one of them is missing."""
     points, elements = folder / "mesh_points.csv", folder / "mesh_elements.csv"
     if not points.exists() or not elements.exists():
         return None
     numbers = ["point", *PLACE]
-    mesh = Mesh(
-        read_table(points, [], numbers, complete=numbers),
-        read_table(elements, ["group"], ["a", "b", "c", "d"], complete=["a", "b"], may_be_empty=True),
+    mesh = MeshTables(
+        read_results(points, [], numbers, complete=numbers),
+        read_results(elements, ["group"], ["a", "b", "c", "d"], complete=["a", "b"], may_be_empty=True),
     )
     check_mesh(mesh, elements)
     return mesh
@@ -78,10 +78,10 @@ def read_mesh(folder: Folder) -> Mesh | None:
 def rest_lines(folder: Folder) -> np.ndarray | None:
     """Return lines of a folder's mesh at rest, borders of shells included, (n, 2, 3) in metres; None without a mesh."""
     mesh = read_mesh(folder)
-    return None if mesh is None else places(mesh)[pieces(mesh).strokes]
+    return None if mesh is None else point_coordinates(mesh)[pieces(mesh).strokes]
 
 
-def check_mesh(mesh: Mesh, path: Path) -> None:
+def check_mesh(mesh: MeshTables, path: Path) -> None:
     """Raise InputError, naming the file of elements, where an element refers to a point that is not in the table."""
     numbers = mesh.elements[["a", "b", "c", "d"]].to_numpy(dtype=float)
     unknown = ~np.isin(numbers, mesh.points["point"].to_numpy(dtype=float)) & ~np.isnan(numbers)
@@ -94,23 +94,23 @@ def check_mesh(mesh: Mesh, path: Path) -> None:
         )
 
 
-def places(mesh: Mesh) -> np.ndarray:
+def point_coordinates(mesh: MeshTables) -> np.ndarray:
     """Return the points, (n_points, 3) in metres."""
     return mesh.points[PLACE].to_numpy(dtype=float)
 
 
-def seen_places(mesh: Mesh) -> np.ndarray:
+def seen_places(mesh: MeshTables) -> np.ndarray:
     """Return the points that are drawn, those of `pieces`, (n, 3) in metres."""
-    return places(mesh)[np.unique(pieces(mesh).corners)]
+    return point_coordinates(mesh)[np.unique(pieces(mesh).corners)]
 
 
-def motions(mesh: Mesh, deflection: pd.DataFrame) -> np.ndarray:
+def motions(mesh: MeshTables, deflection: pd.DataFrame) -> np.ndarray:
     """Return the motion of every point, (n_points, 3), from columns ``point, u, v, w``; 0 where the table has none."""
     moved = deflection.set_index("point")[["u", "v", "w"]].reindex(mesh.points["point"])
     return moved.fillna(0.0).to_numpy(dtype=float)
 
 
-def pieces(mesh: Mesh) -> Pieces:
+def pieces(mesh: MeshTables) -> Pieces:
     """Return faces, their borders, and lines; a line along the edge of faces, such as a stiffener, is not drawn.
 
     A mesh without elements, such as one that comes with another program's matrices, is drawn as its points: each is a
@@ -137,13 +137,13 @@ def pieces(mesh: Mesh) -> Pieces:
     )
 
 
-def thickness(mesh: Mesh) -> float:
+def thickness(mesh: MeshTables) -> float:
     """Return the middle one of the three extents of all faces, in metres; infinite where there are none."""
     faces = element_corners(mesh)[mesh.elements["c"].notna().to_numpy()]
-    return float(np.sort(np.ptp(places(mesh)[faces.ravel()], axis=0))[1]) if len(faces) else math.inf
+    return float(np.sort(np.ptp(point_coordinates(mesh)[faces.ravel()], axis=0))[1]) if len(faces) else math.inf
 
 
-def element_corners(mesh: Mesh) -> np.ndarray:
+def element_corners(mesh: MeshTables) -> np.ndarray:
     """Return rows of the table of points at the corners of every element, (n_elements, 4); a line is run to and fro."""
     row = pd.Series(np.arange(len(mesh.points)), index=mesh.points["point"].to_numpy(dtype=int))
     a, b, c, d = (mesh.elements[name].to_numpy(dtype=float) for name in "abcd")

@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from calib.report.explanation import blank
-from calib.report.numbers import chance, fixed, flag, short, significant, with_unit
+from calib.report.numbers import fixed, flag, p_value, short, significant, with_unit
 from calib.report.style import (
     AFTER,
     BLACK,
@@ -41,7 +41,7 @@ from calib.report.style import (
 from calib.report.svg import hover, hover_cells, hover_points
 
 KINDS = ("frequency", "damping", "shape")
-STAGES = ("base", "explained", "attempt")
+FITS = ("base", "explained", "attempt")
 _LEAST_DOF = 0.5
 """Fewest degrees of freedom for which chi2 per degree of freedom is written."""
 _UNNAMED = "responses"
@@ -103,7 +103,7 @@ def draw_where_it_fails(
         ax,
         [
             [
-                f"{m}, {kind}: χ²/ν {significant(r, 3)}, p {chance(q)}"
+                f"{m}, {kind}: χ²/ν {significant(r, 3)}, p {p_value(q)}"
                 for kind, r, q in zip(kinds, line, chances, strict=True)
             ]
             for m, line, chances in zip(modes, ratio, p, strict=True)
@@ -136,7 +136,7 @@ def where_it_fails_figure(table: pd.DataFrame, *, name: str = "") -> Figure:
     name : str
         Effects that the other model adds to the base model; empty when unknown.
     """
-    stages = [stage for stage in STAGES if (table["stage"] == stage).any()] or ["base"]
+    stages = [stage for stage in FITS if (table["stage"] == stage).any()] or ["base"]
     figure = new_figure(0.2 + matrix_height(table["mode"].nunique(), len(KINDS)))
     panels = list(np.atleast_1d(figure.subplots(1, len(stages), sharey=True)))
     for ax, stage in zip(panels, stages, strict=True):

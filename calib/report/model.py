@@ -13,14 +13,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from calib.report.mesh import FACE, LINE, Mesh, draw_pieces, pieces, places, seen_places
+from calib.report.mesh import FACE, LINE, MeshTables, draw_pieces, pieces, point_coordinates, seen_places
 from calib.report.scene import (
     FOOT,
     PLACE,
     axis_vectors,
     frame_panel,
     new_axes,
-    new_figure,
+    new_scene,
     plot_coordinates,
     plot_lines,
     seen_size,
@@ -41,12 +41,12 @@ _WIDTHS = np.array([0.25, 0.9, 1.3])
 """Line widths of the edges of faces, borders and lines, in points."""
 
 
-def draw_model(mesh: Mesh, sensors: pd.DataFrame | None = None, ax: Axes3D | None = None) -> Axes3D:
+def draw_model(mesh: MeshTables, sensors: pd.DataFrame | None = None, ax: Axes3D | None = None) -> Axes3D:
     """Draw the mesh, faces coloured by group, and the sensors on it.
 
     Parameters
     ----------
-    mesh : Mesh
+    mesh : MeshTables
     sensors : DataFrame, optional
         Columns ``direction, x, y, z`` (m); a translational sensor gets a stick along its direction; one without
         coordinates is not drawn.
@@ -58,7 +58,7 @@ def draw_model(mesh: Mesh, sensors: pd.DataFrame | None = None, ax: Axes3D | Non
         Pieces with the gid ``model``, lines with the gids ``sensors`` (one dot per place) and ``directions``.
     """
     ax = new_axes(ax)
-    parts, rest = pieces(mesh), places(mesh)
+    parts, rest = pieces(mesh), point_coordinates(mesh)
     names = face_groups(mesh)
     vertices = rest[parts.corners]
     own = np.array([to_rgba(COLOURS[names.index(g) % len(COLOURS)]) if g in names else (0.0,) * 4 for g in parts.group])
@@ -98,13 +98,13 @@ def sensor_tips(sensors: pd.DataFrame, points: np.ndarray) -> np.ndarray:
     return sensors[PLACE].to_numpy(dtype=float) + length * axis_vectors(sensors["direction"])
 
 
-def face_groups(mesh: Mesh) -> list[str]:
+def face_groups(mesh: MeshTables) -> list[str]:
     """Groups that have faces, in the order of the table."""
     elements = mesh.elements
     return list(dict.fromkeys(elements.loc[elements["c"].notna(), "group"].astype(str)))
 
 
-def model_figure(mesh: Mesh, sensors: pd.DataFrame | None = None) -> Figure:
+def model_figure(mesh: MeshTables, sensors: pd.DataFrame | None = None) -> Figure:
     """Draw the model with a legend; for the arguments see `draw_model`."""
     rest = seen_places(mesh)
     names = face_groups(mesh)
@@ -118,7 +118,7 @@ def model_figure(mesh: Mesh, sensors: pd.DataFrame | None = None) -> Figure:
         handles.append(Line2D([], [], color=MEASURED, marker="o", markersize=4.5, linewidth=1.2, label=words))
     wide, high = seen_size(rest, 0.06 * float(np.linalg.norm(np.ptp(rest, axis=0))))
     foot = max(FOOT, 0.4 + 0.2 * math.ceil(len(handles) / _ABREAST))
-    figure = new_figure(min(WIDTH * high / wide, 6.0) + foot, foot)
+    figure = new_scene(min(WIDTH * high / wide, 6.0) + foot, foot)
     draw_model(mesh, sensors, figure.add_subplot(projection="3d"))
     low = 0.34 / float(figure.get_size_inches()[1])
     figure.legend(

@@ -18,7 +18,18 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from calib.report.mesh import BORDER, FACE, Mesh, Pieces, bodies, draw_pieces, motions, pieces, places, thickness
+from calib.report.mesh import (
+    BORDER,
+    FACE,
+    MeshTables,
+    Pieces,
+    bodies,
+    draw_pieces,
+    motions,
+    pieces,
+    point_coordinates,
+    thickness,
+)
 from calib.report.scene import (
     colour_bar,
     frame_panel,
@@ -93,7 +104,7 @@ def views(parts: Pieces, rest: np.ndarray, motion: np.ndarray) -> list[np.ndarra
 
 def draw_model_mode(
     deflection: pd.DataFrame,
-    mesh: Mesh,
+    mesh: MeshTables,
     ax: Axes3D | None = None,
     *,
     chosen: np.ndarray | None = None,
@@ -106,7 +117,7 @@ def draw_model_mode(
     ----------
     deflection : DataFrame
         Motions of this mode: ``point, u, v, w`` (shape amplitude).
-    mesh : Mesh
+    mesh : MeshTables
     ax : Axes3D, optional
     chosen : ndarray (n_pieces,), bool, optional
         The pieces to draw, as from `views`; all by default.
@@ -122,7 +133,7 @@ def draw_model_mode(
         piece's corners over the largest of the mode.
     """
     ax = new_axes(ax)
-    parts, rest, motion = pieces(mesh), places(mesh), motions(mesh, deflection)
+    parts, rest, motion = pieces(mesh), point_coordinates(mesh), motions(mesh, deflection)
     amplitude = np.linalg.norm(motion, axis=1)
     largest = float(amplitude[parts.corners].max(initial=0.0)) or 1.0
     shown = parts if chosen is None else parts.some(chosen)
@@ -139,7 +150,7 @@ def draw_model_mode(
     return ax
 
 
-def model_modes_figure(modes: pd.DataFrame, deflection: pd.DataFrame, mesh: Mesh) -> Figure:
+def model_modes_figure(modes: pd.DataFrame, deflection: pd.DataFrame, mesh: MeshTables) -> Figure:
     """Draw one panel per mode; a mode that moves small parts of a large structure alone is shown at these parts.
 
     Parameters
@@ -148,9 +159,9 @@ def model_modes_figure(modes: pd.DataFrame, deflection: pd.DataFrame, mesh: Mesh
         Columns ``mode, damped_freq`` (Hz) and ``damping_ratio``, for the titles of the panels.
     deflection : DataFrame
         As for `draw_model_mode`, with a column ``mode``.
-    mesh : Mesh
+    mesh : MeshTables
     """
-    parts, rest = pieces(mesh), places(mesh)
+    parts, rest = pieces(mesh), point_coordinates(mesh)
     all_seen = rest[np.unique(parts.corners)]
     axis = int(np.argmax(np.ptp(all_seen, axis=0)))
     figure, cells = panel_grid(len(modes), all_seen, thickness(mesh))

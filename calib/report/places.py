@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.path import Path
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from calib.report.mesh import FACE, Mesh, pieces, places, seen_places
+from calib.report.mesh import FACE, MeshTables, pieces, point_coordinates, seen_places
 from calib.report.numbers import counted
 from calib.report.scene import (
     FOOT,
@@ -20,7 +20,7 @@ from calib.report.scene import (
     frame_panel,
     hover_places,
     new_axes,
-    new_figure,
+    new_scene,
     number_points,
     plot_coordinates,
     plot_lines,
@@ -53,12 +53,12 @@ _LETTER = 0.061
 """Mean width of a letter of the key, in inches."""
 
 
-def draw_places(mesh: Mesh, table: pd.DataFrame, ax: Axes3D | None = None) -> Axes3D:
+def draw_places(mesh: MeshTables, table: pd.DataFrame, ax: Axes3D | None = None) -> Axes3D:
     """Draw the mesh in grey and a mark at every spring, damper, mass, support and part that a parameter scales.
 
     Parameters
     ----------
-    mesh : Mesh
+    mesh : MeshTables
     table : DataFrame
         Columns ``name, form, kind, parameters`` (names with semicolons between, empty for what is fixed) and
         ``x, y, z`` (m).
@@ -71,7 +71,7 @@ def draw_places(mesh: Mesh, table: pd.DataFrame, ax: Axes3D | None = None) -> Ax
         `numbered_parameters`. Name, form and parameters appear under the mouse.
     """
     ax = new_axes(ax)
-    parts, rest = pieces(mesh), places(mesh)
+    parts, rest = pieces(mesh), point_coordinates(mesh)
     plot_lines(ax, rest[parts.strokes], color=REST, linewidth=0.8, gid="mesh", zorder=1)
     inner = parts.corners[parts.kind == FACE]
     plot_lines(ax, rest[inner[:, :2]], color=REST, linewidth=0.15, gid="faces", zorder=1)
@@ -102,7 +102,7 @@ def _names(cell: str) -> list[str]:
     return cell.split("; ") if cell else []
 
 
-def places_figure(mesh: Mesh, table: pd.DataFrame) -> Figure:
+def places_figure(mesh: MeshTables, table: pd.DataFrame) -> Figure:
     """Draw the places with a key of numbers and marks; for the arguments see `draw_places`."""
     rest = seen_places(mesh)
     keys = numbered_parameters(table)
@@ -114,7 +114,7 @@ def places_figure(mesh: Mesh, table: pd.DataFrame) -> Figure:
     rows = math.ceil(len(keys) / columns)
     foot = FOOT + 0.17 * rows + 0.1
     wide, high = seen_size(rest, 0.1 * float(np.linalg.norm(np.ptp(rest, axis=0))))
-    figure = new_figure(min(WIDTH * high / wide, 5.6) + foot, foot)
+    figure = new_scene(min(WIDTH * high / wide, 5.6) + foot, foot)
     height = float(figure.get_size_inches()[1])
     draw_places(mesh, table, figure.add_subplot(projection="3d"))
     for column in range(columns):

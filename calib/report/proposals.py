@@ -23,7 +23,7 @@ from calib.report.scene import (
     frame_panel,
     largest_drawn,
     new_axes,
-    new_figure,
+    new_scene,
     number_points,
     plot_coordinates,
     plot_lines,
@@ -104,7 +104,7 @@ def proposals_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     points = np.concatenate([rest.reshape(-1, 3), rows[PLACE].to_numpy(dtype=float)])
     wide, high = seen_size(points, largest_drawn(points))
     foot = FOOT + 0.25 + 0.15 * len(lines)
-    figure = new_figure(min(WIDTH * high / wide + 2 * HEADING, 4.4) + foot, foot)
+    figure = new_scene(min(WIDTH * high / wide + 2 * HEADING, 4.4) + foot, foot)
     draw_proposals(table, rest, figure.add_subplot(projection="3d"))
     show_axes(figure)
     height = float(figure.get_size_inches()[1])

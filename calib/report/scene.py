@@ -108,7 +108,7 @@ def frame_scene(ax: Axes3D, points: np.ndarray, heading: float = 0.0) -> None:
         artist.set_clip_on(False)
 
 
-def new_figure(height: float, foot: float = FOOT) -> Figure:
+def new_scene(height: float, foot: float = FOOT) -> Figure:
     """Return an empty figure whose panels fill it above a foot, both heights in inches."""
     figure = Figure(figsize=(WIDTH, height), dpi=DPI)
     figure.subplots_adjust(left=0.0, right=1.0, top=1.0, bottom=foot / height, wspace=0.0, hspace=0.0)
@@ -236,7 +236,7 @@ def panel_grid(
     panel = WIDTH / columns
     # The square of a 3-D panel starts at its top edge only while the panel is not taller than wide.
     height = rows * min(panel * max(high / wide, 0.3) + 2 * HEADING, panel) + FOOT
-    figure = new_figure(height)
+    figure = new_scene(height)
     grid = figure.add_gridspec(rows, columns)
     return figure, [grid[k // columns, k % columns] for k in range(count)]
 

@@ -18,13 +18,13 @@ from scipy.spatial import cKDTree
 
 from calib.report.mesh import (
     FACE,
-    Mesh,
+    MeshTables,
     draw_pieces,
     element_corners,
     element_edges,
     motions,
     pieces,
-    places,
+    point_coordinates,
     seen_places,
     thickness,
 )
@@ -50,7 +50,7 @@ _WIDTHS = np.array([0.3, 0.8, 1.2])
 
 
 def draw_mode_shape(
-    shapes: pd.DataFrame, deflection: pd.DataFrame, mesh: Mesh, ax: Axes3D | None = None, *, title: str = ""
+    shapes: pd.DataFrame, deflection: pd.DataFrame, mesh: MeshTables, ax: Axes3D | None = None, *, title: str = ""
 ) -> Axes3D:
     """Draw one mode in three dimensions: mesh at rest, deformed mesh, and the measured motion of every sensor.
 
@@ -62,7 +62,7 @@ def draw_mode_shape(
     deflection : DataFrame
         Motions of this mode: ``point, u, v, w`` (shape amplitude, scaled to the measured shape); empty when the mode
         is not paired.
-    mesh : Mesh
+    mesh : MeshTables
     ax : Axes3D, optional
     title : str
         Written above the panel.
@@ -83,7 +83,7 @@ def draw_mode_shape(
 
 def draw_measured_shape(
     shapes: pd.DataFrame,
-    mesh: Mesh,
+    mesh: MeshTables,
     ax: Axes3D | None = None,
     *,
     expanded: pd.DataFrame | None = None,
@@ -95,7 +95,7 @@ def draw_measured_shape(
     ----------
     shapes : DataFrame
         Sensors of this mode, as for `draw_mode_shape`.
-    mesh : Mesh
+    mesh : MeshTables
         Tells which sensors are neighbours, and the size of the drawing.
     ax : Axes3D, optional
     expanded : DataFrame, optional
@@ -131,7 +131,7 @@ def draw_measured_shape(
 def mode_shapes_figure(
     shapes: pd.DataFrame,
     deflection: pd.DataFrame,
-    mesh: Mesh,
+    mesh: MeshTables,
     comparison: pd.DataFrame | None = None,
     expanded: pd.DataFrame | None = None,
 ) -> Figure:
@@ -141,7 +141,7 @@ def mode_shapes_figure(
     ----------
     shapes, deflection : DataFrame
         As for `draw_mode_shape`, for all modes.
-    mesh : Mesh
+    mesh : MeshTables
     comparison : DataFrame, optional
         Columns ``mode, natural_freq_measured, natural_freq_model, mac`` for the titles of the panels.
     expanded : DataFrame, optional
@@ -185,7 +185,7 @@ def mode_shapes_figure(
 
 def _draw_mesh(
     ax: Axes3D,
-    mesh: Mesh,
+    mesh: MeshTables,
     motion: np.ndarray | None,
     place: np.ndarray,
     measured: np.ndarray,
@@ -195,7 +195,7 @@ def _draw_mesh(
     title: str,
 ) -> None:
     """Draw the mesh at rest and moved, with the measured motion (n_places, 3) of the sensors in the same scale."""
-    rest, parts = places(mesh), pieces(mesh)
+    rest, parts = point_coordinates(mesh), pieces(mesh)
     seen = np.unique(parts.corners)
     moves = np.zeros_like(rest) if motion is None else motion
     at = np.concatenate([rest[seen], place])
@@ -248,7 +248,7 @@ def _panel_titles(mode: str, facts: dict[str, dict[Hashable, Any]]) -> tuple[str
     return test, f"{row['natural_freq_model']:.2f} Hz" + ("" if math.isnan(row["mac"]) else f"   MAC {row['mac']:.2f}")
 
 
-def wireframe(mesh: Mesh, sensors: np.ndarray) -> np.ndarray:
+def wireframe(mesh: MeshTables, sensors: np.ndarray) -> np.ndarray:
     """Return pairs of sensors that are neighbours along the mesh.
 
     They are the Gabriel neighbours (Gabriel and Sokal 1969) by distances d along edges: no third sensor r has
@@ -258,7 +258,7 @@ def wireframe(mesh: Mesh, sensors: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    mesh : Mesh
+    mesh : MeshTables
     sensors : ndarray (n_places, 3)
         Metres.
 
@@ -267,7 +267,7 @@ def wireframe(mesh: Mesh, sensors: np.ndarray) -> np.ndarray:
     ndarray (n, 2), int
         Rows of ``sensors``, the smaller first, each pair once.
     """
-    rest, same = _merged(places(mesh))
+    rest, same = _merged(point_coordinates(mesh))
     edges = np.unique(np.sort(same[element_edges(element_corners(mesh))], axis=1), axis=0)
     edges = edges[edges[:, 0] != edges[:, 1]]
     if not len(sensors) or not len(edges):

@@ -67,17 +67,17 @@ KEYS = {
     "why_places": ("effect", "perturbation"),
 }
 """Columns that identify a row, by the name of the table without its stage."""
-STAGES = ("_initial", "_before", "_after", "_added")
+_SUFFIXES = ("_initial", "_before", "_after", "_added")
 
 
 def without_stage(name: str) -> str:
     """Name of a table without the stage of the model that it is of."""
-    for stage in STAGES:
+    for stage in _SUFFIXES:
         name = name.removesuffix(stage)
     return name
 
 
-def read_table(path: Path, text: Sequence[str], numbers: Sequence[str] = (), **more: Any) -> pd.DataFrame:
+def read_results(path: Path, text: Sequence[str], numbers: Sequence[str] = (), **more: Any) -> pd.DataFrame:
     """Read a table as `calib.results.table.read_table` does, with rows that are unique by their `KEYS`."""
     more.setdefault("unique", KEYS.get(without_stage(path.stem), ()))
     return table.read_table(path, text, numbers, **more)
@@ -85,7 +85,7 @@ def read_table(path: Path, text: Sequence[str], numbers: Sequence[str] = (), **m
 
 def read_square(path: Path, key: str = "parameter", may_be_empty: bool = False) -> pd.DataFrame:
     """Read a table whose rows and columns name the same things; InputError where they do not."""
-    table = read_table(path, [key], others_are_numbers=True, unique=key, may_be_empty=may_be_empty)
+    table = read_results(path, [key], others_are_numbers=True, unique=key, may_be_empty=may_be_empty)
     if len(table) and table[key].tolist() != [c for c in table.columns if c != key]:
         raise InputError(
             f"rows and columns do not name the same {key}s",
@@ -124,12 +124,12 @@ def read_stages(folder: Folder, name: str, stages: Iterable[str]) -> dict[str, p
     for stage in stages:
         path = folder / f"{name}_{stage}.csv"
         if path.exists() and (name != "comparison" or kind_of(path) == "frf"):
-            found[stage] = read_table(path, _TEXT[name], _NUMBERS[name])
+            found[stage] = read_results(path, _TEXT[name], _NUMBERS[name])
     return found
 
 
 @dataclass(frozen=True)
-class Shown:
+class CurrentFolder:
     """A folder in which some files count as missing, since they belong to another state of the study.
 
     Attributes
@@ -147,4 +147,4 @@ class Shown:
         return self.folder / ".hidden" / name if name in self.hidden else self.folder / name
 
 
-Folder: TypeAlias = Path | Shown
+Folder: TypeAlias = Path | CurrentFolder

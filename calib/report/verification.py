@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from calib.report.explanation import LEAST_BAYES_FACTOR, blank
-from calib.report.numbers import chance, fixed, short
+from calib.report.numbers import fixed, p_value, short
 from calib.report.style import (
     AFTER,
     BLACK,
@@ -98,7 +98,7 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
         ends.append((x, rms))
         (dots,) = ax.plot(x, rms, linestyle="none", markersize=9, label=label, gid=stage, zorder=5, **looks)
         words = [
-            f"{GROUPS.get(group, group)}, {label}: {fixed(r, 2)} σ; expected {fixed(e, 2)}; p {chance(q)}"
+            f"{GROUPS.get(group, group)}, {label}: {fixed(r, 2)} σ; expected {fixed(e, 2)}; p {p_value(q)}"
             for group, r, e, q in zip(groups, rms, expected, p, strict=True)
         ]
         hover_points(ax, x, rms, words)

@@ -29,7 +29,7 @@ from calib.report.scene import (
     largest_drawn,
     motion_scale,
     new_axes,
-    new_figure,
+    new_scene,
     number_points,
     plot_coordinates,
     plot_lines,
@@ -179,7 +179,7 @@ def sensor_misfit_figure(table: pd.DataFrame, rest: np.ndarray, *, stage: str = 
     wide, high = seen_size(points, largest_drawn(points))
     upper = min(WIDTH * high / wide + 2 * HEADING, 4.4)
     lower = min(WIDTH / 3 * high / wide + 2 * HEADING, WIDTH / 3) if worst else 0.0
-    figure = new_figure(upper + lower + FOOT)
+    figure = new_scene(upper + lower + FOOT)
     grid = figure.add_gridspec(2 if worst else 1, 3, height_ratios=[upper, lower] if worst else None)
     main = draw_sensor_misfit(table, rest, figure.add_subplot(grid[0, :], projection="3d"), stage=stage)
     shown = [by_mode[mode] for mode in worst]
@@ -294,7 +294,7 @@ def perturbation_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     words += "\n×  absorbed by the parameters" if table["score"].isna().any() else ""
     # The list stands above the colour bar, in the place of a panel where one is free.
     foot = FOOT + (0.0 if count * columns > len(kinds) else 0.1 + 0.15 * (words.count("\n") + 1))
-    figure = new_figure(count * min(panel * high / wide + 3 * HEADING, panel, 4.4) + foot, foot)
+    figure = new_scene(count * min(panel * high / wide + 3 * HEADING, panel, 4.4) + foot, foot)
     grid = figure.add_gridspec(count, columns)
     limit = score_limit(table)
     for k, kind in enumerate(kinds):

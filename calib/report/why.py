@@ -16,10 +16,10 @@ from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from calib.report.alike import CORRELATION, STAR, TICKS, acting, draw_alike, most_alike, place_words, placed
+from calib.report.alike import CORRELATION, STAR, TICKS, acting, alike_words, draw_alike, most_alike, placed
 from calib.report.numbers import counted, fixed, percent, significant, with_unit
 from calib.report.numbers import places as listed
-from calib.report.scene import FOOT, colour_bar, new_figure, show_axes
+from calib.report.scene import FOOT, colour_bar, new_scene, show_axes
 from calib.report.style import AFTER, BLACK, DENSE, GREY, WIDTH, WITH, legend_above, own_axes
 from calib.report.svg import hover, hover_points
 
@@ -149,7 +149,8 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     x, y = (table[name].to_numpy(dtype=float) for name in ("signature", "residual"))
     imaginary = (table["part"] == "im").to_numpy(dtype=bool)
     names = [
-        f"{_shown(r['mode'])} {r['sensor']}" + (" im" if r["part"] == "im" else "") for r in table.to_dict("records")
+        f"{_mode_label(r['mode'])} {r['sensor']}" + (" im" if r["part"] == "im" else "")
+        for r in table.to_dict("records")
     ]
     reach = 1.12 * float(np.max(np.abs([*x, *y]), initial=1.0))
     ax.plot([-reach, reach], [-reach, reach], color=BLACK, linewidth=0.9, linestyle="--", gid="equal", zorder=2)
@@ -169,7 +170,7 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     return ax
 
 
-def _shown(mode: str) -> str:
+def _mode_label(mode: str) -> str:
     """A mode's name, or a line of an FRF in four digits."""
     freq = mode.removesuffix(" Hz")
     return f"{float(freq):.4g} Hz" if freq != mode else mode
@@ -234,7 +235,7 @@ def why_figure(
     below = max(0.5, 0.14 + 0.075 * max(map(len, _names(bars)), default=0))
     foot = FOOT if places is not None else 0.4
     # Without a layout engine, since the view of the structure is framed for the place of its panel.
-    figure = new_figure(len(names) * (top + _PANEL + below) + foot, foot)
+    figure = new_scene(len(names) * (top + _PANEL + below) + foot, foot)
     grid = figure.add_gridspec(3 * len(names), 1, height_ratios=[top, _PANEL, below] * len(names))
     for k, (name, heading) in enumerate(zip(names, headings, strict=True)):
         own = table[table["effect"] == name]
@@ -337,7 +338,7 @@ def _heading(
         told.append(
             f"By the library, not by the data, it acts at (m, marked by a star): {listed(stars.tolist(), _NAMED)}."
         )
-    if places is not None and (where := place_words(places, name)):
+    if places is not None and (where := alike_words(places, name)):
         told.append(
             f"Most alike among the local perturbations, marked 1: {where}"
             if most_alike(places, name) is not None

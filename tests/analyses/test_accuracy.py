@@ -18,7 +18,7 @@ from calib.correlation.standard_deviations import std_for
 from calib.errors.errors import InputError
 from calib.measurement.accuracy import Accuracy, Claim, widened
 from calib.report.html.study_results import StudyResults
-from calib.report.html.summary import summary
+from calib.report.html.summary import page_summary
 from calib.report.numbers import percent
 from calib.results.ledger import Ledger
 from calib.results.results import Results
@@ -45,7 +45,7 @@ def calibrated(study, tmp_path):
 def reported_noise(folder):
     """The frequency errors in the summary at the top of the page."""
     (words,) = [
-        number for what, number in summary(StudyResults(folder, "Mast", True)).facts if "frequency error" in what
+        number for what, number in page_summary(StudyResults(folder, "Mast", True)).facts if "frequency error" in what
     ]
     return words
 

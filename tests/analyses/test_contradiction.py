@@ -14,7 +14,7 @@ from calib.command import cli
 from calib.errors.errors import InputError
 from calib.missing.rules import RULES
 from calib.report.html.study_results import StudyResults
-from calib.report.html.summary import summary
+from calib.report.html.summary import page_summary
 from calib.study.study import Study
 
 MODEL = """
@@ -77,7 +77,7 @@ def test_contradicting_data_are_reported_everywhere(tmp_path, monkeypatch, capsy
     assert said.count(sentence) == 1
     assert all(f"{name} (held out)" in said for name in ("y6", "y7"))
     assert sentence in json.loads((folder / "record.json").read_text())["analyses"]["calibrate"]["sentences"]
-    assert sentence in summary(StudyResults(folder, "A line", True)).sure
+    assert sentence in page_summary(StudyResults(folder, "A line", True)).sure
     each = pd.read_csv(folder / "responses.csv").set_index("response")
     assert each.index[each["held_out"]].tolist() == ["y6", "y7"] and len(each) == 8
 

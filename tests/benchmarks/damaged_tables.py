@@ -31,7 +31,7 @@ from calib.measurement.files.csv_format import read_responses_csv
 from calib.measurement.files.read import read_modes
 from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
-from calib.report.html.summary import summary
+from calib.report.html.summary import page_summary
 from calib.report.html.write import sections
 from calib.results.results import Results
 from calib.study.loading import module_of
@@ -189,7 +189,7 @@ class Bench:
 def _told(folder: Path) -> object:
     """Everything that stands on the page."""
     answers = StudyResults(folder, "Damaged", True)
-    return summary(answers), sections(answers)
+    return page_summary(answers), sections(answers)
 
 
 def _drawn(stem: str, folder: Path) -> object:

@@ -7,7 +7,7 @@ import pytest
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-from calib.report.mesh import Mesh
+from calib.report.mesh import MeshTables
 from calib.report.scene import plot_coordinates
 
 MODES = ["1BT", "2BT", "3BT"]
@@ -126,13 +126,13 @@ def shapes() -> pd.DataFrame:
 
 
 @pytest.fixture
-def mesh() -> Mesh:
+def mesh() -> MeshTables:
     """Two bars along x."""
     places = [(0.0, 0.5, 1.0), (2.0, 0.5, 1.0), (0.0, 0.0, -1.0), (2.0, 0.0, -1.0)]
     points = pd.DataFrame(places, columns=["x", "y", "z"])
     points.insert(0, "point", range(4))
     elements = pd.DataFrame({"group": ["bar"] * 2, "a": [0, 2], "b": [1, 3], "c": [np.nan] * 2, "d": [np.nan] * 2})
-    return Mesh(points, elements)
+    return MeshTables(points, elements)
 
 
 @pytest.fixture
@@ -161,7 +161,7 @@ def modes() -> pd.DataFrame:
 
 
 @pytest.fixture
-def hull() -> Mesh:
+def hull() -> MeshTables:
     """A box 20 m long, 2 m high and 2 m wide without ends; its top is a separate group, one side has an opening.
 
     A transverse bar of 1 m hangs below each end, at x = 2 and x = 18 m; a beam runs along an edge of the box.
@@ -182,7 +182,7 @@ def hull() -> Mesh:
         places += [(at, 0.5, -0.5), (at, 0.5, 0.5)]
     points = pd.DataFrame(places, columns=["x", "y", "z"])
     points.insert(0, "point", range(len(places)))
-    return Mesh(points, pd.DataFrame(rows, columns=["group", "a", "b", "c", "d"]))
+    return MeshTables(points, pd.DataFrame(rows, columns=["group", "a", "b", "c", "d"]))
 
 
 def seen(ax: Axes3D, gid: str) -> np.ndarray:

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.correlation import draw_correlation, others, pairs, strongest
+from calib.report.correlation import correlated_pairs, draw_correlation, others, strongest
 from calib.report.figures import Figures
 
 
@@ -31,7 +31,7 @@ def many():
 
 
 def test_each_pair_appears_once_the_strongest_first(many):
-    found, matrix = pairs(many), many.set_index("parameter")
+    found, matrix = correlated_pairs(many), many.set_index("parameter")
     assert len(found) == 66 == len({frozenset(p) for p in found[["parameter_a", "parameter_b"]].to_numpy()})
     assert [matrix.loc[a, b] for a, b, _ in found.itertuples(index=False)] == found["value"].tolist()
     assert found["value"].abs().is_monotonic_decreasing
@@ -53,7 +53,7 @@ def test_no_more_bars_than_can_be_read_and_the_limit_of_the_rest_is_theirs(many)
     (bars,) = draw_correlation(many, threshold=0.5, label="value", most_in_matrix=8).containers
     assert [bar.get_width() for bar in bars] == shown["value"].tolist() and len(shown) == 20
     count, limit = (float(n) for n in re.findall(r"[\d.]+", others(many, 0.5)))
-    rest = pairs(many)["value"].abs()[20:]
+    rest = correlated_pairs(many)["value"].abs()[20:]
     assert count == len(rest) == 46 and limit == round(rest.max(), 2) > 0.5
 
 

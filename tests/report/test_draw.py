@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from calib.errors.errors import InputError
 from calib.report.figures import Figures, is_legible
 from calib.report.style import COLUMN, NO_GLYPH, SYNTHETIC, WIDTH, add_heading, new_figure, save, style
-from calib.report.tables import read_table
+from calib.report.tables import read_results
 
 ALL = [
     "comparison",
@@ -222,13 +222,13 @@ def test_a_row_with_too_few_or_too_many_cells(tmp_path, row):
     path = tmp_path / "comac_before.csv"
     path.write_text(f"sensor,comac\n1y,0.9\n{row}\n")
     with pytest.raises(InputError, match="line 3"):
-        read_table(path, ["sensor"], ["comac"])
+        read_results(path, ["sensor"], ["comac"])
 
 
 def test_names_that_look_like_numbers_or_gaps_stay_names(tmp_path):
     path = tmp_path / "mac_before.csv"
     path.write_text("mode,1\n01,0.5\nNA,0.25\n")
-    table = read_table(path, ["mode"], others_are_numbers=True)
+    table = read_results(path, ["mode"], others_are_numbers=True)
     assert list(table["mode"]) == ["01", "NA"] and list(table["1"]) == [0.5, 0.25]
 
 

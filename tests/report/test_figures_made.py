@@ -9,11 +9,11 @@ from calib.errors.errors import InputError
 from calib.execution.stage import unheard
 from calib.execution.tasks import shared_by
 from calib.execution.team import Team
-from calib.report.figures import Asked, Figures
+from calib.report.figures import FigureRequest, Figures
 
 
 def asked(*page):
-    return Asked(page, formats=("png", "pdf", "svg"), width="page")
+    return FigureRequest(page, formats=("png", "pdf", "svg"), width="page")
 
 
 @pytest.fixture

@@ -5,7 +5,18 @@ import pandas as pd
 import pytest
 
 from calib.errors.errors import InputError
-from calib.report.mesh import BORDER, FACE, LINE, Mesh, bodies, check_mesh, draw_pieces, motions, pieces, thickness
+from calib.report.mesh import (
+    BORDER,
+    FACE,
+    LINE,
+    MeshTables,
+    bodies,
+    check_mesh,
+    draw_pieces,
+    motions,
+    pieces,
+    thickness,
+)
 from calib.report.scene import frame_panel, new_axes, plot_coordinates, view_directions
 
 
@@ -59,7 +70,7 @@ def test_near_pieces_are_drawn_last_with_their_own_colour_and_width(pixels):
 
 
 def test_a_mesh_without_elements_is_drawn_as_its_points(mesh):
-    drawn = pieces(Mesh(mesh.points, mesh.elements.iloc[:0]))
+    drawn = pieces(MeshTables(mesh.points, mesh.elements.iloc[:0]))
     np.testing.assert_array_equal(drawn.corners, np.repeat(np.arange(len(mesh.points))[:, None], 4, axis=1))
 
 
@@ -70,7 +81,7 @@ def test_nothing_to_draw_adds_nothing(mesh):
 
 
 def test_numbers_of_points_need_not_begin_at_zero(mesh):
-    shifted = Mesh(
+    shifted = MeshTables(
         mesh.points.assign(point=mesh.points["point"] + 7), mesh.elements.assign(a=[7, 9], b=[8, 10])
     )  # fmt: skip
     pd.testing.assert_frame_equal(pd.DataFrame(pieces(shifted).corners), pd.DataFrame(pieces(mesh).corners))

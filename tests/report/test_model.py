@@ -3,7 +3,7 @@ import os
 import numpy as np
 from matplotlib.colors import to_rgb
 
-from calib.report.mesh import FACE, pieces, places
+from calib.report.mesh import FACE, pieces, point_coordinates
 from calib.report.model import COLOURS, draw_model, face_groups, model_figure
 
 
@@ -16,7 +16,7 @@ def drawn(ax, gid):
 
 def test_every_piece_lies_where_the_tables_say(hull, pixels):
     ax = draw_model(hull)
-    wanted = pixels.expected(ax, places(hull)[pieces(hull).corners])
+    wanted = pixels.expected(ax, point_coordinates(hull)[pieces(hull).corners])
     seen = pixels.seen(ax, "model")
     assert {tuple(np.round(s.ravel(), 3)) for s in seen} == {tuple(np.round(w.ravel(), 3)) for w in wanted}
 

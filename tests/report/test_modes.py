@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.mesh import LINE, pieces, places
+from calib.report.mesh import LINE, pieces, point_coordinates
 from calib.report.modes import AMPLITUDE, draw_model_mode, model_modes_figure, pages, views
 
 
@@ -24,30 +24,31 @@ def test_pieces_are_coloured_by_their_amplitude_over_the_largest(deflection, mes
 
 def test_the_largest_motion_is_drawn_as_a_tenth_of_the_diagonal(deflection, mesh, pixels):
     ax = draw_model_mode(deflection, mesh)
-    moved = places(mesh) + 0.1 * np.sqrt(8.25) * deflection[["u", "v", "w"]].to_numpy()
+    moved = point_coordinates(mesh) + 0.1 * np.sqrt(8.25) * deflection[["u", "v", "w"]].to_numpy()
     expected = pixels.expected(ax, moved[[[2, 3, 3, 2], [0, 1, 1, 0]]])
     np.testing.assert_allclose(pixels.seen(ax, "deformed"), expected, atol=1e-6)
 
 
 def test_a_mode_of_the_hull_shows_all_pieces(hull):
-    (whole,) = views(pieces(hull), places(hull), motion(hull, 1.0, [0.9, 0.9])[1])
+    (whole,) = views(pieces(hull), point_coordinates(hull), motion(hull, 1.0, [0.9, 0.9])[1])
     assert whole.all()
 
 
 def test_a_mode_of_small_parts_shows_these_from_one_end_to_the_other(hull):
     parts = pieces(hull)
-    rear, front = views(parts, places(hull), motion(hull, 0.8, [0.6, -1.0])[1])
+    rear, front = views(parts, point_coordinates(hull), motion(hull, 0.8, [0.6, -1.0])[1])
     assert rear.sum() == front.sum() == 1 and (parts.kind[rear | front] == LINE).all()
-    assert places(hull)[parts.corners[rear], 0].max() == 2.0 and places(hull)[parts.corners[front], 0].min() == 18.0
+    assert point_coordinates(hull)[parts.corners[rear], 0].max() == 2.0
+    assert point_coordinates(hull)[parts.corners[front], 0].min() == 18.0
 
 
 def test_a_part_that_hardly_moves_is_not_shown(hull):
-    (front,) = views(pieces(hull), places(hull), motion(hull, 0.0, [0.4, 1.0])[1])
+    (front,) = views(pieces(hull), point_coordinates(hull), motion(hull, 0.0, [0.4, 1.0])[1])
     assert front.sum() == 1
 
 
 def test_a_structure_of_similar_bodies_shows_all_pieces(deflection, mesh):
-    (whole,) = views(pieces(mesh), places(mesh), deflection[["u", "v", "w"]].to_numpy())
+    (whole,) = views(pieces(mesh), point_coordinates(mesh), deflection[["u", "v", "w"]].to_numpy())
     assert whole.all()
 
 

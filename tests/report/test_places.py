@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.mesh import Mesh
+from calib.report.mesh import MeshTables
 from calib.report.model import model_figure
 from calib.report.places import draw_places, numbered_parameters, places_figure
 from calib.report.style import style
@@ -109,7 +109,7 @@ def test_a_model_at_one_point_is_drawn_too(table, line):
     points = pd.DataFrame([(0, 1.0, 1.0, 1.0), (1, 1.0, 1.0, 1.0)], columns=["point", *PLACE])
     elements = pd.DataFrame([] if line is None else [("rod", *line, np.nan, np.nan)], columns=["group", *"abcd"])
     sensor = pd.DataFrame([("y", 1.0, 1.0, 1.0)], columns=["direction", *PLACE])
-    mesh, some = Mesh(points, elements), table[:1].assign(x=1.0, y=1.0, z=1.0)
+    mesh, some = MeshTables(points, elements), table[:1].assign(x=1.0, y=1.0, z=1.0)
     for figure in (places_figure(mesh, some), model_figure(mesh, sensor)):
         figure.draw_without_rendering()
         panel = figure.axes[0].get_position(original=True)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from calib.report import draw, explanation_plan
 from calib.report.draw import plan
 from calib.report.drawing import bound
-from calib.report.tables import Shown
+from calib.report.tables import CurrentFolder
 
 
 @pytest.mark.parametrize("others", [(), ("sensitivity", "partial", "variance_share")])
@@ -27,7 +27,7 @@ def test_modes_with_an_added_effect_are_drawn_beside_a_sensitivity_analysis(tmp_
     for name in others:
         table = pd.DataFrame({"parameter": ["k", "m"], "natural_freq_m1": [0.9, -0.4]})
         table.to_csv(tmp_path / f"{name}.csv", index=False)
-    (axes,) = plan(Shown(tmp_path, ()))["added_modes"].draw().axes
+    (axes,) = plan(CurrentFolder(tmp_path, ()))["added_modes"].draw().axes
     drawn = {line.get_gid(): line.get_xdata().tolist() for line in axes.lines if line.get_gid() in stages}
     assert drawn == {stage: pytest.approx([100 * error, -100 * error]) for stage, error in errors.items()}
 

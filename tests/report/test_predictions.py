@@ -3,11 +3,25 @@
 import numpy as np
 import pandas as pd
 import pytest
-from calib.report.html.predictions import predictions
 
 from calib.report.figures import Figures, is_legible
 from calib.report.html.study_results import StudyResults
+from calib.report.html.write import sections
 from calib.report.predictions import draw_predictions
+from tests.report.html.page_blocks import Table, section_blocks
+
+CAPTION = "Held-out data by the base model, alone and with the unexplained misfit"
+
+
+def blocks_of_errors(folder):
+    """Blocks of the section of prediction errors."""
+    found = {section.name: section for section in sections(StudyResults(folder, "Bogie", True))}
+    return section_blocks(found["errors"]) if "errors" in found else []
+
+
+def table_of(blocks):
+    (table,) = [block for block in blocks if isinstance(block, Table) and block.caption == CAPTION]
+    return table
 
 
 def made(freq=False):
@@ -84,7 +98,7 @@ def test_a_value_without_a_finite_interval_is_counted_and_not_drawn(unbounded):
     assert len(bars(ax)[0]) == 2
     plan = Figures(folder, "Bogie", True).plan
     np.testing.assert_allclose(dots(plan["held_out_predictions"].draw().axes[0], "outside"), [[1, 4.0]])
-    assert predictions(StudyResults(folder, "Bogie", True))[-1].rows[0][:3] == ("held-out sensors", "1 of 2", "2 of 2")
+    assert table_of(blocks_of_errors(folder)).rows[0][:3] == ("held-out sensors", "1 of 2", "2 of 2")
 
 
 def test_without_any_finite_interval_the_figure_says_so():
@@ -96,12 +110,13 @@ def test_the_page_counts_and_tells_what_the_tables_hold(tmp_path):
     made().to_csv(tmp_path / "unexplained_predictions.csv", index=False)
     ERRORS.to_csv(tmp_path / "unexplained_errors.csv", index=False)
     assert "held_out_predictions" in Figures(tmp_path, "Bogie", True).plan
-    words, picture, table = predictions(StudyResults(tmp_path, "Bogie", True))
-    assert picture.name == "held_out_predictions"
+    blocks = blocks_of_errors(tmp_path)
+    table, names = table_of(blocks), [getattr(block, "name", "") for block in blocks]
+    words = blocks[names.index("held_out_predictions") - 1]
     assert table.rows[0][:5] == ("held-out sensors", "1 of 2", "2 of 2", "3.50", "1.10")
     assert table.rows[1][:5] == ("held-out modes", "0 of 1", "0 of 1", "2.50", "1.05")
     assert table.rows[0][5] == "1.30" and "noise of the measurement" in words.text
 
 
 def test_without_the_tables_the_page_has_no_section(tmp_path):
-    assert predictions(StudyResults(tmp_path, "Bogie", True)) == []
+    assert blocks_of_errors(tmp_path) == []

@@ -1,10 +1,10 @@
-"""What is proposed and where: the drawn places are those of the table."""
+"""What is proposed and where: the places in the figure are those of the table."""
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.proposals import BEST, draw_proposals, drawn, proposals_figure
+from calib.report.proposals import BEST, draw_proposals, placed_proposals, proposals_figure
 from calib.report.scene import PLACE
 
 REST = np.array([[[0.0, 0.0, -1.0], [4.0, 0.0, -1.0]], [[4.0, 0.0, -1.0], [4.0, 1.0, 1.0]]])
@@ -32,7 +32,7 @@ def placed(collection):
 
 
 def test_drawn_are_the_best_three_the_equal_ones_and_what_is_like_the_first(table):
-    rows = drawn(table)
+    rows = placed_proposals(table)
     assert set(zip(rows["rank"], rows["kind"], strict=True)) == {
         (1, "stiffness"), (1, "mass"), (2, "added mass"), (3, "damping"), (4, "hung mass"),
     }  # fmt: skip
@@ -42,7 +42,7 @@ def test_drawn_are_the_best_three_the_equal_ones_and_what_is_like_the_first(tabl
 def test_every_place_is_drawn_where_it_is_with_its_evidence(table):
     ax = draw_proposals(table, REST)
     (dots,) = [c for c in ax.collections if c.get_gid() == "evidence"]
-    own = drawn(table)
+    own = placed_proposals(table)
     own = own[own["fitted"]]
     found = {tuple(at): value for at, value in zip(placed(dots).round(6).tolist(), dots.get_array(), strict=True)}
     assert found == {tuple(at): e for at, e in zip(own[PLACE].to_numpy().tolist(), own["evidence"], strict=True)}
@@ -62,5 +62,5 @@ def test_the_key_names_each_number_once(table):
 
 def test_a_place_without_coordinates_is_not_drawn(table):
     table.loc[0, PLACE] = np.nan
-    assert "stiffness" not in set(drawn(table)["kind"])
+    assert "stiffness" not in set(placed_proposals(table)["kind"])
     proposals_figure(table, REST)

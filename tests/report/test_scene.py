@@ -4,11 +4,11 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.text import Text
 
-from calib.report.scene import draw_dots, frame_panel, new_axes, new_figure, number_points
+from calib.report.scene import draw_dots, frame_panel, new_axes, new_scene, number_points
 
 
 def test_numbers_stay_inside_the_panel_and_off_the_points():
-    figure = new_figure(4.0)
+    figure = new_scene(4.0)
     ax = new_axes(figure.add_subplot(projection="3d"))
     # The last circle is surrounded by others, except towards the edge of the panel.
     row, column = np.linspace(0.0, 40.0, 81), np.linspace(-3.0, 3.0, 13)
@@ -36,7 +36,7 @@ def test_circles_grow_with_the_absolute_value():
 
 
 def test_numbers_at_one_place_cover_neither_each_other_nor_the_place():
-    figure = new_figure(4.0)
+    figure = new_scene(4.0)
     ax = new_axes(figure.add_subplot(projection="3d"))
     points = np.array([[0.0, 0, 0], *[[4, 0, 0]] * 4, [8, 0, 0]])
     draw_dots(ax, points, np.ones(6), Normalize(0.0, 1.0), "OrRd", "dots")

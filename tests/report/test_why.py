@@ -3,7 +3,7 @@ import pandas as pd
 import pytest
 from matplotlib.colors import to_hex
 
-from calib.report.alike import draw_alike, most_alike, place_words
+from calib.report.alike import alike_words, draw_alike, most_alike
 from calib.report.figures import Figures
 from calib.report.scene import plot_coordinates
 from calib.report.style import GREY, WITH
@@ -126,9 +126,9 @@ def test_the_share_is_of_the_sum_of_squares(table):
 
 
 def test_the_place_is_that_of_the_most_alike_perturbation_that_has_one(places):
-    assert most_alike(places, "arb")["perturbation"] == "spring 2" and "spring 2" in place_words(places, "arb")
-    assert most_alike(places, "seats") is None and "spring" not in place_words(places, "seats")
-    assert place_words(places.assign(x=np.nan), "arb") == ""
+    assert most_alike(places, "arb")["perturbation"] == "spring 2" and "spring 2" in alike_words(places, "arb")
+    assert most_alike(places, "seats") is None and "spring" not in alike_words(places, "seats")
+    assert alike_words(places.assign(x=np.nan), "arb") == ""
 
 
 def test_places_are_drawn_with_their_correlation(places):

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from calib.report.mesh import Mesh
+from calib.report.mesh import MeshTables
 from calib.report.shapes import wireframe
 
 
 def mesh(points, *elements):
     table = pd.DataFrame([(*e, *[np.nan] * (4 - len(e))) for e in elements], columns=list("abcd"))
     xyz = pd.DataFrame(np.asarray(points, dtype=float), columns=list("xyz"))
-    return Mesh(xyz.rename_axis("point").reset_index(), table.assign(group="g"))
+    return MeshTables(xyz.rename_axis("point").reset_index(), table.assign(group="g"))
 
 
 LINE = [(k, 0, 0) for k in range(7)]

@@ -129,7 +129,7 @@ def run(tmp_path_factory):
     The figures themselves take four times as long as all the rest and are left out, and so are the pages.
     """
     from calib.command import cli
-    from calib.report.html.summary import summary
+    from calib.report.html.summary import page_summary
     from calib.report.html.write import Page
 
     root, drawn, reported = tmp_path_factory.mktemp("several"), [], []
@@ -141,7 +141,7 @@ def run(tmp_path_factory):
 
         def unwritten(results, *given):
             reported.append(results.folder.folder.name)
-            return Page(results.folder / "report.html", summary(results))
+            return Page(results.folder / "report.html", page_summary(results))
 
         patch.setattr("calib.api.figures.write_report", unwritten)
         assert cli.execute(["run", str(study), "--results", str(root / "results"), "--workers", "1"]) == 0

@@ -67,12 +67,7 @@ def ends_of_searches(results: StudyResults) -> str:
     return "; ".join(f"{case} {significant(rows['best'].iloc[-1])}" for case, rows in runs)
 
 
-def compared(results: StudyResults) -> dict[str, pd.DataFrame]:
-    """The comparisons of modes by stage."""
-    return results.of_stages("comparison") if results.kind == "modes" else {}
-
-
-def correlations(table: pd.DataFrame) -> str:
+def correlation_words(table: pd.DataFrame) -> str:
     """The strong correlations of parameters, and how large the others are."""
     strong = strongest(table, STRONG).to_dict("records")
     words = [f"{r['parameter_a']}, {r['parameter_b']} {fixed(r['value'], 2)}" for r in strong]

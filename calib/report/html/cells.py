@@ -15,7 +15,7 @@ from calib.report.html.verified import group_words
 from calib.report.numbers import flag
 
 
-class Words(list[str]):
+class TextCells(list[str]):
     """Cells of words, aligned left; those of other lists are numbers, aligned right."""
 
 
@@ -36,7 +36,7 @@ def filled(pattern: str, *columns: Any) -> list[str]:
     return [str(cell) for cell in by_row(lambda first, *more: pattern.format(first, *more))(*columns)]
 
 
-def where(table: pd.DataFrame, column: str) -> pd.DataFrame:
+def flagged(table: pd.DataFrame, column: str) -> pd.DataFrame:
     """Rows in which a flag holds; unknown counts as no."""
     return table[table[column].map(flag).astype(bool)]
 
@@ -76,18 +76,18 @@ def _marked(value: Any, mark: str) -> str:
 
 
 FILTERS: dict[str, Callable[..., Any]] = {
-    **{name: by_row(getattr(numbers, name)) for name in ("fixed", "percent", "significant", "chance", "probability")},
-    "yes": by_row(numbers.yes, Words),
+    **{name: by_row(getattr(numbers, name)) for name in ("fixed", "percent", "significant", "p_value", "probability")},
+    "yes": by_row(numbers.yes, TextCells),
     "with_unit": by_row(numbers.with_unit),
-    "text": by_row(str, Words),
+    "text": by_row(str, TextCells),
     "number": by_row(str),
-    "group": by_row(group_words, Words),
+    "group": by_row(group_words, TextCells),
     "paired": by_row(_paired),
     "between": by_row(_between),
-    "yes_if": by_row(_yes_if, Words),
-    "marked": by_row(_marked, Words),
+    "yes_if": by_row(_yes_if, TextCells),
+    "marked": by_row(_marked, TextCells),
     "counted": numbers.counted,
-    "where": where,
+    "flagged": flagged,
     "rows": rows,
     "tidy": tidy,
     "arrows": arrows,
@@ -97,4 +97,4 @@ FILTERS: dict[str, Callable[..., Any]] = {
 
 def is_words(cells: Iterable[str]) -> bool:
     """Whether a column holds words."""
-    return isinstance(cells, Words)
+    return isinstance(cells, TextCells)

@@ -19,7 +19,7 @@ def have_shapes(stages: Mapping[str, pd.DataFrame]) -> bool:
     return any(table["mac"].notna().any() for table in stages.values())
 
 
-def errors_in_words(results: StudyResults, stages: Mapping[str, pd.DataFrame]) -> str:
+def mode_errors_in_words(results: StudyResults, stages: Mapping[str, pd.DataFrame]) -> str:
     """Mean and largest frequency error, and mean MAC, of every stage."""
     shapes = have_shapes(stages)
     return " ".join(_errors(results.in_words(stage), table, shapes) for stage, table in stages.items())

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calib.report.alike import place_words
+from calib.report.alike import alike_words
 from calib.report.explanation import COLLINEAR, only_predicted, ranked
-from calib.report.html.cells import where
+from calib.report.html.cells import flagged
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, flag, place, places, significant, with_unit
 from calib.report.scene import PLACE
@@ -21,7 +21,7 @@ _CORNERS = 4
 """Places of an effect that are told: one at each corner of a structure."""
 
 
-def effects_table(results: StudyResults) -> pd.DataFrame | None:
+def ranked_effects(results: StudyResults) -> pd.DataFrame | None:
     """Read ``effects.csv``, sorted by decreasing evidence."""
     table = results.table("effects")
     return None if table is None else ranked(table)
@@ -50,7 +50,7 @@ def magnitudes(table: pd.DataFrame) -> list[str]:
     ]
 
 
-def smallest_visible(table: pd.DataFrame) -> list[str]:
+def smallest_visible_magnitudes(table: pd.DataFrame) -> list[str]:
     """The smallest visible magnitude of every effect."""
     return [
         "never" if np.isinf(least) else with_unit(least, str(unit), 2)
@@ -60,7 +60,7 @@ def smallest_visible(table: pd.DataFrame) -> list[str]:
 
 def remarks(table: pd.DataFrame) -> list[str]:
     """What is remarkable in every effect."""
-    credible = where(table, "credible").to_dict("records")
+    credible = flagged(table, "credible").to_dict("records")
     best = credible[0] if credible else None
     return [
         "; ".join(filter(None, _remarks(r, predicted, best)))
@@ -123,11 +123,11 @@ def why(results: StudyResults) -> Why:
     names = list(dict.fromkeys(table["effect"]))
     found += [words for name in names for words in further_parameters(fitted, name)]
     alike = results.table("why_places")
-    near = [] if alike is None else [f"{name}: {words}" for name in names if (words := place_words(alike, name))]
+    near = [] if alike is None else [f"{name}: {words}" for name in names if (words := alike_words(alike, name))]
     return Why(found, [*found, *near])
 
 
-def collinear(results: StudyResults) -> list[str]:
+def collinear_effects(results: StudyResults) -> list[str]:
     """Pairs of effects whose signatures are nearly the same."""
     table = results.table("confounding")
     assert table is not None
@@ -137,7 +137,7 @@ def collinear(results: StudyResults) -> list[str]:
     return [f"{names[i]} and {names[j]} {fixed(values[i, j], 2)}" for i, j in close]
 
 
-def perturbations(results: StudyResults) -> pd.DataFrame | None:
+def ranked_perturbations(results: StudyResults) -> pd.DataFrame | None:
     """``perturbations.csv``, the largest scores first."""
     table = results.table("perturbations")
     if table is None:

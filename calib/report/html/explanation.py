@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from calib.report.html.cells import arrows, where
+from calib.report.html.cells import arrows, flagged
 from calib.report.html.fails import TESTS
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, significant, with_unit
@@ -43,7 +43,7 @@ def errors_of_steps(table: pd.DataFrame) -> str:
 def named_faults(table: pd.DataFrame) -> str:
     """Which faults the verdict names, and how many scores are beyond their limit."""
     limit = float(table["limit"].iloc[0])
-    blamed = where(table, "blamed")["told"]
+    blamed = flagged(table, "blamed")["told"]
     beyond = int((table["score"].abs() > limit).sum())
     if len(blamed):
         return f"The verdict names {'; or '.join(blamed)}."
@@ -57,7 +57,7 @@ def places_of_proposals(results: StudyResults) -> str:
     """Rank and place of the proposals in the figure."""
     table = results.table("proposal_places")
     assert table is not None
-    named = where(placed_proposals(table), "fitted").drop_duplicates("rank")
+    named = flagged(placed_proposals(table), "fitted").drop_duplicates("rank")
     return "; ".join(f"{r['rank']:.0f}: {r['kind']}, {r['at']}" for r in named.to_dict("records"))
 
 

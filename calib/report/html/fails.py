@@ -8,9 +8,9 @@ from typing import NamedTuple
 import pandas as pd
 
 from calib.report.explanation import LEAST_BAYES_FACTOR, only_predicted, threshold
-from calib.report.html.cells import where
+from calib.report.html.cells import flagged
 from calib.report.html.study_results import StudyResults
-from calib.report.numbers import chance, fixed, flag
+from calib.report.numbers import fixed, flag, p_value
 from calib.report.where import sensor_rms
 
 TESTS = {
@@ -84,7 +84,7 @@ def _pulls(results: StudyResults) -> Limit | None:
     if table is None:
         return None
     sizes = sorted({fixed(limit, 1) for limit in table["limit"].astype(float).dropna()})
-    pulled = [f"{r['parameter']} ({r['model']})" for r in where(table, "pulled").to_dict("records")]
+    pulled = [f"{r['parameter']} ({r['model']})" for r in flagged(table, "pulled").to_dict("records")]
     count = int((table["model"] == table["model"].iloc[0]).sum())
     meaning = (
         f"noise alone pulls any of the {count} parameters further in {100 * BY_CHANCE:g} % of all cases; a parameter "
@@ -171,7 +171,7 @@ def least_likely(results: StudyResults) -> str | None:
     if table is None:
         return None
     base = table[table["stage"] == "base"].replace({"kind": {"freq": "frequency"}}).sort_values("p")
-    return ", ".join(f"{r['kind']} of {r['mode']} (p {chance(r['p'])})" for r in base.head(3).to_dict("records"))
+    return ", ".join(f"{r['kind']} of {r['mode']} (p {p_value(r['p'])})" for r in base.head(3).to_dict("records"))
 
 
 def sensors(results: StudyResults) -> list[str] | None:
@@ -202,13 +202,13 @@ def worst_function(results: StudyResults) -> str | None:
     return f"{latest.idxmax()}, {fixed(float(latest.max()) ** 0.5, 2)}"
 
 
-def suspects(results: StudyResults) -> pd.DataFrame | None:
+def suspect_data(results: StudyResults) -> pd.DataFrame | None:
     """Suspect data, without any one of which all other data fit; None where there are none.
 
     Calibration and explanation both fit the base model to the same data: a suspect of both is told once.
     """
     tables = [
-        where(table, "explains")
+        flagged(table, "explains")
         for name in ("suspects_explained", "suspects_calibrated")
         if (table := results.table(name)) is not None
     ]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from calib.report.correlation import pairs
+from calib.report.correlation import correlated_pairs
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed
 from calib.report.sensitivity import RESPONSE_KINDS
@@ -82,5 +82,5 @@ def _response(name: str) -> str:
 
 def largest_pair(table: pd.DataFrame) -> str:
     """The two parameters of the largest correlation, in words."""
-    a, b, value = pairs(table).iloc[0]
+    a, b, value = correlated_pairs(table).iloc[0]
     return f"{fixed(value, 2)}, of {a} and {b}"

@@ -12,7 +12,7 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
 from calib.report.html.study_results import STAGES, StudyResults
-from calib.report.mesh import FACE, Mesh, motions, pieces, places, read_mesh, thickness
+from calib.report.mesh import FACE, MeshTables, motions, pieces, point_coordinates, read_mesh, thickness
 from calib.report.model import sensor_tips
 from calib.report.numbers import counted, fixed, flag
 from calib.report.scene import PLACE, motion_scale, plot_coordinates, view_directions
@@ -21,7 +21,7 @@ from calib.report.style import BLACK, BLUE, MEASURED, REST, SKY, VERMILLION
 from calib.report.where import misfit_tips, sensor_rms
 
 _FINEST = 32767
-"""Steps on each side of 0 in which `packed` numbers are counted."""
+"""Steps on each side of 0 in which `packed_numbers` numbers are counted."""
 _SMALL, _LARGE = 6.0, 18.0
 """Diameters of the smallest and of the largest dots, in pixels."""
 
@@ -37,7 +37,7 @@ def scene(results: StudyResults) -> dict[str, Any] | None:
         ``sites``: places of the sensors of the mode shapes and their ``words``. ``stages``: of each its ``name`` and
         ``modes``: ``name, words``, ``motion`` of the points (none where the mode is not paired), ``measured`` motion at
         the sites with the numbers ``at``, and the ``scale`` that converts motion to drawn metres. ``layers``: dots, see
-        `_layer`. Coordinates are those of the model in metres, as `packed` numbers.
+        `_layer`. Coordinates are those of the model in metres, as `packed_numbers` numbers.
     """
     mesh = read_mesh(results.folder)
     structure = _Structure(mesh)
@@ -50,7 +50,7 @@ def scene(results: StudyResults) -> dict[str, Any] | None:
     return {
         "view": framed(np.concatenate([structure.points, *dots])),
         "colours": {"rest": REST, "model": BLUE, "measured": MEASURED, "axes": BLACK},
-        "points": packed(structure.points),
+        "points": packed_numbers(structure.points),
         "lines": structure.lines.ravel().tolist(),
         "faces": structure.faces.ravel().tolist(),
         "lone": structure.lone.tolist(),
@@ -60,7 +60,7 @@ def scene(results: StudyResults) -> dict[str, Any] | None:
     }
 
 
-def packed(values: np.ndarray) -> dict[str, Any]:
+def packed_numbers(values: np.ndarray) -> dict[str, Any]:
     """Return numbers as whole multiples of a ``step``, 16 bits each, little-endian in base64.
 
     A step is 1/32767 of the largest number, far less than a pixel shows, at a third of the size of decimal digits.
@@ -109,7 +109,7 @@ class _Structure:
         Rows of ``points``.
     """
 
-    def __init__(self, mesh: Mesh | None) -> None:
+    def __init__(self, mesh: MeshTables | None) -> None:
         if mesh is None:
             self.seen = self.lone = np.zeros(0, dtype=int)
             self.points = np.zeros((0, 3))
@@ -119,7 +119,7 @@ class _Structure:
         self.seen = np.unique(parts.corners)
         row = np.zeros(len(mesh.points), dtype=int)
         row[self.seen] = np.arange(len(self.seen))
-        self.points = places(mesh)[self.seen]
+        self.points = point_coordinates(mesh)[self.seen]
         self.faces = row[parts.corners[parts.kind == FACE]]
         strokes = row[parts.strokes]
         alone = strokes[:, 0] == strokes[:, 1]
@@ -127,7 +127,7 @@ class _Structure:
 
 
 def _stages(
-    results: StudyResults, mesh: Mesh | None, structure: _Structure
+    results: StudyResults, mesh: MeshTables | None, structure: _Structure
 ) -> tuple[list[dict[str, Any]], dict[str, Any], np.ndarray]:
     """Stages, the sites of their sensors, and all points reached by a motion in metres (n, 3)."""
     known, found, reached = _Sites(), [], [np.zeros((0, 3))]
@@ -151,9 +151,9 @@ def _stages(
                     "name": mode,
                     "words": _words(mode, facts),
                     "scale": scale,
-                    "motion": packed(motion) if len(own) else None,
+                    "motion": packed_numbers(motion) if len(own) else None,
                     "at": known.numbers(at, measured_here),
-                    "measured": packed(measured),
+                    "measured": packed_numbers(measured),
                 }
             )
         found.append({"name": f"{stage} calibration", "modes": modes})
@@ -176,7 +176,7 @@ class _Sites:
     def data(self) -> dict[str, Any]:
         """The places, and names of the sensors there."""
         return {
-            "points": packed(np.array(list(self._names)).reshape(-1, 3)),
+            "points": packed_numbers(np.array(list(self._names)).reshape(-1, 3)),
             "words": [", ".join(names) for names in self._names.values()],
         }
 
@@ -224,8 +224,8 @@ def _layer(
         "name": name,
         "title": title,
         "words": words,
-        "points": packed(dots[order]),
-        "feet": None if feet is None else packed(feet[order]),
+        "points": packed_numbers(dots[order]),
+        "feet": None if feet is None else packed_numbers(feet[order]),
         "sizes": np.round(_SMALL + (_LARGE - _SMALL) * sizes[order], 1).tolist(),
         "colours": [colours[k] for k in order],
         "names": [names[k] for k in order],

@@ -13,7 +13,7 @@ from calib.errors.errors import InputError
 from calib.report.figures import Figures
 from calib.report.html.columns import COLUMNS
 from calib.report.style import stage_words
-from calib.report.tables import Folder, Kind, kind_of, read_stages, read_table, without_stage
+from calib.report.tables import Folder, Kind, kind_of, read_results, read_stages, without_stage
 from calib.results.json_file import ANY, read_json
 
 STAGES = ("before", "after")
@@ -141,7 +141,7 @@ class StudyResults:
     def _read(self, name: str) -> pd.DataFrame | None:
         kind = without_stage(name)
         columns = dict(COLUMNS.get(kind) or COLUMNS[f"{kind} of {self.kind}"])
-        table = read_table(self.folder / f"{name}.csv", columns.pop("text"), may_be_empty=True, **columns)
+        table = read_results(self.folder / f"{name}.csv", columns.pop("text"), may_be_empty=True, **columns)
         return None if table.empty else table
 
     def sentences(self, analysis: str) -> tuple[str, ...]:
@@ -186,6 +186,44 @@ class StudyResults:
         """``sensors.csv``."""
         return self.table("sensors")
 
+    def runs(self) -> pd.DataFrame:
+        """Extent, time, seeds and versions of every analysis."""
+        from_python = self.record.get("notebook")
+        return pd.DataFrame(
+            [
+                {
+                    "analysis": analysis if from_python else f"calib {analysis}",
+                    "extent": ("quick run" if run.get("quick") else "full run") + ", stale" * (analysis in self.stale),
+                    "when": str(run.get("when", "")).replace("T", " ").replace("+00:00", " UTC"),
+                    "seeds": _listed(run.get("seeds", {})) or "none needed",
+                    "versions": _listed(run.get("versions", {})),
+                }
+                for analysis, run in self.analyses.items()
+            ]
+        )
+
+    def not_run(self) -> dict[str, str]:
+        """What an analysis without results in this folder would tell, with its name."""
+        if self.record.get("notebook"):  # there is no study folder for the command
+            return {}
+        lacking = {
+            "Model against measurement, mode by mode": ("compare", not self.has("comparison_before")),
+            "Which parameters matter": ("sensitivity", not self.has("selection")),
+            "Identified parameters and errors after a calibration": ("calibrate", not self.has("parameters")),
+            "Which effects the model lacks": (
+                "explain", not self.explanation and bool(self.record.get("effects_known"))
+            ),
+            "The model with the named effects added": (
+                "run",
+                not self.added and self.explanation.get("verdict") in ("effect", "two_effects", "several_effects"),
+            ),
+        }  # fmt: skip
+        return {what: name for what, (name, lacks) in lacking.items() if lacks and name not in self.stale}
+
     def _json(self, name: str, kinds: Mapping[Any, Any], required: Sequence[str] = ()) -> dict[str, Any]:
         path = self.folder / f"{name}.json"
         return read_json(path, kinds, required) if path.exists() else {}
+
+
+def _listed(named: Mapping[str, object]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in named.items())

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from calib.report.html.effects import effects_table
+from calib.report.html.effects import ranked_effects
 from calib.report.html.study_results import STAGES, StudyResults
 from calib.report.numbers import fixed, flag, percent, significant, with_unit
 
@@ -48,7 +48,7 @@ class Summary:
     origin: str = ""
 
 
-def summary(results: StudyResults) -> Summary:
+def page_summary(results: StudyResults) -> Summary:
     """Return the answer of the last analysis that has one, with the key numbers."""
     facts = [*_measured(results), *_calibrated(results), *_explained(results)]
     answer = next(filter(None, map(results.answer, ANSWERING)), {"found": _nothing(results)})
@@ -125,7 +125,7 @@ def _explained(results: StudyResults) -> list[tuple[str, str]]:
     explanation = results.explanation
     out = []
     if explanation.get("verdict") in ("effect", "indistinguishable", "two_effects", "several_effects"):
-        table = effects_table(results)
+        table = ranked_effects(results)
         for r in [] if table is None else table.to_dict("records"):
             if r["name"] in explanation.get("chosen", []) and flag(r["refitted"]):
                 interval = f"{significant(r['magnitude_low'], 3)} to {significant(r['magnitude_high'], 3)}"

@@ -23,14 +23,13 @@ from calib.report.html import (
     effects,
     explanation,
     fails,
-    provenance,
     sensitivity,
     space,
     verified,
 )
 from calib.report.html.cells import FILTERS, filled, is_words
 from calib.report.html.study_results import StudyResults
-from calib.report.html.summary import Summary, summary
+from calib.report.html.summary import Summary, page_summary
 from calib.results.written import replacing
 
 NAME = "report.html"
@@ -45,13 +44,13 @@ LONGEST = 12
 """Rows of the longest table that is shown unfolded."""
 ASKED = {
     "calibrated": calibrated, "comparison": comparison, "effects": effects, "explanation": explanation, "fails": fails,
-    "provenance": provenance, "sensitivity": sensitivity, "space": space, "verified": verified,
+    "sensitivity": sensitivity, "space": space, "verified": verified,
 }  # fmt: skip
 """Modules that templates ask for what is computed from the tables."""
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """A section of the page.
 
     Attributes
@@ -79,7 +78,7 @@ class _Numbers:
 
 
 @cache
-def environment() -> Environment:
+def templates() -> Environment:
     """The templates of the page."""
     loader = PackageLoader("calib.report.html", "template")
     made = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -99,15 +98,15 @@ class Contents:
     file: Callable[[str], str] = lambda table: ""
 
 
-def section(name: str, results: StudyResults, contents: Contents) -> Section | None:
+def section(name: str, results: StudyResults, contents: Contents) -> PageSection | None:
     """Return a section; None without tables for it."""
     values: dict[str, Any] = {"results": results, **vars(contents)}
-    made = environment().get_template(f"section/{name}.html.j2").make_module(values)
+    made = templates().get_template(f"section/{name}.html.j2").make_module(values)
     body = Markup(made).strip()
-    return Section(name, vars(made)["title"], body) if body else None
+    return PageSection(name, vars(made)["title"], body) if body else None
 
 
-def sections(results: StudyResults, contents: Contents | None = None) -> tuple[Section, ...]:
+def sections(results: StudyResults, contents: Contents | None = None) -> tuple[PageSection, ...]:
     """Return the sections for which there are tables, without drawings and files unless ``contents`` holds them."""
     contents = contents or Contents(_Numbers())
     return tuple(found for name in SECTIONS if (found := section(name, results, contents)) is not None)
@@ -148,7 +147,7 @@ def write_report(results: StudyResults, progress: Progress = unheard) -> Page:
     text, path = page(results, progress), results.folder / NAME
     with replacing(path) as draft:
         draft.write_text(text, encoding="utf-8")
-    return Page(path, summary(results))
+    return Page(path, page_summary(results))
 
 
 def page(results: StudyResults, progress: Progress = unheard) -> str:
@@ -164,10 +163,10 @@ def page(results: StudyResults, progress: Progress = unheard) -> str:
 
     found = sections(results, Contents(number, drawing, file))
     scripts = ("report.js", "three.min.js", "viewer.js") if VIEWER in number.names else ("report.js",)
-    template = environment().get_template("page.html.j2")
+    template = templates().get_template("page.html.j2")
     return template.render(
         results=results,
-        summary=summary(results),
+        summary=page_summary(results),
         sections=found,
         style=Markup(_file("report.css")),
         scripts=[Markup(_file(name)) for name in scripts],

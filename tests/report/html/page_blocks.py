@@ -56,8 +56,8 @@ class _Parser(HTMLParser):
 
     def __init__(self, body):
         super().__init__()
-        self.blocks, self._summary, self._text, self._figure = [], "", [], False
-        self.feed(body)
+        self.blocks, self._summary, self._text, self._figure, self._captioned = [], "", [], False, False
+        self.feed(str(body))
 
     def handle_starttag(self, tag, attributes):
         found, self._text = dict(attributes), []
@@ -77,6 +77,10 @@ class _Parser(HTMLParser):
             self._row = []
             if found.get("class") == "unseen":
                 self.blocks[-1].grey.append(len(self.blocks[-1].rows))
+        elif tag == "figcaption":
+            self._captioned = True
+        elif tag == "span":  # the files behind the caption
+            self._captioned = False
         elif found.get("role") == "img":
             self.blocks[-1].alt = found["aria-label"]
         elif tag == "a" and "download" in found:
@@ -84,7 +88,7 @@ class _Parser(HTMLParser):
 
     def handle_data(self, words):
         self._text.append(words)
-        if self.lasttag == "figcaption":
+        if self._captioned:
             self.blocks[-1].caption += words
 
     def handle_endtag(self, tag):
@@ -111,6 +115,7 @@ class _Parser(HTMLParser):
         elif tag == "figure":
             self._figure = False
         elif tag == "figcaption":
+            self._captioned = False
             block.caption = " ".join(block.caption.split()).split(". ", 1)[1]
 
 

@@ -14,7 +14,7 @@ import pytest
 from calib.errors.errors import InputError
 from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
-from calib.report.html.summary import summary
+from calib.report.html.summary import page_summary
 from calib.report.html.write import SECTIONS, Contents, section
 
 BENCH = Path(__file__).resolve().parents[2] / "benchmarks"
@@ -72,7 +72,7 @@ def test_values_of_another_type_are_read_or_refused(folder, name, trials):
         (folder / f"{table}.csv").unlink()
     readers = [
         part
-        for part in (summary, *(reader(name) for name in SECTIONS))
+        for part in (page_summary, *(reader(name) for name in SECTIONS))
         if reads(part, StudyResults(folder, "Whole", True), name)
     ]
     assert len(readers) >= 2

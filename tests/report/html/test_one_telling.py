@@ -12,7 +12,7 @@ from calib.report.calibration import draw_searches
 from calib.report.comparison import draw_frequency_error
 from calib.report.frequencies import draw_frequencies
 from calib.report.html.space import scene
-from calib.report.html.summary import summary
+from calib.report.html.summary import page_summary
 from calib.report.numbers import fixed, percent
 from calib.report.parameters import draw_parameters
 from tests.report.html.page_blocks import Picture, Viewer
@@ -29,7 +29,7 @@ def test_identified_parameters_are_counted_once(everything, results):
     counted = f"{verdicts['identified'].sum()} of {len(verdicts)}"
     extended = pd.read_csv(everything / "added_parameters.csv")["after_identified"].dropna()
     after = f"{int(extended.sum())} of {len(extended)}"
-    assert dict(summary(results).facts)["parameters identified"] == f"{counted} → {after}"
+    assert dict(page_summary(results).facts)["parameters identified"] == f"{counted} → {after}"
     assert [s for s in sentences if "parameters are identified" in s] == [identified_sentence(verdicts)]
     assert identified_sentence(verdicts).startswith(counted)
 
@@ -60,7 +60,7 @@ def test_the_mean_error_has_one_value_and_one_rounding(everything, results):
     stored = json.loads((everything / "summary.json").read_text())
     tables = {s: pd.read_csv(everything / f"comparison_{s}.csv") for s in ("before", "after")}
     words = [t.get_text() for t in draw_frequency_error(tables["before"], tables["after"]).get_legend().get_texts()]
-    fact = dict(summary(results).facts)
+    fact = dict(page_summary(results).facts)
     (label,) = [name for name in fact if name.startswith("mean frequency error")]
     for stage, text in zip(tables, words, strict=True):
         number = percent(stored[f"mean_freq_error_{stage}"])

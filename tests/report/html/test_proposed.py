@@ -8,7 +8,7 @@ import pytest
 from calib.hypotheses.proposals.words import COLUMNS, PLACES
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import sections
-from calib.report.tables import Shown
+from calib.report.tables import CurrentFolder
 from tests.report.html.page_blocks import Table, Words, section_blocks
 
 ANSWER = {"found": "Proposed: a mass.", "sure": "Ln Bayes 20.", "then": "Look there."}
@@ -32,7 +32,9 @@ def folder(tmp_path):
 
 
 def section(folder):
-    return {s.name: s for s in sections(StudyResults(Shown(folder, frozenset()), "title", True))}.get("proposals")
+    return {s.name: s for s in sections(StudyResults(CurrentFolder(folder, frozenset()), "title", True))}.get(
+        "proposals"
+    )
 
 
 def test_it_has_the_answer_what_was_not_tried_and_every_proposal(folder):

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.html.space import framed, packed, scene
+from calib.report.html.space import framed, packed_numbers, scene
 from calib.report.html.study_results import StudyResults
 from calib.report.scene import plot_coordinates, view_directions
 from calib.report.where import sensor_rms
@@ -192,11 +192,10 @@ def test_turned_about_the_vertical_everything_stays_in_the_width_of_the_view():
 
 def test_packed_numbers_lose_less_than_a_step():
     values = np.random.default_rng(3).normal(size=(50, 3)) * [1e-4, 1.0, 30.0]
-    pack = packed(values)
+    pack = packed_numbers(values)
     assert np.abs(unpacked(pack) - values).max() <= 0.5 * pack["step"] <= np.abs(values).max() / 65000
-    assert (
-        unpacked(packed(np.zeros((2, 3)))).tolist() == [[0.0] * 3] * 2 and len(unpacked(packed(np.zeros((0, 3))))) == 0
-    )
+    assert unpacked(packed_numbers(np.zeros((2, 3)))).tolist() == [[0.0] * 3] * 2
+    assert len(unpacked(packed_numbers(np.zeros((0, 3))))) == 0
 
 
 def test_all_data_can_be_written_as_json(results):

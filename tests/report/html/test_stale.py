@@ -14,9 +14,9 @@ from calib.analyses.provenance.state import WRITES, made_from
 from calib.command import cli
 from calib.errors.errors import InputError
 from calib.report.html.study_results import StudyResults
-from calib.report.html.summary import summary
+from calib.report.html.summary import page_summary
 from calib.report.html.write import NAME, sections
-from calib.report.tables import Shown
+from calib.report.tables import CurrentFolder
 from calib.results.results import OWNER, Results
 from calib.study.study import Study
 from calib.study.study_file import StudyFile
@@ -81,7 +81,7 @@ def stale():
 
 
 def results(found):
-    return StudyResults(Shown(ROOT / "sums", found.files), "Plain", False, found.sentences)
+    return StudyResults(CurrentFolder(ROOT / "sums", found.files), "Plain", False, found.sentences)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_what_a_change_makes_stale(sums, file, old, new, touched):
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_new_comparison_never_stands_under_an_old_calibration(sums):
-    before = summary(results(stale()))
+    before = page_summary(results(stale()))
     assert {"cases" in s.title.lower() for s in sections(results(stale()))} == {True, False}
     edit("measured.csv", "y,3.1", "y,2.2")
     output = run("compare")
@@ -123,7 +123,7 @@ def test_a_new_comparison_never_stands_under_an_old_calibration(sums):
     shown = {s.name: s for s in sections(results(found))}
     assert {block.text.rstrip(".") for block in section_blocks(shown["stale"])} == set(found.sentences.values())
     assert not {"calibrated", "sensitivity"} & set(shown) and "compared" in shown
-    now = summary(results(found))
+    now = page_summary(results(found))
     assert now.found != before.found and "calibrated" not in " ".join(what for what, _ in now.facts)
     run("sensitivity", "calibrate")
     assert not stale().sentences
@@ -205,7 +205,9 @@ def test_nothing_of_a_complete_run_is_stale(everything, tmp_path):
     found = stale_answers(Study.load(study), Results(tmp_path / "all/results/mast"))
     assert set(found.sentences) == {"compare", "sensitivity", "calibrate", "explain", "extend"}
     assert all("modes.csv" in words for words in found.sentences.values())
-    shown = sections(StudyResults(Shown(tmp_path / "all/results/mast", found.files), "A mast", False, found.sentences))
+    shown = sections(
+        StudyResults(CurrentFolder(tmp_path / "all/results/mast", found.files), "A mast", False, found.sentences)
+    )
     assert {s.name for s in shown} <= {"stale", "versions", "not_run"}
 
 

@@ -6,17 +6,17 @@ from itertools import pairwise
 import pytest
 from jinja2 import nodes
 
-from calib.report.html.write import ASKED, SECTIONS, environment
+from calib.report.html.write import ASKED, SECTIONS, templates
 
 GIVEN = {"results", "number", "drawing", "file"}
 """What every section is rendered with; see `calib.report.html.write.Contents`."""
 OF_THE_PAGE = {"results", "summary", "sections", "style", "scripts"}
-TEMPLATES = sorted(name for name in environment().list_templates() if name.endswith(".j2"))
+TEMPLATES = sorted(name for name in templates().list_templates() if name.endswith(".j2"))
 
 
 def parsed(name):
-    source, _, _ = environment().loader.get_source(environment(), name)
-    return environment().parse(source)
+    source, _, _ = templates().loader.get_source(templates(), name)
+    return templates().parse(source)
 
 
 def test_every_section_has_a_template_and_a_title():
@@ -37,7 +37,7 @@ def own_names(tree):
 @pytest.mark.parametrize("name", TEMPLATES)
 def test_every_name_in_a_template_is_there(name):
     tree = parsed(name)
-    known = (OF_THE_PAGE if name == "page.html.j2" else GIVEN) | environment().globals.keys() | own_names(tree)
+    known = (OF_THE_PAGE if name == "page.html.j2" else GIVEN) | templates().globals.keys() | own_names(tree)
     assert {node.name for node in tree.find_all(nodes.Name) if node.ctx == "load"} - {"loop", "caller"} <= known
 
 
@@ -53,7 +53,7 @@ def test_every_function_that_a_template_asks_for_is_there(name):
 @pytest.mark.parametrize("name", TEMPLATES)
 def test_words_behind_a_tag_at_the_end_of_a_line_do_not_touch_those_before_it(name):
     """The line break behind a tag is removed."""
-    source, _, _ = environment().loader.get_source(environment(), name)
+    source, _, _ = templates().loader.get_source(templates(), name)
     for line, following in pairwise(source.splitlines()):
         if re.search(r"\S.*\{% end(if|for) %\}$", line) and following:
             assert following.startswith(("<", "{%")), line
