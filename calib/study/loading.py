@@ -186,7 +186,15 @@ class Sources:
             if not path.is_file():
                 raise InputError(f"there is no {what} file {where!r}", place=place, remedy=remedy)
             return _NEIGHBOURS.module(path)  # a second run would make other classes of the same names
-        except ModuleNotFoundError as fault:
+        except ImportError as fault:
+            if (fault.name or "").partition(".")[0] == "calib":
+                raise InputError(
+                    f"{where!r} imports what calib does not have: {fault}", place=place,
+                    remedy="import public names from calib and calib.structure; docs/import_paths.md lists them with "
+                    "their former places", at=raised_at(fault),
+                ) from None  # fmt: skip
+            if not isinstance(fault, ModuleNotFoundError):
+                raise InputError(f"{where!r} failed with {told(fault)}", place=place, at=raised_at(fault)) from fault
             if fault.name and where.startswith(fault.name):
                 raise InputError(
                     f"unknown {what}: there is no module {where!r}{_found_instead(where)}", place=place,

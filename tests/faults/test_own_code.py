@@ -209,3 +209,13 @@ def test_a_module_that_is_nowhere(edited):
     with pytest.raises(InputError, match="nowhere_at_all") as caught:
         Study.load(folder)
     assert "study's folder" in caught.value.remedy
+
+
+@pytest.mark.parametrize("line", ["from calib.space import Parameter", "from calib.problem import Problem"])
+def test_a_former_place_of_a_public_name(edited, line):
+    """A module that is gone, and one that is a room now: the user's line is shown, and where the names are told."""
+    folder = edited("import numpy as np", f"import numpy as np\n{line}")
+    with pytest.raises(InputError, match="calib does not have") as caught:
+        Study.load(folder)
+    assert "docs/import_paths.md" in caught.value.remedy
+    assert caught.value.at is not None and line in caught.value.at.text
