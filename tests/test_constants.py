@@ -82,6 +82,7 @@ ACCURACY = {  # of solutions, reduced bases and differences, which are checked a
 EFFORT = {  # of iterations and searches that end by themselves, and of quick runs, which say that they are quick
     "hypotheses/proposals/compositions.py": "MODES RIGID",
     "hypotheses/linear_start.py": "EQUATION_ERROR LEVEL ROUNDS",
+    "hypotheses/design/imagined.py": "_TRIES",
     "analyses/provenance/places.py": "QUICK_SAMPLES QUICK_POPULATION QUICK_GENERATIONS QUICK_STARTS "
     "QUICK_TRAJECTORIES QUICK_BASE QUICK_SAMPLED",
     "analyses/sensitivity.py": "TRAJECTORIES BASE",
@@ -94,7 +95,6 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "missing/linearised_fit.py": "_TURNS",
     "missing/profile.py": "_TRIES",
     "hypotheses/proposals/proposal_search.py": "_DAMPED _FREQS",
-    "hypotheses/design/samples.py": "_TRIES",
     "missing/visible.py": "_ASKED _CLOSE _INWARD _LEAST",
     "modal_analysis/ambient.py": "DECIMATED_MOST",
     "modal_analysis/model.py": "ROUNDS EVALUATIONS SMALLEST_STEP BEYOND BEYOND_DAMPING FARTHEST",

@@ -16,14 +16,13 @@ from calib.analyses.every_mode import with_held_out
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.errors.errors import EvaluationError
 from calib.hypotheses.own_modes import COLUMNS as OWN_COLUMNS
-from calib.hypotheses.own_modes import own_modes
-from calib.hypotheses.own_modes import sentence as own_sentence
+from calib.hypotheses.own_modes import own_modes, own_modes_sentence
 from calib.hypotheses.rules import RULES
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import NAMED, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import WIDE
-from calib.missing.partial import is_nearly
+from calib.missing.partial import is_simpler_form
 from calib.missing.verdict import GROUPS
 from calib.problem.candidate import Candidate
 from calib.results.results import Results
@@ -86,7 +85,7 @@ def nothing_added(found: Explanation) -> str:
         pairs = "; and between ".join(f"{name} and {other}" for name, other in found.steps.competing)
         untold = f"These data cannot discriminate between {pairs}, so nothing is added: inspect the structure."
     named = " and ".join(() if found.chosen is None else found.chosen.names)
-    if is_nearly(found):
+    if is_simpler_form(found):
         return (
             f"Something like {named} is missing, but not exactly that, so nothing is added. 'calib extend' adds it "
             "anyway."
@@ -155,7 +154,7 @@ def write_added(
     words = [_sentence(magnitudes, errors, in_full), *_unsettled(magnitudes, found)]
     words += ["Both are quick runs: confirm them with full ones."] if quick else []
     own = _own_modes(study, effects, extended, after)
-    told = own_sentence(own)
+    told = own_modes_sentence(own)
     answer = Added(effects, " ".join(words), benefit, told, errors, parameters, modes, study.test)
     begin_analysis(results, "extend")
     results.write_table("added_errors", errors)

@@ -35,7 +35,7 @@ from calib.hypotheses.verify import errors_at
 from calib.inference.agreement import Agreement, agreement, agreement_sentences
 from calib.inference.cases import Case, convergence_table
 from calib.inference.verdicts import identified_sentence
-from calib.missing.suspect import sentence as suspect_sentence
+from calib.missing.suspect import suspect_sentence
 from calib.problem.space import ParameterSpace
 from calib.results.answer import Answer
 from calib.results.ledger import Ledger

@@ -9,7 +9,7 @@ import pandas as pd
 
 from calib.analyses.provenance.stale import stale_analyses
 from calib.errors.errors import InputError
-from calib.missing.detailed import Richer
+from calib.missing.detailed import DetailedFit
 from calib.missing.explanation import Explanation
 from calib.problem.space import ParameterSpace
 from calib.results.results import Results
@@ -23,7 +23,7 @@ COLUMNS = ("effects", "parameter", "value")
 """``effects``: those in the fitted model, by name in alphabetical order."""
 
 
-def explained_fits(study: StudyFile, found: Explanation, richer: Sequence[Richer] = ()) -> pd.DataFrame:
+def explained_fits(study: StudyFile, found: Explanation, richer: Sequence[DetailedFit] = ()) -> pd.DataFrame:
     """The base fit and, if any, the fits with the chosen effects and with richer members; columns `COLUMNS`."""
     fits = [found.base, *([] if found.chosen is None else [found.chosen]), *(one.candidate_fit for one in richer)]
     rows = []

@@ -1,22 +1,23 @@
-"""Result of an explanation: sentences, tables, and the summary ``explanation.json``."""
+"""Result of a study's explanation: the facts that it starts from, its part for each test, ``explanation.json``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 
 from calib.analyses.provenance.record import check_repeats, disagreements_table
 from calib.analyses.uncertainty import accuracy_words, assumed_words, std_notes
+from calib.hypotheses.joint import JointAdapter
 from calib.missing.candidate_fit import CandidateFit, WrongDatum
-from calib.missing.detailed import Richer
 from calib.missing.explanation import Explanation
+from calib.missing.facts import MeasurementFacts
+from calib.missing.findings import ExplanationResult
 from calib.missing.local import local_perturbation
-from calib.missing.partial import is_nearly
+from calib.missing.partial import is_simpler_form
+from calib.missing.test import Adapter
 from calib.missing.verdict import GROUPS as UNSEEN_GROUPS
-from calib.results.answer import Answer
+from calib.problem.joint import TEST
 from calib.study.several import AnyStudy
 from calib.study.study import Study
 
@@ -24,45 +25,14 @@ GROUPS = ("fit", *UNSEEN_GROUPS)
 """Groups of data whose errors are reported."""
 
 
-@dataclass(frozen=True, eq=False)
-class MeasurementFacts:
-    """Facts about a measurement beside its rows, as an explanation needs them.
-
-    Attributes
-    ----------
-    assumed : str
-        Assumed standard deviations, in words; see `calib.analyses.uncertainty.assumed_words`.
-    accuracy : str
-        Accuracy claimed in addition to the repeats, in words; empty without.
-    notes : tuple of str
-        Caveats on the standard deviations, and repeats that disagree.
-    disagreements : DataFrame
-        Repeats that disagree with the others; see `calib.analyses.provenance.record.disagreements_table`.
-    held_sd : mapping from str to float
-        Standard deviations of held parameters that an earlier study determined.
-    seed : int
-        Of all random numbers.
-    samples : int
-        Posterior samples over which the recommendation is averaged.
-    """
-
-    assumed: str
-    accuracy: str
-    notes: tuple[str, ...]
-    disagreements: pd.DataFrame
-    held_sd: Mapping[str, float]
-    seed: int
-    samples: int
-
-    @classmethod
-    def of(cls, study: Study) -> MeasurementFacts:
-        """The facts about a study's measurement."""
-        own = study.settings.explain
-        return cls(
-            assumed_words(study), accuracy_words(study),
-            (*corrections(study), *std_notes(study), *check_repeats(study)),
-            disagreements_table(study), study.held_sd, own.seed, own.samples,
-        )  # fmt: skip
+def facts_of(study: Study) -> MeasurementFacts:
+    """The facts about a study's measurement."""
+    own = study.settings.explain
+    return MeasurementFacts(
+        assumed_words(study), accuracy_words(study),
+        (*corrections(study), *std_notes(study), *check_repeats(study)),
+        disagreements_table(study), study.held_sd, own.seed, own.samples,
+    )  # fmt: skip
 
 
 def corrections(study: Study) -> tuple[str, ...]:
@@ -71,53 +41,26 @@ def corrections(study: Study) -> tuple[str, ...]:
     return tuple(f"The measurement is corrected for {name} = {by:g}." for name, by in faults.items())
 
 
-@dataclass(frozen=True, eq=False)
-class ExplanationResult:
-    """The verdict on what is missing, with its tables.
+def by_test(adapter: Adapter, answer: ExplanationResult) -> dict[str, ExplanationResult]:
+    """The result as each of several tests sees it; empty for a single test, which is no part of another."""
+    if not isinstance(adapter, JointAdapter):
+        return {}
+    return {test: _of_test(adapter, test, answer) for test in adapter.adapters}
 
-    Attributes
-    ----------
-    explanation : Explanation
-    answer : Answer
-        The verdict in a sentence, how sure it is, and what to do next.
-    sentences : tuple of str
-        The same with what supports it.
-    notes : tuple of str
-        Caveats, such as an assumed standard deviation.
-    effects, errors : DataFrame
-        ``effects.csv`` and ``errors.csv``.
-    tables : mapping from str to DataFrame
-        All others, by file name.
-    figures : mapping from str to object
-        Further entries of the summary.
-    seconds : float
-    traces : tuple of str
-        Tracebacks of the commonest failures in the user's code.
-    richer : tuple of Richer
-        Richer members of the effect that nearly explains the data, from simple to rich.
-    """
 
-    explanation: Explanation
-    answer: Answer
-    sentences: tuple[str, ...]
-    notes: tuple[str, ...]
-    effects: pd.DataFrame
-    errors: pd.DataFrame
-    tables: dict[str, pd.DataFrame]
-    figures: dict[str, object]
-    seconds: float
-    traces: tuple[str, ...] = ()
-    richer: tuple[Richer, ...] = ()
-
-    @property
-    def sentence(self) -> str:
-        """The verdict and what supports it."""
-        return " ".join(self.sentences)
-
-    @property
-    def verdict(self) -> str:
-        """One of the verdicts of `calib.missing.explanation.Explanation`."""
-        return self.explanation.verdict
+def _of_test(adapter: JointAdapter, test: str, answer: ExplanationResult) -> ExplanationResult:
+    """The result for one test: its own errors, in the stages of the joint ones, and its own rows."""
+    found = answer.explanation
+    last = next((stage for stage in answer.errors["stage"] if stage != "before"), "")
+    stages = {"before": found.base} | ({last: found.chosen} if last and found.chosen is not None else {})
+    errors = adapter.adapters[test].errors(adapter.fits_of(test, stages), found.noise_scale)[0]
+    errors = errors[list(answer.errors.columns.drop("std_from"))].assign(std_from=answer.errors["std_from"].iloc[0])
+    tables = {}
+    for name, table in answer.tables.items():
+        own = table[table[TEST] == test].drop(columns=TEST) if TEST in table else table
+        if TEST not in table or len(own):
+            tables[name] = own
+    return replace(answer, errors=errors, tables=tables)
 
 
 def summary(study: AnyStudy, answer: ExplanationResult) -> dict[str, object]:
@@ -153,7 +96,7 @@ def summary(study: AnyStudy, answer: ExplanationResult) -> dict[str, object]:
         "local_perturbations": len(set(check.perturbations.owners)),
         "local_perturbation": None if found.perturbation is None else _local_perturbation(found.perturbation),
         "refused": found.refused or None,
-        "nearly": is_nearly(found),
+        "nearly": is_simpler_form(found),
         "measurement_fault": None if found.fault is None else _local_perturbation(found.fault),
         "faults": 0 if check.faults is None else len(set(check.faults.owners)),
         "blamed": [_local_perturbation(t) for t in found.blamed],

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from calib.analyses.explanation_result import MeasurementFacts
+from calib.analyses.explanation_result import facts_of
 from calib.analyses.reduction import worthwhile
 from calib.execution.stage import Progress
 from calib.experiment.frfs import TestedFRFs
@@ -16,6 +16,7 @@ from calib.hypotheses.library import basis_of, local_perturbations, modal_hypoth
 from calib.hypotheses.modal import ModalAdapter
 from calib.hypotheses.model_hypotheses import hypotheses
 from calib.hypotheses.scalar import FRFAdapter, ScalarAdapter
+from calib.missing.facts import MeasurementFacts
 from calib.missing.test import Adapter
 from calib.results.results import Results
 from calib.structure.effects.perturbations import Perturbation
@@ -34,7 +35,7 @@ def adapter_of(
     ``local`` are the perturbations that the tests of its model share; ``held_sd`` are the standard deviations of the
     held parameters of all tests, by default of this one.
     """
-    facts = MeasurementFacts.of(study)
+    facts = facts_of(study)
     facts = facts if held_sd is None else replace(facts, held_sd=held_sd)
     return _OF_TEST[type(study.tested)](study, home, progress, local, facts)
 

@@ -10,8 +10,7 @@ from typing import Generic, TypeAlias
 import pandas as pd
 
 from calib.analyses.added import to_add
-from calib.analyses.explain import answered, decided, require_usable
-from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
+from calib.analyses.explain import explain_tests, require_usable
 from calib.analyses.propose import RANKED
 from calib.analyses.provenance.record import check_repeats, disagreements_table
 from calib.analyses.uncertainty import in_words, notes_on
@@ -25,8 +24,11 @@ from calib.errors.errors import InputError
 from calib.experiment.modal import Test, under
 from calib.hypotheses.joint import together
 from calib.hypotheses.library import local_perturbations
+from calib.missing.discrepancy import TABLE as PARAMETERS
+from calib.missing.facts import MeasurementFacts
+from calib.missing.findings import ExplanationResult
+from calib.missing.predictions import TABLE as PREDICTIONS
 from calib.missing.test import Adapter
-from calib.missing.unexplained import PARAMETERS, PREDICTIONS
 from calib.problem.effect import Effect
 from calib.study.loading import require_distinct
 from calib.study.settings import ExplainSettings
@@ -178,8 +180,8 @@ def explained(
     started = time.perf_counter()
     with in_python("explain", progress) as told:
         adapter = together(_adapters(problem, library, seed, error))
-        found = decided(adapter, ExplainSettings().model_copy(update={"seed": seed}), "explain", told)
-        answer = answered(adapter, found, told, started, error.supposed)
+        settings = ExplainSettings().model_copy(update={"seed": seed})
+        answer = explain_tests(adapter, settings, "explain", started, error.supposed, told)
         notes = (*answer.notes, *error.notes(models, problem.unselected))
         return Explained(problem, library, replace(answer, notes=notes), seed, error)
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from calib.analyses.added import Added
 from calib.analyses.compare import ComparisonResult
-from calib.analyses.explanation_result import ExplanationResult
 from calib.analyses.extend import Extension
 from calib.analyses.joint_calibration import Fitted
 from calib.analyses.propose import ProposalResult
@@ -17,6 +16,7 @@ from calib.analyses.versions import Versions
 from calib.api.progress import in_python
 from calib.execution.stage import Progress, unheard
 from calib.missing.explanation import Explanation
+from calib.missing.findings import ExplanationResult
 from calib.report.html.write import Page
 from calib.results.results import Results
 from calib.study.study import Study

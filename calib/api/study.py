@@ -16,7 +16,6 @@ from calib.analyses import extend as extension
 from calib.analyses import propose as proposal
 from calib.analyses import sensitivity as sensitivity_analysis
 from calib.analyses import staged
-from calib.analyses.explanation_result import ExplanationResult
 from calib.analyses.joint_calibration import Fitted, calibrate_jointly
 from calib.analyses.provenance import places
 from calib.analyses.provenance.stored import modes_kept
@@ -33,6 +32,7 @@ from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.execution.executor import Injected
 from calib.experiment.modal import model_of, test_of
+from calib.missing.findings import ExplanationResult
 from calib.problem.joint import said, stacked
 from calib.report.html.write import NAME as REPORT
 from calib.report.style import Format, Width

@@ -7,15 +7,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from calib.analyses.added import WORDS, Added, by_group, to_add
-from calib.analyses.explanation_result import ExplanationResult
 from calib.analyses.extend import Extension
 from calib.analyses.versions import Versions
 from calib.command.calibrated import ERRORS, errors_row, suspects
 from calib.command.compared import held_out
 from calib.command.entries import Entry, Rows, Warned, Words
 from calib.command.terminal import count, number
-from calib.missing.by_test import BY_TEST
+from calib.missing.findings import ExplanationResult
 from calib.missing.local import unit_words
+from calib.missing.pattern import BY_TEST
 from calib.missing.predictions import ERRORS as ERRORS_WITH
 from calib.missing.predictions import TABLE as PREDICTIONS
 from calib.missing.recommendation import rounded

@@ -10,7 +10,6 @@ from types import TracebackType
 
 from calib.analyses.added import Added, to_add
 from calib.analyses.compare import ComparisonResult
-from calib.analyses.explanation_result import ExplanationResult
 from calib.analyses.extend import Extension
 from calib.analyses.joint_calibration import Fitted
 from calib.analyses.propose import ProposalResult
@@ -23,6 +22,7 @@ from calib.command.entries import Entry, Told, Warned, Words, tell_answer, tell_
 from calib.command.terminal import count, say
 from calib.execution.stage import Progress
 from calib.missing.explanation import Explanation
+from calib.missing.findings import ExplanationResult
 from calib.report.html.write import Page
 from calib.results.answer import Answer
 from calib.results.results import Results

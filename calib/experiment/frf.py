@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-from calib.analyses.explanation_result import MeasurementFacts
 from calib.correlation.frf.nuisance import NUISANCES, Nuisance, belonging_to, concerned, require_channels
 from calib.correlation.frf.problem import FRFProblem, assumed_frfs
 from calib.correlation.frf.residual import FRFResidual
@@ -22,6 +21,7 @@ from calib.measurement.accuracy import frf_claim
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_parts import HeldOutFRFs
+from calib.missing.facts import MeasurementFacts
 from calib.problem.effect import Effect
 from calib.structure.effects.perturbations import Perturbation
 from calib.structure.model import Assumption, StructuralModel

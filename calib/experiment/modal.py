@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from calib.analyses.explanation_result import MeasurementFacts
 from calib.correlation.modal.fault_library import modal_faults
 from calib.correlation.modal.problem import ModalProblem, usual_mode_count
 from calib.correlation.modal.residual import ModalResidual
@@ -24,6 +23,7 @@ from calib.measurement.accuracy import Accuracy
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import read_responses
+from calib.missing.facts import MeasurementFacts
 from calib.problem.effect import Effect
 from calib.structure.effects.perturbations import Perturbation
 from calib.structure.function_model import FunctionModel

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from calib.analyses.explanation_result import MeasurementFacts
 from calib.correlation.modal.responses import response_problem
 from calib.correlation.response.problem import FunctionProblem, assumed_responses
 from calib.correlation.response.residual import ResponseResidual
@@ -20,6 +19,7 @@ from calib.hypotheses.model_hypotheses import hypotheses
 from calib.hypotheses.scalar import ScalarAdapter
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.responses import MeasuredResponses, response_kinds
+from calib.missing.facts import MeasurementFacts
 from calib.problem.effect import Effect
 from calib.structure.effects.perturbations import Perturbation
 from calib.structure.model import Assumption

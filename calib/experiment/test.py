@@ -8,10 +8,10 @@ from typing import Any, Self
 
 import pandas as pd
 
-from calib.analyses.explanation_result import MeasurementFacts
 from calib.analyses.fit_statistics import FitStatistics
 from calib.experiment import Unseen
 from calib.hypotheses.verify import errors_of
+from calib.missing.facts import MeasurementFacts
 from calib.missing.test import Adapter
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace

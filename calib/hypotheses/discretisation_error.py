@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -18,44 +18,13 @@ from calib.hypotheses.hypotheses import ModelHypotheses, VariantPair
 from calib.hypotheses.rules import RULES
 from calib.measurement.accuracy import NOTHING
 from calib.measurement.mac import mac
+from calib.missing.facts import DiscretisationError
 from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.missing.score import scores
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 
 P = TypeVar("P", bound=VariantPair)
-
-
-@dataclass(frozen=True, eq=False)
-class DiscretisationError:
-    """Scores of every effect and local perturbation on modes of a finer mesh without noise.
-
-    Attributes
-    ----------
-    table : DataFrame
-        ``candidate, kind, score``, largest first; kind is ``effect`` or ``local perturbation``.
-    misfit : float
-        Sum of squares of the whitened residual left by the fit.
-    """
-
-    table: pd.DataFrame
-    misfit: float
-
-    @property
-    def largest(self) -> float:
-        """Largest size of a score."""
-        return float(self.table["score"].abs().max()) if len(self.table) else 0.0
-
-    @property
-    def sentence(self) -> str:
-        """Whether the mesh is fine enough for these data."""
-        first = self.table.iloc[0]
-        found = (
-            f"A finer mesh of the same model gives scores of up to {self.largest:.2f} ({first['candidate']}) by itself"
-        )
-        if self.largest <= RULES.mesh_score:
-            return f"{found}: the discretisation error neither hides nor mimics an effect."
-        return f"{found}, more than {RULES.mesh_score:g}: refine the mesh before relying on a verdict."
 
 
 def discretisation_error(
@@ -145,4 +114,5 @@ def _scored(pair: P, hypotheses: ModelHypotheses[P], fit: LinearisedFit) -> Disc
             own = [k for k, owner in enumerate(tested.owners) if owner == name]
             rows.append((name, kind, max((float(tested.z[k]) for k in own), key=abs)))
     rows.sort(key=lambda row: -abs(row[2]))
-    return DiscretisationError(pd.DataFrame(rows, columns=["candidate", "kind", "score"]), base.misfit)
+    table = pd.DataFrame(rows, columns=["candidate", "kind", "score"])
+    return DiscretisationError(table, base.misfit, RULES.mesh_score)

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
 from calib.execution.outcome import Outcome
 from calib.execution.stage import Progress, unheard
-from calib.hypotheses.discretisation_error import DiscretisationError
 from calib.missing.between_tests import Differences, differences
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.discrepancy import Discrepancy
 from calib.missing.explanation import Explanation
+from calib.missing.facts import DiscretisationError, MeasurementFacts, Places
 from calib.missing.joint import JointHypotheses
 from calib.missing.recommendation import ExperimentalDesign
 from calib.missing.test import Adapter
 from calib.problem.degrees_of_freedom import behind, matched, p_value
 from calib.problem.effect import Effect
-from calib.problem.joint import TEST, of_test, said, stacked
+from calib.problem.joint import of_test, said, stacked
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +81,7 @@ class JointAdapter:
         """
         parts, notes, figures = [], [], dict[str, object]()
         for test, adapter in self.adapters.items():
-            table, own, more = adapter.errors(self._of(test, stages), scale)
+            table, own, more = adapter.errors(self.fits_of(test, stages), scale)
             parts.append(table)
             notes += [of_test(test, note) for note in own]
             figures |= {of_test(test, name): value for name, value in more.items()}
@@ -102,7 +101,7 @@ class JointAdapter:
     ) -> tuple[pd.DataFrame, pd.DataFrame]:
         """Those of every test that holds something out, with a column ``test``; the discrepancy is of all together."""
         own = {
-            test: adapter.predictions(self._of(test, {"": candidate_fit})[""], wide, scale)
+            test: adapter.predictions(self.fits_of(test, {"": candidate_fit})[""], wide, scale)
             for test, adapter in self.adapters.items()
         }
         own = {test: tables for test, tables in own.items() if len(tables[0])}
@@ -146,10 +145,6 @@ class JointAdapter:
         """The hypotheses of all tests with further effects."""
         return JointHypotheses({test: adapter.with_effects(effects) for test, adapter in self.adapters.items()})
 
-    def by_test(self, answer: ExplanationResult) -> dict[str, ExplanationResult]:
-        """The result for each test; see `seen`."""
-        return {test: self.seen(test, answer) for test in self.adapters}
-
     def between(self, found: Explanation) -> Differences:
         """Which shared parameter differs between the tests, with the best explanation so far."""
         best = next(iter(found.blamed), found.chosen or found.base)
@@ -171,7 +166,7 @@ class JointAdapter:
         """None: the discretisation error is scored for single tests only."""
         return None
 
-    def places(self) -> dict[str, tuple[str, tuple[float, float, float], str]]:
+    def places(self) -> Places:
         """Kind, location (m) and sensor of every local perturbation and fault of a measurement, by name."""
         return {name: place for adapter in self.adapters.values() for name, place in adapter.places().items()}
 
@@ -186,25 +181,12 @@ class JointAdapter:
         """
         found: dict[str, dict[str, pd.DataFrame]] = {}
         for test, adapter in self.adapters.items():
-            for name, table in adapter.tables(self._of(test, stages)).items():
+            for name, table in adapter.tables(self.fits_of(test, stages)).items():
                 found.setdefault(name, {})[test] = table
         return {name: stacked(tables) for name, tables in found.items()}
 
-    def seen(self, test: str, answer: ExplanationResult) -> ExplanationResult:
-        """The result for one test: its own errors, in the stages of the joint ones, and its own rows."""
-        found = answer.explanation
-        last = next((stage for stage in answer.errors["stage"] if stage != "before"), "")
-        stages = {"before": found.base} | ({last: found.chosen} if last and found.chosen is not None else {})
-        errors = self.adapters[test].errors(self._of(test, stages), found.noise_scale)[0]
-        errors = errors[list(answer.errors.columns.drop("std_from"))].assign(std_from=answer.errors["std_from"].iloc[0])
-        tables = {}
-        for name, table in answer.tables.items():
-            own = table[table[TEST] == test].drop(columns=TEST) if TEST in table else table
-            if TEST not in table or len(own):
-                tables[name] = own
-        return replace(answer, errors=errors, tables=tables)
-
-    def _of(self, test: str, stages: dict[str, CandidateFit]) -> dict[str, CandidateFit]:
+    def fits_of(self, test: str, stages: dict[str, CandidateFit]) -> dict[str, CandidateFit]:
+        """The parts of joint fits that one test has, by stage."""
         held_sd = self.facts.held_sd
         return {stage: self.hypotheses.of(test, candidate_fit, held_sd) for stage, candidate_fit in stages.items()}
 

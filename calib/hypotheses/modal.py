@@ -19,12 +19,13 @@ from calib.errors.errors import InputError
 from calib.execution.stage import Progress, unheard
 from calib.execution.tasks import each
 from calib.hypotheses.design.modal import modal_design
-from calib.hypotheses.discretisation_error import DiscretisationError, discretisation_error
+from calib.hypotheses.discretisation_error import discretisation_error
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.one_test import OneTest
 from calib.hypotheses.verify import modal_covariance, modal_errors
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
+from calib.missing.facts import DiscretisationError
 from calib.missing.predictions import HeldOut
 from calib.missing.recommendation import ExperimentalDesign
 from calib.problem.degrees_of_freedom import behind

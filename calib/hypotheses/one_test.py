@@ -11,19 +11,18 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
 from calib.analyses.reduction import Wanted
 from calib.correlation.mesh_error import MeshError
 from calib.errors.errors import EvaluationError
 from calib.execution.outcome import Outcome
 from calib.execution.stage import Progress, unheard
-from calib.hypotheses.discretisation_error import DiscretisationError
 from calib.hypotheses.hypotheses import Failure, ModelHypotheses
 from calib.hypotheses.rules import RULES
 from calib.missing.between_tests import Differences
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.discrepancy import Discrepancy
 from calib.missing.explanation import Explanation
+from calib.missing.facts import DiscretisationError, MeasurementFacts, Places
 from calib.missing.predictions import HeldOut, predictions
 from calib.missing.recommendation import ExperimentalDesign
 from calib.missing.score import Scores
@@ -129,10 +128,6 @@ class OneTest(ABC):
     def with_effects(self, effects: Sequence[Effect]) -> ModelHypotheses[Any]:
         """Its hypotheses with further effects."""
         return self.hypotheses.with_more(effects)
-
-    def by_test(self, answer: ExplanationResult) -> dict[str, ExplanationResult]:
-        """Empty: there are no other tests, of which it would be a part."""
-        return {}
 
     def between(self, found: Explanation) -> Differences | None:
         """None: there is no other test to differ from."""
@@ -269,7 +264,7 @@ class OneTest(ABC):
         """None: there is no mesh."""
         return None
 
-    def places(self) -> dict[str, tuple[str, tuple[float, float, float], str]]:
+    def places(self) -> Places:
         """Kind, location (m) and sensor of every local perturbation and every fault of the measurement, by name."""
         local = {a.effect.name: (a.kind, a.place, a.sensor) for a in self.perturbations}
         return local | {f.name: (f.kind, f.place, f.sensor) for f in self.hypotheses.pair.faults}

@@ -53,7 +53,7 @@ def own_modes(base: Model, effects: Sequence[Effect], found: Comparison) -> pd.D
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
-def sentence(table: pd.DataFrame) -> str:
+def own_modes_sentence(table: pd.DataFrame) -> str:
     """The own modes that no measured mode pairs with, in words, a sentence an effect; empty without any."""
     out = []
     for name, rows in table[table["paired"] == ""].groupby("effect", sort=False):

@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calib.analyses.explanation_result import MeasurementFacts
 from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.mesh_error import geometry_tables
 from calib.correlation.response.residual import ResponseResidual
 from calib.execution.stage import Progress, unheard
 from calib.experiment import Unseen
 from calib.hypotheses.design.frf import frf_design
-from calib.hypotheses.discretisation_error import DiscretisationError, frf_discretisation_error
+from calib.hypotheses.discretisation_error import frf_discretisation_error
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.one_test import OneTest
 from calib.hypotheses.verify import group_errors, held_out_rows, predicted_spread, std_behind, whitened
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
+from calib.missing.facts import DiscretisationError, MeasurementFacts
 from calib.missing.predictions import HeldOut
 from calib.missing.recommendation import ExperimentalDesign
 from calib.problem.effect import Effect

@@ -77,7 +77,7 @@ def changing(table: pd.DataFrame) -> float:
     return float(gone.iloc[0]) if len(gone) else float("nan")
 
 
-def sentence(table: pd.DataFrame, level: float) -> str:
+def accuracy_sentence(table: pd.DataFrame, level: float) -> str:
     """Accuracy at which the verdict would change, in words; empty for an empty table.
 
     Where none of the table changes it, the largest accuracy that the data do not contradict is stated: with a larger

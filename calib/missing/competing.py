@@ -1,14 +1,13 @@
-"""Expected log Bayes factor between two competing models after a further measurement."""
+"""Candidates for the next measurement, and the log Bayes factor between two competing models to expect of them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.linalg as la
 
-from calib.missing.candidate_measurement import CandidateMeasurement
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 
@@ -16,6 +15,35 @@ _TESTS = 200
 """Simulated measurements per posterior sample: the standard error of the mean is 7 % of the spread due to noise."""
 EIGHT_OF_TEN = (0.1, 0.9)
 """Quantile levels between which eight of ten cases lie."""
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateMeasurement:
+    """A candidate for the next measurement.
+
+    Attributes
+    ----------
+    name : str
+        In words.
+    kind : {"sensor", "mode", "reference", "held out", "repeats", "bench"}
+    rows : ndarray (n_rows,), bool or None
+        Rows that it adds to the measured ones.
+    scale : float
+        Factor on the standard deviation of all rows, such as ``1/sqrt(2)`` for twice the repeats.
+    prior_sd : mapping from str to float
+        Standard deviations of parameters after a bench test of a component.
+    """
+
+    name: str
+    kind: str
+    rows: np.ndarray | None = None
+    scale: float = 1.0
+    prior_sd: Mapping[str, float] = field(default_factory=dict)
+
+
+def at_effect(name: str) -> str:
+    """Beginning of the name of the measurement with sensors where an effect acts."""
+    return f"all directions where {name} acts"
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Richer members of a family: the same effect in more detail, fitted after a decision that it nearly explains.
+"""More detailed forms of an effect, fitted after a decision that its simple form nearly explains the data.
 
 They are no candidates of the first question and are not among the tests that it counts.
 """
@@ -35,7 +35,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Richer:
+class DetailedFit:
     """One richer member, fitted.
 
     Attributes
@@ -72,7 +72,7 @@ class Richer:
         return not self.refused
 
 
-def nearly_explaining(found: Explanation) -> CandidateFit | None:
+def leading_fit(found: Explanation) -> CandidateFit | None:
     """The fit of the effect that is far ahead of anything else and yet not believed alone; None where there is none."""
     best = found.chosen
     if best is None or found.verdict not in ("partial", "none_explains") or len(best.effects) != 1:
@@ -80,7 +80,7 @@ def nearly_explaining(found: Explanation) -> CandidateFit | None:
     return best if is_far_ahead(found) else None
 
 
-def fitted_richer(
+def fitted_in_detail(
     hypotheses: Hypotheses,
     found: Explanation,
     simpler: CandidateFit,
@@ -127,9 +127,9 @@ def _starts(effect: Candidate, simpler: CandidateFit) -> list[dict[str, float]]:
     return out
 
 
-def told_richer(
+def tested_in_detail(
     found: Explanation, simpler: CandidateFit, fitted: tuple[CandidateFit, AdequacyTests], errors: pd.DataFrame
-) -> Richer:
+) -> DetailedFit:
     """A fitted member with its interval, and why it is not adequate.
 
     Parameters
@@ -137,7 +137,7 @@ def told_richer(
     found : Explanation
     simpler : CandidateFit
     fitted : (CandidateFit, AdequacyTests)
-        From `fitted_richer`.
+        From `fitted_in_detail`.
     errors : DataFrame
         ``group, stage, rows, rms, expected, p`` of its model.
     """
@@ -146,7 +146,7 @@ def told_richer(
     stage = str(errors["stage"].iloc[0]) if len(errors) else ""
     if not refused and contradicting(errors, stage):
         refused = "held_out"
-    return Richer(
+    return DetailedFit(
         simpler, fit, adequacy, profile_interval(fit.fit, fit.names[0]), refused, errors.drop(columns="stage")
     )
 
@@ -154,23 +154,23 @@ def told_richer(
 # -- words and tables --------------------------------------------------------------------------------------------------
 
 
-def next_richer(tried: Sequence[Richer]) -> Richer | None:
+def best_in_detail(tried: Sequence[DetailedFit]) -> DetailedFit | None:
     """The member to tell: the first adequate one, or else that of the highest evidence; None where none was tried."""
     best = max(tried, key=lambda one: one.candidate_fit.ln_evidence, default=None)
     return next((one for one in tried if one.adequate), best)
 
 
-def richer_sentence(tried: Sequence[Richer], before: pd.DataFrame) -> str:
+def detailed_sentence(tried: Sequence[DetailedFit], before: pd.DataFrame) -> str:
     """What richer members tell, in words; empty where none was tried.
 
     Parameters
     ----------
-    tried : sequence of Richer
+    tried : sequence of DetailedFit
         From simple to rich.
     before : DataFrame
         Errors of the decision, ``group, stage, rms``.
     """
-    one = next_richer(tried)
+    one = best_in_detail(tried)
     if one is None:
         return ""
     e, listed = one.effect, tried[0].simpler.names[0]
@@ -188,15 +188,15 @@ def richer_sentence(tried: Sequence[Richer], before: pd.DataFrame) -> str:
     )
 
 
-def richer_next(tried: Sequence[Richer]) -> str:
+def detailed_next(tried: Sequence[DetailedFit]) -> str:
     """What to do with an adequate member, in words; empty without one."""
-    one = next_richer(tried)
+    one = best_in_detail(tried)
     if one is None or not one.adequate:
         return ""
     return f"Or add {one.effect.name}, which is {tried[0].simpler.names[0]} in more detail and explains the data."
 
 
-def _why_not(one: Richer) -> str:
+def _why_not(one: DetailedFit) -> str:
     return {
         "implausible": one.candidate_fit.implausible,
         "dof": "too few degrees of freedom are left to test it",
@@ -206,7 +206,7 @@ def _why_not(one: Richer) -> str:
     }[one.refused]
 
 
-def _held_out(one: Richer, before: pd.DataFrame) -> str:
+def _held_out(one: DetailedFit, before: pd.DataFrame) -> str:
     """Errors of held-out data without the effect and with the member, in words."""
     own = before[before["stage"] == "before"]
     earlier = {str(group): float(rms) for group, rms in zip(own["group"], own["rms"], strict=True)}
@@ -218,7 +218,7 @@ def _held_out(one: Richer, before: pd.DataFrame) -> str:
     return f"; in standard deviations {', '.join(parts)}" if parts else ""
 
 
-def richer_tables(found: Explanation, tried: Sequence[Richer]) -> dict[str, pd.DataFrame]:
+def detailed_tables(found: Explanation, tried: Sequence[DetailedFit]) -> dict[str, pd.DataFrame]:
     """``richer``: every parameter of every member tried, magnitude first; ``richer_errors``: their errors by group."""
     rows: list[tuple[object, ...]] = []
     for one in tried:

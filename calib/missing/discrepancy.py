@@ -188,7 +188,7 @@ def parameter_intervals(found: Explanation, wide: Discrepancy | None) -> pd.Data
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
-def sentence(table: pd.DataFrame) -> str:
+def parameters_sentence(table: pd.DataFrame) -> str:
     """How much wider the intervals are with the unexplained misfit, in words; empty without them."""
     if table.empty:
         return ""

@@ -13,15 +13,14 @@ from calib.missing.adequacy import adequacy_of, adequate, beside, measured_scale
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group, grouped
 from calib.missing.effect_pairs import alone, fit_pairs, no_worse
-from calib.missing.enough import require_modes, require_responses
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.linearised_fit import nearest_whole
 from calib.missing.refits import Refits, near_to
-from calib.missing.restarts import anew, led_astray
+from calib.missing.restarts import led_astray, restarted
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
-from calib.missing.settings import DEFAULT, Settings
+from calib.missing.settings import DEFAULT, Settings, require_modes, require_responses
 from calib.missing.stepwise import Stepwise, further_price
 from calib.missing.suspect import suspects
 from calib.missing.wrong_datum import wrong_datum
@@ -111,7 +110,7 @@ class _Decision:
         blamed = self.blamed(found, lead, needed)
         if not settled and blamed is None and not starts and fits.settings.budget > 0 and led_astray(base, adequacy):
             with fits.allowance.uncharged():  # refits from the nominal values have their own budget
-                singles = anew(fits, base, lead.singles, able)
+                singles = restarted(fits, base, lead.singles, able)
             lead = self.lead(singles, able, base)
             factor = measured_scale(fits, base, lead.best, found.perturbation, found.fault)
             found = replace(found, begun_anew=True, measured_scale=factor)

@@ -144,7 +144,7 @@ def predictions(
     return pd.concat(tables, ignore_index=True), pd.DataFrame(errors, columns=list(ERROR_COLUMNS))
 
 
-def sentence(table: pd.DataFrame, errors: pd.DataFrame) -> str:
+def predictions_sentence(table: pd.DataFrame, errors: pd.DataFrame) -> str:
     """How far held-out data agree with the predictions, with and without the unexplained misfit; empty without data."""
     if table.empty:
         return ""

@@ -13,8 +13,7 @@ import numpy as np
 import pandas as pd
 import scipy.linalg as la
 
-from calib.missing.candidate_measurement import CandidateMeasurement, at_effect
-from calib.missing.competing import EIGHT_OF_TEN, BayesFactor, CompetingModels
+from calib.missing.competing import EIGHT_OF_TEN, BayesFactor, CandidateMeasurement, CompetingModels, at_effect
 from calib.missing.local import unit_words
 from calib.missing.rules import RULES
 

@@ -29,7 +29,7 @@ def led_astray(base: CandidateFit, adequacy: AdequacyTests) -> bool:
     return bool(base.implausible) or strongest > RULES.rejected or adequacy.p_fit < RULES.rejected_fit
 
 
-def anew(
+def restarted(
     fits: Refits, base: CandidateFit, singles: Sequence[CandidateFit], effects: Sequence[Candidate]
 ) -> list[CandidateFit]:
     """Fit single effects from the nominal values with every magnitude of their grid; best first.

@@ -1,8 +1,11 @@
-"""Settings of an explanation."""
+"""Settings of an explanation, and whether the data are enough for one."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+from calib.errors.errors import InputError
+from calib.missing.rules import RULES
 
 
 @dataclass(frozen=True)
@@ -31,3 +34,24 @@ class Settings:
 
 
 DEFAULT = Settings()
+
+
+def require_modes(count: int) -> None:
+    """Raise InputError for too few measured modes to name an effect."""
+    if count < RULES.least_modes:
+        raise InputError(
+            f"{count} measured modes cannot tell a missing effect from a parameter",
+            place="explain",
+            remedy=f"measure at least {RULES.least_modes}, or hold out fewer",
+        )
+
+
+def require_responses(count: int, free: int) -> None:
+    """Raise InputError for too few measured responses to name an effect beside the fitted parameters."""
+    least = max(RULES.least_responses, free + 2)
+    if count < least:
+        raise InputError(
+            f"{count} measured responses cannot tell a missing effect from the {free} fitted parameters",
+            place="explain",
+            remedy=f"measure at least {least}, hold out fewer or fit fewer parameters",
+        )

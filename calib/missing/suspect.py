@@ -155,7 +155,7 @@ def suspects(
     return table.iloc[order].reset_index(drop=True)
 
 
-def in_short(table: pd.DataFrame, named: str) -> str:
+def suspect_in_short(table: pd.DataFrame, named: str) -> str:
     """The datum without which everything fits and the effect that is named all the same, for the summary.
 
     Empty where no datum alone explains the misfit.
@@ -169,7 +169,7 @@ def in_short(table: pd.DataFrame, named: str) -> str:
     )
 
 
-def sentence(table: pd.DataFrame, named: str = "") -> str:
+def suspect_sentence(table: pd.DataFrame, named: str = "") -> str:
     """The datum without which everything fits, in words; empty where none alone explains the misfit.
 
     ``named`` is an effect that is named all the same: no wrong datum explains about as well as it does.

@@ -1,4 +1,4 @@
-"""Tables of an explanation: effects, confounding, pulls, goodness of fit and candidate fits."""
+"""Tables of an explanation: effects, faults, perturbations, confounding, pulls, goodness of fit, candidate fits."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from calib.missing.candidate_fit import CandidateFit
 from calib.missing.collinear import Group
 from calib.missing.evidence import expected_ln_bayes, ln_bayes_linear, model_probabilities, rescaled
 from calib.missing.explanation import Explanation
-from calib.missing.local import WIDE
+from calib.missing.facts import Places
+from calib.missing.local import WIDE, fault_words, local_perturbation
 from calib.missing.plausible import pulls
 from calib.missing.rules import RULES
-from calib.missing.score import correlation
+from calib.missing.score import correlation, noise_limit
 from calib.missing.visible import smallest_visible
 from calib.problem.candidate import Candidate
 
@@ -26,6 +27,10 @@ EFFECT_COLUMNS = (
     "name", "title", "unit", "z", "unabsorbed", "magnitude", "magnitude_low", "magnitude_high", "magnitude_min",
     "plausible", "largest", "visible", "ln_bayes", "ln_bayes_third", "ln_bayes_triple", "model_probability",
     "held_out_gain", "refitted", "credible", "implausible", "confounded_with", "stands_for", "lacks", "look_for",
+)  # fmt: skip
+FAULT_COLUMNS = (
+    "fault", "kind", "sensor", "x", "y", "z", "unit", "score", "unabsorbed", "magnitude", "low", "high",
+    "magnitude_min", "ln_bayes", "fitted", "blamed", "told", "limit",
 )  # fmt: skip
 
 
@@ -202,3 +207,52 @@ def candidate_fits_table(found: Explanation) -> pd.DataFrame:
             for t in candidate_fits
         ]
     )
+
+
+def faults_table(found: Explanation, places: Places, candidates: Mapping[str, Candidate]) -> pd.DataFrame:
+    """One row per fault of the measurement, largest score first; `docs/tables.toml` lists the columns.
+
+    Parameters
+    ----------
+    found : Explanation
+    places : mapping from str to (kind, (x, y, z), sensor)
+        Of every fault, by name; m.
+    candidates : mapping from str to Candidate
+        The faults themselves, for units and limits.
+    """
+    scores = found.base_adequacy.faults
+    if scores is None:
+        return pd.DataFrame(columns=list(FAULT_COLUMNS))
+    fits, blamed = {t.names[0]: t for t in found.faults}, {t.names[0] for t in found.blamed}
+    rows: list[dict[str, object]] = []
+    for k, name in enumerate(scores.owners):
+        kind, (x, y, z), sensor = places[name]
+        size, p = float(scores.size[k]), candidates[name].magnitude
+        stepped = float(scores.z[k]) / size if size > 0 else math.nan
+        row: dict[str, object] = {
+            "fault": name, "kind": kind, "sensor": sensor, "x": x, "y": y, "z": z, "unit": p.unit,
+            "score": scores.z[k] if scores.signed[k] else max(scores.z[k], 0.0), "unabsorbed": scores.unabsorbed[k],
+            "magnitude": stepped if p.lower <= stepped <= p.upper else math.nan, "low": math.nan, "high": math.nan,
+            "magnitude_min": RULES.detectable / size if size > 0 else math.inf,
+            "ln_bayes": math.nan, "fitted": name in fits, "blamed": name in blamed, "told": "",
+        }  # fmt: skip
+        if name in fits:
+            fitted = local_perturbation(fits[name])
+            row |= {"magnitude": fitted.value, "low": fitted.low, "high": fitted.high}
+            row |= {"ln_bayes": found.ln_bayes(fits[name])}
+            row["told"] = fault_words(fits[name])
+        rows.append(row)
+    table = pd.DataFrame(rows).assign(limit=noise_limit(scores.magnitude))
+    order = np.argsort(-table["score"].abs().to_numpy(dtype=float), kind="stable")
+    return table.iloc[order][list(FAULT_COLUMNS)].reset_index(drop=True)
+
+
+def perturbations_table(found: Explanation, places: Places) -> pd.DataFrame:
+    """Score of every local perturbation, with its place and what noise alone would give."""
+    scores, rows = found.base_adequacy.perturbations, []
+    for k, name in enumerate(scores.owners):
+        kind, place, sensor = places[name]
+        score = scores.z[k] if scores.signed[k] else max(scores.z[k], 0.0)  # the other sign is not physical
+        rows.append((name, kind, *place, sensor, score, scores.unabsorbed[k]))
+    table = pd.DataFrame(rows, columns=["perturbation", "kind", "x", "y", "z", "sensor", "score", "unabsorbed"])
+    return table.assign(limit=noise_limit(table["score"].to_numpy(dtype=float)))

@@ -1,4 +1,4 @@
-"""Protocol of a test as `calib.analyses.explain` uses it: hypotheses, errors, notes, tables."""
+"""Protocol of a test as an explanation uses it: hypotheses, errors, notes, tables."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from typing import Protocol, Self
 
 import pandas as pd
 
-from calib.analyses.explanation_result import ExplanationResult, MeasurementFacts
 from calib.execution.outcome import Outcome
 from calib.execution.stage import Progress, unheard
-from calib.hypotheses.discretisation_error import DiscretisationError
 from calib.missing.between_tests import Differences
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.discrepancy import Discrepancy
 from calib.missing.explanation import Explanation
+from calib.missing.facts import DiscretisationError, MeasurementFacts, Places
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.recommendation import ExperimentalDesign
 from calib.problem.effect import Effect
@@ -48,10 +47,6 @@ class Adapter(Protocol):
 
     def with_effects(self, effects: Sequence[Effect]) -> Hypotheses:
         """Its hypotheses with further effects beside those of its library."""
-        ...
-
-    def by_test(self, answer: ExplanationResult) -> dict[str, ExplanationResult]:
-        """The result as each of several tests sees it; empty for a single test."""
         ...
 
     def between(self, found: Explanation) -> Differences | None:
@@ -99,7 +94,7 @@ class Adapter(Protocol):
         """Scores that the discretisation error alone would give; None without a finer mesh."""
         ...
 
-    def places(self) -> dict[str, tuple[str, tuple[float, float, float], str]]:
+    def places(self) -> Places:
         """Kind, location (m) and sensor of every local perturbation and fault of a measurement, by name."""
         ...
 

@@ -10,13 +10,11 @@ import pandas as pd
 from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import fault_words, local_perturbation, meaning_of, range_words, unit_words
-from calib.missing.measurement_verdict import on_measurement
-from calib.missing.partial import is_nearly, spread_of
+from calib.missing.partial import is_simpler_form, magnitude_range
 from calib.missing.recommendation import Recommendation, as_ratio, rounded
 from calib.missing.rules import RULES
 from calib.missing.steps_table import competing_sentence, steps_sentence
-from calib.missing.suspect import in_short as suspect_in_short
-from calib.missing.suspect import sentence as suspect_sentence
+from calib.missing.suspect import suspect_in_short, suspect_sentence
 from calib.missing.tables import UNTESTED
 from calib.missing.verdict_words import (
     Words,
@@ -27,6 +25,7 @@ from calib.missing.verdict_words import (
     further,
     look_for,
     look_for_one_of,
+    on_measurement,
     row_of,
     sized,
     with_in_short,
@@ -276,7 +275,7 @@ def _partial(found: Explanation, effects: pd.DataFrame) -> Words:
     assert found.chosen is not None and found.chosen_adequacy is not None
     (e,) = found.chosen.effects
     before, after = found.base.fit.misfit, found.chosen.fit.misfit
-    if is_nearly(found):
+    if is_simpler_form(found):
         return _nearly(found, e)
     return Words(
         f"The model lacks something that no listed effect explains fully: {sized(effects, e)}, is a part of it or "
@@ -291,7 +290,7 @@ def _partial(found: Explanation, effects: pd.DataFrame) -> Words:
 def _nearly(found: Explanation, e: Candidate) -> Words:
     assert found.chosen is not None and found.chosen_adequacy is not None
     before, after = found.base.fit.misfit, found.chosen.fit.misfit
-    low, high = spread_of(found)
+    low, high = magnitude_range(found)
     left = where(found.chosen_adequacy)
     return Words(
         f"The model lacks something like {e.in_words}, but not exactly that; in the form that the library lists it "

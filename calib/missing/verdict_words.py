@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +11,10 @@ import pandas as pd
 
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
-from calib.missing.local import WIDE, magnitude_words
+from calib.missing.facts import Places
+from calib.missing.local import WIDE, fault_words, magnitude_words
 from calib.missing.plausible import limit_of
+from calib.missing.recommendation import as_ratio
 from calib.missing.worst_misfit import p_words
 from calib.problem.candidate import Candidate
 from calib.problem.effect import Effect
@@ -181,7 +183,7 @@ def lowered(words: str) -> str:
 
 def elsewhere(
     found: Explanation,
-    places: Mapping[str, tuple[str, tuple[float, float, float], str]],
+    places: Places,
     acting: Sequence[tuple[float, float, float]],
 ) -> str:
     """The sensor at which a local perturbation fits best, where the named effect acts somewhere else; in words.
@@ -232,3 +234,34 @@ def _counts(found: Explanation) -> tuple[int, int, int]:
     tests = found.base_adequacy
     faults = 0 if tests.faults is None else len(set(tests.faults.owners))
     return sum(len(g.names) for g in found.groups), len(set(tests.perturbations.owners)), faults
+
+
+def on_measurement(found: Explanation, effects: pd.DataFrame) -> Words:
+    """A fault of the measurement is named: which, how sure that is, what to check."""
+    assert found.fault is not None and found.fault_adequacy is not None
+    (e,) = found.fault.effects
+    first, *others = [fault_words(t) for t in found.blamed] or [fault_words(found.fault)]
+    also = f" As well explained by: {'; '.join(others)}." if others else ""
+    best = found.singles[0] if found.singles else None
+    against = f" The best effect, {best.names[0]}, is {_behind(found, best)}." if best is not None else ""
+    after = found.fault_adequacy
+    return Words(
+        f"The measurement is what does not fit: {first}: {lowered(ended(e.look_for))}{also}",
+        f"Its log Bayes factor is {found.ln_bayes(found.fault):.1f} against the model without any fault or effect, "
+        f"chosen among {counted_faults(found)}.{against} {without_in_short(found)} "
+        f"{fit_in_short(after, found.alpha)}",
+        "Correct the measurement, or take it out, before the model is changed; nothing is added to the model.",
+        (
+            without(found),
+            f"With it no effect or place stands out ({p_words(after.p_family)}), and {WORST} has "
+            f"{p_words(after.p_fit)}.",
+            f"It takes for granted: {ended(e.lacks)}",
+        ),
+    )
+
+
+def _behind(found: Explanation, best: CandidateFit) -> str:
+    """How much worse the best effect is than the named fault, in words."""
+    assert found.fault is not None
+    ln = found.fault.ln_evidence - best.ln_evidence
+    return f"behind it by odds of {as_ratio(ln)}" if ln > 0 else "no better once the number of candidates is counted"

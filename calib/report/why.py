@@ -217,7 +217,7 @@ def why_figure(
     acts : DataFrame, optional
         As for `draw_alike`.
     by_test : DataFrame, optional
-        For one of several tests: ``effects, rows, before, after, share`` of `calib.missing.by_test.reduction_table`.
+        For one of several tests: ``effects, rows, before, after, share`` of `calib.missing.pattern.reduction_table`.
     attempt : bool
         Whether the effects are a rejected attempt.
     """

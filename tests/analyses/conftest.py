@@ -9,8 +9,8 @@ from types import ModuleType
 import pytest
 
 from calib.analyses.explain import explain
-from calib.analyses.explanation_result import ExplanationResult
 from calib.hypotheses.library import modal_hypotheses
+from calib.missing.findings import ExplanationResult
 from calib.results.results import Results
 from calib.study.loading import module_of
 from calib.study.study import Study

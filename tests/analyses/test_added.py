@@ -121,7 +121,7 @@ def test_why_nothing_is_added_is_reported_and_written(study, verdict, words, tmp
 
 
 def test_something_like_an_effect_is_added_on_request_only(monkeypatch):
-    monkeypatch.setattr(added, "is_nearly", lambda found: True)
+    monkeypatch.setattr(added, "is_simpler_form", lambda found: True)
     words = added.nothing_added(found("partial", "guy"))
     assert "like guy is missing" in words and "'calib extend' adds it anyway" in words
 

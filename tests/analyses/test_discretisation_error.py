@@ -12,7 +12,6 @@ from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.modal.residual import ModalResidual
 from calib.errors.errors import InputError
 from calib.hypotheses.discretisation_error import (
-    DiscretisationError,
     discretisation_error,
     discretisation_error_of,
     frf_discretisation_error,
@@ -21,6 +20,7 @@ from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.library import modal_hypotheses
 from calib.hypotheses.rules import RULES
 from calib.measurement.frf import MeasuredFRFs
+from calib.missing.facts import DiscretisationError
 from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.problem.space import ParameterSpace
 from calib.results.results import Results
@@ -192,7 +192,7 @@ def test_a_finer_model_that_is_another_model_is_refused(settled, mast):
 def test_without_candidates_the_largest_score_is_zero():
     import pandas as pd
 
-    assert DiscretisationError(pd.DataFrame(columns=["candidate", "kind", "score"]), 0.0).largest == 0.0
+    assert DiscretisationError(pd.DataFrame(columns=["candidate", "kind", "score"]), 0.0, 1.0).largest == 0.0
 
 
 # -- the bogie ---------------------------------------------------------------------------------------------------------

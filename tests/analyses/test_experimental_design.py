@@ -13,7 +13,7 @@ from calib.hypotheses.design.modal import modal_design
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.rules import RULES
 from calib.missing.candidate_fit import CandidateFit
-from calib.missing.candidate_measurement import at_effect
+from calib.missing.competing import at_effect
 from calib.missing.linearised_fit import fitted
 from calib.missing.recommendation import recommend
 from calib.missing.score import scores

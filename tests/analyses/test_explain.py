@@ -194,7 +194,7 @@ def test_progress_is_reported_in_order(guyed):
 
 
 def test_where_the_rest_of_a_nearly_explained_misfit_sits_is_told_and_kept(mast, tmp_path, monkeypatch):
-    monkeypatch.setattr("calib.missing.left.is_nearly", lambda found: found.chosen is not None)
+    monkeypatch.setattr("calib.missing.partial.is_simpler_form", lambda found: found.chosen is not None)
     study = Study.load(mast.write_study(tmp_path / "mast", {"guy": 12000.0}))
     answer = explain(study, Results.at(tmp_path / "results", study.name))
     kept = json.loads((tmp_path / "results/mast/explanation.json").read_text("utf-8"))["left"]

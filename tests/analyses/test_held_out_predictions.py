@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.analyses.explain import adapter_for, decided
+from calib.analyses.explain import adapter_for, decision
 from calib.api.explained import _adapters, library_of
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import unheard
@@ -183,7 +183,7 @@ def test_each_of_several_tests_is_predicted_by_the_discrepancy_of_all(tmp_path):
     folder = write_study(tmp_path / "frame")
     study = load(folder)
     adapter = adapter_for(study, Results.at(tmp_path / "r", "frame"), unheard, {})
-    found = decided(adapter, study.settings.explain, "frame")
+    found = decision(adapter, study.settings.explain, "frame")
     wide = wide_of(found)
     table, errors = adapter.predictions(found.base, wide, found.noise_scale)
     assert set(table["test"]) == set(errors["test"]) == {"loaded"}

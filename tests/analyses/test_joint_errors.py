@@ -7,9 +7,11 @@ import pandas as pd
 import pytest
 
 import calib
-from calib.analyses.explain import answered, decided
+from calib.analyses.explain import decision
+from calib.analyses.explanation_result import by_test
 from calib.api.explained import _adapters, library_of
 from calib.hypotheses.joint import together
+from calib.missing.findings import findings
 from calib.missing.hypotheses import Altered
 from calib.missing.linearised_fit import fitted
 from calib.problem.effect import Effect
@@ -54,8 +56,8 @@ def measured(model, names, name, load=0.0, seed=2):
 
 def explained(problem, effects=EFFECTS):
     adapter = together(_adapters(problem, library_of(problem, effects), 1))
-    found = decided(adapter, ExplainSettings().model_copy(update={"seed": 1}), "explain")
-    return SimpleNamespace(adapter=adapter, found=found, answer=answered(adapter, found, lambda *a: None, 0.0))
+    found = decision(adapter, ExplainSettings().model_copy(update={"seed": 1}), "explain")
+    return SimpleNamespace(adapter=adapter, found=found, answer=findings(adapter, found, 0.0))
 
 
 def by_group(errors):
@@ -92,14 +94,14 @@ def test_left_out_errors_are_those_of_real_refits_of_all_tests(joint, limited, t
             kept = np.setdiff1d(np.arange(len(hypotheses.rows)), [k])
             rest = fitted(Altered(fit.fit_problem, kept=kept), fit.effects, fit.values)
             out.append(fit.fit_problem.residual(rest.values)[k])
-    errors = by_group(joint.adapter.seen(test, joint.answer).errors.replace({"stage": {"attempt": "after"}}))
+    errors = by_group(by_test(joint.adapter, joint.answer)[test].errors.replace({"stage": {"attempt": "after"}}))
     assert errors.loc[("left_out", stage), "rms"] == pytest.approx(np.sqrt(np.mean(np.square(out))), rel=0.04)
 
 
 def test_a_test_of_few_rows_is_predicted_by_the_others(joint):
     """Four responses do not determine three parameters and an effect: with the others they are predicted."""
     assert joint.found.verdict == "effect" and joint.found.credible == ("lack",)
-    errors = by_group(joint.adapter.seen("loaded", joint.answer).errors)
+    errors = by_group(by_test(joint.adapter, joint.answer)["loaded"].errors)
     assert errors.loc[("left_out", "after"), "expected"] < 2.5
     alone = joint.adapter.adapters["loaded"].hypotheses.fit_problem(("lack",))
     single = fitted(alone, ("lack",), joint.found.chosen.fit.values)
@@ -116,7 +118,7 @@ def test_a_test_without_a_common_parameter_changes_nothing():
     beside = calib.Problem(model, test, beside=(calib.Problem(bench, calib.ResponseTest(noisy, name="bench")),))
     joint, single = explained(beside), explained(calib.Problem(model, test))
     assert joint.found.verdict == single.found.verdict == "effect"
-    own = by_group(joint.adapter.seen("empty", joint.answer).errors)[NUMBERS]
+    own = by_group(by_test(joint.adapter, joint.answer)["empty"].errors)[NUMBERS]
     # Each fit ends within its tolerance.
     pd.testing.assert_frame_equal(own, by_group(single.answer.errors)[NUMBERS], rtol=2e-3)
 
@@ -130,7 +132,7 @@ def test_a_test_divided_in_two_gives_the_same(joint):
     assert divided.found.credible == single.found.credible
     own, other = (by_group(x.answer.errors)[NUMBERS] for x in (divided, single))
     pd.testing.assert_frame_equal(own, other, rtol=2e-3)
-    each = [by_group(divided.adapter.seen(test, divided.answer).errors) for test in ("one", "two")]
+    each = [by_group(by_test(divided.adapter, divided.answer)[test].errors) for test in ("one", "two")]
     for group in ("fit", "left_out"):
         rows = pd.DataFrame([one.loc[(group, "after")] for one in each])
         for number in ("rms", "expected"):

@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg as la
 
 from calib.hypotheses import own_modes as of
-from calib.hypotheses.own_modes import own_modes, sentence
+from calib.hypotheses.own_modes import own_modes, own_modes_sentence
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
 from calib.structure.effects.attach import hung_masses, maxwell_branches
@@ -63,7 +63,7 @@ def test_a_light_unit_between_modes_brings_one_mode_near_its_own_frequency():
     assert row["effect"] == "brake" and row["natural_freq"] == pytest.approx(12.0, rel=0.01) and row["share"] > 0.98
     freq = model.modes({"brake": 0.01, "brake_freq": 12.0}, 4).natural_freq
     assert freq[row["model_mode"] - 1] == row["natural_freq"]
-    told = sentence(table)
+    told = own_modes_sentence(table)
     assert "brake" in told and "12 Hz" in told and f"{100 * row['share']:.0f} %" in told
 
 
@@ -82,7 +82,7 @@ def test_of_two_units_each_has_its_own_mode(order):
     values = {"brake": 0.02, "brake_freq": 10.0, "lamp": 0.02, "lamp_freq": 60.0}
     table = own_modes(base, effects, found(extend(base, effects), values)).set_index("effect")
     assert dict(table["natural_freq"].round()) == {"brake": 10.0, "lamp": 60.0}
-    assert sentence(table.reset_index()).count("brings a mode") == 2
+    assert own_modes_sentence(table.reset_index()).count("brings a mode") == 2
 
 
 def test_a_mode_that_a_measured_mode_pairs_with_is_not_told():
@@ -91,9 +91,9 @@ def test_a_mode_that_a_measured_mode_pairs_with_is_not_told():
     number = int(own_modes(base, [effect], found(model, values))["model_mode"].iloc[0])
     others = [n for n in range(1, 5) if n != number]
     beside = own_modes(base, [effect], found(model, values, others))
-    assert beside["paired"].tolist() == [""] and sentence(beside)
+    assert beside["paired"].tolist() == [""] and own_modes_sentence(beside)
     paired = own_modes(base, [effect], found(model, values, [0, number]))
-    assert paired["paired"].tolist() == ["M2"] and sentence(paired) == ""
+    assert paired["paired"].tolist() == ["M2"] and own_modes_sentence(paired) == ""
 
 
 def test_the_share_is_that_of_the_kinetic_energy_of_the_motion_relative_to_the_carrier():

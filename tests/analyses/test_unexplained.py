@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib.analyses.explain import explain, keep
+from calib.analyses.explain import explain, write_explanation
 from calib.command.explained import _predictions
 from calib.results.results import Results
 from calib.study.study import Study
@@ -47,7 +47,7 @@ def test_the_true_values_lie_inside_where_the_effect_is_not_in_the_library(mast,
         inside = [f"{own[name].sum()} of {len(own)}" for name in ("inside", "inside_unexplained")]
         expected = [f"{row[name]:.2f}" for name in ("rms", "expected", "expected_unexplained")]
         assert list(line[1:6]) == [*inside, *expected]
-    keep(Study.load(folder), results, replace(answer, tables={}))
+    write_explanation(Study.load(folder), results, replace(answer, tables={}))
     assert not any((results.path / f"{name}.csv").exists() for name in FILES)  # nothing of an earlier verdict is left
     (words,) = [s for s in answer.sentences if s.startswith("The unexplained misfit")]
     assert "times as wide as those of the fit alone" in words

@@ -35,7 +35,6 @@ from rates_subject import BOGIE, ROOT
 from rates_table import Rate, bound_of
 from rates_world import World, digest_of
 
-from calib.analyses.explanation_result import MeasurementFacts
 from calib.correlation.modal.residual import ModalResidual
 from calib.errors.errors import EvaluationError, InputError
 from calib.hypotheses.hypotheses import ModelHypotheses
@@ -44,6 +43,7 @@ from calib.missing.candidate_fit import CandidateFit
 from calib.missing.discrepancy import discrepancy_of, parameter_intervals
 from calib.missing.explain import explain
 from calib.missing.explanation import UNEXPLAINED, Explanation
+from calib.missing.facts import MeasurementFacts
 from calib.missing.linearised_fit import LinearisedFit, fitted
 from calib.missing.local import WIDE
 from calib.structure.effects.variants import Variants

@@ -41,8 +41,7 @@ from calib.hypotheses.design.modal import modal_design
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.measurement.modal import Sensor
 from calib.missing.candidate_fit import CandidateFit
-from calib.missing.candidate_measurement import CandidateMeasurement
-from calib.missing.competing import sharpness
+from calib.missing.competing import CandidateMeasurement, sharpness
 from calib.missing.explain import explain
 from calib.missing.explanation import Explanation
 from calib.missing.recommendation import recommend

@@ -11,7 +11,7 @@ import numpy as np
 from calib.measurement.modal import MeasuredModes
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import SEVERAL, Explanation
-from calib.missing.partial import is_nearly, spread_of
+from calib.missing.partial import is_simpler_form, magnitude_range
 from calib.missing.profile import profile_interval
 from calib.problem.effect import Effect
 
@@ -106,11 +106,11 @@ def outcome(found: Explanation, measured: Truth) -> dict[str, Any]:
 
 def _nearly(found: Explanation, measured: Truth, true: set[str]) -> dict[str, Any] | None:
     """Where something like an effect is told: whether that effect is hidden, and whether its range holds the truth."""
-    if not is_nearly(found):
+    if not is_simpler_form(found):
         return None
     assert found.chosen is not None
     (name,) = found.chosen.names
-    low, high = spread_of(found)
+    low, high = magnitude_range(found)
     own = measured.values.get(name)
     return {"right": name in true, "range": [low, high], "holds": own is not None and low <= own <= high}
 

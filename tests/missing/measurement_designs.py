@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import strategies as st
 
-from calib.missing.candidate_measurement import CandidateMeasurement
-from calib.missing.competing import BayesFactor
+from calib.missing.competing import BayesFactor, CandidateMeasurement
 from calib.missing.recommendation import HELD_OUT, ExperimentalDesign, Linearisation, recommendation
 
 P, M, MORE = 3, 4, 6

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2, f
 
-from calib.missing.accuracy import less_accurate, sentence
+from calib.missing.accuracy import accuracy_sentence, less_accurate
 from calib.missing.explain import explain
 from calib.problem.problem import RowLabels
 
@@ -16,7 +16,7 @@ from calib.problem.problem import RowLabels
 def test_no_accuracy_is_tried_where_nothing_is_missing(verdict):
     found = SimpleNamespace(verdict=verdict, noise_scale=2.0)
     table = less_accurate(found, RowLabels(()), np.zeros(0), 1)
-    assert table.empty and sentence(table, 0.01) == ""
+    assert table.empty and accuracy_sentence(table, 0.01) == ""
 
 
 def test_an_assumed_accuracy_counts_as_known_standard_deviation(toy):
@@ -34,9 +34,9 @@ def test_an_assumed_accuracy_counts_as_known_standard_deviation(toy):
 
 def test_an_accuracy_that_the_scatter_of_the_data_contradicts_is_not_stated():
     table = pd.DataFrame({"accuracy": [0.01, 0.02, 0.05, 0.1], "p_smaller": [0.9, 0.02, 0.009, 0.0], "missing": True})
-    assert "only 2 %, something would be missing" in sentence(table, 0.01)
-    assert "only 5 %, something would be missing" in sentence(table, 0.005)
-    assert "only 10 %, nothing" in sentence(table.assign(missing=[True, True, True, False]), 0.01)
+    assert "only 2 %, something would be missing" in accuracy_sentence(table, 0.01)
+    assert "only 5 %, something would be missing" in accuracy_sentence(table, 0.005)
+    assert "only 10 %, nothing" in accuracy_sentence(table.assign(missing=[True, True, True, False]), 0.01)
 
 
 def test_the_probability_of_a_smaller_sum_of_squares_is_a_lower_tail(toy):

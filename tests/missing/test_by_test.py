@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.missing.by_test import reduction_table
 from calib.missing.candidate_fit import CandidateFit
+from calib.missing.pattern import reduction_table
 
 
 def fit_of(residual, prior=0.0):

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from calib.hypotheses.design.samples import posterior_samples
-from calib.missing.candidate_measurement import CandidateMeasurement
-from calib.missing.competing import CompetingModel, CompetingModels, _density, sharpness
+from calib.hypotheses.design.imagined import posterior_samples
+from calib.missing.competing import CandidateMeasurement, CompetingModel, CompetingModels, _density, sharpness
 from calib.missing.evidence import ln_evidence
 from calib.missing.linearised_fit import LinearisedFit
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg as la
 
-from calib.missing.discrepancy import discrepancy, discrepancy_of, parameter_intervals, sentence
+from calib.missing.discrepancy import discrepancy, discrepancy_of, parameter_intervals, parameters_sentence
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.missing.score import scored
@@ -88,10 +88,10 @@ def test_the_table_tells_both_intervals_and_only_after_an_unexplained_misfit():
     np.testing.assert_allclose(table["value_unexplained"] - table["value"], wide.change)
     np.testing.assert_allclose(table["value"] - table["low"], 1.96 * np.sqrt(np.diag(fit.covariance)))
     width = np.median(half / (1.96 * np.sqrt(np.diag(fit.covariance))))
-    assert f"are {width:.2g} times as wide" in sentence(table)
+    assert f"are {width:.2g} times as wide" in parameters_sentence(table)
     effect = SimpleNamespace(verdict="effect", base=found.base, base_adequacy=tests)
     named = parameter_intervals(effect, discrepancy_of(effect))
-    assert discrepancy_of(effect) is None and named.empty and sentence(named) == ""
+    assert discrepancy_of(effect) is None and named.empty and parameters_sentence(named) == ""
 
 
 # -- data that were not fitted -----------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from calib.correlation.modal.rows import ModalRow
 from calib.missing.discrepancy import discrepancy
 from calib.missing.linearised_fit import LinearisedFit
-from calib.missing.predictions import ERROR_COLUMNS, HeldOut, predictions, sentence
+from calib.missing.predictions import ERROR_COLUMNS, HeldOut, predictions, predictions_sentence
 from calib.missing.score import scored
 
 P, N, M, HELD = 3, 60, 25, 20
@@ -112,5 +112,5 @@ def test_the_sentence_counts_what_lies_inside():
     held, wide, changes = world(4, 3.0)
     table, errors = predictions({"held_out_sensors": held}, wide, {"held_out_sensors": changes})
     inside, beside = int(table["inside"].sum()), int(table["inside_unexplained"].sum())
-    assert f"held-out sensors {inside} and {beside} of {HELD} (rms error " in sentence(table, errors)
-    assert sentence(pd.DataFrame(), pd.DataFrame(columns=list(ERROR_COLUMNS))) == ""
+    assert f"held-out sensors {inside} and {beside} of {HELD} (rms error " in predictions_sentence(table, errors)
+    assert predictions_sentence(pd.DataFrame(), pd.DataFrame(columns=list(ERROR_COLUMNS))) == ""

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.missing.candidate_measurement import CandidateMeasurement
+from calib.missing.competing import CandidateMeasurement
 from calib.missing.recommendation import AVERAGED, COLUMNS, recommend
 from tests.missing.measurement_designs import (
     SENSOR,

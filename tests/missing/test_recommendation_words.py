@@ -6,8 +6,7 @@ from dataclasses import replace
 import pandas as pd
 
 from calib.hypotheses.design.imagined_measurement import _modes_in_words
-from calib.missing.candidate_measurement import at_effect
-from calib.missing.competing import BayesFactor
+from calib.missing.competing import BayesFactor, at_effect
 from calib.missing.recommendation import AVERAGED, COLUMNS, HELD_OUT, USED, Interval, recommend, recommendation
 from calib.missing.rules import RULES
 from tests.missing.measurement_designs import (

@@ -9,7 +9,7 @@ import pytest
 
 from calib.missing.goodness import goodness, overall
 from calib.missing.linearised_fit import FINE, fitted, linearised
-from calib.missing.suspect import data_of, in_short, sentence, suspects
+from calib.missing.suspect import data_of, suspect_in_short, suspect_sentence, suspects
 from calib.problem.problem import RowLabels
 
 
@@ -51,11 +51,11 @@ def test_one_bad_value_is_named_and_nothing_else(toy):
     assert table["what"][0] == "frequency of M2" and table["explains"][0]
     explaining = table[table["explains"]]
     assert set(explaining["what"]) <= {"frequency of M2", "mode M2"}  # the mode contains the value
-    assert "frequency of M2" in sentence(table) and "before the model" in sentence(table)
-    beside = sentence(table, "E1")  # an effect that is named all the same explains it better
+    assert "frequency of M2" in suspect_sentence(table) and "before the model" in suspect_sentence(table)
+    beside = suspect_sentence(table, "E1")  # an effect that is named all the same explains it better
     assert "frequency of M2" in beside and "E1 explains the misfit better" in beside and "20:1" in beside
     better = "E1 explains the misfit better, by odds of more than 20:1: check that measurement."
-    assert in_short(table, "E1") == f"Without frequency of M2 the base model would fit too, but {better}"
+    assert suspect_in_short(table, "E1") == f"Without frequency of M2 the base model would fit too, but {better}"
 
 
 def test_the_closed_form_is_a_fit_without_the_datum(toy):
@@ -90,7 +90,7 @@ def test_two_bad_values_are_not_explained_by_one(toy):
     plain = toy(modes=6, sensors=6)
     wrong = {row_of(plain, "M1", "frequency"): 15.0, row_of(plain, "M4", "damping"): -15.0}
     table = table_of(linear(toy, wrong))
-    assert len(table) and not table["explains"].any() and sentence(table) == in_short(table, "E1") == ""
+    assert len(table) and not table["explains"].any() and suspect_sentence(table) == suspect_in_short(table, "E1") == ""
 
 
 def test_nothing_is_suspect_where_everything_fits(toy):

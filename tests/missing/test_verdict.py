@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from calib.missing.local import interval_words
-from calib.missing.suspect import in_short, sentence
+from calib.missing.suspect import suspect_in_short, suspect_sentence
 from tests.missing.verdict_cases import VERDICTS, WORST, chance, dressed, errors, first, text_of
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
@@ -94,9 +94,9 @@ def test_a_datum_on_which_all_rests_is_stated_with_how_sure(cases):
     found = cases["effect"]
     table = pd.DataFrame({"what": ["frequency of M2", "mode M2"], "explains": [True, True]})
     asked = replace(found, suspects=table.assign(p=1e-9, p_fit_without=0.1))
-    words = sentence(asked.suspects, "E2")
+    words = suspect_sentence(asked.suspects, "E2")
     assert "Without frequency of M2" in words and words in text_of(asked) and "frequency of M2" not in text_of(found)
-    assert in_short(asked.suspects, "E2") in text_of(asked)
+    assert suspect_in_short(asked.suspects, "E2") in text_of(asked)
     assert "frequency of M2" not in text_of(replace(asked, suspects=asked.suspects.assign(explains=False)))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.missing.local import interval_words, local_perturbation, range_words
-from calib.missing.partial import is_nearly, spread_of
+from calib.missing.partial import is_simpler_form, magnitude_range
 from calib.missing.tables import effects_table
 from calib.missing.verdict import MOST
 from calib.missing.verdict import verdict as verdict_of
@@ -162,10 +162,10 @@ def nearly(toy):
 
 
 def test_something_like_an_effect_is_told_with_a_range(nearly):
-    assert nearly.chosen.names == ("E1",) and is_nearly(nearly)
+    assert nearly.chosen.names == ("E1",) and is_simpler_form(nearly)
     text = text_of(nearly)
     assert text.startswith("The model lacks something like a lack of E1, but not exactly that; ")
-    low, high = spread_of(nearly)
+    low, high = magnitude_range(nearly)
     value, std = nearly.chosen.magnitude("E1")
     assert low <= value - 1.9 * std and high >= value + 1.9 * std
     assert range_words(low, high, nearly.chosen.effects[0].magnitude.unit) in text and "Look for a broken E1." in text
@@ -173,16 +173,20 @@ def test_something_like_an_effect_is_told_with_a_range(nearly):
 
 
 def test_an_effect_is_not_nearly_the_cause_where_much_is_left_or_something_else_is_close(cases, nearly):
-    assert not is_nearly(cases["partial"]) and not is_nearly(cases["effect"]) and not is_nearly(cases["none_explains"])
+    assert (
+        not is_simpler_form(cases["partial"])
+        and not is_simpler_form(cases["effect"])
+        and not is_simpler_form(cases["none_explains"])
+    )
     base, best = nearly.base, nearly.chosen
     close = base.ln_evidence + 0.6 * (best.ln_evidence - base.ln_evidence)
     rival = replace(nearly.perturbation, ln_evidence=close)
-    assert is_nearly(replace(nearly, perturbation=rival))  # which leaves far more
+    assert is_simpler_form(replace(nearly, perturbation=rival))  # which leaves far more
     rival = replace(rival, fit=replace(rival.fit, residual=2 * best.fit.residual))
     assert best.fit.misfit < rival.fit.misfit < 5 * best.fit.misfit
-    assert not is_nearly(replace(nearly, perturbation=rival))
+    assert not is_simpler_form(replace(nearly, perturbation=rival))
     left = replace(nearly.chosen_adequacy.perturbations, z=nearly.chosen_adequacy.perturbations.z * 100)
-    assert not is_nearly(replace(nearly, chosen_adequacy=replace(nearly.chosen_adequacy, perturbations=left)))
+    assert not is_simpler_form(replace(nearly, chosen_adequacy=replace(nearly.chosen_adequacy, perturbations=left)))
 
 
 def test_an_unexplained_misfit_is_stated_with_the_place_to_look_at(cases):

@@ -10,7 +10,7 @@ import numpy as np
 from calib.errors.errors import InputError
 from calib.hypotheses.rules import RULES
 from calib.measurement.modal import DIRECTIONS, Sensor
-from calib.missing.candidate_measurement import at_effect
+from calib.missing.competing import at_effect
 from calib.problem.effect import Effect
 from calib.structure.effect_places import effect_places
 from calib.structure.geometry import Mesh

@@ -12,7 +12,7 @@ from calib.hypotheses.design.modal import bench_tests, best_sensors
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.measurement.frf import MeasuredFRFs
 from calib.missing.candidate_fit import CandidateFit
-from calib.missing.candidate_measurement import CandidateMeasurement
+from calib.missing.competing import CandidateMeasurement
 from calib.missing.recommendation import ExperimentalDesign
 from calib.missing.score import Scores
 from calib.problem.candidate import Candidate

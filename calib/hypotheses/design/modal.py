@@ -16,8 +16,7 @@ from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.rules import RULES
 from calib.measurement.modal import Sensor
 from calib.missing.candidate_fit import CandidateFit
-from calib.missing.candidate_measurement import CandidateMeasurement
-from calib.missing.competing import CompetingModels
+from calib.missing.competing import CandidateMeasurement, CompetingModels
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.recommendation import ExperimentalDesign, Linearisation
 from calib.missing.score import Scores

@@ -7,7 +7,7 @@ import pytest
 
 from calib.execution.stage import unheard
 from calib.missing import explain as decision
-from calib.missing import restarts as anew_module
+from calib.missing import restarts
 from calib.missing.explain import explain
 from calib.missing.linearised_fit import fitted
 from calib.missing.plausible import pulls
@@ -121,11 +121,11 @@ def test_every_effect_is_started_from_its_linear_solution(toy):
         base = fits.candidate_fit((), made.base.values)
         others = [fits.candidate_fit(("E1",), base.fit.values)]
         effects = [e for e in made.effects if e.name in ("E0", "E1")]
-        found[made is solved] = (anew_module._starts(fits, effects), anew_module.anew(fits, base, others, effects))
-    (without, astray), (starts, fitted_anew) = found[False], found[True]
+        found[made is solved] = restarts._starts(fits, effects), restarts.restarted(fits, base, others, effects)
+    (without, astray), (starts, refitted) = found[False], found[True]
     assert len(starts) == len(without) + 1
     predicted, name, start = starts[0]
     assert name == "E0" and start["P0"] == far["P0"] and start["E0"] == far["E0"]
     enough = 1.5 * len(one.rows)
     assert predicted < enough < min(found.fit.misfit for found in astray)
-    assert fitted_anew[0].names == ("E0",) and fitted_anew[0].fit.misfit < enough
+    assert refitted[0].names == ("E0",) and refitted[0].fit.misfit < enough

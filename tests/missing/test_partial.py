@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from calib.missing.explain import explain
-from calib.missing.left import left_of
-from calib.missing.partial import is_nearly
+from calib.missing.partial import is_simpler_form, remainder_of
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 
@@ -27,7 +26,7 @@ def nearly(toy, of, seed=3):
     rng = np.random.default_rng(1)
     for _ in range(40):
         found = explain(real.drawn(rng, {"hidden": 12.0}))
-        if is_nearly(found):
+        if is_simpler_form(found):
             return found, [row.mode for row in real.rows]
     raise AssertionError("no draw is nearly explained")
 
@@ -51,10 +50,14 @@ def places(of_a2):
 
 def test_what_is_left_near_the_place_of_the_effect_is_told_so(inside):
     found, modes = inside
-    near, far = (left_of(found, places(x), [(0.0, 0.0, 0.0)], modes) for x in (0.3, 12.0))
-    assert near.near and near.distance < 0.4 and near.told.startswith("What is left sits near it: local perturbations ")
-    assert not far.near and far.distance > 1 and far.told.startswith("What is left sits elsewhere: ")
-    both = left_of(found, places(12.0), [(0.0, 0.0, 0.0), (12.1, 0.0, 0.0)], modes)
+    near, far = (remainder_of(found, places(x), [(0.0, 0.0, 0.0)], modes) for x in (0.3, 12.0))
+    assert (
+        near.near
+        and near.distance < 0.4
+        and near.sentence.startswith("What is left sits near it: local perturbations ")
+    )
+    assert not far.near and far.distance > 1 and far.sentence.startswith("What is left sits elsewhere: ")
+    both = remainder_of(found, places(12.0), [(0.0, 0.0, 0.0), (12.1, 0.0, 0.0)], modes)
     assert both.near  # an effect may act at several places: the nearest counts
 
 
@@ -65,22 +68,22 @@ def test_the_distance_is_that_of_the_only_perturbation_that_would_help(inside):
     found = replace(found, chosen_adequacy=replace(found.chosen_adequacy, perturbations=alone))
     squares = [0.3**2 if k == 2 else (1.0 + k) ** 2 for k in range(6)]
     known = [squares[int(name[1:])] for name in scores.owners]
-    left = left_of(found, places(0.3), [(0.0, 0.0, 0.0)], modes)
+    left = remainder_of(found, places(0.3), [(0.0, 0.0, 0.0)], modes)
     assert left.distance == pytest.approx(0.3 / np.sqrt(np.mean(known)), rel=1e-12)
 
 
 def test_modes_tell_where_it_is_without_places(inside, outside):
     for (found, modes), near in ((inside, True), (outside, False)):
-        left = left_of(found, {}, [], modes)
+        left = remainder_of(found, {}, [], modes)
         assert math.isnan(left.distance) and left.near is near and 0 < left.expected < 0.7
-        assert left.told.startswith(
+        assert left.sentence.startswith(
             f"What is left sits {'near it' if near else 'elsewhere'}: the modes that the effect"
         )
-        assert left.plain["distance"] is None and left.plain["near"] is near
+        assert left.entries["distance"] is None and left.entries["near"] is near
 
 
 def test_nothing_is_told_where_nothing_is_known_or_for_another_verdict(inside):
     found, modes = inside
-    left = left_of(found, {}, [], [""] * len(modes))
-    assert left.near is None and not left.told
-    assert left_of(replace(found, verdict="none_explains"), places(0.3), [(0.0, 0.0, 0.0)], modes) is None
+    left = remainder_of(found, {}, [], [""] * len(modes))
+    assert left.near is None and not left.sentence
+    assert remainder_of(replace(found, verdict="none_explains"), places(0.3), [(0.0, 0.0, 0.0)], modes) is None

@@ -10,7 +10,7 @@ import pytest
 import calib
 from calib.analyses.explained_fit import explained_fit
 from calib.command import cli
-from calib.missing.detailed import nearly_explaining, richer_sentence
+from calib.missing.detailed import detailed_sentence, leading_fit
 from calib.missing.partial import is_far_ahead
 from calib.results.results import Results
 from calib.study.study import Study
@@ -112,17 +112,17 @@ def test_the_chain_goes_on_where_a_member_is_not_adequate(parts):
     table = explained.explanation.tables["richer"]
     assert list(table["effect"]) == ["bow"] * 2 + ["lump"] * 3
     assert list(table["parameter"]) == ["bow", "bend", "lump", "bend", "size"]
-    words = richer_sentence((first,), explained.errors)
+    words = detailed_sentence((first,), explained.errors)
     assert words.startswith("In more detail cubic does not explain the data either: ") and "extend" not in words
 
 
 def test_only_what_is_far_ahead_and_not_named_is_refined(explained):
     found = explained.explanation.explanation
-    assert nearly_explaining(found) is found.chosen and is_far_ahead(found)
-    assert nearly_explaining(replace(found, verdict="effect")) is None
+    assert leading_fit(found) is found.chosen and is_far_ahead(found)
+    assert leading_fit(replace(found, verdict="effect")) is None
     rival = replace(found.chosen, effects=(found.groups[1].effect,))
     assert rival.names != found.chosen.names
-    assert nearly_explaining(replace(found, candidate_fits=(*found.candidate_fits, rival))) is None
+    assert leading_fit(replace(found, candidate_fits=(*found.candidate_fits, rival))) is None
 
 
 @pytest.fixture

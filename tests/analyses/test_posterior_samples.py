@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.hypotheses.design.samples import posterior_samples
+from calib.hypotheses.design.imagined import posterior_samples
 
 
 @pytest.fixture
