@@ -22,7 +22,7 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "analyses/provenance/stored.py": "SAME PART_OF_STD",
     "correlation/modal/fault_library.py": "NEGLIGIBLE",
     "correlation/frf/places.py": "_ROUNDING",
-    "correlation/mode_tracking.py": "_SAME_PLACE",
+    "structure/eigenproblem/mode_tracking.py": "_SAME_PLACE",
     "correlation/modal/problem.py": "_LEAST_FREQ",
     "correlation/modal/residual.py": "_LEAST_RATIO",
     "problem/degrees_of_freedom.py": "KNOWN _ZERO",

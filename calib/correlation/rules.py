@@ -70,13 +70,6 @@ class CompareRules:
         MAC below which a mode of the finer mesh is not the same one.
     mesh_near : float
         Relative difference of frequencies up to which modes may be turned into each other by another mesh.
-    halvings : int
-        Number of times a path with apparent crossings is halved where modes without shapes are tracked.
-    successor : float
-        Least MAC of a mode with its successor on the shortest step; below it the mode has left the solved modes. Where
-        two modes veer, the MAC over a step is at least a half.
-    crossed : float
-        Largest 1 - MAC of a crossing accepted at once, over that of the weakest coupling the shortest step resolves.
     """
 
     level: float = 0.95
@@ -108,9 +101,6 @@ class CompareRules:
     mesh_reach: float = 10.0
     mesh_mac: float = 0.5
     mesh_near: float = 3e-3
-    halvings: int = 5
-    successor: float = 0.3
-    crossed: float = 0.25
 
 
 RULES = CompareRules()

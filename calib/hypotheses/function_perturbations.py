@@ -251,7 +251,7 @@ def _modes(model: ModalFunctionModel, values: Mapping[str, float]) -> Modes:
 
 def _tracked(base: Modes, other: Modes) -> Modes:
     """The successors of the base modes, in their order."""
-    return other.subset(successors(base.shapes, base.natural_freq, other)[0])
+    return other.subset(successors(base, other, np.arange(base.n_modes))[0])
 
 
 def _frequencies_of(base: Modes, other: Modes) -> Modes:

@@ -232,9 +232,9 @@ class ModalFunctionModel:
 
         return followed_derivatives(at or solved, self.space, values, modes, names, which, rows, self.step)
 
-    def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
-        """The shapes themselves: without a mass matrix every sensor has the same weight."""
-        return shapes
+    def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> None:
+        """None: there is no mass matrix."""
+        return None
 
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
         """Declared sensor of each one, (n_sensors, n_declared): by node and direction, or by position."""

@@ -118,8 +118,8 @@ class ModalModel(Protocol):
         """
         ...
 
-    def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray:
-        """Shapes times the weight of their orthogonality, (n_dof, n_modes): the mass matrix where there is one."""
+    def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray | None:
+        """Shapes times the mass matrix, (n_dof, n_modes), the weight of their orthogonality; None without one."""
         ...
 
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:

@@ -47,9 +47,14 @@ class ModelRules:
     hung_ratio : float
         Damping ratio of a hung mass on a fixed base: that of rubber mounts.
     successor : float
-        MAC below which a mode has no successor at an end of a difference: it has left the solved modes.
+        MAC below which a mode has no successor at another point: it has left the solved modes. Where two modes veer,
+        the MAC over a step is at least a half.
     smooth : float
         MAC below which a successor is a different mixture of modes: it gives a frequency derivative, but no shape's.
+    halvings : int
+        Number of times a path with apparent crossings is halved where modes without shapes are tracked.
+    crossed : float
+        Largest 1 - MAC of a crossing accepted at once, over that of the weakest coupling the shortest step resolves.
     """
 
     relative: float = 0.3
@@ -71,6 +76,8 @@ class ModelRules:
     hung_ratio: float = 0.03
     successor: float = 0.3
     smooth: float = 0.9
+    halvings: int = 5
+    crossed: float = 0.25
 
 
 RULES = ModelRules()

@@ -7,12 +7,13 @@ import pytest
 import scipy.sparse as sp
 
 from calib.correlation.modal.problem import ModalProblem
-from calib.correlation.mode_tracking import Point, follow
 from calib.measurement.mac import mac
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
 from calib.structure.affine import Term, parameter
 from calib.structure.effects.extend import Addition, extend
+from calib.structure.eigenproblem.mode_tracking import Point, follow, successors
+from calib.structure.modes import Modes
 
 COUNT = 7
 
@@ -47,6 +48,16 @@ def test_modes_that_veer_keep_their_numbers_though_their_shapes_are_exchanged(bu
     oracle = in_small_steps(model, start, end, columns)
     assert follow(model, start, end, columns, halvings=0).tolist() != oracle.tolist()
     assert follow(model, start, end, columns).tolist() == oracle.tolist()
+
+
+def test_frequencies_tell_modes_apart_that_look_alike_where_there_is_no_mass_matrix():
+    freq = np.array([10.0, 20.0])
+    start = Modes(freq, freq, np.zeros(2), np.array([[1.0, 1.0], [1.0, 0.9]]))
+    end = replace(start, natural_freq=1.05 * freq, shapes=start.shapes[:, ::-1])  # noise exchanges them
+    of_sensors, similarity = successors(start, end, np.arange(2))
+    assert of_sensors.tolist() == [0, 1] and (similarity < 1).all()
+    of_masses, similarity = successors(start, end, np.arange(2), lambda shapes: shapes)
+    assert of_masses.tolist() == [1, 0] and similarity == pytest.approx([1.0, 1.0])
 
 
 class Counted:

@@ -23,12 +23,12 @@ from calib.correlation.modal.pairing import (
     pair_by_order,
     pair_by_shape,
 )
-from calib.correlation.mode_tracking import Point, follow
 from calib.correlation.standard_deviations import assumed_deviations, known_std
 from calib.errors.errors import EvaluationError, InputError
 from calib.measurement.mac import mac
 from calib.measurement.modal import MeasuredModes
 from calib.problem.space import ParameterSpace
+from calib.structure.eigenproblem.mode_tracking import Point, follow
 from calib.structure.modal_model import ModalModel
 from calib.structure.model import Assumption, StructuralModel
 from calib.structure.modes import Modes

@@ -1,19 +1,132 @@
-"""Derivatives of modes by central differences with mode tracking, for models without analytic derivatives."""
+"""Mode tracking: which mode of a changed model is the same one, along a path and for derivatives by differences."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from calib.errors.errors import EvaluationError
-from calib.measurement.mac import align, mac
+from calib.measurement.mac import align
 from calib.problem.differences import difference
 from calib.problem.space import ParameterSpace
 from calib.structure.eigenproblem.derivatives import ModeDerivatives, eigenvalues
 from calib.structure.modes import Modes
 from calib.structure.rules import RULES
+
+_SAME_PLACE = 1e-6
+"""Bonus for a mode that keeps its number, so that arbitrarily rotated shapes of repeated modes are not exchanged."""
+
+
+class Point(NamedTuple):
+    """A complete set of values and the modes there."""
+
+    values: Mapping[str, float]
+    modes: Modes
+
+
+class TrackedModel(Protocol):
+    """What tracking asks of a `calib.structure.modal_model.ModalModel`."""
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Parameters."""
+        ...
+
+    def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> np.ndarray | None:
+        """Shapes times the mass matrix, (n_dof, n_modes); None without one."""
+        ...
+
+    def modes(self, values: Mapping[str, float], count: int) -> Modes:
+        """The lowest modes."""
+        ...
+
+
+def successors(
+    start: Modes,
+    end: Modes,
+    columns: np.ndarray,
+    weighted: Callable[[np.ndarray], np.ndarray | None] = lambda shapes: None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same modes at another point, one to one, and their MAC, both (n,).
+
+    Modes are matched so that the sum of their MAC is largest. Shapes that are known at sensors alone have no mass
+    matrix in which they would be orthogonal: several modes may look alike there, and ``|ln(frequency ratio)|`` is
+    subtracted, so that their frequencies tell them apart. A mode with a MAC below `RULES.successor` has no successor;
+    it has left the solved modes.
+
+    Parameters
+    ----------
+    start, end : Modes
+        The second ones at least as many as ``columns``.
+    columns : ndarray (n,), int
+        Modes at the start.
+    weighted : callable
+        Returns shapes times the mass matrix of the start, (n_dof, n_modes), or None where there is none.
+    """
+    a, b = start.shapes[:, columns], end.shapes
+    of_a, of_b = weighted(a), weighted(b)
+    here, there = (a, b) if of_a is None or of_b is None else (of_a, of_b)
+    product = np.abs(here.conj().T @ b) ** 2
+    size = np.outer(np.einsum("ij,ij->j", a.conj(), here).real, np.einsum("ij,ij->j", b.conj(), there).real)
+    similarity = np.divide(product, size, out=np.zeros_like(product), where=size > 0)
+    gain = similarity + _SAME_PLACE * (columns[:, None] == np.arange(end.n_modes))
+    if of_a is None:
+        gain -= np.abs(np.log(end.natural_freq) - np.log(start.natural_freq[columns])[:, None])
+    found = np.asarray(linear_sum_assignment(gain, maximize=True)[1])
+    return found, similarity[np.arange(len(columns)), found]
+
+
+def follow(
+    model: TrackedModel, start: Point, end: Point, columns: np.ndarray, halvings: int = RULES.halvings
+) -> np.ndarray:
+    """Indices at the end point of modes at the start point.
+
+    Modes are matched as in `successors`. Where all keep their numbers and similar shapes, the matching is accepted.
+    Where some seem to change numbers, the straight line between the two points is halved repeatedly: two modes that
+    veer exchange their shapes but not their numbers, as shorter steps show; two that cross still change numbers on the
+    shortest step. A mode without a successor is no longer tracked.
+
+    Two modes that veer with the coupling k, over a path on which they move apart by d on both sides, end with a MAC of
+    ``1 - (k/d)^2``; a step resolves them while it is no longer than k. Modes that change numbers with shapes so similar
+    that even the shortest step could not resolve veering cross, and no step is halved.
+
+    Parameters
+    ----------
+    model : TrackedModel
+    start, end : Point
+        With the same number of modes.
+    columns : ndarray (n,), int
+        Modes at the start; -1 for none.
+    halvings : int
+
+    Returns
+    -------
+    ndarray (n,), int
+        Modes at the end, -1 for one without a successor; where the path has fewer modes than requested, the longer step
+        decides.
+    """
+    live = np.flatnonzero(columns >= 0)
+    reached = np.full(len(columns), -1)
+    found, similarity = successors(
+        start.modes, end.modes, columns[live], lambda shapes: model.weighted(start.values, shapes)
+    )  # fmt: skip
+    reached[live] = np.where(similarity >= RULES.successor, found, -1)
+    moved = found != columns[live]
+    if not halvings or np.all(similarity >= np.where(moved, 1 - RULES.crossed * 4.0**-halvings, RULES.successor)):
+        return reached
+    integers = {p.name for p in model.space.parameters if p.integer}
+    values = {n: v if n in integers else 0.5 * (start.values[n] + v) for n, v in end.values.items()}
+    try:
+        middle = Point(values, model.modes(values, end.modes.n_modes))
+    except EvaluationError:
+        return reached
+    if middle.modes.n_modes < end.modes.n_modes:
+        return reached
+    halfway = follow(model, start, middle, columns, halvings - 1)
+    return follow(model, middle, end, halfway, halvings - 1)
 
 
 def followed_derivatives(
@@ -26,15 +139,13 @@ def followed_derivatives(
     rows: np.ndarray,
     step: float,
 ) -> ModeDerivatives:
-    """Central differences of modes, each tracked to both ends by its MAC, so that modes may cross in between.
+    """Central differences of modes, each tracked to both ends, so that modes may cross in between.
 
-    An end is half a step away, within the limits of the parameter. Modes are matched one to one with those of the end
-    so that the sum of MAC less ``|ln(frequency ratio)|`` is largest: where modes cross, their shapes distinguish them;
-    where two have similar shapes at all sensors, their frequencies do. The shape of a successor is scaled and
-    phase-aligned to the mode by least squares.
+    An end is half a step away, within the limits of the parameter. Modes are matched with those of the end as in
+    `successors`; the shape of a successor is scaled and phase-aligned to the mode by least squares.
 
-    A difference is one-sided at a limit, where the model fails at one end, and for a mode without a successor there
-    (`RULES.successor`). A mode without successors along a parameter has zero derivatives; one whose successor is a
+    A difference is one-sided at a limit, where the model fails at one end, and for a mode without a successor there.
+    A mode without successors along a parameter has zero derivatives; one whose successor is a
     different mixture of modes (`RULES.smooth`) has derivatives of frequency and damping only, and 0 for its shape.
 
     Parameters
@@ -84,23 +195,6 @@ def followed_derivatives(
     )
 
 
-def successors(shapes: np.ndarray, freq: np.ndarray, there: Modes) -> tuple[np.ndarray, np.ndarray]:
-    """Successors of modes at another point, one to one, and their MAC, both (n_modes,).
-
-    Parameters
-    ----------
-    shapes : ndarray (n_dof, n_modes)
-    freq : ndarray (n_modes,)
-        Hz.
-    there : Modes
-        At least as many.
-    """
-    similarity = np.nan_to_num(mac(shapes, there.shapes))
-    ratio = np.log(there.natural_freq) - np.log(freq)[:, None]
-    found = np.asarray(linear_sum_assignment(similarity - np.abs(ratio), maximize=True)[1])
-    return found, similarity[np.arange(len(found)), found]
-
-
 class _Path:
     """Modes tracked from one point, as a real vector for differencing."""
 
@@ -122,7 +216,7 @@ class _Path:
         if there.n_modes < len(self.chosen):
             raise EvaluationError(f"only {there.n_modes} modes were solved to track {len(self.chosen)}")
         shapes = self.start.shapes[:, self.chosen]
-        found, reached = successors(shapes, self.start.natural_freq[self.chosen], there)
+        found, reached = successors(self.start, there, self.chosen)
         pairs = [(shapes[:, k], there.shapes[:, j]) for k, j in enumerate(found)]
         moved = np.column_stack([end * align(start, end) for start, end in pairs])
         self.smooth &= (reached >= RULES.smooth) | (reached < RULES.successor)
