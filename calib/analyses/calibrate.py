@@ -19,7 +19,7 @@ from calib.analyses.calibration_tables import tables_of
 from calib.analyses.case import CaseFinder, CaseFound
 from calib.analyses.compare import ComparisonResult, before_and_after, compare, write_comparison, write_model_modes
 from calib.analyses.contradiction import contradictions, every_response
-from calib.analyses.every_mode import all_stages, every_mode
+from calib.analyses.every_mode import all_stages, errors_at, every_mode
 from calib.analyses.failures import reasons_sentence, stored_reasons
 from calib.analyses.provenance.places import Workers
 from calib.analyses.provenance.record import begin_analysis, write_record
@@ -31,7 +31,6 @@ from calib.analyses.reduction import fingerprints
 from calib.analyses.uncertainty import accuracy_words
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.stage import Progress, unheard
-from calib.hypotheses.verify import errors_at
 from calib.inference.agreement import Agreement, agreement, agreement_sentences
 from calib.inference.cases import Case, convergence_table
 from calib.inference.verdicts import identified_sentence

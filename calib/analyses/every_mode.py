@@ -1,14 +1,16 @@
-"""All measured modes before and after a calibration, held-out ones included."""
+"""All measured data before and after a calibration, held-out ones included: modes one by one, errors by group."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
 import pandas as pd
 
 from calib.correlation.modal.comparison import Comparison
+from calib.hypotheses.verify import errors_of
+from calib.inference.joint_part import JointPart
 from calib.study.study import Study
 
 
@@ -83,3 +85,11 @@ def with_held_out(study: Study, used: Comparison) -> Comparison:
 def _partners(used: Comparison) -> Mapping[str, int]:
     index = used.pairing.model_index
     return {used.measured.names[i]: int(index[i]) + 1 for i in used.pairing.paired}
+
+
+def errors_at(
+    study: Study, values: Mapping[str, float], joint: JointPart | None = None, active: Collection[str] = ()
+) -> pd.DataFrame:
+    """Errors of a study's model by group of data, at fitted values of the selected parameters; see `errors_of`."""
+    space, held_sd = study.search_space, study.held_sd
+    return errors_of(study.pair, study.whole_problem(), study.unseen, space, values, held_sd, joint, active)

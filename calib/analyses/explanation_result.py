@@ -6,12 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.analyses.provenance.record import check_repeats, disagreements_table
-from calib.analyses.uncertainty import accuracy_words, assumed_words, std_notes
 from calib.hypotheses.joint import JointAdapter
 from calib.missing.candidate_fit import CandidateFit, WrongDatum
 from calib.missing.explanation import Explanation
-from calib.missing.facts import MeasurementFacts
 from calib.missing.findings import ExplanationResult
 from calib.missing.local import local_perturbation
 from calib.missing.partial import is_simpler_form
@@ -19,26 +16,9 @@ from calib.missing.test import Adapter
 from calib.missing.verdict import GROUPS as UNSEEN_GROUPS
 from calib.problem.joint import TEST
 from calib.study.several import AnyStudy
-from calib.study.study import Study
 
 GROUPS = ("fit", *UNSEEN_GROUPS)
 """Groups of data whose errors are reported."""
-
-
-def facts_of(study: Study) -> MeasurementFacts:
-    """The facts about a study's measurement."""
-    own = study.settings.explain
-    return MeasurementFacts(
-        assumed_words(study), accuracy_words(study),
-        (*corrections(study), *std_notes(study), *check_repeats(study)),
-        disagreements_table(study), study.held_sd, own.seed, own.samples,
-    )  # fmt: skip
-
-
-def corrections(study: Study) -> tuple[str, ...]:
-    """Notes on the faults that are taken out of the measurement on reading."""
-    faults = study.settings.measurement.corrected
-    return tuple(f"The measurement is corrected for {name} = {by:g}." for name, by in faults.items())
 
 
 def by_test(adapter: Adapter, answer: ExplanationResult) -> dict[str, ExplanationResult]:

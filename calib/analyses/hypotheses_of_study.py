@@ -1,26 +1,35 @@
-"""Adapters of the tests of a study to the explanation."""
+"""Hypotheses of a study: its tests as an explanation sees them, with their effects, perturbations and faults."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from calib.analyses.explanation_result import facts_of
-from calib.analyses.reduction import worthwhile
-from calib.execution.stage import Progress
+from calib.analyses.provenance.record import check_repeats, disagreements_table
+from calib.analyses.reduction import Wanted, reduction_of, training, worthwhile
+from calib.analyses.uncertainty import accuracy_words, assumed_words, std_notes
+from calib.correlation.modal.fault_library import modal_faults
+from calib.correlation.modal.faults import ModalFault
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
+from calib.errors.errors import ToleranceError
+from calib.execution.stage import Progress, unheard
 from calib.experiment.frfs import TestedFRFs
 from calib.experiment.modes import TestedModes
 from calib.experiment.responses import TestedResponses
-from calib.hypotheses.library import basis_of, local_perturbations, modal_hypotheses
+from calib.hypotheses.function_perturbations import model_hypotheses
+from calib.hypotheses.hypotheses import ModelHypotheses
+from calib.hypotheses.library import effects_basis, local_perturbations
 from calib.hypotheses.modal import ModalAdapter
-from calib.hypotheses.model_hypotheses import hypotheses
 from calib.hypotheses.scalar import FRFAdapter, ScalarAdapter
 from calib.missing.facts import MeasurementFacts
 from calib.missing.test import Adapter
 from calib.results.results import Results
 from calib.structure.effects.perturbations import Perturbation
 from calib.structure.model import StructuralModel
+from calib.structure.reduction.basis import Basis
 from calib.study.several import AnyStudy
 from calib.study.study import Study
 
@@ -45,7 +54,7 @@ def _of_responses(
 ) -> ScalarAdapter:
     pair: Any = study.pair
     space = study.search_space.without(study.condition)
-    found, own = hypotheses(study.asked, pair, study.candidates, local, space, study.test)
+    found, own = model_hypotheses(study.asked, pair, study.candidates, local, space, study.test)
     return ScalarAdapter(found, own, facts, study.unseen)
 
 
@@ -86,3 +95,74 @@ def perturbations_of(study: AnyStudy) -> dict[str, Local]:
         found = local_perturbations(first.model, used, first.search_space.values, of)
         out |= {one.test: found for one in group}
     return out
+
+
+def modal_hypotheses(
+    study: Study,
+    results: Results,
+    progress: Progress = unheard,
+    local: tuple[Perturbation, ...] | None = None,
+) -> tuple[ModelHypotheses[ModalResidual], tuple[Perturbation, ...]]:
+    """Hypotheses of a study with modes, and its local perturbations; those of matrices are by default of its own test.
+
+    A basis trained earlier is read from the results folder, or from the cache.
+    """
+    problem = study.problem
+    assert isinstance(problem, ModalProblem)
+    if local is None:
+        local = local_perturbations(study.model, [problem.measured], study.search_space.values)
+    basis, pair = basis_of(study, results, local, progress), ModalResidual(problem, faults=faults_of(study))
+    space = study.search_space.without(study.condition)
+    return model_hypotheses(
+        problem.model, pair, study.candidates, local, space, study.test, basis
+    )  # perhaps behind a ledger
+
+
+def faults_of(study: Study) -> tuple[ModalFault, ...]:
+    """Faults that the measured modes of a study may have."""
+    problem, set_ups = study.problem, study.settings.measurement.set_ups
+    assert isinstance(problem, ModalProblem)
+    return modal_faults(problem.model, problem.measured, set_ups, study.test)
+
+
+def basis_of(
+    study: Study, results: Results, local: Sequence[Perturbation], progress: Progress = unheard
+) -> Basis | None:
+    """A basis for a study with its effects and local perturbations.
+
+    None where none is worthwhile, or none reaches its tolerance: then the full model is used, and the adapter notes it.
+    """
+    problem: Any = study.problem
+    model = study.problem.reducible
+    if model is None or not worthwhile(study):
+        return None
+    progress("reduced basis for the effects")
+
+    def search_basis() -> Basis:
+        found = reduction_of(study, results, progress)  # a search trained it, or will need it
+        assert found is not None
+        return found.basis
+
+    settings = study.settings.reduction
+    space, wanted = study.search_space, Wanted.of(problem, settings.tolerance, settings.seed)
+    with training(study), contextlib.suppress(ToleranceError):
+        return effects_basis(
+            model, space, study.candidates, local, wanted, results.path, search_basis, progress
+        )  # fmt: skip
+    return None
+
+
+def facts_of(study: Study) -> MeasurementFacts:
+    """The facts about a study's measurement."""
+    own = study.settings.explain
+    return MeasurementFacts(
+        assumed_words(study), accuracy_words(study),
+        (*corrections(study), *std_notes(study), *check_repeats(study)),
+        disagreements_table(study), study.held_sd, own.seed, own.samples,
+    )  # fmt: skip
+
+
+def corrections(study: Study) -> tuple[str, ...]:
+    """Notes on the faults that are taken out of the measurement on reading."""
+    faults = study.settings.measurement.corrected
+    return tuple(f"The measurement is corrected for {name} = {by:g}." for name, by in faults.items())

@@ -16,8 +16,8 @@ from calib.experiment.checked import UNNAMED, Claimed, Model, band, named, place
 from calib.experiment.frf import FRFTest
 from calib.experiment.response import ResponseTest
 from calib.experiment.test import BaseTest
+from calib.hypotheses.function_perturbations import model_hypotheses
 from calib.hypotheses.modal import ModalAdapter
-from calib.hypotheses.model_hypotheses import hypotheses
 from calib.hypotheses.of_test import basis_for
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.disagreements import Disagreement
@@ -175,7 +175,7 @@ class ModalTest(BaseTest):
         pair = self.pair(model)
         pair = replace(pair, faults=modal_faults(pair.problem.model, pair.problem.measured, test=name))
         basis, large = basis_for(model, pair.problem, effects, local, facts.seed)
-        found, own = hypotheses(model, pair, effects, local, model.space.without(self.condition), name, basis)
+        found, own = model_hypotheses(model, pair, effects, local, model.space.without(self.condition), name, basis)
         return ModalAdapter(found, own, facts, self.whole_problem(model), reduced=large)
 
     @property

@@ -15,7 +15,7 @@ from calib.errors.errors import InputError
 from calib.experiment import Unseen, unseen_responses
 from calib.experiment.checked import UNNAMED, Claimed, Model, named, place_of
 from calib.experiment.test import BaseTest
-from calib.hypotheses.model_hypotheses import hypotheses
+from calib.hypotheses.function_perturbations import model_hypotheses
 from calib.hypotheses.scalar import ScalarAdapter
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.responses import MeasuredResponses, response_kinds
@@ -125,7 +125,7 @@ class ResponseTest(BaseTest):
     ) -> ScalarAdapter:
         """See `BaseTest`."""
         space = model.space.without(self.condition)
-        found, own = hypotheses(model, self.pair(model), effects, local, space, name)
+        found, own = model_hypotheses(model, self.pair(model), effects, local, space, name)
         return ScalarAdapter(found, own, facts, self.unseen)
 
     @property

@@ -1,26 +1,31 @@
-"""Unnamed local perturbations of a function: of its parts, its inputs, its results and their measurement."""
+"""Local perturbations of a function, of its parts, inputs, results and their measurement; hypotheses of any model."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
+from calib.hypotheses.function_variants import FunctionVariants, kept
+from calib.hypotheses.hypotheses import ModelHypotheses, VariantPair
 from calib.hypotheses.rules import RULES
 from calib.measurement.responses import response_kinds
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter, ParameterSpace
 from calib.structure import rules as changes
 from calib.structure.effects.perturbations import Perturbation, scaling_by_function
+from calib.structure.effects.variants import Variants
 from calib.structure.eigenproblem.mode_tracking import successors
 from calib.structure.function_model import DERIVES, FunctionModel, response_of, responses_of, slope_entry
 from calib.structure.function_parts import ScaledPart
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.modal_result import modes_from_result
+from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
+from calib.structure.reduction.basis import Basis
 
 _NOWHERE = (math.nan, math.nan, math.nan)
 
@@ -31,6 +36,8 @@ Mix = Callable[[Any, Any], Any]
 """Results with a part taken from others."""
 Alter = Callable[[Any, float], Any]
 """Results with a measurement error of given magnitude in a part."""
+
+P = TypeVar("P", bound=VariantPair)
 
 
 def blocks_of(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
@@ -273,3 +280,63 @@ def _higher(modes: Modes, by: float) -> Modes:
 
 def _more_damped(modes: Modes, by: float) -> Modes:
     return replace(modes, damping_ratio=modes.damping_ratio * (1 + by))
+
+
+# -- hypotheses --------------------------------------------------------------------------------------------------------
+
+
+def model_hypotheses(
+    model: Any,
+    pair: P,
+    effects: tuple[Effect, ...],
+    local: tuple[Perturbation, ...],
+    space: ParameterSpace,
+    test: str,
+    basis: Basis | None = None,
+) -> tuple[ModelHypotheses[P], tuple[Perturbation, ...]]:
+    """Hypotheses of a model against its test, and its local perturbations.
+
+    Those of matrices are given as ``local``, since all tests of the model share them; a function has its own, which
+    bear the name of the ``test`` where there are several.
+    """
+    if not isinstance(model, StructuralModel):
+        return function_hypotheses(model, pair, effects, space, test)
+    return ModelHypotheses(pair, Variants(model, effects, tuple(a.effect for a in local), basis), space), local
+
+
+def function_hypotheses(
+    model: FunctionModel | ModalFunctionModel,
+    pair: P,
+    effects: tuple[Effect, ...],
+    space: ParameterSpace,
+    test: str = "",
+) -> tuple[ModelHypotheses[P], tuple[Perturbation, ...]]:
+    """Hypotheses of a function against its test, and its local perturbations.
+
+    The function is called once per point: its values are cached.
+
+    Parameters
+    ----------
+    model : FunctionModel or ModalFunctionModel
+    pair : ResponseResidual or ModalResidual
+        The test of that model; of one of modes either.
+    effects : tuple of Effect
+        Named candidates.
+    space : ParameterSpace
+        Parameters of the model, without those that the test's condition holds; free are those that a calibration would
+        fit.
+    test : str
+        Name of the test, where there are several; appended to perturbations of this test only.
+    """
+    held = [p for p in model.space.parameters if p.name not in space]
+    whole = ParameterSpace((*space.parameters, *held), space.constraints)
+    names, perturbations = [p.name for p in held], tuple[Perturbation, ...]()
+    unheld: Any = replace(model, space=whole)
+    cached = kept(unheld)
+    if isinstance(model, ModalFunctionModel):
+        perturbations = modal_function_perturbations(model, whole, test, names)
+    else:
+        measured = {name: value for name, (value, _) in pair.problem.targets.items()}
+        perturbations = response_perturbations(whole, measured, test, names, model.parts)
+    variants = FunctionVariants(cached, effects, tuple(a.effect for a in perturbations))
+    return ModelHypotheses(pair.with_model(cached), variants, space), perturbations

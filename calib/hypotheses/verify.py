@@ -25,19 +25,10 @@ from calib.problem.joint import expand_columns
 from calib.problem.problem import Pair
 from calib.problem.space import ParameterSpace
 from calib.structure.modes import Modes
-from calib.study.study import Study
 
 _NONE: Mapping[str, float] = MappingProxyType({})
 
 ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", "unpaired")
-
-
-def errors_at(
-    study: Study, values: Mapping[str, float], joint: JointPart | None = None, active: Collection[str] = ()
-) -> pd.DataFrame:
-    """Errors of a study's model by group of data, at fitted values of the selected parameters; see `errors_of`."""
-    space, held_sd = study.search_space, study.held_sd
-    return errors_of(study.pair, study.whole_problem(), study.unseen, space, values, held_sd, joint, active)
 
 
 def errors_of(

@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 
 from calib.analyses.explain import explain
-from calib.hypotheses.library import modal_hypotheses
+from calib.analyses.hypotheses_of_study import modal_hypotheses
 from calib.missing.findings import ExplanationResult
 from calib.results.results import Results
 from calib.study.loading import module_of

@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.response.residual import ResponseResidual
-from calib.hypotheses.function_hypotheses import function_hypotheses
+from calib.hypotheses.function_perturbations import function_hypotheses
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.function_model import FunctionModel

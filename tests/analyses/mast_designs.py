@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.analyses.hypotheses_of_study import modal_hypotheses
 from calib.correlation.modal.residual import ModalResidual
 from calib.hypotheses.design.modal import modal_design
 from calib.hypotheses.hypotheses import ModelHypotheses
-from calib.hypotheses.library import modal_hypotheses
 from calib.measurement.modal import Sensor
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.evidence import ln_evidence

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from calib.analyses import reduction
+from calib.analyses.hypotheses_of_study import modal_hypotheses
 from calib.analyses.reduction import Wanted, reduction_of
 from calib.command import cli
 from calib.errors.errors import InputError
-from calib.hypotheses.library import local_perturbations, modal_hypotheses
+from calib.hypotheses.library import local_perturbations
 from calib.results.results import Results
 from calib.structure.reduction import cache as cached
 from calib.structure.reduction.basis import Basis

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.analyses.hypotheses_of_study import modal_hypotheses
 from calib.correlation.modal.residual import ModalResidual
 from calib.execution.tasks import alone, shared_by, untold
 from calib.hypotheses.design.modal import modal_design
 from calib.hypotheses.hypotheses import ModelHypotheses
-from calib.hypotheses.library import modal_hypotheses
 from calib.missing.linearised_fit import fitted
 from calib.missing.score import scores
 from calib.results.results import Results

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.analyses.hypotheses_of_study import modal_hypotheses
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.modal.residual import ModalResidual
@@ -17,7 +18,6 @@ from calib.hypotheses.discretisation_error import (
     frf_discretisation_error,
 )
 from calib.hypotheses.hypotheses import ModelHypotheses
-from calib.hypotheses.library import modal_hypotheses
 from calib.hypotheses.rules import RULES
 from calib.measurement.frf import MeasuredFRFs
 from calib.missing.facts import DiscretisationError

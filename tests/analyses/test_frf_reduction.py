@@ -8,10 +8,10 @@ import pytest
 
 from calib.analyses import reduction
 from calib.analyses.explain import explain
-from calib.analyses.hypotheses_of_study import adapter_of
+from calib.analyses.hypotheses_of_study import adapter_of, basis_of
 from calib.analyses.reduction import Wanted, reduction_of
 from calib.errors.errors import ToleranceError
-from calib.hypotheses.library import basis_of, local_perturbations
+from calib.hypotheses.library import local_perturbations
 from calib.results.results import Results
 from calib.structure.reduction.frf_target import TOLERANCE
 from calib.structure.reduction.reduced import ReducedModel

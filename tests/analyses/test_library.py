@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from calib.analyses import reduction
+from calib.analyses.hypotheses_of_study import modal_hypotheses
 from calib.analyses.reduction import reduction_of
 from calib.correlation.modal.problem import ModalProblem
 from calib.errors.errors import EvaluationError, InputError
-from calib.hypotheses.library import modal_hypotheses
 from calib.results.results import Results
 from calib.structure.reduction.cache import BasisCache, using
 from calib.study.study import Study

@@ -11,10 +11,10 @@ import scipy.linalg as la
 
 import calib
 from calib.analyses.explain import explain
+from calib.analyses.hypotheses_of_study import modal_hypotheses
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.mesh_error import MeshError
 from calib.errors.errors import InputError
-from calib.hypotheses.library import modal_hypotheses
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
 from calib.missing.linearised_fit import fitted

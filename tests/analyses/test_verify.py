@@ -8,10 +8,11 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from calib.analyses.every_mode import errors_at
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import USUAL, Floors, dof_behind, std_for
 from calib.hypotheses.hypotheses import ModelHypotheses
-from calib.hypotheses.verify import ERROR_COLUMNS, _scaled, errors_at, group_errors, modal_errors
+from calib.hypotheses.verify import ERROR_COLUMNS, _scaled, group_errors, modal_errors
 from calib.missing.linearised_fit import fitted
 from calib.structure.effects.variants import Variants
 from calib.structure.model import StructuralModel

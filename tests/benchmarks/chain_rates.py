@@ -37,7 +37,7 @@ from rates_world import digest_of
 
 from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.response.residual import ResponseResidual
-from calib.hypotheses.function_hypotheses import function_hypotheses
+from calib.hypotheses.function_perturbations import function_hypotheses
 from calib.missing.explain import Settings, explain
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace

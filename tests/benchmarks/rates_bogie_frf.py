@@ -23,13 +23,12 @@ from rates_subject import ROOT
 from rates_world import World
 
 from calib import read_frfs
-from calib.analyses.hypotheses_of_study import perturbations_of
+from calib.analyses.hypotheses_of_study import basis_of, perturbations_of
 from calib.correlation.frf.nuisance import concerned
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
 from calib.errors.errors import EvaluationError, InputError
 from calib.hypotheses.hypotheses import ModelHypotheses
-from calib.hypotheses.library import basis_of
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
 from calib.missing.explain import explain

@@ -14,7 +14,7 @@ from calib import EvaluationError
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.response.residual import ResponseResidual
-from calib.hypotheses.function_hypotheses import function_hypotheses
+from calib.hypotheses.function_perturbations import function_hypotheses
 from calib.missing.explain import explain
 from calib.structure import extend
 from calib.structure.eigenproblem.derivatives import mode_derivatives
