@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from calib.analyses.explained_fit import TABLE, explained_fits
-from calib.analyses.explanation_result import by_test, summary
+from calib.analyses.explanation_result import by_test, explanation_summary
 from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.hypotheses_of_study import adapter_of, perturbations_of
 from calib.analyses.provenance.record import begin_analysis, write_record
@@ -21,7 +21,7 @@ from calib.execution.stage import Progress, unheard
 from calib.hypotheses.joint import together
 from calib.hypotheses.mesh_term import mesh_words, with_mesh_error
 from calib.measurement.corrections import correctable
-from calib.missing import explain as engine
+from calib.missing import decision as engine
 from calib.missing.between_tests import BETWEEN
 from calib.missing.explanation import Explanation
 from calib.missing.findings import ExplanationResult, findings
@@ -146,7 +146,7 @@ def decision(
         requested.alpha, requested.refits, requested.merge, requested.seed, adapter.budget_of_fits
     )  # fmt: skip
     try:
-        return engine.explain(adapter.hypotheses, settings, progress)
+        return engine.decide(adapter.hypotheses, settings, progress)
     except EvaluationError as fault:
         words, first = _not_fitted(adapter, fault)
         own = first.at is not None or as_cause(first) is not None
@@ -174,4 +174,4 @@ def write_explanation(study: AnyStudy, results: Results, answer: ExplanationResu
     results.write_table("errors", answer.errors)
     for name, table in answer.tables.items():
         results.write_table(name, table)
-    results.write_json("explanation", summary(study, answer))
+    results.write_json("explanation", explanation_summary(study, answer))

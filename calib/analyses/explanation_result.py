@@ -43,7 +43,7 @@ def _of_test(adapter: JointAdapter, test: str, answer: ExplanationResult) -> Exp
     return replace(answer, errors=errors, tables=tables)
 
 
-def summary(study: AnyStudy, answer: ExplanationResult) -> dict[str, object]:
+def explanation_summary(study: AnyStudy, answer: ExplanationResult) -> dict[str, object]:
     """``explanation.json``."""
     found, check = answer.explanation, answer.explanation.base_adequacy
     columns = (

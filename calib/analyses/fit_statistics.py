@@ -29,7 +29,7 @@ from calib.inference.std_by_test import COLUMNS, std_by_test
 from calib.inference.verdicts import integer_std, parameter_verdicts
 from calib.missing.goodness import goodness, misfit_factor, overall
 from calib.missing.rules import RULES as MISSING
-from calib.missing.suspect import suspects
+from calib.missing.suspect import suspects_table
 from calib.problem.degrees_of_freedom import effective_dof
 from calib.problem.joint import JointProblem
 from calib.problem.problem import Counts, Pair, Problem
@@ -116,7 +116,7 @@ class FitStatistics:
     ends : tuple of FitResult
         Fits from all starts, on the same problem; empty without fits.
     suspects : DataFrame
-        Data without which the model fits, see `calib.missing.suspect.suspects`; empty without a converged fit.
+        Data without which the model fits, see `calib.missing.suspect.suspects_table`; empty without a converged fit.
     assumed : str
         Assumed standard deviations that this rests on; see `calib.analyses.uncertainty.assumed_words`.
     by_test : DataFrame
@@ -345,7 +345,7 @@ def _statistics(
     }
     identification = identify(space, names, slope, values=values, held=held, birge=birge, searched=fit is None)
     predictions = prediction_interval(*problem.frequencies(values, names), identification.posterior.covariance)
-    suspected = suspects(at, problem, alpha)
+    suspected = suspects_table(at, problem, alpha)
     by_test, parts = pd.DataFrame(columns=list(COLUMNS)), dict[str, JointPart]()
     if isinstance(problem, JointProblem):
         by_test = std_by_test(space, names, slope, [row.test for row in problem.rows], held, birge)

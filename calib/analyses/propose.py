@@ -33,8 +33,8 @@ from calib.hypotheses.proposals.words import (
     no_places,
     no_proposals,
     not_sought,
-    places_table,
     proposals_table,
+    proposed_places_table,
 )
 from calib.missing.collinear import Group
 from calib.missing.explanation import OPEN, Explanation
@@ -89,7 +89,7 @@ class ProposalResult:
 
 
 @dataclass(frozen=True)
-class Found:
+class ProposalStart:
     """What an explanation found, as far as proposals need it.
 
     Attributes
@@ -172,7 +172,7 @@ def composed(
     measured: Sequence[Measured],
     taken: Sequence[str],
     given: ExplainSettings,
-    explained: Found,
+    explained: ProposalStart,
     count: int = RANKED,
     progress: Progress = unheard,
 ) -> ProposalResult:
@@ -200,7 +200,7 @@ def composed(
     advice = _advice(adapter, hypotheses, found, progress)
     told = (*advice, *lost_words(found))
     seconds = time.perf_counter() - started
-    return ProposalResult(found, answer_of(found), proposals_table(found), places_table(found), told, seconds)
+    return ProposalResult(found, answer_of(found), proposals_table(found), proposed_places_table(found), told, seconds)
 
 
 def _reached(found: Proposals) -> float:
@@ -233,7 +233,7 @@ def _advice(adapter: Adapter, hypotheses: Any, found: Proposals, progress: Progr
 # -- what was found before ---------------------------------------------------------------------------------------------
 
 
-def _explained(study: AnyStudy, results: Results) -> Found:
+def _explained(study: AnyStudy, results: Results) -> ProposalStart:
     """The explanation in a folder; InputError without one of the study as it is."""
     remedy = f"run it first: calib explain {shell_argument(study.file)}"
     if not results.has("explanation.json"):
@@ -245,7 +245,7 @@ def _explained(study: AnyStudy, results: Results) -> Found:
     named = [*stored["credible_set"], *(one["name"] for one in stored["blamed"])]
     beside = tuple(stored["chosen"]) if stored["verdict"] == "partial" else ()
     base, attempt = (explained_fit(study, results, names) for names in ((), beside))
-    return Found(
+    return ProposalStart(
         stored["verdict"], tuple(named), stored["noise_scale"], base, attempt if beside else {}, beside
     )  # fmt: skip
 

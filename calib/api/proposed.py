@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from calib.analyses.propose import Found, ProposalResult, composed
+from calib.analyses.propose import ProposalResult, ProposalStart, composed
 from calib.api.display import Shown
 from calib.api.progress import in_python
 from calib.errors.arguments import integer
@@ -83,7 +83,7 @@ def proposed(
         named = (*found.credible, *(fault.names[0] for fault in found.blamed))
         return Proposed(ProposalResult(None, not_sought(found.verdict, named, "add what was named: with_named()")))
     ((model, tests),) = problem.by_model
-    explained = Found(found.verdict, (), found.noise_scale, found.base.fit.values)
+    explained = ProposalStart(found.verdict, (), found.noise_scale, found.base.fit.values)
     if found.verdict == "partial" and found.chosen is not None:
         explained = replace(explained, attempt=found.chosen.fit.values, beside=found.chosen.names)
     given = ExplainSettings().model_copy(update={"seed": adapter.facts.seed})

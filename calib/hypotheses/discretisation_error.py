@@ -19,7 +19,7 @@ from calib.hypotheses.rules import RULES
 from calib.measurement.accuracy import NOTHING
 from calib.measurement.mac import mac
 from calib.missing.facts import DiscretisationError
-from calib.missing.linearised_fit import LinearisedFit, fitted
+from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
 from calib.missing.score import scores
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
@@ -104,7 +104,7 @@ def _scored(pair: P, hypotheses: ModelHypotheses[P], fit: LinearisedFit) -> Disc
         if mesh is None or p.name != mesh.name:
             space = space.replace(p.name, value=fit.values[p.name])
     against_twin = ModelHypotheses(pair, hypotheses.variants, space)
-    base = fitted(against_twin.fit_problem(()), (), fit.values)
+    base = least_squares_fit(against_twin.fit_problem(()), (), fit.values)
     rows: list[tuple[str, str, float]] = []
     local = [one for one in against_twin.perturbations if not one.of_measurement]
     for kind, candidates in (("effect", against_twin.effects), ("local perturbation", local)):

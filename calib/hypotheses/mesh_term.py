@@ -7,7 +7,7 @@ from typing import Any
 from calib.correlation.mesh_error import MeshError
 from calib.errors.errors import InputError
 from calib.hypotheses.rules import RULES
-from calib.missing.linearised_fit import fitted, nearest_whole
+from calib.missing.linearised_fit import least_squares_fit, nearest_whole
 from calib.missing.test import Adapter
 from calib.structure.model import StructuralModel
 
@@ -45,13 +45,13 @@ def with_mesh_error(adapter: Adapter, finer: StructuralModel | None, sd: float, 
     fit_problem = given.hypotheses.fit_problem(())
     begin = nearest_whole(fit_problem, fit_problem.space.values)
     linear = given.hypotheses.linear_start((), begin)
-    fits = [fitted(fit_problem, (), start, 1) for start in (begin, linear) if start is not None]
+    fits = [least_squares_fit(fit_problem, (), start, 1) for start in (begin, linear) if start is not None]
     values, out = min(fits, key=lambda fit: fit.misfit).values, given
     for k in range(RULES.mesh_fits):
         mesh = MeshError(given.hypotheses.variants.model, finer, fit_problem.pair.space.complete(values), sd, test)
         out = given.with_mesh(mesh)
         if k < RULES.mesh_fits - 1:
-            again = fitted(out.hypotheses.fit_problem(()), (), values, 1)
+            again = least_squares_fit(out.hypotheses.fit_problem(()), (), values, 1)
             values = mesh.without(again.values)
     found: Adapter = out
     return found

@@ -23,7 +23,7 @@ from calib.missing.candidate_fit import CandidateFit
 from calib.missing.discrepancy import Discrepancy
 from calib.missing.explanation import Explanation
 from calib.missing.facts import DiscretisationError, MeasurementFacts, Places
-from calib.missing.predictions import HeldOut, predictions
+from calib.missing.predictions import HeldOut, prediction_tables
 from calib.missing.recommendation import ExperimentalDesign
 from calib.missing.score import Scores
 from calib.missing.settings import DEFAULT
@@ -165,7 +165,7 @@ class OneTest(ABC):
         """
         held_out = self.held_out_of(candidate_fit, scale)
         changes = self._changed(candidate_fit, wide, scale) if held_out else {}
-        return predictions(held_out, wide, changes)
+        return prediction_tables(held_out, wide, changes)
 
     def _changed(self, candidate_fit: CandidateFit, wide: Discrepancy, scale: float) -> dict[str, np.ndarray]:
         """Changes of the predictions of held-out data by every column of a discrepancy, (n, m).

@@ -18,7 +18,7 @@ from calib.hypotheses.design.frf import frf_design
 from calib.hypotheses.discretisation_error import frf_discretisation_error
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.one_test import OneTest
-from calib.hypotheses.verify import group_errors, held_out_rows, predicted_spread, std_behind, whitened
+from calib.hypotheses.verify import group_errors, held_out_residuals, predicted_spread, std_behind, whitened
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.facts import DiscretisationError, MeasurementFacts
@@ -86,9 +86,9 @@ class GroupAdapter(OneTest):
     def _unseen(
         self, candidate_fit: CandidateFit, pair: Pair, scale: float
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """See `calib.hypotheses.verify.held_out_rows`."""
+        """See `calib.hypotheses.verify.held_out_residuals`."""
         fit = candidate_fit.fit
-        unseen = held_out_rows(pair.problem, self.held_out, fit.values, fit.names, self.facts.held_sd)
+        unseen = held_out_residuals(pair.problem, self.held_out, fit.values, fit.names, self.facts.held_sd)
         return {group: (residual / scale, jacobian / scale) for group, (residual, jacobian) in unseen.items()}
 
     def _uncertain(self, candidate_fit: CandidateFit, pair: Pair, scale: float) -> np.ndarray:

@@ -73,13 +73,13 @@ def errors_of(
             active=active,
         )  # fmt: skip
     pair = pair.within(space)
-    held_out = held_out_rows(pair.problem, unseen, values, names, held_sd)
+    held_out = held_out_residuals(pair.problem, unseen, values, names, held_sd)
     e, g = whitened(pair, values, names, held_sd)
     labels = [row.sensor for row in pair.rows]
     return group_errors(e, g, names, prior_sd, labels, held_out, std_behind(pair), others, active)
 
 
-def held_out_rows(
+def held_out_residuals(
     problem: FunctionProblem | FRFProblem,
     unseen: Unseen,
     values: Mapping[str, float],

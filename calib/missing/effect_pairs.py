@@ -10,7 +10,7 @@ import numpy as np
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.collinear import grouped
 from calib.missing.evidence import at_lower
-from calib.missing.linearised_fit import ROUGH, LinearisedFit, neighbours
+from calib.missing.linearised_fit import ROUGH, LinearisedFit, neighbouring_integers
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
@@ -36,7 +36,7 @@ def fit_pairs(
             tests.append((runner_up, fits.scores(runner_up.fit, rest), RULES.pairs_of_next))
     wanted: dict[frozenset[str], list[dict[str, float]]] = {}
     for first, beside, count in tests:
-        places = [] if fits.spent(RULES.late) else neighbours(first.fit)
+        places = [] if fits.spent(RULES.late) else neighbouring_integers(first.fit)
         linearisations = [(place, beside.at(place)) for place in (first.fit, *places)]
         left = {n: _left(linearisations, n) for n in dict.fromkeys(beside.owners)}
         for name in _first_of(fits, left, linearisations, candidates, count):
@@ -88,7 +88,7 @@ def _left(linearisations: Sequence[tuple[LinearisedFit, Scores]], name: str) -> 
     return (left[best], *linearisations[best])
 
 
-def alone(
+def singles_from_pairs(
     fits: Refits, base: CandidateFit, singles: list[CandidateFit], pairs: Sequence[CandidateFit]
 ) -> list[CandidateFit]:
     """Refit single effects from pairs that fit better: each effect of the best pairs, and one whose partner vanished.

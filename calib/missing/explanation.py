@@ -9,7 +9,7 @@ import pandas as pd
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group
 from calib.missing.rules import RULES
-from calib.missing.steps import Steps
+from calib.missing.steps import StepwiseSearch
 from calib.missing.suspect import COLUMNS
 
 SEVERAL = ("two_effects", "several_effects")
@@ -62,12 +62,12 @@ class Explanation:
     datum : WrongDatum or None
         The wrong datum that explains about as well as that effect, or better; None beside a fault.
     suspects : DataFrame
-        Data left out in turn, see `calib.missing.suspect.suspects`.
+        Data left out in turn, see `calib.missing.suspect.suspects_table`.
     faults : tuple of CandidateFit
         Fitted faults of the measurement, best first.
     fault_adequacy : AdequacyTests or None
         Tests of the fault of the verdict ``measurement``.
-    steps : Steps or None
+    steps : StepwiseSearch or None
         The stepwise search for several effects; None where one was enough or where none had strong evidence.
     """
 
@@ -90,7 +90,7 @@ class Explanation:
     suspects: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(COLUMNS)))
     faults: tuple[CandidateFit, ...] = ()
     fault_adequacy: AdequacyTests | None = None
-    steps: Steps | None = None
+    steps: StepwiseSearch | None = None
 
     def ln_bayes(self, candidate_fit: CandidateFit | WrongDatum) -> float:
         """Log Bayes factor of a candidate fit, or of a wrong datum, against the base model."""

@@ -35,7 +35,7 @@ from calib.missing.tables import (
     pull_table,
 )
 from calib.missing.test import Adapter
-from calib.missing.verdict import verdict
+from calib.missing.verdict import verdict_of
 from calib.missing.verdict_words import elsewhere, limits_sentence
 from calib.missing.worst_misfit import misfit_at
 from calib.problem.joint import TEST
@@ -142,7 +142,7 @@ def findings(
     of_test = adapter.tables(_stages(found))
     acting = _acting(found, of_test)
     remainder = remainder_of(found, places, acting, labels["mode"].tolist())
-    told = verdict(
+    told = verdict_of(
         found, effects, errors, advised, facts.disagreements, facts.assumed, supposed, elsewhere(found, places, acting)
     )
     at_limits = limits_sentence(found)

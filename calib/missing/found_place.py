@@ -11,7 +11,7 @@ from calib.missing.candidate_fit import CandidateFit
 from calib.missing.evidence import ln_evidence
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Altered
-from calib.missing.linearised_fit import fitted
+from calib.missing.linearised_fit import least_squares_fit
 from calib.missing.recommendation import as_ratio
 from calib.missing.rules import RULES
 from calib.problem.effect import Effect
@@ -40,7 +40,7 @@ def _rows(found: Explanation, chosen: CandidateFit, effect: Effect) -> list[tupl
     for number, name in enumerate(effect.places, 1):
         held = {effect.place_name: float(number)}
         try:
-            there = fitted(Altered(fit.fit_problem, held=held), fit.effects, {**fit.values, **held})
+            there = least_squares_fit(Altered(fit.fit_problem, held=held), fit.effects, {**fit.values, **held})
         except EvaluationError as fault:
             rows.append((number, name, math.nan, math.nan, math.nan, str(fault)))
             continue

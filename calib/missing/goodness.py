@@ -17,7 +17,7 @@ from calib.problem.problem import Labelled, RowLabels
 _Name = TypeVar("_Name", bound=Hashable)
 
 
-class Fit(Protocol):
+class FittedRows(Protocol):
     """A fit at its end, of an explanation (`calib.missing.linearised_fit.LinearisedFit`) or of a calibration."""
 
     @property
@@ -36,7 +36,7 @@ class Fit(Protocol):
         ...
 
 
-def goodness(fit: Fit, labelled: Labelled) -> tuple[pd.DataFrame, pd.DataFrame]:
+def goodness(fit: FittedRows, labelled: Labelled) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Chi-square test of every kind, and of every mode and kind.
 
     The degrees of freedom of a block b are ``n_b - tr(G_b V G_b^T)`` (see `calib.problem.degrees_of_freedom`) less the
@@ -63,7 +63,7 @@ def goodness(fit: Fit, labelled: Labelled) -> tuple[pd.DataFrame, pd.DataFrame]:
     return kinds, pd.DataFrame(names | {name: a[0] for name, a in found.modes.items()})
 
 
-def _sums_of(fit: Fit, labelled: Labelled) -> tuple[Layout, Sums]:
+def _sums_of(fit: FittedRows, labelled: Labelled) -> tuple[Layout, Sums]:
     """Sums of squares of one fit to all rows."""
     layout = Layout.of(labelled)
     kept = np.ones((1, len(layout.which)), dtype=bool)
@@ -156,7 +156,7 @@ def _numbered(names: Sequence[_Name]) -> tuple[list[_Name], np.ndarray]:
     return list(numbers), np.array([numbers[name] for name in names], dtype=int)
 
 
-def by_sensor(fit: Fit, labelled: Labelled) -> pd.DataFrame:
+def by_sensor(fit: FittedRows, labelled: Labelled) -> pd.DataFrame:
     """Chi-square test of every sensor, or scalar response, over all modes: ``sensor, chi2, dof, p``, worst first.
 
     ``p`` holds for one sensor; the worst of n has n times that p-value (Bonferroni).
@@ -168,7 +168,7 @@ def by_sensor(fit: Fit, labelled: Labelled) -> pd.DataFrame:
     return pd.DataFrame({"sensor": [names[k] for k in order], "chi2": chi2[order], "dof": dof[order], "p": p[order]})
 
 
-def _sensors(fit: Fit, labelled: Labelled) -> tuple[list[str], list[str], np.ndarray, np.ndarray]:
+def _sensors(fit: FittedRows, labelled: Labelled) -> tuple[list[str], list[str], np.ndarray, np.ndarray]:
     """Sensors, kinds, chi2 and dof in the order of the rows; factors of a shape are divided evenly among its rows."""
     rows, fitted_factors = labelled.rows, labelled.fitted_factors
     blocks, which = _numbered([(row.mode, row.kind) for row in rows])
@@ -185,7 +185,7 @@ def overall(kinds: pd.DataFrame, modes: pd.DataFrame) -> float:
     return float(_overall(worst[:1], np.array([len(kinds)]), worst[1:], np.array([len(shapes)]))[0])
 
 
-def overall_p(fit: Fit, labelled: Labelled) -> float:
+def overall_p(fit: FittedRows, labelled: Labelled) -> float:
     """What `overall` gives for the tables of `goodness`, without making them."""
     return float(_sums_of(fit, labelled)[1].overall[0])
 
@@ -229,7 +229,7 @@ def _noise_scale(chi2: np.ndarray, dof: np.ndarray, of_shapes: np.ndarray) -> fl
     return float(np.sqrt(square)) if homogeneous or square < 1 else 1.0
 
 
-def lone_sensor(fit: Fit, labelled: Labelled, level: float) -> str | None:
+def lone_sensor(fit: FittedRows, labelled: Labelled, level: float) -> str | None:
     """The sensor whose misfit of all shapes is significantly larger than that of the others; None without one.
 
     The ratio of its chi2 over degrees of freedom to that of all other sensors is an F variate whatever the standard
@@ -253,7 +253,7 @@ def _of_shapes(table: pd.DataFrame) -> np.ndarray:
     return np.array([kind == "shape" for kind in table["kind"]], dtype=bool)
 
 
-def common_scale(fit: Fit, labelled: Labelled, level: float) -> float:
+def common_scale(fit: FittedRows, labelled: Labelled, level: float) -> float:
     """Common factor on the standard deviation of all mode shapes (`noise_scale`), without a sensor that stands out.
 
     A bad channel raises the misfit of all mode shapes as an understated standard deviation does, but at one sensor.
@@ -268,7 +268,7 @@ def common_scale(fit: Fit, labelled: Labelled, level: float) -> float:
     return _noise_scale_of(rest, RowLabels.of(labelled, kept))
 
 
-def _noise_scale_of(fit: Fit, labelled: Labelled) -> float:
+def _noise_scale_of(fit: FittedRows, labelled: Labelled) -> float:
     layout, found = _sums_of(fit, labelled)
     of_shapes = np.array([kind == "shape" for _, kind in layout.blocks], dtype=bool)
     return _noise_scale(found.modes["chi2"][0], found.modes["dof"][0], of_shapes)

@@ -177,7 +177,7 @@ class LinearisedFit:
         return replace(self, values=values, residual=left, shift=self.shift + step, others=others)
 
 
-def fitted(
+def least_squares_fit(
     fit_problem: FitProblem,
     effects: tuple[str, ...],
     start: Mapping[str, float],
@@ -338,7 +338,7 @@ def _fitted(
     return fit, result.evaluations
 
 
-def neighbours(fit: LinearisedFit) -> list[LinearisedFit]:
+def neighbouring_integers(fit: LinearisedFit) -> list[LinearisedFit]:
     """First-order fits with other integers, each at most one off; see `LinearisedFit.relinearised`."""
     found = (_relinearised(fit, change) for change in other_whole(fit.fit_problem, fit.values))
     return [there for there in found if there is not None]

@@ -17,10 +17,10 @@ from calib.problem.space import Parameter
 _NAMED = 3
 """Pulled parameters that are told one by one."""
 _Pull: TypeAlias = tuple[str, str, float, float, float, float, float, bool]
-"""A row of `pulls`."""
+"""A row of `parameter_pulls`."""
 
 
-def pulls(fit: LinearisedFit, added: Sequence[Candidate] = ()) -> pd.DataFrame:
+def parameter_pulls(fit: LinearisedFit, added: Sequence[Candidate] = ()) -> pd.DataFrame:
     """Pull of each calibration parameter: its shift over the standard deviation of that shift.
 
     In a correctly specified model ``theta - c`` has the variance ``s^2 - V``, prior less posterior, and the pull is
@@ -37,7 +37,7 @@ def pulls(fit: LinearisedFit, added: Sequence[Candidate] = ()) -> pd.DataFrame:
 
 
 def _pulls(fit: LinearisedFit, added: Sequence[Candidate]) -> list[_Pull]:
-    """Rows of `pulls`, without the cost of a DataFrame: a decision needs hundreds of them."""
+    """Rows of `parameter_pulls`, without the cost of a DataFrame: a decision needs hundreds of them."""
     own = {name for effect in added for name in effect.names}
     index = [k for k, name in enumerate(fit.names) if name not in own]
     limit = float(-special.ndtri(RULES.pull / (2 * max(len(index), 1))))

@@ -100,7 +100,7 @@ class HeldOut:
         return expected, float(p_value(chi2, n - self.factors, self.std_dof))
 
 
-def predictions(
+def prediction_tables(
     held_out: Mapping[str, HeldOut], wide: Discrepancy, changes: Mapping[str, np.ndarray]
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Predictions and errors by group, with what is expected of the fit alone and with the discrepancy.

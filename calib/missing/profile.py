@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.errors.errors import EvaluationError
 from calib.missing.hypotheses import Altered
-from calib.missing.linearised_fit import LinearisedFit, fitted
+from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
 from calib.missing.local import WIDE
 
 _TRIES = 3
@@ -58,7 +58,7 @@ def _rise(fit: LinearisedFit, k: int, value: float) -> float:
     p = fit.fit_problem.space[name]
     own = ((value - p.value) / p.prior_width) ** 2
     try:
-        there = fitted(Altered(fit.fit_problem, held={name: value}), fit.effects, start)
+        there = least_squares_fit(Altered(fit.fit_problem, held={name: value}), fit.effects, start)
     except EvaluationError:
         return math.nan
     return math.sqrt(max(there.misfit + own - fit.misfit, 0.0))

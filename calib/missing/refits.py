@@ -18,7 +18,15 @@ from calib.missing.candidate_fit import CandidateFit
 from calib.missing.collinear import Group
 from calib.missing.evidence import ln_bayes_linear, ln_evidence
 from calib.missing.hypotheses import Altered, FitProblem, Hypotheses
-from calib.missing.linearised_fit import FINE, ROUGH, LinearisedFit, fitted, grown, nearest_whole, other_whole
+from calib.missing.linearised_fit import (
+    FINE,
+    ROUGH,
+    LinearisedFit,
+    grown,
+    least_squares_fit,
+    nearest_whole,
+    other_whole,
+)
 from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
 from calib.missing.rules import RULES
@@ -94,9 +102,10 @@ class Refits:
     def candidate_fit(
         self, names: tuple[str, ...], start: dict[str, float], whole: int = 0, settings: FitSettings = FINE
     ) -> CandidateFit:
-        """The model with the named effects or local perturbations, fitted from a start (`linearised_fit.fitted`)."""
+        """The model with the named effects or local perturbations, fitted from a start by `least_squares_fit`."""
         return self._candidate_fit(
-            names, fitted(self.fit_problem(names), names, start, whole, self.affordable(settings), self._step)
+            names,
+            least_squares_fit(self.fit_problem(names), names, start, whole, self.affordable(settings), self._step),
         )
 
     def tell(self, stage: str) -> None:

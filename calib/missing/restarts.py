@@ -22,8 +22,8 @@ _Start = tuple[float, str, dict[str, float]]
 def led_astray(base: CandidateFit, adequacy: AdequacyTests) -> bool:
     """Whether the base fit may be far from the true parameters.
 
-    It is when a parameter is pulled further than a correctly specified model needs (`plausible.pulls`) or when the
-    base model is strongly rejected.
+    It is when a parameter is pulled further than a correctly specified model needs (`plausible.parameter_pulls`) or
+    when the base model is strongly rejected.
     """
     strongest = float(max(adequacy.named.magnitude, default=0.0))
     return bool(base.implausible) or strongest > RULES.rejected or adequacy.p_fit < RULES.rejected_fit

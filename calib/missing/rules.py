@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Rules:
+class DecisionRules:
     """Constants of the decision; `record.json` holds those of a result.
 
     Attributes
@@ -194,5 +194,5 @@ class Rules:
     equal: float = 3.0
 
 
-RULES = Rules()
+RULES = DecisionRules()
 """Constants in force."""

@@ -65,7 +65,7 @@ class Trial:
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
+class StepwiseSearch:
     """A stepwise search.
 
     Attributes

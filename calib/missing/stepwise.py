@@ -15,7 +15,7 @@ from calib.missing.evidence import at_lower, ln_bayes_linear
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
-from calib.missing.steps import Rejected, Step, Steps, Stopped, Trial
+from calib.missing.steps import Rejected, Step, StepwiseSearch, Stopped, Trial
 from calib.problem.candidate import Candidate
 
 
@@ -48,7 +48,7 @@ class Stepwise:
     candidates: Sequence[Candidate]
     _trials: list[Trial] = field(init=False, repr=False, default_factory=list)
 
-    def steps(self, *start: CandidateFit) -> Steps:
+    def steps(self, *start: CandidateFit) -> StepwiseSearch:
         """Search from a fitted model; what was taken in before comes first."""
         steps = [self._step(self.base, self.base_adequacy), *map(self._step, start)]
         self.fits.allowance.ensure(RULES.stepped * self.fits.settings.budget)
@@ -70,13 +70,13 @@ class Stepwise:
             seen.add(frozenset(reduced.candidate_fit.names))
             steps.append(reduced)
 
-    def path(self, *fits: CandidateFit) -> Steps:
+    def path(self, *fits: CandidateFit) -> StepwiseSearch:
         """Models that were found otherwise, as the steps of a search."""
         with self.fits.allowance.uncharged():
             return self._ended([self._step(self.base, self.base_adequacy), *map(self._step, fits)], "adequate")
 
-    def _ended(self, steps: Sequence[Step], stopped: Stopped) -> Steps:
-        return Steps(tuple(steps), tuple(self._trials), stopped)
+    def _ended(self, steps: Sequence[Step], stopped: Stopped) -> StepwiseSearch:
+        return StepwiseSearch(tuple(steps), tuple(self._trials), stopped)
 
     def _step(self, candidate_fit: CandidateFit, adequacy: AdequacyTests | None = None) -> Step:
         fits = self.fits
@@ -164,7 +164,7 @@ class Stepwise:
 
     # -- what may be named ---------------------------------------------------------------------------------------------
 
-    def _assessed(self, steps: Sequence[Step]) -> Steps:
+    def _assessed(self, steps: Sequence[Step]) -> StepwiseSearch:
         """The search that ended with a model which leaves nothing systematic: whether it may be named."""
         model = steps[-1].candidate_fit
         if not model.is_possible:

@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pandas as pd
 
-from calib.missing.goodness import Fit, Layout, overall_p
+from calib.missing.goodness import FittedRows, Layout, overall_p
 from calib.missing.recommendation import as_ratio
 from calib.missing.rules import RULES
 from calib.problem import degrees_of_freedom
@@ -38,7 +38,7 @@ class Datum(NamedTuple):
     rows: np.ndarray
 
 
-class Optimum(Fit, Protocol):
+class Optimum(FittedRows, Protocol):
     """A fit that knows whether it converged."""
 
     @property
@@ -47,7 +47,7 @@ class Optimum(Fit, Protocol):
         ...
 
 
-class LeaveOneOut(NamedTuple):
+class LeftOutDatum(NamedTuple):
     """A datum left out: ``I - H_bb``, its prediction error by all others, and the test of it."""
 
     datum: Datum
@@ -84,7 +84,7 @@ def data_of(rows: Sequence[Label]) -> tuple[Datum, ...]:
     return tuple(out)
 
 
-def suspects(
+def suspects_table(
     fit: Optimum,
     labelled: Labelled,
     level: float = RULES.suspect,
@@ -121,7 +121,7 @@ def suspects(
     e, root, data = np.asarray(fit.residual, dtype=float), hat_root(fit.slope, fit.prior_sd), data_of(labelled.rows)
     layout = Layout.of(labelled)
     size, behind = np.bincount(layout.which), layout.std[layout.kind_of][layout.which]
-    tried: list[LeaveOneOut] = []
+    tried: list[LeftOutDatum] = []
     for datum in data:
         b = datum.rows
         here = root[b]
@@ -135,7 +135,7 @@ def suspects(
         predicted = e[b] / left_over if len(b) == 1 else np.linalg.solve(inverse, e[b])
         whole = np.bincount(layout.which[b], minlength=len(size)) == size  # their fitted factors are left out with them
         dof = max(len(b) - float(layout.factors[whole].sum()), 1.0)
-        tried.append(LeaveOneOut(datum, inverse, predicted, float(e[b] @ predicted), dof, float(behind[b].min())))
+        tried.append(LeftOutDatum(datum, inverse, predicted, float(e[b] @ predicted), dof, float(behind[b].min())))
     table = pd.DataFrame(
         [(o.datum.what, o.datum.kind, len(o.datum.rows), o.chi2, o.dof) for o in tried], columns=list(COLUMNS[:5])
     )
@@ -193,7 +193,7 @@ def suspect_sentence(table: pd.DataFrame, named: str = "") -> str:
 
 
 def _rest(
-    residual: np.ndarray, root: np.ndarray, gone: Sequence[LeaveOneOut]
+    residual: np.ndarray, root: np.ndarray, gone: Sequence[LeftOutDatum]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Squares of the residual without each datum, the part of each row's variance left, and the rows kept.
 

@@ -15,7 +15,7 @@ from calib.missing.evidence import expected_ln_bayes, ln_bayes_linear, model_pro
 from calib.missing.explanation import Explanation
 from calib.missing.facts import Places
 from calib.missing.local import WIDE, fault_words, local_perturbation
-from calib.missing.plausible import pulls
+from calib.missing.plausible import parameter_pulls
 from calib.missing.rules import RULES
 from calib.missing.score import correlation, noise_limit
 from calib.missing.visible import smallest_visible
@@ -165,10 +165,12 @@ def confounding_table(found: Explanation) -> pd.DataFrame:
 
 
 def pull_table(found: Explanation) -> pd.DataFrame:
-    """Pulls of the parameters of the base model and of the model with the chosen effects; see `plausible.pulls`."""
-    parts = [pulls(found.base.fit).assign(model="base")]
+    """Pulls of the parameters of the base model and of the model with the chosen effects; see `parameter_pulls`."""
+    parts = [parameter_pulls(found.base.fit).assign(model="base")]
     if found.chosen is not None:
-        parts.append(pulls(found.chosen.fit, found.chosen.effects).assign(model=" + ".join(found.chosen.names)))
+        parts.append(
+            parameter_pulls(found.chosen.fit, found.chosen.effects).assign(model=" + ".join(found.chosen.names))
+        )
     table = pd.concat(parts, ignore_index=True)
     return table[["model", *[c for c in table.columns if c != "model"]]]
 

@@ -17,21 +17,21 @@ from calib.missing.steps_table import competing_sentence, steps_sentence
 from calib.missing.suspect import suspect_in_short, suspect_sentence
 from calib.missing.tables import UNTESTED
 from calib.missing.verdict_words import (
-    Words,
+    VerdictWords,
     as_it_is,
     collinear,
+    effect_words,
     family,
     family_in_short,
     further,
     look_for,
     look_for_one_of,
+    misfit_in_short,
+    misfit_words,
     on_measurement,
     row_of,
-    sized,
     with_in_short,
     with_words,
-    without,
-    without_in_short,
 )
 from calib.missing.worst_misfit import p_words, where, worst_repeats
 from calib.problem.candidate import Candidate
@@ -65,7 +65,7 @@ class Verdict:
     sentences: tuple[str, ...]
 
 
-def verdict(
+def verdict_of(
     found: Explanation,
     effects: pd.DataFrame,
     errors: pd.DataFrame,
@@ -142,9 +142,9 @@ def verdict(
 # -- verdict by verdict ------------------------------------------------------------------------------------------------
 
 
-def _nothing(found: Explanation, effects: pd.DataFrame) -> Words:
+def _nothing(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     if not found.base_adequacy.can_tell:
-        return Words(
+        return VerdictWords(
             "Nothing can be told: the fitted parameters follow these data, whatever may be missing.",
             f"They leave {max(found.base_adequacy.dof, 0.0):.1f} effective degrees of freedom, and below two no fit "
             "can be tested.",
@@ -154,35 +154,35 @@ def _nothing(found: Explanation, effects: pd.DataFrame) -> Words:
     tested = (f"Tested: {family(found)}.",)
     if found.groups and not effects["visible"].astype(bool).any():
         blind = "The base model fits, but these data cannot show any effect of the library at a plausible magnitude."
-        return Words(blind, sure, "Measure more before you conclude that nothing is missing.", tested)
+        return VerdictWords(blind, sure, "Measure more before you conclude that nothing is missing.", tested)
     fits = "The model fits: no missing effect is detectable in these data."
-    return Words(fits, sure, "Nothing calls for a change of the model.", tested)
+    return VerdictWords(fits, sure, "Nothing calls for a change of the model.", tested)
 
 
-def _noise(found: Explanation, effects: pd.DataFrame) -> Words:
+def _noise(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     factor = f"{found.noise_scale:.2g}"
-    return Words(
+    return VerdictWords(
         f"The standard deviation seems understated: the residuals of all modes are {factor} times too large.",
-        f"With {factor} times the standard deviation nothing detectable is missing. {without_in_short(found)}",
+        f"With {factor} times the standard deviation nothing detectable is missing. {misfit_in_short(found)}",
         "Check the standard deviation before anything else: repeats do not show what differs between set-ups, and an "
         "assumed one may be too small.",
-        (without(found),),
+        (misfit_words(found),),
     )
 
 
-def _effect(found: Explanation, effects: pd.DataFrame) -> Words:
+def _effect(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     assert found.chosen is not None
     (e,) = found.chosen.effects
     tested = sum(len(g.names) for g in found.groups)
     chance = 100 * float(row_of(effects, e.name)["model_probability"])
     probable = f"{chance:.0f} % probable" if chance <= MOST else f"more than {MOST:g} % probable"
     among = f" among the {tested} effects of the library" if tested > 1 else " within the library"
-    return Words(
-        f"The model lacks {sized(effects, e)}.",
-        f"{e.name} is {probable}{among}. {without_in_short(found)} {with_in_short(found)}",
+    return VerdictWords(
+        f"The model lacks {effect_words(effects, e)}.",
+        f"{e.name} is {probable}{among}. {misfit_in_short(found)} {with_in_short(found)}",
         look_for((e,)),
         (
-            without(found),
+            misfit_words(found),
             with_words(found),
             further(found.chosen),
             collinear(found, effects, found.chosen),
@@ -191,11 +191,11 @@ def _effect(found: Explanation, effects: pd.DataFrame) -> Words:
     )
 
 
-def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> Words:
+def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     rows = effects[effects["name"].isin(found.credible)].sort_values("ln_bayes", ascending=False)
     known = {e.name: e for g in found.groups for e in g.effects}
     credible = [known[name] for name in rows["name"]]
-    explaining = [(float(b), sized(effects, e)) for e, b in zip(credible, rows["ln_bayes"], strict=True)]
+    explaining = [(float(b), effect_words(effects, e)) for e, b in zip(credible, rows["ln_bayes"], strict=True)]
     alternatives, check = [*credible], ""
     if found.fault is not None:
         told = f"a fault of the measurement: {fault_words(found.fault)}"
@@ -214,31 +214,31 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> Words:
         first = "Model or measurement is wrong, and these data cannot tell which"
     else:
         first = "The model lacks something, and these data cannot tell which"
-    return Words(
+    return VerdictWords(
         f"{first}: {named}.",
-        f"The odds of the first against the second are {as_ratio(ln_bayes)}. {without_in_short(found)} "
+        f"The odds of the first against the second are {as_ratio(ln_bayes)}. {misfit_in_short(found)} "
         f"{with_in_short(found)}",
         f"{look_for_one_of(alternatives)} {check}".strip(),
-        (without(found), with_words(found), as_it_is(credible)),
+        (misfit_words(found), with_words(found), as_it_is(credible)),
     )
 
 
 _NUMBERS = {2: "two", 3: "three", 4: "four"}
 
 
-def _several(found: Explanation, effects: pd.DataFrame) -> Words:
+def _several(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     assert found.chosen is not None
-    phrases = [sized(effects, e) for e in found.chosen.effects]
+    phrases = [effect_words(effects, e) for e in found.chosen.effects]
     count = len(phrases)
     named = f"The model lacks {_NUMBERS[count]} effects: {'; '.join(phrases[:-1])}; and {phrases[-1]}."
     fewer = "No single effect removes" if count == 2 else "No single effect and no pair removes"
     them = "both" if count == 2 else f"all {_NUMBERS[count]}"
-    return Words(
+    return VerdictWords(
         f"{named} {competing_sentence(found)}".strip(),
-        f"{fewer} the systematic misfit. {without_in_short(found)} {with_in_short(found, them)}",
+        f"{fewer} the systematic misfit. {misfit_in_short(found)} {with_in_short(found, them)}",
         look_for(found.chosen.effects),
         (
-            without(found),
+            misfit_words(found),
             with_words(found, them),
             collinear(found, effects, found.chosen),
             as_it_is(found.chosen.effects),
@@ -246,17 +246,17 @@ def _several(found: Explanation, effects: pd.DataFrame) -> Words:
     )
 
 
-def _unconfirmed(found: Explanation, effects: pd.DataFrame) -> Words:
+def _unconfirmed(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     assert found.chosen is not None
-    named = " together with ".join(sized(effects, e) for e in found.chosen.effects)
+    named = " together with ".join(effect_words(effects, e) for e in found.chosen.effects)
     if found.uncontested:
         against = "but no local perturbation could be tested against it, so a wrong name cannot be excluded"
         then = "Measure more modes or sensors before it is added."
     else:
         against = "but data that no fit has seen contradict it"
         then = "Check the held-out data: it stands in for something else, or they are in error."
-    return Words(
-        f"No effect is confirmed: {named}, would fit, {against}.", without_in_short(found), then, (without(found),)
+    return VerdictWords(
+        f"No effect is confirmed: {named}, would fit, {against}.", misfit_in_short(found), then, (misfit_words(found),)
     )
 
 
@@ -271,54 +271,56 @@ def _rest(found: Explanation) -> str:
     return f"Look first at this place: {size}; {words}. It is a place to look at, not a cause."
 
 
-def _partial(found: Explanation, effects: pd.DataFrame) -> Words:
+def _partial(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     assert found.chosen is not None and found.chosen_adequacy is not None
     (e,) = found.chosen.effects
     before, after = found.base.fit.misfit, found.chosen.fit.misfit
     if is_simpler_form(found):
         return _nearly(found, e)
-    return Words(
-        f"The model lacks something that no listed effect explains fully: {sized(effects, e)}, is a part of it or "
-        "stands in for something else.",
+    return VerdictWords(
+        f"The model lacks something that no listed effect explains fully: {effect_words(effects, e)}, is a part of it "
+        "or stands in for something else.",
         f"It lowers the sum of squares from {before:.0f} to {after:.0f} but leaves "
-        f"{p_words(found.chosen_adequacy.p_family)}. {without_in_short(found)}",
+        f"{p_words(found.chosen_adequacy.p_family)}. {misfit_in_short(found)}",
         _rest(found),
-        (without(found), steps_sentence(found)),
+        (misfit_words(found), steps_sentence(found)),
     )
 
 
-def _nearly(found: Explanation, e: Candidate) -> Words:
+def _nearly(found: Explanation, e: Candidate) -> VerdictWords:
     assert found.chosen is not None and found.chosen_adequacy is not None
     before, after = found.base.fit.misfit, found.chosen.fit.misfit
     low, high = magnitude_range(found)
     left = where(found.chosen_adequacy)
-    return Words(
+    return VerdictWords(
         f"The model lacks something like {e.in_words}, but not exactly that; in the form that the library lists it "
         f"would be {range_words(low, high, e.magnitude.unit, meaning_of(e.magnitude))}.",
         f"It lowers the sum of squares from {before:.0f} to {after:.0f}, far more than anything else does, but leaves "
-        f"{p_words(found.chosen_adequacy.p_family)}. {without_in_short(found)} A further, much smaller effect is "
+        f"{p_words(found.chosen_adequacy.p_family)}. {misfit_in_short(found)} A further, much smaller effect is "
         "possible too.",
         look_for((e,)),
-        (without(found), f"What is left is largest {left}." if left else "", steps_sentence(found)),
+        (misfit_words(found), f"What is left is largest {left}." if left else "", steps_sentence(found)),
     )
 
 
-def _none(found: Explanation, effects: pd.DataFrame) -> Words:
+def _none(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     what = "The model lacks something that no listed effect explains." if found.groups else "The model lacks something."
     attempt = ""
     if found.chosen is not None:
         (e,) = found.chosen.effects
-        attempt = f"The best attempt, {sized(effects, e)}, is not believed: {_why_not(found)}."
-    return Words(what, without_in_short(found), _rest(found), (without(found), attempt, steps_sentence(found)))
+        attempt = f"The best attempt, {effect_words(effects, e)}, is not believed: {_why_not(found)}."
+    return VerdictWords(
+        what, misfit_in_short(found), _rest(found), (misfit_words(found), attempt, steps_sentence(found))
+    )
 
 
-def _unlocated(found: Explanation, effects: pd.DataFrame) -> Words:
-    return Words(
+def _unlocated(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
+    return VerdictWords(
         "The model misses the data by more than their standard deviation, but no effect and no place stands out.",
-        f"{without_in_short(found)} The misfit is largest {where(found.base_adequacy)}.",
+        f"{misfit_in_short(found)} The misfit is largest {where(found.base_adequacy)}.",
         "Look at that measurement first: its channel, its repeats, and whether its standard deviation is larger than "
         "stated.",
-        (without(found),),
+        (misfit_words(found),),
     )
 
 

@@ -29,7 +29,7 @@ WORST = "the worst kind of data or mode shape"
 
 
 @dataclass(frozen=True)
-class Words:
+class VerdictWords:
     """What one kind of verdict says; ``then`` is what to do before anything is measured.
 
     ``sure`` is told in short, ``support`` in full.
@@ -41,12 +41,12 @@ class Words:
     support: tuple[str, ...] = ()
 
 
-def without(found: Explanation) -> str:
+def misfit_words(found: Explanation) -> str:
     """How improbable the misfit of the base model would be if nothing were missing."""
     return f"If nothing were missing: {family(found)}."
 
 
-def without_in_short(found: Explanation) -> str:
+def misfit_in_short(found: Explanation) -> str:
     """The same for the summary."""
     return f"If nothing were missing: {family_in_short(found)}."
 
@@ -120,7 +120,7 @@ def row_of(effects: pd.DataFrame, name: str) -> pd.Series:
     return effects[effects["name"] == name].iloc[0]
 
 
-def sized(effects: pd.DataFrame, e: Candidate) -> str:
+def effect_words(effects: pd.DataFrame, e: Candidate) -> str:
     """An effect with its magnitude, such as ``a guy rope along x, about 12 kN/m (95 %: 10 to 14)``.
 
     Of an effect that was not fitted, the one that it is collinear with.
@@ -170,7 +170,7 @@ def look_for_one_of(effects: Sequence[Candidate]) -> str:
 
 def _request(e: Candidate) -> str:
     """What an effect asks for, such as `Look for a cracked weld.` or `Check whether the brakes are released.`."""
-    first, words = e.look_for.split(" ", 1)[0], ended(e.look_for)
+    first, words = e.look_for.split(" ", 1)[0], with_full_stop(e.look_for)
     if first in _REQUESTS:
         return words
     return f"{'Check' if first in _QUESTIONS else 'Look for'} {lowered(words)}"
@@ -216,10 +216,10 @@ def elsewhere(
 
 def as_it_is(effects: Sequence[Candidate]) -> str:
     """What the model assumes without the effects."""
-    return "The model assumes: " + " ".join(ended(e.lacks) for e in effects)
+    return "The model assumes: " + " ".join(with_full_stop(e.lacks) for e in effects)
 
 
-def ended(words: str) -> str:
+def with_full_stop(words: str) -> str:
     """Text with a full stop at its end."""
     return words if words.endswith((".", "!", "?")) or not words else f"{words}."
 
@@ -236,7 +236,7 @@ def _counts(found: Explanation) -> tuple[int, int, int]:
     return sum(len(g.names) for g in found.groups), len(set(tests.perturbations.owners)), faults
 
 
-def on_measurement(found: Explanation, effects: pd.DataFrame) -> Words:
+def on_measurement(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     """A fault of the measurement is named: which, how sure that is, what to check."""
     assert found.fault is not None and found.fault_adequacy is not None
     (e,) = found.fault.effects
@@ -245,17 +245,17 @@ def on_measurement(found: Explanation, effects: pd.DataFrame) -> Words:
     best = found.singles[0] if found.singles else None
     against = f" The best effect, {best.names[0]}, is {_behind(found, best)}." if best is not None else ""
     after = found.fault_adequacy
-    return Words(
-        f"The measurement is what does not fit: {first}: {lowered(ended(e.look_for))}{also}",
+    return VerdictWords(
+        f"The measurement is what does not fit: {first}: {lowered(with_full_stop(e.look_for))}{also}",
         f"Its log Bayes factor is {found.ln_bayes(found.fault):.1f} against the model without any fault or effect, "
-        f"chosen among {counted_faults(found)}.{against} {without_in_short(found)} "
+        f"chosen among {counted_faults(found)}.{against} {misfit_in_short(found)} "
         f"{fit_in_short(after, found.alpha)}",
         "Correct the measurement, or take it out, before the model is changed; nothing is added to the model.",
         (
-            without(found),
+            misfit_words(found),
             f"With it no effect or place stands out ({p_words(after.p_family)}), and {WORST} has "
             f"{p_words(after.p_fit)}.",
-            f"It takes for granted: {ended(e.lacks)}",
+            f"It takes for granted: {with_full_stop(e.lacks)}",
         ),
     )
 

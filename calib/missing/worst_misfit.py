@@ -13,14 +13,14 @@ _LEAST = 3 / RULES.samples
 """Smallest p-value that is stated: that of the samples, for the smallest of three tests (`AdequacyTests.p_family`)."""
 
 
-def chance(p: float) -> str:
+def p_number(p: float) -> str:
     """A p-value as a number, down to the resolution of the samples."""
     return f"< {_LEAST:.1g}" if p < _LEAST else f"{p:.2g}"
 
 
 def p_words(p: float) -> str:
     """A p-value, such as ``p = 0.03`` or ``p < 0.0004``."""
-    return f"p {chance(p)}" if p < _LEAST else f"p = {chance(p)}"
+    return f"p {p_number(p)}" if p < _LEAST else f"p = {p_number(p)}"
 
 
 def misfit_at(adequacy: AdequacyTests, disagreements: pd.DataFrame) -> dict[str, object]:

@@ -10,7 +10,7 @@ from calib.missing.candidate_fit import CandidateFit, WrongDatum
 from calib.missing.evidence import ln_evidence, ln_wrong
 from calib.missing.goodness import overall_p
 from calib.missing.hypotheses import Altered
-from calib.missing.linearised_fit import FINE, fitted
+from calib.missing.linearised_fit import FINE, least_squares_fit
 from calib.missing.refits import Refits, near_to
 from calib.missing.suspect import data_of
 from calib.problem.problem import RowLabels
@@ -30,7 +30,7 @@ def wrong_datum(fits: Refits, base: CandidateFit, accused: pd.DataFrame, best: C
     base : CandidateFit
         The model that would fit without the datum.
     accused : DataFrame
-        From `calib.missing.suspect.suspects`, of the base fit.
+        From `calib.missing.suspect.suspects_table`, of the base fit.
     best : CandidateFit
         The best effect.
     """
@@ -46,7 +46,9 @@ def wrong_datum(fits: Refits, base: CandidateFit, accused: pd.DataFrame, best: C
     fit_problem = fits.fit_problem(base.names)
     fits.tell(f"fitting without {first['what']}")
     try:
-        rest = fitted(Altered(fit_problem, kept=kept), base.names, base.fit.values, settings=fits.affordable(FINE))
+        rest = least_squares_fit(
+            Altered(fit_problem, kept=kept), base.names, base.fit.values, settings=fits.affordable(FINE)
+        )
         difference = fit_problem.residual(rest.values)[gone]
         slope = fit_problem.jacobian(rest.values, rest.names)[gone]
     except EvaluationError:

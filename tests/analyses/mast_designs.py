@@ -12,7 +12,7 @@ from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.measurement.modal import Sensor
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.evidence import ln_evidence
-from calib.missing.linearised_fit import LinearisedFit, fitted
+from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
 from calib.missing.score import scores
 from calib.results.results import Results
 from calib.study.study import Study
@@ -32,7 +32,7 @@ def measured_mast(mast, folder):
     problem = replace(hypotheses.pair.problem, measured=used, mode_clusters=clusters)
     hypotheses = ModelHypotheses(ModalResidual(problem), hypotheses.variants, hypotheses.space)
     fit_problem = hypotheses.fit_problem(())
-    return study, hypotheses, fitted(fit_problem, (), fit_problem.space.values)
+    return study, hypotheses, least_squares_fit(fit_problem, (), fit_problem.space.values)
 
 
 def design_of(hypotheses, fit, held_out=None, scale=1.0, samples=1, certain=True, held_sensors=()):
@@ -108,7 +108,7 @@ def pair_of(hypotheses, names=("platform", "lamp")):
     candidate_fits = []
     for name in names:
         fit_problem = hypotheses.fit_problem((name,))
-        fit = fitted(fit_problem, (name,), fit_problem.space.values)
+        fit = least_squares_fit(fit_problem, (name,), fit_problem.space.values)
         (own,) = [e for e in hypotheses.effects if e.name == name]
         candidate_fits.append(CandidateFit((own,), fit, ln_evidence(fit, [own]), ""))
     return candidate_fits

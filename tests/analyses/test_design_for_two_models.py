@@ -11,7 +11,7 @@ from calib.correlation.modal.residual import ModalResidual
 from calib.execution.tasks import alone, shared_by, untold
 from calib.hypotheses.design.modal import modal_design
 from calib.hypotheses.hypotheses import ModelHypotheses
-from calib.missing.linearised_fit import fitted
+from calib.missing.linearised_fit import least_squares_fit
 from calib.missing.score import scores
 from calib.results.results import Results
 from calib.study.study import Study
@@ -85,7 +85,7 @@ def test_the_bayes_factors_predicted_for_twice_the_repeats_are_realised(mast, tm
         more = ModelHypotheses(ModalResidual(replace(first.pair.problem, measured=both)), first.variants, first.space)
         pair, after = pair_of(first), pair_of(more)
         fit_problem = first.fit_problem(())
-        base = fitted(fit_problem, (), fit_problem.space.values)
+        base = least_squares_fit(fit_problem, (), fit_problem.space.values)
         design = modal_design(first, pair, pair[0].effects, scores(base, first.effects, {}), 1.0, samples=6)
         (measurement,) = candidates_of(design, "repeats")
         bayes_factor = design.competing.bayes_factor(measurement)

@@ -21,7 +21,7 @@ from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.rules import RULES
 from calib.measurement.frf import MeasuredFRFs
 from calib.missing.facts import DiscretisationError
-from calib.missing.linearised_fit import LinearisedFit, fitted
+from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
 from calib.problem.space import ParameterSpace
 from calib.results.results import Results
 from calib.structure.affine import AffineMatrix
@@ -38,7 +38,7 @@ def settled(mast, tmp_path_factory):
     study = Study.load(mast.write_study(folder / "mast"))
     hypotheses, _ = modal_hypotheses(study, Results.at(folder / "results", "mast"))
     fit_problem = hypotheses.fit_problem(())
-    return hypotheses, fitted(fit_problem, (), fit_problem.space.values)
+    return hypotheses, least_squares_fit(fit_problem, (), fit_problem.space.values)
 
 
 def heavier(model, factor):
@@ -66,7 +66,7 @@ def settled_frfs(mast):
     variants = Variants(model, mast.library(), tuple(p.effect for p in local), None)
     hypotheses = ModelHypotheses(pair, variants, space)
     fit_problem = hypotheses.fit_problem(())
-    return hypotheses, fitted(fit_problem, (), fit_problem.space.values)
+    return hypotheses, least_squares_fit(fit_problem, (), fit_problem.space.values)
 
 
 def test_frfs_of_the_same_mesh_have_no_discretisation_error(settled_frfs):

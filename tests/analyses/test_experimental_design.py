@@ -14,7 +14,7 @@ from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.rules import RULES
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.competing import at_effect
-from calib.missing.linearised_fit import fitted
+from calib.missing.linearised_fit import least_squares_fit
 from calib.missing.recommendation import recommend
 from calib.missing.score import scores
 from calib.problem.problem import Problem
@@ -51,7 +51,7 @@ def test_repeats_with_missing_values_do_not_prevent_a_recommendation(world):
         ModalResidual(replace(hypotheses.pair.problem, measured=incomplete)), hypotheses.variants, hypotheses.space
     )
     fit_problem = other.fit_problem(())
-    found = design_of(other, fitted(fit_problem, (), fit_problem.space.values))
+    found = design_of(other, least_squares_fit(fit_problem, (), fit_problem.space.values))
     assert found is not None and all(np.isfinite(sizes(found, o)).all() for o in found.measurements)
 
 
@@ -184,7 +184,7 @@ def test_without_shapes_no_sensor_is_recommended(world):
         ModalResidual(replace(hypotheses.pair.problem, measured=bare)), hypotheses.variants, hypotheses.space
     )
     fit_problem = other.fit_problem(())
-    design = design_of(other, fitted(fit_problem, (), fit_problem.space.values))
+    design = design_of(other, least_squares_fit(fit_problem, (), fit_problem.space.values))
     kinds = {o.kind for o in design.measurements}
     assert kinds == {"repeats", "mode", "bench"} and design.measured.sum() == measured.n_modes
 

@@ -12,7 +12,7 @@ import pytest
 
 from calib.analyses import explain as asked
 from calib.analyses.explain import explain
-from calib.analyses.explanation_result import GROUPS, summary
+from calib.analyses.explanation_result import GROUPS, explanation_summary
 from calib.missing.local import interval_words, local_perturbation
 from calib.missing.profile import profile_interval
 from calib.results.results import Results
@@ -121,7 +121,7 @@ def test_indistinguishable_effects_are_named_with_a_measurement_that_discriminat
 def test_settings_of_the_study_reach_the_decision(mast, edited, tmp_path, monkeypatch):
     seen = []
     inner = asked.engine.explain
-    monkeypatch.setattr(asked.engine, "explain", lambda h, s, p: seen.append(s) or inner(h, s, p))
+    monkeypatch.setattr(asked.engine, "decide", lambda h, s, p: seen.append(s) or inner(h, s, p))
     own = "[explain]\nalpha = 0.02\nrefits = 3\nmerge = 0.9\nseed = 7\n\n[calibration]"
     folder = edited(mast.write_study(tmp_path / "mast"), "[calibration]", own)
     explain(Study.load(folder), Results.at(tmp_path / "results", "mast"))
@@ -135,7 +135,7 @@ def test_the_summary_has_the_documented_keys(guyed, bare, chain):
     for study, results, answer in (guyed[:3], bare, chain):
         content = json.loads((results.path / "explanation.json").read_text())
         more = {"failed"} if study is chain[0] else {"basis_error"}
-        assert set(content) == KEYS | more == set(summary(study, answer))
+        assert set(content) == KEYS | more == set(explanation_summary(study, answer))
         assert content["study"] == study.name and content["synthetic"] is True
         assert content["verdict"] == answer.verdict and content["sentence"] == answer.sentence
         assert content["notes"] == list(answer.notes) and content["credible_set"] == list(answer.explanation.credible)

@@ -151,7 +151,7 @@ def test_a_model_that_cannot_be_solved_is_refused(mast, tmp_path, monkeypatch):
     def fails(*a, **k):
         raise EvaluationError("the matrix is singular")
 
-    monkeypatch.setattr(asked.engine, "explain", fails)
+    monkeypatch.setattr(asked.engine, "decide", fails)
     study = Study.load(mast.write_study(tmp_path / "mast"))
     fault = refused(study, tmp_path, "the model cannot be fitted: the matrix is singular")
     assert fault.remedy

@@ -7,7 +7,7 @@ import pytest
 
 import calib
 from calib.errors.errors import EvaluationError, InputError
-from calib.missing.explain import Settings, explain
+from calib.missing.decision import Settings, decide
 from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.function_model import FunctionModel
 from tests.analyses.function_toys import STD, Counted, E, Linear, curved, effect, hypotheses_of
@@ -17,7 +17,7 @@ from tests.analyses.function_toys import STD, Counted, E, Linear, curved, effect
 
 def test_scores_are_those_of_the_marginal_distribution_of_linear_data():
     problem = Linear(0, 0.3)
-    found = explain(problem.hypotheses()).base_adequacy
+    found = decide(problem.hypotheses()).base_adequacy
     z, unabsorbed, _ = problem.closed_form()
     assert found.named.owners == tuple(f"e{k}" for k in range(E))
     np.testing.assert_allclose(found.named.z, z, rtol=1e-5, atol=1e-4)
@@ -27,7 +27,7 @@ def test_scores_are_those_of_the_marginal_distribution_of_linear_data():
 @pytest.mark.parametrize("hidden", range(E))
 def test_the_verdict_is_that_of_exact_evidence(hidden):
     problem = Linear(10 + hidden, 0.3, hidden)
-    found = explain(problem.hypotheses())
+    found = decide(problem.hypotheses())
     *_, ln_bayes = problem.closed_form()
     order = np.argsort(-ln_bayes)
     assert order[0] == hidden and ln_bayes[order[0]] - ln_bayes[order[1]] > 10
@@ -39,14 +39,14 @@ def test_the_verdict_is_that_of_exact_evidence(hidden):
 
 @pytest.mark.slow
 def test_nothing_is_named_where_nothing_is_missing():
-    verdicts = [explain(Linear(seed).hypotheses()).verdict for seed in range(100, 120)]
+    verdicts = [decide(Linear(seed).hypotheses()).verdict for seed in range(100, 120)]
     assert verdicts == ["nothing_detectable"] * 20
 
 
 def test_a_parameter_held_at_a_wrong_value_is_a_local_perturbation_and_no_named_effect():
     problem = Linear(5)
     problem.y = problem.y + 0.5 * problem.held
-    found = explain(problem.hypotheses())
+    found = decide(problem.hypotheses())
     assert found.verdict == "none_explains" and found.perturbation is not None
     assert found.perturbation.names == ("change of held",)
     assert found.perturbation.fit.values["change of held"] == pytest.approx(0.25, abs=0.02)
@@ -90,12 +90,12 @@ def test_the_step_is_an_argument():
 def test_every_call_is_counted_and_none_is_made_twice():
     problem = Linear(0, 0.3)
     hypotheses = problem.hypotheses()
-    found = explain(hypotheses)
+    found = decide(hypotheses)
     asked = problem.function.asked
     # The check at magnitude 0 evaluates the same values with one name more.
     assert hypotheses.evaluations == len(asked) == len(set(asked)) == found.evaluations
     assert len(asked) < 150
-    again = explain(hypotheses)
+    again = decide(hypotheses)
     assert hypotheses.evaluations == found.evaluations and again.verdict == found.verdict
 
 
@@ -122,7 +122,7 @@ def test_fit_problems_share_their_common_points():
 
 
 def test_an_explanation_is_reproducible_to_the_digit():
-    one, other = (explain(Linear(3, 0.3).hypotheses()) for _ in range(2))
+    one, other = (decide(Linear(3, 0.3).hypotheses()) for _ in range(2))
     assert one.chosen.fit.values == other.chosen.fit.values
     assert one.base_adequacy.p_family == other.base_adequacy.p_family and one.evaluations == other.evaluations
 
@@ -133,11 +133,11 @@ def test_an_explanation_is_reproducible_to_the_digit():
 def test_failed_points_do_not_end_the_search():
     problem = Linear(0, 0.3)
     # One side of a difference quotient at the base fit fails, and every point with one effect.
-    best = explain(problem.hypotheses()).base.fit.values["t1"]
+    best = decide(problem.hypotheses()).base.fit.values["t1"]
     assert best > 0
     problem.function = Counted(problem.answer, lambda v: best < v["t1"] - 1e-3 < best + 4e-3 or v.get("e3", 0.0) != 0)
     hypotheses = problem.hypotheses()
-    found = explain(hypotheses, Settings(refits=E))
+    found = decide(hypotheses, Settings(refits=E))
     assert found.verdict == "effect" and found.credible == ("e0",)
     assert "e3" not in [t.names[0] for t in found.singles]
     assert found.base_adequacy.named.size[3] == 0
@@ -150,7 +150,7 @@ def test_a_base_model_that_always_fails_is_reported():
     problem = Linear(0)
     problem.function = Counted(problem.answer, lambda v: True)
     with pytest.raises(EvaluationError, match="no answer here"):
-        explain(problem.hypotheses())
+        decide(problem.hypotheses())
 
 
 def test_a_response_that_is_missing_or_not_finite_is_a_failed_point():
@@ -169,4 +169,4 @@ def test_an_effect_that_changes_the_model_at_magnitude_0_is_refused():
     targets = {name: (1.0, 0.1) for name in "abcde"}
     hypotheses = hypotheses_of(model, targets, model.space, (effect("jump", jump),))
     with pytest.raises(InputError, match=r"effect jump.*0\.01 standard deviations"):
-        explain(hypotheses)
+        decide(hypotheses)

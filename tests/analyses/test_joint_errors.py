@@ -13,7 +13,7 @@ from calib.api.explained import _adapters, library_of
 from calib.hypotheses.joint import together
 from calib.missing.findings import findings
 from calib.missing.hypotheses import Altered
-from calib.missing.linearised_fit import fitted
+from calib.missing.linearised_fit import least_squares_fit
 from calib.problem.effect import Effect
 from calib.study.settings import ExplainSettings
 
@@ -92,7 +92,7 @@ def test_left_out_errors_are_those_of_real_refits_of_all_tests(joint, limited, t
     for k, row in enumerate(hypotheses.rows):
         if row.test == test:
             kept = np.setdiff1d(np.arange(len(hypotheses.rows)), [k])
-            rest = fitted(Altered(fit.fit_problem, kept=kept), fit.effects, fit.values)
+            rest = least_squares_fit(Altered(fit.fit_problem, kept=kept), fit.effects, fit.values)
             out.append(fit.fit_problem.residual(rest.values)[k])
     errors = by_group(by_test(joint.adapter, joint.answer)[test].errors.replace({"stage": {"attempt": "after"}}))
     assert errors.loc[("left_out", stage), "rms"] == pytest.approx(np.sqrt(np.mean(np.square(out))), rel=0.04)
@@ -104,7 +104,7 @@ def test_a_test_of_few_rows_is_predicted_by_the_others(joint):
     errors = by_group(by_test(joint.adapter, joint.answer)["loaded"].errors)
     assert errors.loc[("left_out", "after"), "expected"] < 2.5
     alone = joint.adapter.adapters["loaded"].hypotheses.fit_problem(("lack",))
-    single = fitted(alone, ("lack",), joint.found.chosen.fit.values)
+    single = least_squares_fit(alone, ("lack",), joint.found.chosen.fit.values)
     part = joint.adapter.hypotheses.of("loaded", joint.found.chosen).fit
     assert (np.diag(single.covariance) > 4 * np.diag(part.covariance)).any()
 

@@ -17,7 +17,7 @@ from calib.correlation.mesh_error import MeshError
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
-from calib.missing.linearised_fit import fitted
+from calib.missing.linearised_fit import least_squares_fit
 from calib.problem.space import ParameterSpace
 from calib.results.results import Results
 from calib.study.loading import module_of
@@ -76,11 +76,11 @@ def test_the_fitted_multiple_counts_like_a_term_of_the_covariance(mast, tmp_path
     """Sum of squares and covariance of generalised least squares with ``I + s^2 w w^T``, by hand at the same slope."""
     study = Study.load(mast.write_study(tmp_path / "mast"))
     hypotheses, _ = modal_hypotheses(study, Results.at(tmp_path / "r", "mast"))
-    at = fitted(hypotheses.fit_problem(()), (), hypotheses.space.values).values
+    at = least_squares_fit(hypotheses.fit_problem(()), (), hypotheses.space.values).values
     mesh = MeshError(mast.mast(), mast.mast(2.0), at, 0.8)
     pair = replace(hypotheses.pair, problem=replace(hypotheses.pair.problem, mesh=mesh))
     space = ParameterSpace((*hypotheses.space.parameters, mesh.parameter))
-    fit = fitted(replace(hypotheses, pair=pair, space=space).fit_problem(()), (), space.values)
+    fit = least_squares_fit(replace(hypotheses, pair=pair, space=space).fit_problem(()), (), space.values)
     own = [name != "mesh_error" for name in fit.names]
     plain = fit.residual + pair.mesh_change * fit.values["mesh_error"]
     weight = la.inv(np.eye(len(plain)) + 0.8**2 * np.outer(pair.mesh_change, pair.mesh_change))

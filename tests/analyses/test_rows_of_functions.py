@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors.errors import EvaluationError, InputError
-from calib.missing.explain import Settings, explain
+from calib.missing.decision import Settings, decide
 from calib.missing.rules import RULES
 from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.function_model import FunctionModel
@@ -44,10 +44,10 @@ def test_too_few_responses_are_refused(count, free):
     model = FunctionModel("few", space, lambda v: {})
     targets = {f"r{k}": (1.0, 0.1) for k in range(count)}
     with pytest.raises(InputError, match=f"{count} measured responses"):
-        explain(hypotheses_of(model, targets, space, (effect("size"),)))
+        decide(hypotheses_of(model, targets, space, (effect("size"),)))
     enough = {f"r{k}": (1.0, 0.1) for k in range(max(4, free + 2))}
     with pytest.raises(EvaluationError):  # enough responses: the model is evaluated, and fails
-        explain(hypotheses_of(model, enough, space, (effect("size"),)))
+        decide(hypotheses_of(model, enough, space, (effect("size"),)))
 
 
 def test_every_held_input_and_every_response_has_a_local_perturbation():
@@ -122,7 +122,7 @@ def test_damping_measured_too_high_is_not_a_damper(seed):
     exact = twin.twin_responses(twin.draw(rng, ""))
     off = rng.uniform(0.003, 0.010)
     targets = twin.measure({n: v + off * n.startswith("damping") for n, v in exact.items()}, rng)
-    found = explain(hypotheses_of(model, targets, space, study.candidates, repeats=10), Settings(budget=np.inf))
+    found = decide(hypotheses_of(model, targets, space, study.candidates, repeats=10), Settings(budget=np.inf))
     assert found.verdict == "none_explains" and found.credible == ()
 
 
@@ -137,7 +137,7 @@ def bare_chain(seed, hidden, fault="", offset=(0.0, 0.0)):
     kind, off = fault.partition(" ")[0], rng.uniform(*offset) if fault else 0.0
     off_kind = {"damping": "damping", "frequency": "freq"}.get(kind)
     targets = twin.measure({n: v + off * (n.split("_")[0] == off_kind) for n, v in exact.items()}, rng)
-    return explain(hypotheses_of(model, targets, space, study.candidates, repeats=10), Settings(budget=np.inf))
+    return decide(hypotheses_of(model, targets, space, study.candidates, repeats=10), Settings(budget=np.inf))
 
 
 @pytest.mark.parametrize(

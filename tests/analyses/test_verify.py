@@ -13,7 +13,7 @@ from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import USUAL, Floors, dof_behind, std_for
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.verify import ERROR_COLUMNS, _scaled, group_errors, modal_errors
-from calib.missing.linearised_fit import fitted
+from calib.missing.linearised_fit import least_squares_fit
 from calib.structure.effects.variants import Variants
 from calib.structure.model import StructuralModel
 from calib.study.study import Study
@@ -45,7 +45,7 @@ def calibrated(study, problem=None):
         ModalResidual(problem or study.problem), Variants(study.model, (), ()), study.search_space
     )
     fit_problem = hypotheses.fit_problem(())
-    return fitted(fit_problem, (), fit_problem.space.values)
+    return least_squares_fit(fit_problem, (), fit_problem.space.values)
 
 
 @pytest.fixture(scope="module")

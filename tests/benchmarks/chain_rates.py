@@ -38,7 +38,7 @@ from rates_world import digest_of
 from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.response.residual import ResponseResidual
 from calib.hypotheses.function_perturbations import function_hypotheses
-from calib.missing.explain import Settings, explain
+from calib.missing.decision import Settings, decide
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.structure.function_model import FunctionModel
@@ -117,7 +117,7 @@ def one(asked: Chain, name: str, seed: int, outside: bool = False, reading: str 
     library = tuple(e for e in asked.library if not (outside and e.name == name))
     pair = ResponseResidual(FunctionProblem(asked.model.space, asked.model.function, targets, "", asked.repeats))
     hypotheses, _ = function_hypotheses(asked.model, pair, library, asked.space)
-    found = explain(hypotheses, Settings(budget=np.inf))
+    found = decide(hypotheses, Settings(budget=np.inf))
     seconds = round(time.perf_counter() - started, 3)
     hidden = Hidden(truth, (name,) if name and name not in FAULTS else ())
     row = outcome(found, hidden)

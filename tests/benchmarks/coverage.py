@@ -40,11 +40,11 @@ from calib.errors.errors import EvaluationError, InputError
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.modal import ModalAdapter
 from calib.missing.candidate_fit import CandidateFit
+from calib.missing.decision import decide
 from calib.missing.discrepancy import discrepancy_of, parameter_intervals
-from calib.missing.explain import explain
 from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.facts import MeasurementFacts
-from calib.missing.linearised_fit import LinearisedFit, fitted
+from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
 from calib.missing.local import WIDE
 from calib.structure.effects.variants import Variants
 
@@ -108,12 +108,12 @@ def run(world: World, scenario: Scenario, measured: Measured) -> dict[str, Any]:
     pair = ModalResidual(world.specimen.problem(measured.whole))
     removed = measured.hidden if scenario.removed else ()
     hypotheses = ModelHypotheses(pair, world.libraries[scenario.library], world.space, without=removed)
-    found = explain(hypotheses)
+    found = decide(hypotheses)
     hidden = tuple(world.effects[name] for name in measured.hidden)
     names = tuple(e.name for e in hidden)
     asked = ModelHypotheses(pair, Variants(world.model, hidden, (), None), world.space)
     start = {**found.base.fit.values, **{n: measured.values[n] for e in hidden for n in e.names}}
-    right = fitted(asked.fit_problem(names), names, start)
+    right = least_squares_fit(asked.fit_problem(names), names, start)
     informed = intervals(right)
     told = parameter_intervals(found, discrepancy_of(found)).set_index("parameter")
     parameters = {

@@ -42,7 +42,7 @@ from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.measurement.modal import Sensor
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.competing import CandidateMeasurement, sharpness
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.missing.explanation import Explanation
 from calib.missing.recommendation import recommend
 from calib.missing.refits import Refits
@@ -55,7 +55,7 @@ def run(twin: Twin) -> dict[str, Any]:
     row: dict[str, Any] = {"number": twin.number, "hidden": twin.hidden, "magnitude": twin.values[twin.hidden]}
     whole = twin.measured()
     first = twin.hypotheses(whole.without([m for m in modes if m in whole.names], case.sensors))
-    found = explain(first)
+    found = decide(first)
     row |= {"verdict": found.verdict, "credible": list(found.credible)}
     competing = None
     if found.names_something and set(found.credible) & set(case.competing):
@@ -74,7 +74,7 @@ def run(twin: Twin) -> dict[str, Any]:
     best = possible.iloc[0]
     measurement = next(o for o in design.measurements if o.name == best["measurement"])
     after = measured_next(twin, first, competing[0], measurement)
-    again = explain(after)
+    again = decide(after)
     sign = 1.0 if competing[0].names[0] == twin.hidden else -1.0
     second = refitted(again, after, [t.names[0] for t in competing])
     realised = second[0].ln_evidence - second[1].ln_evidence

@@ -31,7 +31,7 @@ from calib.errors.errors import EvaluationError, InputError
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.problem.effect import Effect
 from calib.results.results import Results
 from calib.structure.effects.extend import extend
@@ -168,7 +168,7 @@ class BogieWorld(World):
             row["visible"] = [round(self._visible(true, e, measured), 2) for e in effects]
             without = measured.hidden if scenario.removed else ()
             hypotheses = ModelHypotheses(seen, self.variants, self.by_frfs.search_space, without)
-            found = explain(hypotheses)
+            found = decide(hypotheses)
             row |= outcome(found, measured)
             if row["outcome"] == "right":
                 row |= magnitude(found, measured)

@@ -33,7 +33,7 @@ from calib.measurement.accuracy import Claim
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.repeats import Repeat, ShapeSet, combine_repeats
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.structure.effects.extend import extend
@@ -235,7 +235,7 @@ class PanelWorld:
         try:
             space = self._space(seen)
             hypotheses = ModelHypotheses(seen, self.variants, space, array.hidden if scenario.removed else ())
-            found = explain(hypotheses)
+            found = decide(hypotheses)
             row |= outcome(found, array)
             if row["outcome"] == "right":
                 row |= magnitude(found, array)

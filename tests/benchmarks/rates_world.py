@@ -31,7 +31,7 @@ from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.library import effects_basis
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.repeats import Repeat, ShapeSet, combine_repeats
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.missing.explanation import Explanation
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
@@ -252,7 +252,7 @@ class World:
             hypotheses = ModelHypotheses(
                 ModalResidual(problem, faults=faults), self.libraries[scenario.library], self.space, without=removed
             )
-            found = explain(hypotheses)
+            found = decide(hypotheses)
             row |= outcome(found, measured)
             if row["outcome"] == "right" and len(measured.hidden) == 1:
                 row |= magnitude(found, measured) | self._held_out(found, hypotheses, measured)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from calib.errors.errors import EvaluationError
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.missing.explanation import Explanation
-from calib.missing.linearised_fit import LinearisedFit, fitted
+from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
 from calib.missing.rules import RULES
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter, ParameterSpace
@@ -134,7 +134,7 @@ class Toy:
     def explained(self, truth: Mapping[str, float], draws: int, seed: int = 1, noise: float = 1.0) -> list[Explanation]:
         """Explanations of simulated data sets, drawn one after the other from one generator."""
         rng = np.random.default_rng(seed)
-        return [explain(self.drawn(rng, truth, noise)) for _ in range(draws)]
+        return [decide(self.drawn(rng, truth, noise)) for _ in range(draws)]
 
     def correlated(self, name: str, of: str, share: float, seed: int = 1) -> Toy:
         """The toy with a column of unchanged length that correlates with another one by ``share``."""
@@ -146,7 +146,7 @@ class Toy:
 
     def calibrated(self, *names: str, start: Mapping[str, float] | None = None, whole: int = 0) -> LinearisedFit:
         fit_problem = self.fit_problem(names)
-        return fitted(fit_problem, names, {**fit_problem.space.values, **(start or {})}, whole)
+        return least_squares_fit(fit_problem, names, {**fit_problem.space.values, **(start or {})}, whole)
 
 
 def labels(modes: int, sensors: int, kinds: Sequence[str]) -> tuple[Row, ...]:

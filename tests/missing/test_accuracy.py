@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import chi2, f
 
 from calib.missing.accuracy import accuracy_sentence, less_accurate
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.problem.problem import RowLabels
 
 
@@ -22,7 +22,7 @@ def test_no_accuracy_is_tried_where_nothing_is_missing(verdict):
 def test_an_assumed_accuracy_counts_as_known_standard_deviation(toy):
     """Added to a standard deviation of a quarter of it: the few repeats then estimate a small part of the variance."""
     measured = toy().drawn(np.random.default_rng(1), {"E0": 6.0})
-    found, rows = explain(measured), measured.rows
+    found, rows = decide(measured), measured.rows
 
     def p_fit(dof):
         std_dof = {row.kind: dof for row in rows}
@@ -42,7 +42,7 @@ def test_an_accuracy_that_the_scatter_of_the_data_contradicts_is_not_stated():
 def test_the_probability_of_a_smaller_sum_of_squares_is_a_lower_tail(toy):
     """Of chi-square where standard deviations are known, else of F, with the dof of one kind to those of all."""
     measured = toy().drawn(np.random.default_rng(1), {"E0": 6.0})
-    found, rows = explain(measured), measured.rows
+    found, rows = decide(measured), measured.rows
     own = 1e-3  # standard deviation of every row, as large as the smallest accuracy: half the variance is estimated
 
     def table(dof):

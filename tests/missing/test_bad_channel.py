@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.missing.goodness import common_scale, goodness, lone_sensor, noise_scale
 from calib.missing.rules import RULES
 
@@ -33,7 +33,7 @@ def test_a_bad_channel_is_no_understated_standard_deviation(made):
         one = channel(made, rng, 4.0)
         fit = one.calibrated()
         assert noise_scale(goodness(fit, one)[1]) > 1.1 * RULES.guard  # all modes call for a larger standard deviation
-        found = explain(one)
+        found = decide(one)
         assert found.credible == () and found.noise_scale == 1.0
         assert found.base_adequacy.sensors["sensor"][0] == BAD
         verdicts.append(found.verdict)

@@ -8,7 +8,7 @@ import pytest
 from calib.execution.stage import unheard
 from calib.inference.leave_one_out import leave_one_out
 from calib.missing.adequacy import predicts
-from calib.missing.explain import DEFAULT, explain
+from calib.missing.decision import DEFAULT, decide
 from calib.missing.refits import Refits
 from calib.problem.degrees_of_freedom import effective_dof
 
@@ -30,7 +30,7 @@ def test_with_as_many_unknowns_as_data_nothing_is_named(toy, seed):
         made = toy(
             seed=seed, modes=0, sensors=responses, parameters=3, effects=5, perturbations=0, size=40.0, reach=20.0
         )
-        return explain(made.drawn(np.random.default_rng(seed), {"E0": 1.0, "E1": 1.0}))
+        return decide(made.drawn(np.random.default_rng(seed), {"E0": 1.0, "E1": 1.0}))
 
     few, enough = explained(5), explained(8)
     assert few.credible == () and not few.names_something
@@ -59,9 +59,9 @@ def pulled(toy, seed):
 @pytest.mark.parametrize("seed", [0, 2, 6, 7, 11])
 def test_two_effects_that_predict_left_out_modes_worse_are_not_named(toy, seed, monkeypatch):
     one = pulled(toy, seed)
-    assert not explain(one).names_something  # one mode alone is wrong, which explains as much
-    monkeypatch.setattr("calib.missing.explain.wrong_datum", lambda *given: None)
-    found = explain(one)
+    assert not decide(one).names_something  # one mode alone is wrong, which explains as much
+    monkeypatch.setattr("calib.missing.decision.wrong_datum", lambda *given: None)
+    found = decide(one)
     (pair,) = [t for t in found.candidate_fits if set(t.names) == {"E0", "E1"}]
     rises = error(one, pair) > error(one, found.base)
     assert rises == (seed in (2, 7, 11))
@@ -70,6 +70,6 @@ def test_two_effects_that_predict_left_out_modes_worse_are_not_named(toy, seed, 
 
 def test_the_leave_one_out_error_is_compared_with_that_of_the_base_model(toy):
     one = toy().drawn(np.random.default_rng(7), {"E1": 1.5})
-    found, fits = explain(one), Refits(one, DEFAULT, 1.0, unheard)
+    found, fits = decide(one), Refits(one, DEFAULT, 1.0, unheard)
     worse = replace(found.chosen, fit=replace(found.chosen.fit, residual=20 * found.chosen.fit.residual))
     assert predicts(fits, found.chosen, found.base) and not predicts(fits, worse, found.base)

@@ -7,7 +7,7 @@ import pytest
 
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import unheard
-from calib.missing.effect_pairs import alone, no_worse
+from calib.missing.effect_pairs import no_worse, singles_from_pairs
 from calib.missing.evidence import at_lower
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
@@ -38,7 +38,7 @@ def pair(fits, base):
 
 def test_an_effect_whose_single_fit_stayed_at_zero_is_fitted_from_the_best_pair(fits, base, pair):
     singles = [fits.grown((name,), base) for name in ("E1", "E0")]
-    found = alone(fits, base, singles, [pair])
+    found = singles_from_pairs(fits, base, singles, [pair])
     assert [one.names for one in found] == [("E0",), ("E1",)]
     assert found[0].ln_evidence > pair.ln_evidence
     assert found[0].fit.misfit < singles[1].fit.misfit - 100
@@ -49,14 +49,14 @@ def test_it_is_so_although_the_budget_is_spent(fits, base, pair):
     singles = [fits.grown((name,), base) for name in ("E1", "E0")]
     fits.allowance.most = 0.0
     assert fits.spent()
-    assert alone(fits, base, singles, [pair])[0].names == ("E0",)
+    assert singles_from_pairs(fits, base, singles, [pair])[0].names == ("E0",)
 
 
 def test_nothing_is_fitted_where_the_pair_is_no_better_than_its_effect(fits, base, pair):
     single = fits.candidate_fit(("E0",), {**base.fit.values, "E0": 3.0})
     singles = [single, fits.grown(("E1",), base)]
     used = fits.hypotheses.evaluations
-    assert alone(fits, base, singles, [pair]) is singles
+    assert singles_from_pairs(fits, base, singles, [pair]) is singles
     assert fits.hypotheses.evaluations == used
 
 
@@ -73,14 +73,14 @@ def test_every_pair_about_as_good_as_the_best_is_taken_apart(fits, base, pair, m
         return without(fits, model, effect, base)
 
     monkeypatch.setattr(Refits, "without", telling)
-    alone(fits, base, singles, sorted([pair, other], key=lambda t: -t.ln_evidence))
+    singles_from_pairs(fits, base, singles, sorted([pair, other], key=lambda t: -t.ln_evidence))
     assert (("E0", "E1"), "E0") in tried and (("E0", "E2"), "E0") in tried
 
 
 def test_a_pair_that_may_not_be_named_leaves_the_next_one_the_best(fits, base, pair):
     singles = [fits.grown((name,), base) for name in ("E1", "E0")]
     refused = replace(pair, effects=pair.effects[::-1], ln_evidence=pair.ln_evidence + 50.0, implausible="P0 is pulled")
-    found = alone(fits, base, singles, [refused, pair])
+    found = singles_from_pairs(fits, base, singles, [refused, pair])
     assert found[0].names == ("E0",)
 
 
@@ -91,7 +91,7 @@ def test_an_effect_that_cannot_be_solved_alone_is_left_as_it_was(fits, base, pai
         raise EvaluationError("it cannot be solved there")
 
     monkeypatch.setattr(Refits, "candidate_fit", fails)
-    assert alone(fits, base, singles, [pair]) is singles
+    assert singles_from_pairs(fits, base, singles, [pair]) is singles
 
 
 def test_a_pair_is_no_worse_than_an_effect_of_it_alone(fits, base, pair):

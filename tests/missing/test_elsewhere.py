@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.missing.tables import effects_table
-from calib.missing.verdict import verdict
+from calib.missing.verdict import verdict_of
 from calib.missing.verdict_words import elsewhere
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
@@ -73,6 +73,6 @@ def test_an_effect_whose_place_is_unknown_or_fitted_is_not_contradicted(found, p
 
 
 def test_it_stands_in_what_to_do_next_before_the_measurement(found):
-    told = verdict(found, effects_table(found, {}, {}), errors(), pointed="The data point there.")
+    told = verdict_of(found, effects_table(found, {}, {}), errors(), pointed="The data point there.")
     assert told.answer.then == "Look for a broken E2. The data point there." and told.answer.then.count("point") == 1
     assert "The data point there." in told.sentences

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.errors.errors import InputError
-from calib.missing.explain import Settings, explain
+from calib.missing.decision import Settings, decide
 from calib.missing.settings import DEFAULT
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
@@ -107,7 +107,7 @@ def test_collinear_effects_are_one_group(toy):
         assert {"E2", "E4"} in [set(g.names) for g in f.groups] and len(f.groups) == 4
         assert f.chosen.names[0] in ("E2", "E4") and f.verdict != "effect"
     assert Counter(frozenset(f.credible) for f in found)[frozenset(("E2", "E4"))] >= 6
-    apart = explain(toy.drawn(np.random.default_rng(1), {"E4": 1.0}), Settings(merge=0.999))
+    apart = decide(toy.drawn(np.random.default_rng(1), {"E4": 1.0}), Settings(merge=0.999))
     assert len(apart.groups) == 5 and set(apart.credible) == {"E2", "E4"} and apart.verdict == "indistinguishable"
 
 
@@ -192,7 +192,7 @@ def test_scalar_responses_need_no_modes(toy):
 
 def test_progress_is_reported(toy):
     messages = []
-    explain(toy().drawn(np.random.default_rng(7), {"E1": 1.5}), progress=lambda stage, *more: messages.append(stage))
+    decide(toy().drawn(np.random.default_rng(7), {"E1": 1.5}), progress=lambda stage, *more: messages.append(stage))
     assert messages[0] == "calibrating the base model" and "fitting E1" in messages
 
 
@@ -200,21 +200,21 @@ def test_progress_is_reported(toy):
 def test_progress_has_a_whole_where_the_budget_has(toy, budget):
     told = []
     data = toy().drawn(np.random.default_rng(7), {"E1": 1.5})
-    explain(data, Settings(budget=budget), lambda stage, done=0, total=0, best=0: told.append((done, total)))
+    decide(data, Settings(budget=budget), lambda stage, done=0, total=0, best=0: told.append((done, total)))
     assert max(done for done, _ in told) > 0
     assert all(done <= total == budget if math.isfinite(budget) else total == 0 for done, total in told)
 
 
 def test_too_few_data_are_refused(toy):
     with pytest.raises(InputError, match="3 measured modes cannot tell"):
-        explain(toy(modes=3))
+        decide(toy(modes=3))
 
 
 def test_without_effects_the_local_perturbation_is_reported(toy):
-    found = explain(toy(effects=0).drawn(np.random.default_rng(7), {"A5": 1.5}))
+    found = decide(toy(effects=0).drawn(np.random.default_rng(7), {"A5": 1.5}))
     assert found.verdict == "none_explains" and found.perturbation is not None and found.perturbation.names == ("A5",)
     assert found.groups == () and found.chosen is None and not found.names_something
-    complete = explain(toy(effects=0).drawn(np.random.default_rng(7), {}))
+    complete = decide(toy(effects=0).drawn(np.random.default_rng(7), {}))
     assert complete.verdict == "nothing_detectable" and complete.perturbation is None
 
 

@@ -7,9 +7,9 @@ import pytest
 
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import unheard
+from calib.missing.decision import Settings, decide
 from calib.missing.effect_pairs import fit_pairs
-from calib.missing.explain import Settings, explain
-from calib.missing.linearised_fit import FINE, fitted
+from calib.missing.linearised_fit import FINE, least_squares_fit
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 
@@ -23,14 +23,14 @@ def test_integers_move_back_once_the_effect_is_added(toy):
     places = toy.columns["place"].copy()
     places[:, 3] = places[:, 2] + 0.7 * 3 * toy.columns["E2"] + 0.8 * rng.standard_normal(len(toy.rows))
     toy = replace(toy, columns={**toy.columns, "place": places})
-    found = explain(toy.drawn(rng, {"place": 2, "E2": 3.0}))
+    found = decide(toy.drawn(rng, {"place": 2, "E2": 3.0}))
     assert found.base.fit.values["place"] == 3
     assert found.credible == ("E2",) and found.chosen.fit.values["place"] == 2
 
 
 def test_the_same_seed_gives_the_same_explanation(toy):
     toy = toy(bump=True, places=3).drawn(np.random.default_rng(5), {"E1": 1.2, "hung": 1.0, "at": 2.2, "place": 1})
-    one, other = explain(toy), explain(replace(toy, count=[0]))
+    one, other = decide(toy), decide(replace(toy, count=[0]))
     assert one.verdict == other.verdict and one.credible == other.credible
     assert one.base_adequacy.p_family == other.base_adequacy.p_family
     assert [(t.names, t.ln_evidence) for t in one.candidate_fits] == [
@@ -43,61 +43,61 @@ def test_earlier_evaluations_do_not_change_the_explanation(toy):
     """Evaluations made before do not matter."""
     toy = toy(signed=("E4",)).drawn(np.random.default_rng(1), {"E0": 1.2, "E4": -1.2})
     settings = Settings(budget=30)
-    first = explain(toy, settings)
+    first = decide(toy, settings)
     assert first.verdict == "two_effects"
     for _ in range(3):
-        assert explain(toy, settings).verdict == first.verdict
+        assert decide(toy, settings).verdict == first.verdict
 
 
 def test_pairs_keep_their_part_of_the_budget(toy, monkeypatch):
     """Two effects are missing and single effects use up the budget: the pair is still named."""
     toy = toy(signed=("E4",)).drawn(np.random.default_rng(1), {"E0": 1.2, "E4": -1.2})
-    whole, spent = explain(toy), []
+    whole, spent = decide(toy), []
 
     def telling(fits, *given):
         spent.append(fits.spent())
         return fit_pairs(fits, *given)
 
-    monkeypatch.setattr("calib.missing.explain.fit_pairs", telling)
-    found = explain(replace(toy, count=[0]), Settings(budget=6))
+    monkeypatch.setattr("calib.missing.decision.fit_pairs", telling)
+    found = decide(replace(toy, count=[0]), Settings(budget=6))
     assert spent == [True]
     assert found.verdict == whole.verdict == "two_effects" and set(found.credible) == set(whole.credible)
 
 
 def test_the_order_of_the_library_does_not_matter(toy):
     toy = toy(signed=("E0",)).drawn(np.random.default_rng(6), {"E0": -1.0, "E3": 0.9})
-    one, other = explain(toy), explain(replace(toy, effects=toy.effects[::-1], perturbations=toy.perturbations[::-1]))
+    one, other = decide(toy), decide(replace(toy, effects=toy.effects[::-1], perturbations=toy.perturbations[::-1]))
     assert one.verdict == other.verdict and set(one.credible) == set(other.credible)
     assert one.chosen.ln_evidence == pytest.approx(other.chosen.ln_evidence, abs=5e-3)
 
 
 def test_a_base_model_that_cannot_be_solved_is_an_error(toy):
     with pytest.raises(EvaluationError):
-        explain(replace(toy(), fails=lambda values: True))
+        decide(replace(toy(), fails=lambda values: True))
 
 
 def test_an_effect_that_can_never_be_solved_is_skipped(toy):
     """No grid point can be evaluated for an effect with a nuisance parameter, and no fit for one without."""
     toy = toy(bump=True).drawn(np.random.default_rng(8), {"E1": 1.5})
     toy = replace(toy, fails=lambda values: values.get("hung", 0.0) > 0 or values.get("E0", 0.0) > 0)
-    found = explain(toy)
+    found = decide(toy)
     assert found.verdict == "effect" and found.credible == ("E1",)
 
 
 def test_refits_are_limited(toy):
     weak = toy(effects=9).drawn(np.random.default_rng(9), {"E1": 0.7})
-    assert len(explain(weak, Settings(refits=3)).singles) == 3
-    assert len(explain(weak).singles) == 6
+    assert len(decide(weak, Settings(refits=3)).singles) == 3
+    assert len(decide(weak).singles) == 6
     strong = toy(effects=9).drawn(np.random.default_rng(10), {"E1": 3.0})
-    assert [t.names for t in explain(strong).singles] == [("E1",)]  # the predicted gain of the others is negligible
+    assert [t.names for t in decide(strong).singles] == [("E1",)]  # the predicted gain of the others is negligible
 
 
 def test_evidence_does_not_depend_on_the_start(toy):
     toy = toy(bump=True).drawn(np.random.default_rng(10), {"hung": 1.5, "at": 2.6})
-    found = explain(toy)
+    found = decide(toy)
     fit_problem = toy.fit_problem(("hung",))
     misfits = [
-        fitted(fit_problem, ("hung",), {**fit_problem.space.values, "hung": 1.0, "at": q}).misfit
+        least_squares_fit(fit_problem, ("hung",), {**fit_problem.space.values, "hung": 1.0, "at": q}).misfit
         for q in np.linspace(0, 7, 15)
     ]
     assert found.chosen.fit.misfit == pytest.approx(min(misfits), abs=0.01)
@@ -113,12 +113,12 @@ def test_the_second_best_point_of_a_grid_is_tried_too(toy):
     rng, second = np.random.default_rng(1), 0
     for _ in range(10):
         one = toy.drawn(rng, {"hung": 2.0, "at": 5.4, "decoy": 1.4})
-        found = explain(one)
+        found = decide(one)
         if found.noise_scale != 1.0:
             continue
         (candidate_fit,) = [t for t in found.singles if t.names == ("hung",)]
         fit_problem = one.fit_problem(("hung",))
-        both = [fitted(fit_problem, ("hung",), {**found.base.fit.values, **point}) for point in hung.grid]
+        both = [least_squares_fit(fit_problem, ("hung",), {**found.base.fit.values, **point}) for point in hung.grid]
         assert candidate_fit.fit.misfit == pytest.approx(min(b.misfit for b in both), abs=0.06)
         best = found.base_adequacy.named.points[found.base_adequacy.named.best("hung")]
         second += best["at"] == 1.0 and candidate_fit.fit.values["at"] > 4.4
@@ -128,7 +128,7 @@ def test_the_second_best_point_of_a_grid_is_tried_too(toy):
 def test_fits_start_where_a_linear_model_ends(toy):
     """Two evaluations for the base model, one for each fitted effect, for the perturbation and each refinement."""
     toy = toy().drawn(np.random.default_rng(7), {"E1": 1.5})
-    explain(toy)
+    decide(toy)
     assert toy.evaluations <= 6
 
 
@@ -181,7 +181,7 @@ def test_fits_that_do_not_converge_at_once_are_continued_before_they_are_compare
 def test_near_rivals_are_fitted_as_far_as_the_leader(toy):
     """Whichever is ahead at first, both are compared where they converge."""
     made = toy(curvature=0.3).correlated("E1", "E0", 0.97).drawn(np.random.default_rng(5), {"E0": 1.5})
-    exact = {t.names: t.ln_evidence for t in explain(made).singles}
+    exact = {t.names: t.ln_evidence for t in decide(made).singles}
     fits = Refits(made, Settings(), 1.0, unheard)
     starts = {"E0": 0.1, "E1": 1.5}
     ends = [fits.candidate_fit((n,), {**made.base.values, n: size}, settings=SHORT) for n, size in starts.items()]

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.missing.goodness import goodness, noise_scale
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
@@ -31,7 +31,7 @@ def spread(toy, *names):
 def decided(toy, seed, truth, noise=1.0):
     """Explanation, and its progress messages before and after the decision is repeated."""
     messages = []
-    found = explain(
+    found = decide(
         toy.drawn(np.random.default_rng(seed), truth, noise), progress=lambda stage, *more: messages.append(stage)
     )
     cut = next((k for k, words in enumerate(messages) if REPEATED in words), len(messages))
@@ -79,7 +79,7 @@ def test_the_second_decision_has_its_own_budget(toy, seed, monkeypatch):
 
     monkeypatch.setattr(Refits, "singles", telling)
     one = toy(modes=10, sensors=20, curvature=0.02).drawn(np.random.default_rng(seed), {"E2": 3.0}, 2.0)
-    assert explain(one, Settings(budget=60.0)).noise_scale > 1.5
+    assert decide(one, Settings(budget=60.0)).noise_scale > 1.5
     known, again = tried[-1]
     assert len(tried) == 2 and len(known) >= 4 and again >= known
 
@@ -124,7 +124,7 @@ def test_a_standard_deviation_from_few_repeats_raises_no_false_alarms(toy):
     found, blind = Counter(), Counter()
     for _ in range(15):
         one = replace(toy.drawn(rng), sd=np.full(40, np.sqrt(rng.chisquare(4.0) / 4.0)))
-        found[explain(one).verdict] += 1
-        blind[explain(replace(one, std_dof={})).verdict] += 1
+        found[decide(one).verdict] += 1
+        blind[decide(replace(one, std_dof={})).verdict] += 1
     assert found["nothing_detectable"] >= 14
     assert blind["nothing_detectable"] < 13

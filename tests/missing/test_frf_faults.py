@@ -16,7 +16,7 @@ from calib.correlation.frf.rotation import RotationError
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
 from calib.structure.affine import parameter as proportional
@@ -150,7 +150,7 @@ def test_sensors_without_places_have_no_fault_of_a_place():
 def test_a_planted_fault_is_named(channel, factor, name, value, words):
     values = truth()
     values[:, channel] = values[:, channel] * factor
-    found = explain(hypotheses(values))
+    found = decide(hypotheses(values))
     assert found.verdict == "measurement" and found.credible == ()
     assert name in [t.names[0] for t in found.blamed]
     fitted, std = found.fault.magnitude(name)
@@ -160,8 +160,8 @@ def test_a_planted_fault_is_named(channel, factor, name, value, words):
 
 
 def test_a_missing_effect_is_named_and_sound_data_are_silent():
-    assert explain(hypotheses(truth())).verdict == "nothing_detectable"
-    found = explain(hypotheses(truth(ground=3e3)))
+    assert decide(hypotheses(truth())).verdict == "nothing_detectable"
+    found = decide(hypotheses(truth(ground=3e3)))
     assert found.fault is None or found.verdict != "measurement"
     assert found.verdict in ("effect", "unconfirmed") and found.chosen.names == ("rope",)
 
@@ -230,7 +230,7 @@ def test_a_planted_fault_of_a_transducer_is_named(bogie, plant, name, value, wor
     noise = std * (rng.standard_normal(values.shape) + 1j * rng.standard_normal(values.shape))
     pair = FRFResidual(FRFProblem(bogie, replace(sound, values=values + noise, std=std))).suspected()
     space = bogie.space.keep(["K_primary"])
-    found = explain(ModelHypotheses(pair, Variants(bogie, (), ()), space))
+    found = decide(ModelHypotheses(pair, Variants(bogie, (), ()), space))
     assert found.verdict == "measurement" and [t.names[0] for t in found.blamed] == [name]
     fitted, spread = found.fault.magnitude(name)
     assert abs(fitted - value) < 4 * spread

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import settings as effort
 from hypothesis import strategies as st
 
-from calib.missing.explain import Settings, explain
+from calib.missing.decision import Settings, decide
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 
@@ -26,7 +26,7 @@ def test_what_a_strong_signal_tells_apart_is_named(toy, share, hidden, turned):
     one = masses(toy, share, {hidden: 1.5}, size=32.0)
     if turned:
         one = replace(one, effects=one.effects[::-1])
-    found = explain(one)
+    found = decide(one)
     named = found.base_adequacy.named
     assert abs(named.z[named.best(hidden)]) > 25
     assert found.verdict == "effect" and found.credible == (hidden,)
@@ -36,7 +36,7 @@ def test_what_a_strong_signal_tells_apart_is_named(toy, share, hidden, turned):
 @pytest.mark.parametrize("hidden", ["E0", "E3"])
 def test_each_effect_of_a_collinear_group_is_fitted(toy, hidden):
     one = masses(toy, 0.997, {hidden: 2.0})
-    found = explain(one)
+    found = decide(one)
     assert {"E0", "E3"} in [set(g.names) for g in found.groups]
     assert {("E0",), ("E3",)} <= {t.names for t in found.singles}
     assert found.verdict == "indistinguishable" and set(found.credible) == {"E0", "E3"}
@@ -66,8 +66,8 @@ def test_every_order_of_the_library_gives_the_same_explanation(cases, data):
     one, settings = data.draw(st.sampled_from(cases))
     order = data.draw(st.permutations(one.effects))
     first, other = (
-        explain(replace(one, count=[0]), settings),
-        explain(replace(one, effects=tuple(order), count=[0]), settings),
+        decide(replace(one, count=[0]), settings),
+        decide(replace(one, effects=tuple(order), count=[0]), settings),
     )
     assert other.verdict == first.verdict and set(other.credible) == set(first.credible)
     assert {frozenset(g.names) for g in other.groups} == {frozenset(g.names) for g in first.groups}

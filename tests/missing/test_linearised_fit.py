@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors.errors import EvaluationError
-from calib.missing.linearised_fit import fitted, nearest_whole, neighbours
+from calib.missing.linearised_fit import least_squares_fit, nearest_whole, neighbouring_integers
 
 
 def matrix(toy, names):
@@ -89,18 +89,18 @@ def test_first_order_fits_with_neighbouring_integers_equal_fits(toy):
     toy = toy(places=7).drawn(np.random.default_rng(6), {"place": 5})
     fit = toy.calibrated(whole=100)
     assert fit.values["place"] == 5
-    near = neighbours(fit)
+    near = neighbouring_integers(fit)
     assert [n.values["place"] for n in near] == [4.0, 6.0]
     for there in near:
-        again = fitted(toy.fit_problem(()), (), there.values)
+        again = least_squares_fit(toy.fit_problem(()), (), there.values)
         assert again.values["place"] == there.values["place"]
         assert there.misfit == pytest.approx(again.misfit, abs=4e-3)  # the toy is linear
 
 
 def test_at_a_limit_there_is_one_neighbour(toy):
     toy = toy(places=7).drawn(np.random.default_rng(6), {"place": 5})
-    assert [n.values["place"] for n in neighbours(toy.calibrated(start={"place": 6}))] == [5.0]
-    assert [n.values["place"] for n in neighbours(toy.calibrated(start={"place": 0}))] == [1.0]
+    assert [n.values["place"] for n in neighbouring_integers(toy.calibrated(start={"place": 6}))] == [5.0]
+    assert [n.values["place"] for n in neighbouring_integers(toy.calibrated(start={"place": 0}))] == [1.0]
 
 
 def test_integers_move_to_their_true_values(toy):

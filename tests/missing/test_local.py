@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.missing.explain import Settings, explain
+from calib.missing.decision import Settings, decide
 from calib.missing.local import LocalPerturbation, interval_words, local_perturbation, magnitude_words
 from calib.problem.parameter import Parameter
 
@@ -24,7 +24,7 @@ def hidden(toy):
 
     def run(likeness, *parts):
         made = named_part(toy().correlated("A6", "A5", likeness), *parts)
-        return explain(made.drawn(np.random.default_rng(1), {"A5": 1.0}))
+        return decide(made.drawn(np.random.default_rng(1), {"A5": 1.0}))
 
     return run
 
@@ -61,7 +61,7 @@ def test_a_loss_is_reported_as_a_percentage(toy):
 def test_a_measurement_fault_competes_with_an_effect(toy, likeness, size, verdict, untold):
     made = toy().correlated("A5", "E0", likeness)
     perturbations = tuple(replace(a, of_measurement=a.name == "A5") for a in made.perturbations)
-    found = explain(replace(made, perturbations=perturbations).drawn(np.random.default_rng(1), {"E0": size}))
+    found = decide(replace(made, perturbations=perturbations).drawn(np.random.default_rng(1), {"E0": size}))
     assert (found.verdict, found.untold, found.credible) == (verdict, untold, ("E0",))
     assert (found.fault is None) == (len(untold) == 1)
 
@@ -69,7 +69,7 @@ def test_a_measurement_fault_competes_with_an_effect(toy, likeness, size, verdic
 def test_a_measurement_fault_is_fitted_although_the_budget_is_used_up(toy):
     made = toy().correlated("A5", "E0", 0.999)
     perturbations = tuple(replace(a, of_measurement=a.name == "A5") for a in made.perturbations)
-    found = explain(
+    found = decide(
         replace(made, perturbations=perturbations).drawn(np.random.default_rng(1), {"E0": 1.0}), Settings(budget=3)
     )
     assert found.evaluations > 3 and found.untold == ("E0", "A5")
@@ -78,20 +78,20 @@ def test_a_measurement_fault_is_fitted_although_the_budget_is_used_up(toy):
 def test_no_effect_is_named_when_a_measurement_fault_explains_clearly_better(toy):
     made = toy().correlated("A5", "E0", 0.93)
     perturbations = tuple(replace(a, of_measurement=a.name == "A5") for a in made.perturbations)
-    found = explain(replace(made, perturbations=perturbations).drawn(np.random.default_rng(1), {"A5": 1.5}))
+    found = decide(replace(made, perturbations=perturbations).drawn(np.random.default_rng(1), {"A5": 1.5}))
     assert found.verdict == "none_explains" and found.perturbation.names == ("A5",) and found.untold == ()
 
 
 def test_a_collinear_local_perturbation_does_not_compete(toy):
     made = toy().correlated("A5", "E0", 0.999)
-    found = explain(made.drawn(np.random.default_rng(1), {"E0": 1.0}))
+    found = decide(made.drawn(np.random.default_rng(1), {"E0": 1.0}))
     assert found.verdict == "effect" and found.fault is None
 
 
 def test_without_any_local_perturbation_nothing_is_named(toy):
     made = toy()
     for perturbations, verdict in ((made.perturbations, "effect"), ((), "unconfirmed")):
-        found = explain(replace(made, perturbations=perturbations).drawn(np.random.default_rng(1), {"E0": 1.0}))
+        found = decide(replace(made, perturbations=perturbations).drawn(np.random.default_rng(1), {"E0": 1.0}))
         assert (found.verdict, found.chosen.names) == (verdict, ("E0",))
         assert found.uncontested == (not perturbations) and found.names_something == bool(perturbations)
 

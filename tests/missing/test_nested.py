@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calib.execution.stage import unheard
-from calib.missing.explain import explain
-from calib.missing.linearised_fit import fitted
+from calib.missing.decision import decide
+from calib.missing.linearised_fit import least_squares_fit
 from calib.missing.refits import Refits
 from calib.missing.settings import DEFAULT
 
@@ -48,7 +48,7 @@ def test_no_fit_is_worse_than_its_parent(toy, edge, truth):
     made = crossing(toy, edge)
     plain = toy(effects=4, perturbations=5, curvature=0.01).drawn(np.random.default_rng(3), truth)
     one = type(made)(**{f.name: getattr(made, f.name) for f in fields(made) if f.name != "data"}, data=plain.data)
-    found = explain(one)
+    found = decide(one)
     pairs = list(parents(found))
     assert len(pairs) >= 3
     for candidate_fit, parent in pairs:
@@ -79,5 +79,5 @@ def test_the_parent_with_zero_magnitude_is_a_fit(toy):
     assert found.fit.names == (*base.fit.names, "E2") and found.fit.slope.shape[1] == len(found.fit.names)
     assert found.ln_evidence < base.ln_evidence + 1.0
     smooth = toy(effects=4, perturbations=5, curvature=0.01)
-    at_zero = fitted(smooth.fit_problem(("E2",)), ("E2",), {**smooth.fit_problem(("E2",)).space.values})
+    at_zero = least_squares_fit(smooth.fit_problem(("E2",)), ("E2",), {**smooth.fit_problem(("E2",)).space.values})
     assert at_zero.names == found.fit.names

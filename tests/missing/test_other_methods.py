@@ -15,7 +15,7 @@ from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.structure.affine import Monomial, Term
 from calib.structure.effects.extend import Addition, extend
 from calib.structure.effects.perturbations import perturbations
@@ -46,7 +46,7 @@ class Hidden:
 
 def answers(bench, toy, truth, seed=1, noise=1.0):
     drawn = toy.drawn(np.random.default_rng(seed), truth, noise)
-    found = explain(drawn)
+    found = decide(drawn)
     return found, bench["other_methods"].answers(found, drawn, Hidden(tuple(truth), truth))["methods"]
 
 
@@ -180,7 +180,7 @@ def test_the_largest_energy_error_is_at_the_soft_spring(bench, rods, hidden, nam
     local = tuple(p.effect for p in perturbations(model, (), model.space.values, 1.0))
     pair = ModalResidual(ModalProblem(model, measured, mode_count=8))
     hypotheses = ModelHypotheses(pair, Variants(model, library, local), model.space)
-    found = explain(hypotheses)
+    found = decide(hypotheses)
     told = bench["other_methods"].answers(found, hypotheses, Hidden((hidden,) if hidden else ()))["methods"]
     assert told["energy error"]["credible"] == named
     assert told["energy error"]["outcome"] == ("right" if hidden else "nothing_detectable")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.missing.partial import is_simpler_form, remainder_of
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
@@ -25,7 +25,7 @@ def nearly(toy, of, seed=3):
     real = replace(listed, columns={**listed.columns, **changed})
     rng = np.random.default_rng(1)
     for _ in range(40):
-        found = explain(real.drawn(rng, {"hidden": 12.0}))
+        found = decide(real.drawn(rng, {"hidden": 12.0}))
         if is_simpler_form(found):
             return found, [row.mode for row in real.rows]
     raise AssertionError("no draw is nearly explained")

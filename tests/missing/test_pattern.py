@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.missing.pattern import PLACE_COLUMNS, PRIOR, explaining, parameter_table, pattern_table, place_table
 from calib.missing.tables import effects_table
 
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.usefixtures("fewer_samples")
 
 def found_in(toy, truth, seed=1):
     toy = toy.drawn(np.random.default_rng(seed), truth)
-    return toy, explain(toy)
+    return toy, decide(toy)
 
 
 def labels(toy):

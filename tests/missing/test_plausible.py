@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.missing.plausible import implausible, pulls
+from calib.missing.plausible import implausible, parameter_pulls
 from calib.missing.rules import RULES
 
 
 def test_the_pull_is_standard_normal_in_a_correctly_specified_model(toy):
     toy = toy(parameters=6, reach=1.0)
     rng = np.random.default_rng(1)
-    tables = [pulls(toy.drawn(rng).calibrated()) for _ in range(150)]
+    tables = [parameter_pulls(toy.drawn(rng).calibrated()) for _ in range(150)]
     scores = np.array([t["standardised"] for t in tables])
     np.testing.assert_allclose(scores.std(axis=0), 1.0, atol=4 / np.sqrt(300))
     assert stats.kstest(scores.ravel(), "norm").pvalue > 0.005
@@ -22,7 +22,7 @@ def test_the_pull_is_standard_normal_in_a_correctly_specified_model(toy):
 
 def test_the_limit_grows_with_the_number_of_parameters(toy):
     for count in (1, 5, 12):
-        table = pulls(toy(parameters=count).calibrated())
+        table = parameter_pulls(toy(parameters=count).calibrated())
         assert len(table) == count
         assert table["limit"].iloc[0] == pytest.approx(stats.norm.isf(RULES.pull / (2 * count)))
 
@@ -30,7 +30,7 @@ def test_the_limit_grows_with_the_number_of_parameters(toy):
 def test_a_pulled_parameter_is_named(toy):
     toy = toy(prior=0.2, reach=10.0).drawn(np.random.default_rng(2), {"P2": -0.9})
     fit = toy.calibrated()
-    table = pulls(fit).set_index("parameter")
+    table = parameter_pulls(fit).set_index("parameter")
     assert table["pulled"].tolist() == [False, False, True, False]
     row = table.loc["P2"]
     assert row["value"] == pytest.approx(-0.9, abs=0.06) and row["nominal"] == 0.0 and row["prior_sd"] == 0.2
@@ -43,7 +43,7 @@ def test_of_many_pulled_parameters_the_most_pulled_are_named_with_their_number(t
     shifts = {"P0": -0.9, "P1": 0.7, "P2": -0.8, "P3": 1.0}
     toy = toy(prior=0.2, reach=10.0).drawn(np.random.default_rng(2), shifts)
     fit = toy.calibrated()
-    table = pulls(fit).set_index("parameter")
+    table = parameter_pulls(fit).set_index("parameter")
     assert table["pulled"].all()
     told = implausible(fit, ())
     assert told.startswith("4 of 4 parameters are pulled, most of all P3 by +")
@@ -54,7 +54,7 @@ def test_the_pull_is_relative_to_what_the_data_determine(toy):
     """For a parameter whose variance the data reduce by a tenth, one prior standard deviation is a strong pull."""
     toy = toy(parameters=1, reach=1 / 3)
     pulled = replace(toy, data=9.0 * toy.columns["P0"] / np.linalg.norm(toy.columns["P0"]) * 1.3)
-    row = pulls(pulled.calibrated()).iloc[0]
+    row = parameter_pulls(pulled.calibrated()).iloc[0]
     assert abs(row["value"]) < 4.0 and row["pulled"]
     assert row["standardised"] == pytest.approx(row["value"] / np.sqrt(0.1), rel=1e-3)
 
@@ -64,7 +64,7 @@ def test_parameters_of_effects_have_no_pull(toy):
     fit = toy.calibrated("hung", start={"hung": 6.0, "at": 5.0})
     own = [e for e in toy.effects if e.name == "hung"]
     assert fit.shift[fit.names.index("hung")] > 5
-    assert list(pulls(fit, own)["parameter"]) == ["P0", "P1", "P2", "P3"]
+    assert list(parameter_pulls(fit, own)["parameter"]) == ["P0", "P1", "P2", "P3"]
     assert implausible(fit, own) == ""
 
 

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from calib.correlation.modal.rows import ModalRow
 from calib.missing.discrepancy import discrepancy
 from calib.missing.linearised_fit import LinearisedFit
-from calib.missing.predictions import ERROR_COLUMNS, HeldOut, predictions, predictions_sentence
+from calib.missing.predictions import ERROR_COLUMNS, HeldOut, prediction_tables, predictions_sentence
 from calib.missing.score import scored
 
 P, N, M, HELD = 3, 60, 25, 20
@@ -47,7 +47,7 @@ def test_most_measured_values_lie_inside_where_those_of_the_fit_alone_do_not():
     alone = together = 0
     for seed in range(100):
         held, wide, changes = world(seed, 3.0)
-        table, errors = predictions({"held_out_sensors": held}, wide, {"held_out_sensors": changes})
+        table, errors = prediction_tables({"held_out_sensors": held}, wide, {"held_out_sensors": changes})
         alone, together = alone + int(table["inside"].sum()), together + int(table["inside_unexplained"].sum())
         assert errors["expected_unexplained"][0] > errors["expected"][0]
     assert alone < 0.75 * 2000 and together > 0.93 * 2000
@@ -57,14 +57,14 @@ def test_without_a_misfit_the_intervals_are_little_wider():
     width = []
     for seed in range(20):
         held, wide, changes = world(seed, 0.0)
-        table, _ = predictions({"held_out_sensors": held}, wide, {"held_out_sensors": changes})
+        table, _ = prediction_tables({"held_out_sensors": held}, wide, {"held_out_sensors": changes})
         width += ((table["high_unexplained"] - table["low_unexplained"]) / (table["high"] - table["low"])).tolist()
     assert 1.0 < np.median(width) < 1.6
 
 
 def test_interval_and_error_are_those_of_the_covariance():
     held, wide, changes = world(4, 3.0)
-    table, errors = predictions({"held_out_sensors": held}, wide, {"held_out_sensors": changes})
+    table, errors = prediction_tables({"held_out_sensors": held}, wide, {"held_out_sensors": changes})
     mean, added = wide.elsewhere(held.names, held.slope, changes)
     residual = held.residual
     np.testing.assert_allclose(table["predicted"], held.value - residual)
@@ -88,7 +88,7 @@ def test_frequencies_have_intervals_of_their_logarithm_and_lost_modes_none():
         np.array([0.01, 0.01, 0.02]), np.array([True, True, False]), np.array([2.0, 100.0, 2.0]), held.names,
         np.zeros((3, P)), np.zeros((3, 0)), lost=np.array([False, True, False]),
     )  # fmt: skip
-    table, errors = predictions({"held_out_modes": few}, wide, {"held_out_modes": np.zeros((3, M))})
+    table, errors = prediction_tables({"held_out_modes": few}, wide, {"held_out_modes": np.zeros((3, M))})
     assert table["mode"].tolist() == ["1B", "1B"] and table["sensor"].tolist() == ["", "s1"]
     assert errors["rows"].tolist() == [3]  # an unpaired mode counts in the errors
     np.testing.assert_allclose(table["predicted"], [10.0 * np.exp(-0.02), 0.5 - 0.04])
@@ -103,14 +103,14 @@ def test_where_every_row_is_lost_there_are_neither_predictions_nor_errors(lost):
     held, wide, changes = world(4, 3.0)
     none = replace(held, lost=np.ones(HELD, bool))
     groups = {"held_out_modes": none, "held_out_sensors": replace(held, lost=np.full(HELD, lost))}
-    table, errors = predictions(groups, wide, dict.fromkeys(groups, changes))
+    table, errors = prediction_tables(groups, wide, dict.fromkeys(groups, changes))
     assert len(table) == (0 if lost else HELD)
     assert errors["group"].tolist() == ([] if lost else list(groups)) and list(errors) == list(ERROR_COLUMNS)
 
 
 def test_the_sentence_counts_what_lies_inside():
     held, wide, changes = world(4, 3.0)
-    table, errors = predictions({"held_out_sensors": held}, wide, {"held_out_sensors": changes})
+    table, errors = prediction_tables({"held_out_sensors": held}, wide, {"held_out_sensors": changes})
     inside, beside = int(table["inside"].sum()), int(table["inside_unexplained"].sum())
     assert f"held-out sensors {inside} and {beside} of {HELD} (rms error " in predictions_sentence(table, errors)
     assert predictions_sentence(pd.DataFrame(), pd.DataFrame(columns=list(ERROR_COLUMNS))) == ""

@@ -7,7 +7,7 @@ import pytest
 
 from calib.execution.stage import unheard
 from calib.missing import effect_pairs
-from calib.missing.explain import _Decision, explain
+from calib.missing.decision import _Decision, decide
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.score import scores
@@ -56,7 +56,7 @@ def started(monkeypatch):
 @pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_a_second_effect_is_found_although_integers_have_moved(astray, started, monkeypatch, seed):
     one = astray.drawn(np.random.default_rng(seed), {"place": 1, "E0": 2.0, "E2": 2.0})
-    found = explain(one)
+    found = decide(one)
     single = found.singles[0]
     assert single.names == ("E0",) and single.fit.values["place"] == found.base.fit.values["place"] == 2
     beside = scores(single.fit, [e for e in one.effects if e.name != "E0"], {})
@@ -70,8 +70,8 @@ def test_a_second_effect_is_found_although_integers_have_moved(astray, started, 
     assert values["place"] == 1 and [values["E0"], values["E2"]] == pytest.approx([2.0, 2.0], abs=0.5)
     assert next(place for names, place in started if names == ("E0", "E2")) == 1
     # Without neighbouring integers the second effect is not even tried.
-    monkeypatch.setattr(effect_pairs, "neighbours", lambda fit: [])
-    blind = explain(replace(one, count=[0]))
+    monkeypatch.setattr(effect_pairs, "neighbouring_integers", lambda fit: [])
+    blind = decide(replace(one, count=[0]))
     assert blind.credible == () and not any(t.names == ("E0", "E2") for t in blind.candidate_fits)
 
 
@@ -80,7 +80,7 @@ def test_a_pair_with_a_vanished_effect_is_never_named(toy):
     made, vanished, named = toy(effects=3, perturbations=0), 0, 0
     for seed in range(5):
         one = made.drawn(np.random.default_rng(seed), {"E0": 2.0, "E1": -1.5, "E2": 1.0})
-        found = explain(one)
+        found = decide(one)
         assert "E1" not in found.credible
         decision = _Decision(Refits(one, DEFAULT, 1.0, unheard))
         for pair in (replace(t, implausible="") for t in found.candidate_fits if len(t.effects) == 2):
@@ -113,7 +113,7 @@ def test_a_small_budget_ends_with_a_verdict_after_about_as_many_evaluations(toy)
 
     def explained(budget):
         one = replace(made, count=[1000])
-        found = explain(one, Settings(budget=budget))
+        found = decide(one, Settings(budget=budget))
         assert found.verdict in VERDICTS and found.chosen is not None and found.evaluations == one.evaluations
         return one.evaluations - 1000
 

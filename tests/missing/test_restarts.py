@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from calib.execution.stage import unheard
-from calib.missing import explain as decision
-from calib.missing import restarts
-from calib.missing.explain import explain
-from calib.missing.linearised_fit import fitted
-from calib.missing.plausible import pulls
+from calib.missing import decision, restarts
+from calib.missing.decision import decide
+from calib.missing.linearised_fit import least_squares_fit
+from calib.missing.plausible import parameter_pulls
 from calib.missing.refits import Refits
 from calib.missing.restarts import led_astray
 from calib.missing.rules import RULES
@@ -53,41 +52,41 @@ def turning(toy, size, radius, prior=1.0):
 @pytest.mark.parametrize(("size", "radius"), [(150.0, 10.0), (150.0, 30.0), (70.0, 30.0)])
 def test_a_large_effect_behind_a_ridge_is_named_and_measured(toy, size, radius, monkeypatch):
     one = turning(toy, size, radius).drawn(np.random.default_rng(1), TRUTH)
-    found = explain(one)
+    found = decide(one)
     assert abs(found.base.fit.values["P0"]) > 2.4 and found.begun_anew
     assert found.verdict == "effect" and found.credible == ("E0",) and found.noise_scale == 1.0
     fit_problem = one.fit_problem(("E0",))
-    from_truth = fitted(fit_problem, ("E0",), {**fit_problem.space.values, **TRUTH})
+    from_truth = least_squares_fit(fit_problem, ("E0",), {**fit_problem.space.values, **TRUTH})
     assert found.chosen.fit.misfit == pytest.approx(from_truth.misfit, abs=0.1)
     assert found.chosen.fit.values["E0"] == pytest.approx(1.0, abs=0.1)
     # Started from the base fit alone, the fit stays in the wrong valley.
     monkeypatch.setattr(decision, "led_astray", lambda base, adequacy: False)
-    lost = explain(replace(one, count=[0]))
+    lost = decide(replace(one, count=[0]))
     assert lost.chosen.fit.misfit * lost.noise_scale**2 > from_truth.misfit + 9 and not lost.begun_anew
 
 
 def test_refits_from_nominal_values_keep_to_their_budget(toy):
     one = turning(toy, 150.0, 30.0).drawn(np.random.default_rng(1), TRUTH)
-    found = explain(one)
+    found = decide(one)
     assert found.begun_anew and found.evaluations <= (1 + RULES.anew) * decision.DEFAULT.budget + 20
-    least = explain(replace(one, count=[0]), replace(decision.DEFAULT, budget=0.0))
+    least = decide(replace(one, count=[0]), replace(decision.DEFAULT, budget=0.0))
     assert not least.begun_anew and least.evaluations < 60
 
 
 def test_an_effect_named_at_once_needs_no_refit_from_nominal_values(toy):
-    found = explain(toy().drawn(np.random.default_rng(7), {"E1": 3.0}))
+    found = decide(toy().drawn(np.random.default_rng(7), {"E1": 3.0}))
     assert found.verdict == "effect" and not found.begun_anew
 
 
 def test_a_base_model_is_led_astray_by_the_stated_rule(toy):
     made = toy()
-    quiet = explain(made.drawn(np.random.default_rng(2), {}))
+    quiet = decide(made.drawn(np.random.default_rng(2), {}))
     assert not led_astray(quiet.base, quiet.base_adequacy)
     named = quiet.base_adequacy.named
     loud = replace(quiet.base_adequacy, named=replace(named, z=named.z + 20.0))
     assert led_astray(quiet.base, loud) and led_astray(quiet.base, replace(quiet.base_adequacy, p_fit=1e-9))
-    pulled = explain(made.drawn(np.random.default_rng(2), {"P3": 6.0, "E1": 1.0}))
-    assert pulls(pulled.base.fit)["pulled"].any() and led_astray(pulled.base, pulled.base_adequacy)
+    pulled = decide(made.drawn(np.random.default_rng(2), {"P3": 6.0, "E1": 1.0}))
+    assert parameter_pulls(pulled.base.fit)["pulled"].any() and led_astray(pulled.base, pulled.base_adequacy)
 
 
 def test_integers_are_chosen_again(toy):
@@ -99,7 +98,7 @@ def test_integers_are_chosen_again(toy):
     space = ParameterSpace((*made.base.parameters, Parameter("place", 1, 0, 2, integer=True)))
     one = replace(made, base=space, columns={**made.columns, "place": places})
     one = one.drawn(np.random.default_rng(1), {**TRUTH, "place": 0})
-    found = explain(one)
+    found = decide(one)
     assert found.base.fit.values["place"] != 0 and found.begun_anew
     assert found.credible == ("E0",) and found.chosen.fit.values["place"] == 0
 

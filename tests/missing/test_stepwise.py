@@ -8,7 +8,7 @@ import pytest
 
 from calib.execution.stage import unheard
 from calib.missing.adequacy import adequacy_of, beside
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.settings import DEFAULT
@@ -38,7 +38,7 @@ def errors_of(found):
 @pytest.mark.parametrize("truth", [THREE, {**THREE, "E3": 1.6}])
 def test_three_and_four_effects_are_named_and_no_other(toy, truth):
     for seed in range(2):
-        found = explain(drawn(toy, truth, seed))
+        found = decide(drawn(toy, truth, seed))
         assert found.verdict == "several_effects" and set(found.credible) == set(truth)
         for name, true in truth.items():
             value, std = found.chosen.magnitude(name)
@@ -55,7 +55,7 @@ def test_of_three_effects_one_that_no_library_has_leaves_the_others_unnamed(toy)
     named = 0
     for seed in range(5):
         one = drawn(toy, THREE, seed)
-        found = explain(replace(one, effects=tuple(e for e in one.effects if e.name != "E0")))
+        found = decide(replace(one, effects=tuple(e for e in one.effects if e.name != "E0")))
         assert set(found.credible) <= {"E1", "E2"}
         named += found.names_something
         if not found.names_something and found.steps is not None:
@@ -65,7 +65,7 @@ def test_of_three_effects_one_that_no_library_has_leaves_the_others_unnamed(toy)
 
 def test_the_order_of_the_library_does_not_change_the_steps(toy):
     one = drawn(toy, THREE, 2)
-    found, other = explain(one), explain(replace(one, effects=one.effects[::-1], count=[0]))
+    found, other = decide(one), decide(replace(one, effects=one.effects[::-1], count=[0]))
     assert set(found.credible) == set(other.credible) == set(THREE)
     assert [step.candidate_fit.names for step in found.steps.steps] == [
         step.candidate_fit.names for step in other.steps.steps
@@ -143,7 +143,7 @@ def test_a_place_that_explains_as_well_as_one_of_the_effects_keeps_them_unnamed(
     doubtful = 0
     for seed in (0, 3, 5):  # in others the place is collinear with the effect, or noise prefers the effect
         one = toy(seed=seed, effects=10, perturbations=12).correlated("E2", "A5", 0.9)
-        found = explain(one.drawn(np.random.default_rng(seed), {"E0": 1.5, "E1": 1.3, "A5": 1.3}))
+        found = decide(one.drawn(np.random.default_rng(seed), {"E0": 1.5, "E1": 1.3, "A5": 1.3}))
         assert not found.names_something
         doubtful += found.steps.stopped == "doubtful"
         assert any(t.what.name == "A5" and t.why == "local_perturbation" for t in found.steps.trials)
@@ -152,7 +152,7 @@ def test_a_place_that_explains_as_well_as_one_of_the_effects_keeps_them_unnamed(
 
 def test_a_collinear_effect_is_named_beside_the_one_taken_in(toy):
     one = toy(seed=2, effects=10, perturbations=12).correlated("E7", "E2", 0.9999)
-    found = explain(one.drawn(np.random.default_rng(2), THREE))
+    found = decide(one.drawn(np.random.default_rng(2), THREE))
     assert found.verdict == "several_effects" and set(found.credible) == {*THREE, "E7"}
     ((name, other),) = found.steps.competing
     assert {name, other} == {"E2", "E7"}
@@ -162,7 +162,7 @@ def test_a_collinear_effect_is_named_beside_the_one_taken_in(toy):
 
 
 def test_the_tables_tell_every_step_and_every_rejection(toy):
-    found = explain(drawn(toy, THREE, 1))
+    found = decide(drawn(toy, THREE, 1))
     tables = steps_tables(found, errors_of(found))
     steps, rejected = tables["steps"], tables["steps_rejected"]
     assert steps["step"].tolist() == list(range(len(found.steps.steps))) and steps["effects"].iloc[0] == "none"
@@ -175,7 +175,7 @@ def test_the_tables_tell_every_step_and_every_rejection(toy):
 
 
 def test_effects_that_are_named_together_have_the_probability_of_their_model(toy):
-    found = explain(drawn(toy, THREE, 1))
+    found = decide(drawn(toy, THREE, 1))
     table = effects_table(found, {}, {}).set_index("name")
     assert table.loc[list(THREE), "model_probability"].to_numpy() == pytest.approx(1.0, abs=1e-3)
     assert table.loc[list(THREE), "ln_bayes"].to_numpy() == pytest.approx(found.ln_bayes(found.chosen))
@@ -183,11 +183,11 @@ def test_effects_that_are_named_together_have_the_probability_of_their_model(toy
 
 
 def test_one_effect_has_no_steps(toy):
-    found = explain(drawn(toy, {"E0": 1.5}, 0))
+    found = decide(drawn(toy, {"E0": 1.5}, 0))
     assert found.verdict == "effect" and found.steps is None and steps_tables(found, pd.DataFrame()) == {}
 
 
 def test_a_pair_found_at_once_is_told_as_steps_too(toy):
-    found = explain(drawn(toy, {"E0": 1.5, "E1": 1.2}, 0))
+    found = decide(drawn(toy, {"E0": 1.5, "E1": 1.2}, 0))
     assert found.verdict == "two_effects"
     assert [len(step.candidate_fit.names) for step in found.steps.steps] == [0, 1, 2]

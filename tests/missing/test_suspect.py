@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 from calib.missing.goodness import goodness, overall
-from calib.missing.linearised_fit import FINE, fitted, linearised
-from calib.missing.suspect import data_of, suspect_in_short, suspect_sentence, suspects
+from calib.missing.linearised_fit import FINE, least_squares_fit, linearised
+from calib.missing.suspect import data_of, suspect_in_short, suspect_sentence, suspects_table
 from calib.problem.problem import RowLabels
 
 
@@ -23,7 +23,7 @@ def linear(toy, wrong, seed=1, modes=6, sensors=6):
 
 
 def table_of(made):
-    return suspects(made.calibrated(), made)
+    return suspects_table(made.calibrated(), made)
 
 
 def row_of(made, mode, kind, sensor=None):
@@ -63,7 +63,7 @@ def test_the_closed_form_is_a_fit_without_the_datum(toy):
     made = linear(toy, {row_of(toy(modes=6, sensors=6), "M2", "frequency"): 15.0})
     near = made.calibrated()
     fit = near.relinearised({}, near.residual)
-    table = suspects(fit, made).set_index("what")
+    table = suspects_table(fit, made).set_index("what")
     for datum in data_of(made.rows):
         weight = np.ones(len(made.rows))
         weight[datum.rows] = 0.0
@@ -116,7 +116,7 @@ def test_a_value_absorbed_by_a_parameter_is_not_suspect(toy):
     residual = np.where(np.arange(len(made.rows)) == k, 8.0, fit.residual)
     optimum = _Fit(residual, slope, np.append(fit.prior_sd, np.inf))
     assert overall(*goodness(optimum, made)) < 0.01
-    table = suspects(optimum, made)
+    table = suspects_table(optimum, made)
     assert "frequency of M0" not in set(table["what"])
 
 
@@ -132,9 +132,9 @@ def test_nothing_is_suspect_without_a_converged_fit(toy):
     bad = row_of(toy(modes=6, sensors=6), "M2", "frequency")
     made = linear(toy, {bad: 15.0})
     fit = made.calibrated()
-    assert fit.converged and len(suspects(fit, made))
-    once = fitted(fit.fit_problem, (), fit.fit_problem.space.values, 0, replace(FINE, evaluations=1))
-    assert not once.converged and suspects(once, made).empty
+    assert fit.converged and len(suspects_table(fit, made))
+    once = least_squares_fit(fit.fit_problem, (), fit.fit_problem.space.values, 0, replace(FINE, evaluations=1))
+    assert not once.converged and suspects_table(once, made).empty
     assert not linearised(fit.fit_problem, (), fit.values).converged
 
 
@@ -144,13 +144,13 @@ def test_batches_of_data_left_out_do_not_change_the_result(toy, monkeypatch):
     made = replace(made, data=made.data + 4 * np.random.default_rng(2).standard_normal(len(made.rows)))
     fit = made.calibrated()
     factors = {(f"M{k}", "shape"): 1 for k in range(30)}
-    table = suspects(fit, replace(made, fitted_factors=factors))
+    table = suspects_table(fit, replace(made, fitted_factors=factors))
     assert len(made.rows) == 900 and (table["p"] < 0.01).sum() > 100
     monkeypatch.setattr("calib.missing.suspect._AT_ONCE", 7)
-    pd.testing.assert_frame_equal(suspects(fit, replace(made, fitted_factors=factors)), table)
+    pd.testing.assert_frame_equal(suspects_table(fit, replace(made, fitted_factors=factors)), table)
 
 
 def test_data_that_alone_determine_a_parameter_are_not_tested():
     rows = [SimpleNamespace(mode="", kind="response", sensor=f"y{k}") for k in range(2)]
     optimum = _Fit(np.array([9.0, 9.0]), np.eye(2), np.full(2, np.inf))
-    assert suspects(optimum, RowLabels(rows)).empty
+    assert suspects_table(optimum, RowLabels(rows)).empty

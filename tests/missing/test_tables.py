@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calib.missing.decision import decide
 from calib.missing.evidence import ln_evidence
-from calib.missing.explain import explain
-from calib.missing.linearised_fit import fitted
-from calib.missing.plausible import pulls
+from calib.missing.linearised_fit import least_squares_fit
+from calib.missing.plausible import parameter_pulls
 from calib.missing.rules import RULES
 from calib.missing.tables import (
     EFFECT_COLUMNS,
@@ -28,7 +28,7 @@ from calib.missing.visible import smallest_visible
 
 def found_in(toy, truth, seed=1):
     toy = toy.drawn(np.random.default_rng(seed), truth)
-    return toy, explain(toy)
+    return toy, decide(toy)
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +167,7 @@ def test_bayes_factors_for_other_plausible_magnitudes_are_those_of_fits(one):
         other = replace(toy, effects=effects)
         (e3,) = [e for e in effects if e.name == "E3"]
         fit_problem = other.fit_problem(("E3",))
-        fit = fitted(fit_problem, ("E3",), {**fit_problem.space.values, "E3": 1.0})
+        fit = least_squares_fit(fit_problem, ("E3",), {**fit_problem.space.values, "E3": 1.0})
         assert table.loc["E3", column] == pytest.approx(ln_evidence(fit, [e3]) - found.base.ln_evidence, abs=0.05)
 
 
@@ -302,7 +302,7 @@ def test_pulls_are_listed_before_and_after(one, nothing):
     table = pull_table(found)
     assert table.columns[0] == "model" and list(dict.fromkeys(table["model"])) == ["base", "E3"]
     before = table[table["model"] == "base"].drop(columns="model").reset_index(drop=True)
-    pd.testing.assert_frame_equal(before, pulls(found.base.fit), check_dtype=False)
+    pd.testing.assert_frame_equal(before, parameter_pulls(found.base.fit), check_dtype=False)
     for row in table.to_dict("records"):
         candidate_fit = found.base if row["model"] == "base" else found.chosen
         k = candidate_fit.fit.names.index(row["parameter"])
@@ -356,7 +356,7 @@ def test_an_effect_of_either_sign_is_confounded_with_what_its_size_does_not_tell
 
     def others(score):
         values = {**single.fit.values, "E3": sign * score / float(named.size[named.best("E3")])}
-        fitted = replace(single, fit=replace(single.fit, values=values))
-        return confounded_with(replace(found, candidate_fits=(fitted,)), "E3")
+        refitted = replace(single, fit=replace(single.fit, values=values))
+        return confounded_with(replace(found, candidate_fits=(refitted,)), "E3")
 
     assert others(4.3) == [n for n in names if n != "E3"] and others(5.0) == []

@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.missing.goodness import by_sensor
 from calib.missing.recommendation import Recommendation
 from calib.missing.tables import effects_table
-from calib.missing.verdict import verdict
+from calib.missing.verdict import verdict_of
 from calib.missing.worst_misfit import misfit_at
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
@@ -30,19 +30,19 @@ def spoiled(toy):
 @pytest.mark.parametrize("seed", [0, 1, 3])
 def test_the_worst_sensor_and_mode_are_named(spoiled, seed):
     one = spoiled.drawn(np.random.default_rng(seed), {"hidden": 1.0})
-    found = explain(one)
+    found = decide(one)
     assert found.base_adequacy.p_family > 0.01 > found.base_adequacy.p_fit
     assert found.verdict == "misfit_unlocated" and found.credible == () and not found.names_something
     assert found.base_adequacy.sensors.iloc[0]["sensor"] == "S7"
     effects = effects_table(found, {}, {})
-    told = verdict(found, effects, effects.head(0), Recommendation("Recommendation.", "Recommendation."))
+    told = verdict_of(found, effects, effects.head(0), Recommendation("Recommendation.", "Recommendation."))
     text = " ".join((*told.sentences, told.answer.then))
     assert "at S7 (" in text and "of mode M5" in text and "nan" not in text
     assert "Recommendation." not in text and "(score" not in text  # no place of no significance
 
 
 def test_the_repeat_that_disagrees_where_the_fit_is_worst_is_named_first(spoiled):
-    found = explain(spoiled.drawn(np.random.default_rng(0), {"hidden": 1.0}))
+    found = decide(spoiled.drawn(np.random.default_rng(0), {"hidden": 1.0}))
     rows = [
         ("run 1", "M1", "S2", 9.0),
         ("run 4", "M5", "S7", 5.0),
@@ -53,15 +53,15 @@ def test_the_repeat_that_disagrees_where_the_fit_is_worst_is_named_first(spoiled
     where = misfit_at(found.base_adequacy, table)
     assert where == {"sensor": "S7", "mode": "M5", "kind": "shape", "repeats": ["run 2", "run 4", "run 1"]}
     effects = effects_table(found, {}, {})
-    text = " ".join(verdict(found, effects, effects.head(0), None, table).sentences)
+    text = " ".join(verdict_of(found, effects, effects.head(0), None, table).sentences)
     assert all(repeat in text for repeat in where["repeats"])
     assert misfit_at(found.base_adequacy, table.head(0))["repeats"] == []
-    quiet = verdict(found, effects, effects.head(0), None, table.head(0)).sentences
+    quiet = verdict_of(found, effects, effects.head(0), None, table.head(0)).sentences
     assert not any("run" in words.split() for words in quiet)
 
 
 def test_a_significant_score_is_not_unlocated(toy):
-    found = explain(toy(perturbations=12).drawn(np.random.default_rng(1), {"A7": 1.5}))
+    found = decide(toy(perturbations=12).drawn(np.random.default_rng(1), {"A7": 1.5}))
     assert found.base_adequacy.p_family < 0.01 and found.verdict == "none_explains"
 
 

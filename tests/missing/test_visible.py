@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calib.errors.errors import EvaluationError
+from calib.missing.decision import decide
 from calib.missing.effect_facts import detectable
-from calib.missing.explain import explain
 from calib.missing.score import scores
 from calib.missing.tables import effects_table
 from calib.missing.visible import smallest_visible, visible_within_limits
@@ -141,7 +141,7 @@ def test_a_fitted_magnitude_is_not_called_invisible(toy):
 
     made = Growing(**{f.name: getattr(plain, f.name) for f in fields(plain)})
     one = made.drawn(np.random.default_rng(4), {"E0": 1.6})
-    found = explain(one)
+    found = decide(one)
     (named,) = [t for t in found.singles if t.names == ("E0",)]
     assert found.verdict == "effect" and found.ln_bayes(named) > 20
     magnitude = named.fit.values["E0"]

@@ -8,13 +8,13 @@ import pandas as pd
 import pytest
 
 from calib.execution.stage import unheard
+from calib.missing.decision import Settings, decide
 from calib.missing.evidence import ln_wrong
-from calib.missing.explain import Settings, explain
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
-from calib.missing.suspect import suspects
+from calib.missing.suspect import suspects_table
 from calib.missing.tables import effects_table
-from calib.missing.verdict import verdict
+from calib.missing.verdict import verdict_of
 from calib.missing.wrong_datum import wrong_datum
 
 PLACE = ("M3", "frequency")
@@ -41,7 +41,7 @@ def spoilt(toy, rng, size):
 @pytest.mark.parametrize("share", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
 def test_a_wrong_datum_is_not_named_an_effect(toy, share):
     made, rng = beside(toy(), share), np.random.default_rng(1)
-    found = [explain(spoilt(made, rng, 12.0)) for _ in range(10)]
+    found = [decide(spoilt(made, rng, 12.0)) for _ in range(10)]
     assert not [f for f in found if f.verdict in ("effect", "two_effects")]
     told = [f for f in found if f.verdict == "indistinguishable"]
     assert len(told) >= 8
@@ -55,9 +55,9 @@ def test_a_wrong_datum_is_not_named_an_effect(toy, share):
 
 
 def test_the_odds_of_a_datum_that_is_far_off_are_bounded(toy):
-    found = explain(spoilt(beside(toy(), 0.3), np.random.default_rng(1), 60.0))
+    found = decide(spoilt(beside(toy(), 0.3), np.random.default_rng(1), 60.0))
     assert found.verdict == "indistinguishable" and found.datum.ln_evidence - found.chosen.ln_evidence > 60
-    answer = verdict(found, effects_table(found, {}, {}), pd.DataFrame(columns=["group", "stage"])).answer
+    answer = verdict_of(found, effects_table(found, {}, {}), pd.DataFrame(columns=["group", "stage"])).answer
     assert found.datum.what in answer.found and " over 10,000:1." in answer.sure
 
 
@@ -68,7 +68,7 @@ def test_a_wrong_datum_is_weighed_beside_the_effects_that_a_model_has(toy):
     true = replace(true, data=true.data + 6.0 * made.columns["E0"])
     fits = Refits(true, Settings(), 1.0, unheard)
     base = fits.candidate_fit(("E0",), {**true.base.values, "E0": 6.0})
-    accused = suspects(base.fit, true, 0.01)
+    accused = suspects_table(base.fit, true, 0.01)
     found = wrong_datum(fits, base, accused, base)
     assert found is not None and found.what == "frequency of M3" and found.ln_evidence > base.ln_evidence + 10
 
@@ -76,7 +76,7 @@ def test_a_wrong_datum_is_weighed_beside_the_effects_that_a_model_has(toy):
 def test_a_wrong_datum_is_fitted_although_the_budget_is_used_up(toy):
     made, rng = beside(toy(), 0.0), np.random.default_rng(1)
     for _ in range(5):
-        found = explain(spoilt(made, rng, 12.0), Settings(budget=3))
+        found = decide(spoilt(made, rng, 12.0), Settings(budget=3))
         assert found.evaluations > 3
         assert found.verdict == "indistinguishable" and found.datum.what == "frequency of M3"
 
@@ -121,7 +121,7 @@ def test_the_evidence_of_a_wrong_datum_is_that_of_its_most_likely_size(seed):
 def test_a_datum_that_shifts_the_parameters_far_is_left_out_and_refitted(toy):
     """In a nonlinear model the predicted gain of a datum far off exceeds the whole misfit."""
     made, rng = beside(toy(curvature=0.05), 0.0), np.random.default_rng(2)
-    found = [f for f in (explain(spoilt(made, rng, 30.0)) for _ in range(6)) if f.datum is not None]
+    found = [f for f in (decide(spoilt(made, rng, 30.0)) for _ in range(6)) if f.datum is not None]
     assert found
     for f in found:
         assert 2 * (f.datum.ln_evidence - f.base.ln_evidence) < f.base.fit.misfit

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.missing.local import interval_words
 from calib.missing.recommendation import Recommendation
 from calib.missing.tables import effects_table
-from calib.missing.verdict import verdict as verdict_of
+from calib.missing.verdict import verdict_of as verdict_of
 
 WORST = "the worst kind of data or mode shape"
 UNITS = {"E0": "kg", "E1": "-", "E2": "kN/m", "E3": "-", "E4": "kg"}
@@ -36,7 +36,7 @@ def first(toy, truth, verdict, noise=1.0, seed=1):
     """The first simulated data set with a given verdict."""
     rng = np.random.default_rng(seed)
     for _ in range(40):
-        found = explain(toy.drawn(rng, truth, noise))
+        found = decide(toy.drawn(rng, truth, noise))
         if found.verdict == verdict:
             return found
     raise AssertionError(f"no draw is {verdict}")

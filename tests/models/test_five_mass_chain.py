@@ -15,7 +15,7 @@ from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.response.residual import ResponseResidual
 from calib.hypotheses.function_perturbations import function_hypotheses
-from calib.missing.explain import explain
+from calib.missing.decision import decide
 from calib.structure import extend
 from calib.structure.eigenproblem.derivatives import mode_derivatives
 from calib.structure.function_model import extend_function
@@ -137,7 +137,7 @@ def explained(twin, seed, hidden):
     truth = twin.draw(rng, hidden)
     model = five_mass_chain()
     targets = twin.measure(twin.twin_responses(truth), rng)
-    return explain(hypotheses_of(model, targets, model.space, chain_effects(), repeats=twin.REPEATS)), truth
+    return decide(hypotheses_of(model, targets, model.space, chain_effects(), repeats=twin.REPEATS)), truth
 
 
 def test_nothing_is_named_where_nothing_is_missing(twin):
@@ -177,7 +177,7 @@ def test_the_study_says_it_is_synthetic_and_finds_what_was_hidden():
     study = Study.load(FOLDER)
     assert study.synthetic and "SYNTHETIC" in (FOLDER / "measured.csv").read_text("utf-8")
     assert study.search_space.free_names == ("k1", "k2", "k3", "k4", "k5", "damping")
-    found = explain(
+    found = decide(
         hypotheses_of(study.model, study.targets, study.search_space, study.candidates,
                            repeats=study.settings.measurement.repeats)
     )  # fmt: skip
@@ -212,7 +212,7 @@ def test_the_tutorials_own_effect_is_found_when_it_is_what_is_missing(twin):
     rng = np.random.default_rng(0)
     truth = twin.draw(rng, "")
     exact = chain_responses(NOMINAL | truth | {"m1": chain.MASS + 0.2})
-    found = explain(
+    found = decide(
         hypotheses_of(study.model, twin.measure(exact, rng), study.search_space, study.candidates, repeats=10)
     )
     assert found.verdict == "effect" and found.credible == ("bracket_mass_1",)

@@ -25,7 +25,7 @@ class _Placed(Protocol):
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray: ...
 
 
-def spread(model: _Placed, there: Iterable[Sensor], places: int) -> tuple[Sensor, ...]:
+def spread_places(model: _Placed, there: Iterable[Sensor], places: int) -> tuple[Sensor, ...]:
     """Sensors in three directions, each place at the node farthest from all earlier ones and from those there.
 
     Their nodes are numbered after the sensors that are there; directions that the model suppresses are left out.
@@ -62,7 +62,7 @@ def where_acting(model: _Placed, effects: Sequence[Effect], label: int) -> dict[
             own += [s for d in DIRECTIONS[:3] if moves(model, s := Sensor(label, d, (x, y, z)))]
             label += 1
         if own:
-            places = ", ".join(dict.fromkeys(place_words(s) for s in own))
+            places = ", ".join(dict.fromkeys(point_words(s) for s in own))
             out[f"{at_effect(effect.name)}, {places}"] = tuple(own)
     return out
 
@@ -76,12 +76,12 @@ def moves(model: _Placed, sensor: Sensor) -> bool:
     return True
 
 
-def in_words(sensor: Sensor) -> str:
+def motion_words(sensor: Sensor) -> str:
     """Such as ``(0.00, 0.50, 1.20) y``."""
-    return f"{place_words(sensor)} {sensor.direction}"
+    return f"{point_words(sensor)} {sensor.direction}"
 
 
-def place_words(sensor: Sensor) -> str:
+def point_words(sensor: Sensor) -> str:
     """Such as ``(0.00, 0.50, 1.20)``, m."""
     assert sensor.point is not None
     return f"({', '.join(f'{c:.2f}' for c in sensor.point)})"

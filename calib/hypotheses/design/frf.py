@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from calib.correlation.frf.residual import FRFResidual
 from calib.execution.stage import Progress, unheard
-from calib.hypotheses.design.imagined import linearised
+from calib.hypotheses.design.imagined import imagined_linearisations
 from calib.hypotheses.design.imagined_frfs import ImaginedFRFs
 from calib.hypotheses.design.modal import bench_tests, best_sensors
 from calib.hypotheses.hypotheses import ModelHypotheses
@@ -45,7 +45,9 @@ def frf_design(
     acting = tuple(known[name] for name in dict.fromkeys(name for one in believed for name in one.names))
     imagined = ImaginedFRFs(hypotheses, believed[0].fit, held_out, acting)
     measured = imagined.rows_of()
-    linearisations, competing = linearised(imagined, believed, effects, found, scale, measured, samples, seed, progress)
+    linearisations, competing = imagined_linearisations(
+        imagined, believed, effects, found, scale, measured, samples, seed, progress
+    )
     measurements: list[CandidateMeasurement] = []
     if linearisations:
         measurements = [

@@ -45,7 +45,7 @@ class Imagined(Protocol):
         """Change of the residual by one standard deviation of every factor fitted to the test, (n_rows, n_factors)."""
 
 
-def linearised(
+def imagined_linearisations(
     imagined: Imagined,
     believed: Sequence[CandidateFit],
     effects: Sequence[Candidate],

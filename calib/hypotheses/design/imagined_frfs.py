@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 
 from calib.correlation import rules as comparison
 from calib.correlation.frf.residual import FRFResidual, FRFRow
-from calib.hypotheses.design.candidate_places import in_words, spread, where_acting
+from calib.hypotheses.design.candidate_places import motion_words, spread_places, where_acting
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.rules import RULES
 from calib.measurement.accuracy import NOTHING
@@ -66,7 +66,7 @@ class ImaginedFRFs:
     @cached_property
     def further(self) -> tuple[Sensor, ...]:
         """Responses spread over the structure."""
-        return spread(
+        return spread_places(
             self.hypotheses.variants.model, (*self.used.sensors, *self.held[0], *self.held[1]), RULES.frf_places
         )
 
@@ -159,7 +159,7 @@ class ImaginedFRFs:
     @property
     def words(self) -> dict[str, str]:
         """Place and direction of each further response, by its name."""
-        return {s.name: in_words(s) for s in self.further}
+        return {s.name: motion_words(s) for s in self.further}
 
     @property
     def twice_the_repeats(self) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import StandardDeviations
-from calib.hypotheses.design.candidate_places import in_words, spread, where_acting
+from calib.hypotheses.design.candidate_places import motion_words, spread_places, where_acting
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.rules import RULES
 from calib.measurement.accuracy import Accuracy
@@ -98,8 +98,8 @@ class ImaginedMeasurement:
         self.columns += more
         self.held = held_sensors if measured.has_shapes else ()
         model = hypotheses.variants.model
-        further = spread(model, (*self.sensors, *self.held), RULES.sensor_places) if measured.has_shapes else ()
-        self.extra = {s.name: in_words(s) for s in further}
+        further = spread_places(model, (*self.sensors, *self.held), RULES.sensor_places) if measured.has_shapes else ()
+        self.extra = {s.name: motion_words(s) for s in further}
         label = 1 + max((s.node for s in (*self.sensors, *self.held, *further)), default=0)
         at = where_acting(model, acting, label) if measured.has_shapes else {}
         self.places = (*self.held, *further, *(s for own in at.values() for s in own))

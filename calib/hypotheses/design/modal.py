@@ -10,7 +10,7 @@ import numpy as np
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.modal.rows import ModalRow
 from calib.execution.stage import Progress, unheard
-from calib.hypotheses.design.imagined import linearised
+from calib.hypotheses.design.imagined import imagined_linearisations
 from calib.hypotheses.design.imagined_measurement import ImaginedMeasurement
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.rules import RULES
@@ -69,7 +69,9 @@ def modal_design(
     imagined = ImaginedMeasurement(hypotheses, believed[0].fit, held_out or {}, held_sensors, acting)
     labels = imagined.fit_problem(believed[0].names).pair.rows
     measured = _rows_of(labels, imagined.modes, {s.name for s in imagined.sensors})
-    linearisations, competing = linearised(imagined, believed, effects, found, scale, measured, samples, seed, progress)
+    linearisations, competing = imagined_linearisations(
+        imagined, believed, effects, found, scale, measured, samples, seed, progress
+    )
     measurements = (
         _options(hypotheses, believed[0].fit, imagined, labels, linearisations, competing) if linearisations else []
     )

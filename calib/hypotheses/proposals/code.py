@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from calib.hypotheses.proposals.composed import Builder, quoted
 from calib.hypotheses.proposals.proposal import Proposal
-from calib.hypotheses.proposals.proposal import told as in_words
+from calib.hypotheses.proposals.proposal import composition_words as in_words
 from calib.missing.local import range_words
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter

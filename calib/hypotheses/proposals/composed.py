@@ -196,7 +196,7 @@ class RotationalSprings:
 
 
 @dataclass(frozen=True)
-class AddedMass:
+class PointMass:
     """Masses at points, in all directions in which the points move.
 
     Attributes

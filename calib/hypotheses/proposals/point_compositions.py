@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from calib.hypotheses.proposals.composed import AddedMass, Connection, HungMass
+from calib.hypotheses.proposals.composed import Connection, HungMass, PointMass
 from calib.hypotheses.proposals.composition import Composition, Names, Point
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.problem.effect import Effect
@@ -162,7 +162,7 @@ def held_at(model: StructuralModel, spot: Spot, direction: int, mass: float, nam
     """A mass at a place in one direction only: what one on a spring is when held fast."""
     name = names.free(f"held mass {spot.label} {DIRECTIONS[direction]}")
     magnitude = Parameter(name, 0.0, 0.0, RULES.added_most * mass, "kg", prior_sd=mass)
-    build = AddedMass(name, (spot.place,), (direction,))
+    build = PointMass(name, (spot.place,), (direction,))
     return Effect(name, name, "Nothing more is mounted there.", "What is mounted there.", magnitude, build)
 
 
@@ -215,7 +215,7 @@ def _masses(model: StructuralModel, spots: Sequence[Spot], names: Names, size: f
     magnitude = Parameter(
         name, 0.0, 0.0, RULES.added_most * size, unit, prior_sd=size, description=f"{what.lower()} at {at}"
     )
-    build = AddedMass(name, tuple(spot.place for spot in spots), moving(model, spots[0].place))
+    build = PointMass(name, tuple(spot.place for spot in spots), moving(model, spots[0].place))
     each = "" if len(spots) == 1 else " each"
     effect = Effect(
         name, f"{what}{each} at {at}", f"Nothing more is mounted at {at}.", f"{look_for} near {at}.", magnitude, build,

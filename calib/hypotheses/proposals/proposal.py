@@ -46,7 +46,7 @@ class Composed(Protocol):
         ...
 
 
-def told(composed: Composed) -> str:
+def composition_words(composed: Composed) -> str:
     """A composition in words, such as ``mass of floor 4`` or ``hung mass at sensor 3y``."""
     if composed.kind.endswith("between"):
         return f"{composed.kind} {composed.at}"

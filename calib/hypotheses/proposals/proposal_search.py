@@ -20,7 +20,7 @@ from calib.missing.linearised_fit import LinearisedFit, nearest_whole
 from calib.missing.refits import Refits, near_to
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, family_p, scored, scores
-from calib.missing.suspect import suspects
+from calib.missing.suspect import suspects_table
 from calib.missing.wrong_datum import wrong_datum
 from calib.problem.candidate import Candidate
 
@@ -319,6 +319,6 @@ class Search:
             faults = fits.faults(base, beside(fits, base, h.faults), best.candidate_fit)
             own = [t for t in faults if t.ln_evidence - math.log(len(h.faults)) >= limit and not t.implausible]
             fault = next(iter(own), None)
-        datum = wrong_datum(fits, base, suspects(base.fit, h, fits.settings.alpha), best.candidate_fit)
+        datum = wrong_datum(fits, base, suspects_table(base.fit, h, fits.settings.alpha), best.candidate_fit)
         near = best.candidate_fit.ln_evidence - RULES.credible
         return fault, datum if datum is not None and datum.ln_evidence > near else None

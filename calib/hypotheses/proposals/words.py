@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from calib.hypotheses.proposals.proposal import Proposal, Proposals, told
+from calib.hypotheses.proposals.proposal import Proposal, Proposals, composition_words
 from calib.missing.local import fault_words, interval_words
 from calib.missing.worst_misfit import p_words
 from calib.problem.candidate import Candidate
@@ -26,7 +26,7 @@ def proposals_table(found: Proposals) -> pd.DataFrame:
         effect, values = p.composed.effect, p.candidate_fit.fit.values
         freq = values[effect.nuisance[0].name] if effect.nuisance else math.nan
         unit, factor = _told_in(effect)
-        alike = "; ".join(map(told, p.alike))
+        alike = "; ".join(map(composition_words, p.alike))
         rows.append((
             rank, effect.name, p.composed.kind, p.composed.at, *p.composed.place,
             factor * p.value, factor * p.low, factor * p.high, unit, freq, p.evidence, p.ln_bayes, p.score, p.choices,
@@ -38,7 +38,7 @@ def proposals_table(found: Proposals) -> pd.DataFrame:
 PLACES = ("rank", "kind", "at", "fitted", "close", "evidence", "x", "y", "z")
 
 
-def places_table(found: Proposals) -> pd.DataFrame:
+def proposed_places_table(found: Proposals) -> pd.DataFrame:
     """One row per place of every proposal, and of compositions alike: the columns of ``proposal_places.csv``."""
     rows = []
     for rank, p in enumerate(found.ranked, 1):
@@ -59,7 +59,7 @@ def lost_words(found: Proposals) -> tuple[str, ...]:
     return (f"Not fitted: {title} ({first.reason}){others}.",)
 
 
-def sized(p: Proposal) -> str:
+def proposal_words(p: Proposal) -> str:
     """A proposal in words, such as ``a mass at node 3, about 0.26 kg (95 %: 0.24 to 0.27)``."""
     effect: Candidate = p.composed.effect
     unit, factor = _told_in(effect)
@@ -94,14 +94,14 @@ def answer_of(found: Proposals) -> Answer:
         datum = "" if found.datum is None else found.datum.told
         return Answer(
             f"Nothing is proposed: the measurement is the suspect, {blamed or datum}.",
-            f"It explains as well as the best composition, {sized(best)} ({evidence}).",
+            f"It explains as well as the best composition, {proposal_words(best)} ({evidence}).",
             "Check the measurement first, and correct it or hold it out.",
         )
-    words = f"Proposed: {sized(best)}."
+    words = f"Proposed: {proposal_words(best)}."
     if others:
-        words += f" About as well explained by: {'; '.join(map(sized, others))}."
+        words += f" About as well explained by: {'; '.join(map(proposal_words, others))}."
     if best.alike:
-        words += f" The data cannot discriminate it from: {'; '.join(map(told, best.alike[:3]))}."
+        words += f" The data cannot discriminate it from: {'; '.join(map(composition_words, best.alike[:3]))}."
     if found.datum is not None:
         words += f" Or {found.datum.told} explains about as well: check it first."
     beside = f" beside {' and '.join(found.base.names)}" if found.base.names else ""

@@ -12,7 +12,7 @@ from calib.execution.stage import Progress, unheard
 from calib.missing.adequacy import adequacy_of, adequate, beside, measured_scale, predicted_scale, predicts
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group, grouped
-from calib.missing.effect_pairs import alone, fit_pairs, no_worse
+from calib.missing.effect_pairs import fit_pairs, no_worse, singles_from_pairs
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.linearised_fit import nearest_whole
@@ -22,12 +22,12 @@ from calib.missing.rules import RULES
 from calib.missing.score import Scores
 from calib.missing.settings import DEFAULT, Settings, require_modes, require_responses
 from calib.missing.stepwise import Stepwise, further_price
-from calib.missing.suspect import suspects
+from calib.missing.suspect import suspects_table
 from calib.missing.wrong_datum import wrong_datum
 from calib.problem.candidate import Candidate
 
 
-def explain(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Progress = unheard) -> Explanation:
+def decide(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Progress = unheard) -> Explanation:
     """Decide which effect, if any, the base model lacks.
 
     The base model is calibrated. Tests decide whether the largest score among named effects and among unnamed local
@@ -129,7 +129,7 @@ class _Decision:
         if self.accepted(lead, needed):
             return self.named(found, lead)
         pairs = fit_pairs(fits, lead.best, lead.adequacy.named, lead.singles, able)
-        again = alone(fits, base, lead.singles, pairs)
+        again = singles_from_pairs(fits, base, lead.singles, pairs)
         if again is not lead.singles:
             lead, pairs = self.lead(again, able, base), no_worse(fits, pairs, again)
             found = self.with_competing(found, lead.singles[0])
@@ -187,7 +187,7 @@ class _Decision:
             fault = fits.fault(base, adequacy.perturbations, best)
         if adequacy.faults is None and _ln(fault) > max(best.ln_evidence, _ln(perturbation) + RULES.credible):
             perturbation = fault
-        accused = suspects(base.fit, h, found.alpha)
+        accused = suspects_table(base.fit, h, found.alpha)
         datum = wrong_datum(fits, base, accused, best)
         return replace(
             found, perturbation=perturbation, fault=fault, faults=faults, datum=datum, suspects=accused
