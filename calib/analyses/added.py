@@ -72,13 +72,13 @@ def to_add(found: Explanation) -> CandidateFit | None:
     """The fit with the named effects if the verdict leaves no competing model; None otherwise."""
     if found.verdict not in NAMED or found.chosen is None:
         return None
-    return found.chosen if set(found.untold) == set(found.chosen.names) else None
+    return found.chosen if set(found.equally_good) == set(found.chosen.names) else None
 
 
 def nothing_added(found: Explanation) -> str:
     """Why no effect is added, in words."""
     untold = (
-        f"These data cannot discriminate between {' and '.join(found.untold)}, so none of them is "
+        f"These data cannot discriminate between {' and '.join(found.equally_good)}, so none of them is "
         "added: inspect the structure, or make a measurement that discriminates between them."
     )
     if found.steps is not None and found.steps.competing:

@@ -198,9 +198,11 @@ def composed(
     progress("intervals")
     found = found.settled(count)
     advice = _advice(adapter, hypotheses, found, progress)
-    told = (*advice, *lost_words(found))
+    sentences = (*advice, *lost_words(found))
     seconds = time.perf_counter() - started
-    return ProposalResult(found, answer_of(found), proposals_table(found), proposed_places_table(found), told, seconds)
+    return ProposalResult(
+        found, answer_of(found), proposals_table(found), proposed_places_table(found), sentences, seconds
+    )
 
 
 def _reached(found: Proposals) -> float:
@@ -210,16 +212,16 @@ def _reached(found: Proposals) -> float:
 
 def _advice(adapter: Adapter, hypotheses: Any, found: Proposals, progress: Progress) -> tuple[str, ...]:
     """What would tell the two best proposals apart, where these data do not and candidate measurements are known."""
-    if len(found.close) < 2 or found.base.effects or found.left is None or found.measurement:
+    if len(found.close) < 2 or found.base.effects or found.adequacy is None or found.measurement:
         return ()
     one, other = (p.candidate_fit for p in found.close[:2])
     fits = Refits(hypotheses, Settings(budget=math.inf), found.scale, progress)
     named = fits.scores(found.base.fit, [*one.effects, *other.effects])
-    adequacy = replace(found.left, named=named)
+    adequacy = replace(found.adequacy, named=named)
     explanation = Explanation(
         verdict="indistinguishable", base=found.base, base_adequacy=adequacy,
         groups=tuple(Group(e) for e in (*one.effects, *other.effects)), candidate_fits=(one, other), perturbation=None,
-        chosen=one, chosen_adequacy=found.left, credible=(*one.names, *other.names), noise_scale=found.scale,
+        chosen=one, chosen_adequacy=found.adequacy, credible=(*one.names, *other.names), noise_scale=found.scale,
         measured_scale=1.0, evaluations=0, alpha=fits.settings.alpha,
     )  # fmt: skip
     whole: Any = adapter
@@ -269,8 +271,8 @@ def _kept(study: AnyStudy, results: Results, found: ProposalResult, count: int) 
             "beside": [] if p is None else list(p.base.names), "p_family": np.nan if p is None else p.p_family,
             "lost": [] if p is None else [{"title": one.title, "reason": one.reason} for one in p.lost],
             "tested": 0 if p is None else p.tested, "evaluations": 0 if p is None else p.evaluations,
-            "adequacy_p_family": np.nan if p is None or p.left is None else p.left.p_family,
-            "adequacy_p_fit": np.nan if p is None or p.left is None else p.left.p_fit,
+            "adequacy_p_family": np.nan if p is None or p.adequacy is None else p.adequacy.p_family,
+            "adequacy_p_fit": np.nan if p is None or p.adequacy is None else p.adequacy.p_fit,
             "measurement_fault": fault, "wrong_datum": None if p is None or p.datum is None else p.datum.what,
             "written": "" if found.folder is None else str(found.folder),
             "set_aside": "" if found.aside is None else str(found.aside), "seconds": found.seconds,

@@ -61,10 +61,10 @@ def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[s
     names = [p.name for p in space.free if not p.integer and p.name in model.space]
     if not names:
         return None
-    posed = _posed(model, measured)
-    if posed is None:
+    equations = _equations_of(model, measured)
+    if equations is None:
         return None
-    at_sensors, receptance = posed
+    at_sensors, receptance = equations
     sd = np.array([space[name].prior_width for name in names])
     lower, upper = (np.array([getattr(space[name], end) for name in names]) for end in ("lower", "upper"))
     point = {name: value for name, value in values.items() if name in model.space}
@@ -106,7 +106,7 @@ def _near_resonances(measured: MeasuredFRFs) -> MeasuredFRFs:
         return measured
 
 
-def _posed(
+def _equations_of(
     model: StructuralModel, measured: MeasuredFRFs
 ) -> tuple[tuple[sp.csc_array, np.ndarray], MeasuredReceptance] | None:
     """Coordinates in which the responses are degrees of freedom, these, and the receptance at them."""

@@ -41,15 +41,15 @@ def with_mesh_error(adapter: Adapter, finer: StructuralModel | None, sd: float, 
             "mesh_sd states an error of the mesh, but no finer mesh is known", place="explain, mesh_sd",
             remedy="name its model options in finer_options, or leave mesh_sd out",
         )  # fmt: skip
-    given: Any = adapter  # of one test
-    fit_problem = given.hypotheses.fit_problem(())
+    of_test: Any = adapter  # of one test
+    fit_problem = of_test.hypotheses.fit_problem(())
     begin = nearest_whole(fit_problem, fit_problem.space.values)
-    linear = given.hypotheses.linear_start((), begin)
+    linear = of_test.hypotheses.linear_start((), begin)
     fits = [least_squares_fit(fit_problem, (), start, 1) for start in (begin, linear) if start is not None]
-    values, out = min(fits, key=lambda fit: fit.misfit).values, given
+    values, out = min(fits, key=lambda fit: fit.misfit).values, of_test
     for k in range(RULES.mesh_fits):
-        mesh = MeshError(given.hypotheses.variants.model, finer, fit_problem.pair.space.complete(values), sd, test)
-        out = given.with_mesh(mesh)
+        mesh = MeshError(of_test.hypotheses.variants.model, finer, fit_problem.pair.space.complete(values), sd, test)
+        out = of_test.with_mesh(mesh)
         if k < RULES.mesh_fits - 1:
             again = least_squares_fit(out.hypotheses.fit_problem(()), (), values, 1)
             values = mesh.without(again.values)

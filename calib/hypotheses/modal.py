@@ -114,8 +114,8 @@ class ModalAdapter(OneTest):
         if not isinstance(self.problem.model, StructuralModel):
             return
         problems = {one.names: self.at_full_order(one.names).problem for one in new.values()}
-        asked = [(one.names, one.fit.values) for one in new.values()]
-        self._modes.update(zip(new, each(_solved, problems, asked), strict=True))
+        requested = [(one.names, one.fit.values) for one in new.values()]
+        self._modes.update(zip(new, each(_solved, problems, requested), strict=True))
 
     def held_out_of(self, candidate_fit: CandidateFit, scale: float) -> dict[str, HeldOut]:
         """At full order, with the covariance of `calib.hypotheses.verify.modal_covariance`."""

@@ -67,5 +67,5 @@ def predicted_scale(fits: Refits, candidate_fit: CandidateFit, others: Scores) -
     if not others.owners:
         return measured_scale(fits, candidate_fit)
     k = int(np.argmax(others.magnitude))
-    left = candidate_fit.fit.residual - others.unit[: len(candidate_fit.fit.residual), k] * others.z[k]
-    return measured_scale(fits, replace(candidate_fit, fit=replace(candidate_fit.fit, residual=left)))
+    remainder = candidate_fit.fit.residual - others.unit[: len(candidate_fit.fit.residual), k] * others.z[k]
+    return measured_scale(fits, replace(candidate_fit, fit=replace(candidate_fit.fit, residual=remainder)))

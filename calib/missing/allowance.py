@@ -36,7 +36,7 @@ class Allowance:
         return self._hypotheses.evaluations - self._begun
 
     @property
-    def left(self) -> float:
+    def remaining(self) -> float:
         """Evaluations left, within `continuing` of those beyond the budget; negative when more were needed."""
         if self._entered is None:
             return self.most - self.used

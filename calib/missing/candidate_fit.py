@@ -130,6 +130,6 @@ class WrongDatum:
     p_fit: float
 
     @property
-    def told(self) -> str:
+    def in_words(self) -> str:
         """In words, such as ``a wrong frequency of 2B``."""
         return f"a wrong {self.what}" if self.kind in ("value", "shape") else f"a wrong measurement of {self.what}"

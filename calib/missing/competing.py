@@ -80,11 +80,11 @@ class CompetingModel:
         Their derivatives, per unit of each parameter.
     points : tuple of mapping
         Posterior samples of the parameters, length n_samples.
-    drawn : ndarray (n_samples, n_rows)
+    sampled : ndarray (n_samples, n_rows)
         Predictions at the samples.
-    seen : ndarray (n_samples, n_rows), bool
+    sampled_rows : ndarray (n_samples, n_rows), bool
         Rows that exist at each sample.
-    there : ndarray (n_rows,), bool
+    rows_at_fit : ndarray (n_rows,), bool
         Rows that exist at the fit.
     loose : ndarray (n_rows, q)
         Sensitivity to profiled-out factors, such as the scale of a shape, per standard deviation of each.
@@ -96,9 +96,9 @@ class CompetingModel:
     predicted: np.ndarray
     slope: np.ndarray
     points: tuple[Mapping[str, float], ...]
-    drawn: np.ndarray
-    seen: np.ndarray
-    there: np.ndarray
+    sampled: np.ndarray
+    sampled_rows: np.ndarray
+    rows_at_fit: np.ndarray
     loose: np.ndarray
 
     @property
@@ -146,8 +146,8 @@ class CompetingModels:
         rng = np.random.default_rng(self.seed)
         found, weight = [], []
         for truth, other, share in zip(self.pair, self.pair[::-1], self.weights, strict=True):
-            now, both = truth.ln_evidence - other.ln_evidence, truth.there & other.there
-            for point, drawn, seen in zip(truth.points, truth.drawn, truth.seen, strict=True):
+            now, both = truth.ln_evidence - other.ln_evidence, truth.rows_at_fit & other.rows_at_fit
+            for point, drawn, seen in zip(truth.points, truth.sampled, truth.sampled_rows, strict=True):
                 size = self._size(measurement) * (seen & both)
                 kept = size > 0
                 bench = {n: sd for n, sd in measurement.prior_sd.items() if n in truth.fit.names}
@@ -170,7 +170,7 @@ class CompetingModels:
 
         ``m^T (S_a^-1 + S_b^-1) m/2`` with the difference m of the predictions: ranks many measurements quickly.
         """
-        size = self._size(measurement) * (self.pair[0].there & self.pair[1].there)
+        size = self._size(measurement) * (self.pair[0].rows_at_fit & self.pair[1].rows_at_fit)
         kept = size > 0
         m = (size * (self.pair[0].predicted - self.pair[1].predicted))[kept]
         total = 0.0

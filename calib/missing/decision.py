@@ -152,7 +152,7 @@ class _Decision:
         The better fit counts; without a start the most promising integers are tried.
         """
         fits = self.fits
-        fits.tell("calibrating the base model")
+        fits.announce("calibrating the base model")
         fit_problem = fits.fit_problem(())
         begin = start or nearest_whole(fit_problem, fit_problem.space.values)
         linear = None if start else fits.hypotheses.linear_start((), begin)
@@ -165,7 +165,7 @@ class _Decision:
 
         Sorted, so that samples, ties and what the budget leaves out do not depend on the order of the library.
         """
-        self.fits.tell("testing whether anything is missing")
+        self.fits.announce("testing whether anything is missing")
         able = sorted(self.fits.hypotheses.effects, key=lambda e: e.name)
         named = self.fits.scores(base.fit, able)
         able = [e for e in able if e.name in named.owners]

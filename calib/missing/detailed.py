@@ -105,7 +105,7 @@ def fitted_in_detail(
         Of the decision.
     """
     fits = Refits(hypotheses, replace(settings, budget=math.inf), found.noise_scale, progress)
-    fits.tell(f"fitting {fits.by_name[name].title}")
+    fits.announce(f"fitting {fits.by_name[name].title}")
     fit = fits.best_of((name,), _starts(fits.by_name[name], simpler), found.base)
     if fit is None:
         return None

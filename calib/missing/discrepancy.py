@@ -89,8 +89,8 @@ class Discrepancy:
         spread : ndarray (n, m)
             A with ``A A^T`` the covariance that the discrepancy adds.
         """
-        left = raw - slope @ self.absorbed[[self.names.index(name) for name in names]]
-        return left @ self.presence, left @ self.root
+        remainder = raw - slope @ self.absorbed[[self.names.index(name) for name in names]]
+        return remainder @ self.presence, remainder @ self.root
 
 
 def discrepancy(fit: LinearisedFit, *scores: Scores) -> Discrepancy:

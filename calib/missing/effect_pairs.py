@@ -27,7 +27,7 @@ def fit_pairs(
     their own part of the budget, whatever single effects have spent.
     """
     fits.allowance.ensure(RULES.paired * fits.settings.budget)
-    if fits.allowance.left <= 0:
+    if fits.allowance.remaining <= 0:
         return []
     tests = [(best, found, RULES.pairs_of_best)]
     for runner_up in [t for t in singles if t is not best][:1]:
@@ -38,9 +38,9 @@ def fit_pairs(
     for first, beside, count in tests:
         places = [] if fits.spent(RULES.late) else neighbouring_integers(first.fit)
         linearisations = [(place, beside.at(place)) for place in (first.fit, *places)]
-        left = {n: _left(linearisations, n) for n in dict.fromkeys(beside.owners)}
-        for name in _first_of(fits, left, linearisations, candidates, count):
-            _, place, there = left[name]
+        remainder = {n: _left(linearisations, n) for n in dict.fromkeys(beside.owners)}
+        for name in _first_of(fits, remainder, linearisations, candidates, count):
+            _, place, there = remainder[name]
             start = fits.starts(place, there, name)[0]
             wanted.setdefault(frozenset((first.names[0], name)), []).append(start)
     out: list[CandidateFit] = []
@@ -48,7 +48,7 @@ def fit_pairs(
         if fits.spent():
             break
         names = tuple(sorted(key))
-        fits.tell("fitting " + " with ".join(fits.by_name[n].title for n in names))
+        fits.announce("fitting " + " with ".join(fits.by_name[n].title for n in names))
         parent = min((t for t in (best, *singles) if t.names[0] in key), key=lambda t: t.fit.misfit)
         pair = fits.best_of(names, starts[:1], parent)
         if len(starts) > 1 and (pair is None or pair.implausible):
@@ -68,24 +68,24 @@ def fit_pairs(
 
 def _first_of(
     fits: Refits,
-    left: Mapping[str, tuple[float, LinearisedFit, Scores]],
+    remainder: Mapping[str, tuple[float, LinearisedFit, Scores]],
     linearisations: Sequence[tuple[LinearisedFit, Scores]],
     candidates: Sequence[Candidate],
     count: int,
 ) -> list[str]:
     """The effects predicted to leave the least misfit, each with all that are collinear with it."""
-    able = [e for e in candidates if e.name in left]
+    able = [e for e in candidates if e.name in remainder]
     groups = {g.effect.name: g.names for g in grouped(able, linearisations[0][1], fits.settings.merge)}
-    order = sorted(groups, key=lambda n: (min(left[m][0] for m in groups[n]), n))[:count]
+    order = sorted(groups, key=lambda n: (min(remainder[m][0] for m in groups[n]), n))[:count]
     return [name for leader in order for name in groups[leader]]
 
 
 def _left(linearisations: Sequence[tuple[LinearisedFit, Scores]], name: str) -> tuple[float, LinearisedFit, Scores]:
     """Least predicted sum of squares with an effect, and where; any but the first place must be clearly better."""
-    left = [s.misfit - max(float(f.magnitude[f.best(name)]), 0.0) ** 2 for s, f in linearisations]
-    best = int(np.argmin(left))
-    best = best if left[best] < left[0] - RULES.worth else 0
-    return (left[best], *linearisations[best])
+    remainder = [s.misfit - max(float(f.magnitude[f.best(name)]), 0.0) ** 2 for s, f in linearisations]
+    best = int(np.argmin(remainder))
+    best = best if remainder[best] < remainder[0] - RULES.worth else 0
+    return (remainder[best], *linearisations[best])
 
 
 def singles_from_pairs(
@@ -101,11 +101,11 @@ def singles_from_pairs(
     misfit = {t.names[0]: t.fit.misfit for t in singles}
     better: dict[str, CandidateFit] = {}
     for pair in pairs:
-        left = [e for e in pair.effects if not at_lower(pair.fit, e)]
+        remainder = [e for e in pair.effects if not at_lower(pair.fit, e)]
         best = pair.is_possible and pair.ln_evidence >= least
-        if not best and (len(left) != 1 or fits.spent()):
+        if not best and (len(remainder) != 1 or fits.spent()):
             continue
-        for effect in left:
+        for effect in remainder:
             known = misfit.get(effect.name, math.inf)
             found = _alone(fits, base, pair, effect) if pair.fit.misfit < known - 1.0 else None
             if found is not None and found.fit.misfit < known:

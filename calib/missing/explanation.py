@@ -145,10 +145,10 @@ class Explanation:
         return replace(self, verdict="unconfirmed", credible=(), fault=None, datum=None)
 
     @property
-    def untold(self) -> tuple[str, ...]:
+    def equally_good(self) -> tuple[str, ...]:
         """Effects and measurement faults that explain about as well as the best, in words."""
         fault = () if self.fault is None else self.fault.names
-        return (*self.credible, *fault, *(() if self.datum is None else (self.datum.told,)))
+        return (*self.credible, *fault, *(() if self.datum is None else (self.datum.in_words,)))
 
     @property
     def singles(self) -> tuple[CandidateFit, ...]:

@@ -142,7 +142,7 @@ def findings(
     of_test = adapter.tables(_stages(found))
     acting = _acting(found, of_test)
     remainder = remainder_of(found, places, acting, labels["mode"].tolist())
-    told = verdict_of(
+    verdict = verdict_of(
         found, effects, errors, advised, facts.disagreements, facts.assumed, supposed, elsewhere(found, places, acting)
     )
     at_limits = limits_sentence(found)
@@ -191,11 +191,11 @@ def findings(
         **({} if discretisation is None else {"discretisation": discretisation.table}),
     }
     answer = replace(
-        told.answer, sure=f"{told.answer.sure} {at_limits}".strip(),
-        then=f"{told.answer.then} {detailed_next(detailed)}".strip(),
+        verdict.answer, sure=f"{verdict.answer.sure} {at_limits}".strip(),
+        then=f"{verdict.answer.then} {detailed_next(detailed)}".strip(),
     )  # fmt: skip
     return ExplanationResult(
-        found, answer, (*told.sentences, *filter(None, added)), tuple(notes), effects,
+        found, answer, (*verdict.sentences, *filter(None, added)), tuple(notes), effects,
         errors.assign(std_from="assumed" if facts.assumed else "stated"), tables, figures,
         time.perf_counter() - started, richer=detailed,
     )  # fmt: skip

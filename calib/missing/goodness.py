@@ -130,13 +130,13 @@ class Layout:
         counts = kept.astype(float) @ block
         present = counts > 0
         chi2 = np.where(kept, squares, 0.0) @ block
-        left = np.where(kept, dof, 0.0) @ block - np.where(present, self.factors, 0.0)
+        remaining_dof = np.where(kept, dof, 0.0) @ block - np.where(present, self.factors, 0.0)
         any_row = present.astype(float) @ kind > 0
-        kinds = {"chi2": chi2 @ kind, "dof": left @ kind}
+        kinds = {"chi2": chi2 @ kind, "dof": remaining_dof @ kind}
         kinds["p"] = np.where(any_row, p_value(kinds["chi2"], kinds["dof"], self.std), 1.0)
-        single = (counts == 1) & (left > RULES.followed)
-        chi2 = np.divide(chi2, left, out=chi2.copy(), where=single)
-        modes = {"chi2": chi2, "dof": np.where(single, 1.0, left)}
+        single = (counts == 1) & (remaining_dof > RULES.followed)
+        chi2 = np.divide(chi2, remaining_dof, out=chi2.copy(), where=single)
+        modes = {"chi2": chi2, "dof": np.where(single, 1.0, remaining_dof)}
         modes["p"] = np.where(present, p_value(modes["chi2"], modes["dof"], self.std[self.kind_of]), 1.0)
         shapes = present & np.array([name == "shape" for _, name in self.blocks])
         worst = np.min(np.where(shapes, modes["p"], np.inf), axis=1, initial=np.inf)

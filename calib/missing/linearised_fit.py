@@ -169,12 +169,12 @@ class LinearisedFit:
         right = (self.data_slope * self.prior_sd).T @ data - self.shift
         step = la.solve(self.scaled_information, right, assume_a="pos")
         moved = {n: self.values[n] + d for n, d in zip(self.names, self.prior_sd * step, strict=True)}
-        left = residual - self.slope @ (self.prior_sd * step)
+        remainder = residual - self.slope @ (self.prior_sd * step)
         others = self.others
         if others is not None:
             others = others._replace(residual=others.residual - others.slope @ (self.prior_sd * step))
         values = {**self.values, **moved, **change}
-        return replace(self, values=values, residual=left, shift=self.shift + step, others=others)
+        return replace(self, values=values, residual=remainder, shift=self.shift + step, others=others)
 
 
 def least_squares_fit(

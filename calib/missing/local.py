@@ -65,7 +65,7 @@ class LocalPerturbation:
     high: float
 
     @property
-    def told(self) -> str:
+    def in_words(self) -> str:
         """In words, such as ``damping of the rear right damper, about 60 % lost [45, 72]``."""
         if not self.effect.part:
             unit = unit_words(self.effect.magnitude.unit)
@@ -86,10 +86,10 @@ def fault_words(candidate_fit: CandidateFit) -> str:
     """A fitted fault of the measurement in words, such as ``sensor 12y reads 10 % low (95 %: -12 to -8 %)``."""
     found = local_perturbation(candidate_fit)
     if found.effect.told is None:
-        return found.told
+        return found.in_words
     unit = found.effect.magnitude.unit
-    factor, shown = (100.0, "%") if unit == "-" else (1.0, unit)
+    factor, display_unit = (100.0, "%") if unit == "-" else (1.0, unit)
     width = factor * (found.high - found.low)
     places = max(1 - math.floor(math.log10(width)), 0) if math.isfinite(width) and width > 0 else 2
     low, high = (f"{factor * end:.{places}f}" for end in (found.low, found.high))
-    return f"{found.effect.told(found.value)} (95 %: {low} to {high} {shown})"
+    return f"{found.effect.told(found.value)} (95 %: {low} to {high} {display_unit})"

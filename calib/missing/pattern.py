@@ -62,9 +62,9 @@ def pattern_table(found: Explanation, labels: pd.DataFrame) -> pd.DataFrame:
     for fit in explaining(found):
         changes = {name: fit.fit.values[name] * named.raw[:, named.best(name)] for name in fit.names}
         whole = np.sum(list(changes.values()), axis=0)
-        residual, left = base.remaining(np.zeros_like(whole)), base.remaining(whole)
+        residual, remainder = base.remaining(np.zeros_like(whole)), base.remaining(whole)
         for name, change in changes.items():
-            own = rows.assign(residual=residual, signature=base.remaining(whole - change) - left, left=left)
+            own = rows.assign(residual=residual, signature=base.remaining(whole - change) - remainder, left=remainder)
             own.insert(0, "effect", name)
             own.insert(0, "effects", " + ".join(fit.names))
             parts.append(own)

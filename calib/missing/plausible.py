@@ -69,12 +69,14 @@ def implausible(fit: LinearisedFit, added: Sequence[Candidate]) -> str:
 
 def _pull_words(rows: Sequence[_Pull]) -> list[str]:
     """Which parameters are pulled; of more than `_NAMED` those that are pulled most, with the number of others."""
-    told = [(name, score, limit) for name, *_, score, limit, pulled in rows if pulled]
-    if len(told) <= _NAMED:
-        return [f"{name} has a pull of {score:+.1f} (limit {limit:.1f})" for name, score, limit in told]
-    most = sorted(told, key=lambda row: -abs(row[1]))[:_NAMED]
+    pulled_rows = [(name, score, limit) for name, *_, score, limit, pulled in rows if pulled]
+    if len(pulled_rows) <= _NAMED:
+        return [f"{name} has a pull of {score:+.1f} (limit {limit:.1f})" for name, score, limit in pulled_rows]
+    most = sorted(pulled_rows, key=lambda row: -abs(row[1]))[:_NAMED]
     named = ", ".join(f"{name} by {score:+.1f}" for name, score, _ in most)
-    return [f"{len(told)} of {len(rows)} parameters are pulled, most of all {named} (limit {told[0][2]:.1f})"]
+    return [
+        f"{len(pulled_rows)} of {len(rows)} parameters are pulled, most of all {named} (limit {pulled_rows[0][2]:.1f})"
+    ]
 
 
 def limit_of(fit: LinearisedFit, p: Parameter) -> Literal["lower", "upper"] | None:

@@ -250,11 +250,11 @@ def recommendation(
         return None
     names = list(dict.fromkeys(str(own["measurement"].iloc[0]) for own in advised))
     if not any(map(_is_held_out, names)):
-        told = "; ".join(str(own["words"].iloc[0]) for own in advised)
+        words = "; ".join(str(own["words"].iloc[0]) for own in advised)
         short = f"{purpose}, measure next: {'; or '.join(names)}."
-        return Recommendation(f"{purpose}, measure next: {told}. {AVERAGED}", short)
-    told = "; ".join(map(_used_or_measured, advised))
-    return Recommendation(f"{purpose}, {told}. {AVERAGED} {USED}", f"{purpose}, {_in_short(names)}.")
+        return Recommendation(f"{purpose}, measure next: {words}. {AVERAGED}", short)
+    words = "; ".join(map(_used_or_measured, advised))
+    return Recommendation(f"{purpose}, {words}. {AVERAGED} {USED}", f"{purpose}, {_in_short(names)}.")
 
 
 def _narrowing(table: pd.DataFrame, name: str, intervals: Mapping[str, Interval]) -> str:
@@ -301,8 +301,8 @@ def _narrowing_in_short(table: pd.DataFrame, named: Sequence[str], intervals: Ma
     for measurement, widths in best.items():
         *others, last = widths
         names = f"{', '.join(others)} and {last}" if others else last
-        told = "; ".join(f"{name} {width}" if others else width for name, width in widths.items() if width)
-        narrower = f" (95 % interval {told})" if told else ""
+        words = "; ".join(f"{name} {width}" if others else width for name, width in widths.items() if width)
+        narrower = f" (95 % interval {words})" if words else ""
         out.append(f"To narrow the magnitude{'s' * bool(others)} of {names}, {_in_short([measurement])}{narrower}.")
     return out
 
@@ -311,8 +311,8 @@ def _in_short(names: Sequence[str]) -> str:
     """What to use and what to measure, in the order given; neighbours of one kind share their verb."""
     steps = []
     for held, group in groupby(names, key=_is_held_out):
-        told = " or ".join(name.removesuffix(HELD_OUT) for name in group)
-        steps.append(f"let the fit use {told}, {_MEASURED}" if held else f"measure {told}")
+        words = " or ".join(name.removesuffix(HELD_OUT) for name in group)
+        steps.append(f"let the fit use {words}, {_MEASURED}" if held else f"measure {words}")
     return "; or ".join(steps)
 
 

@@ -108,17 +108,19 @@ class Refits:
             least_squares_fit(self.fit_problem(names), names, start, whole, self.affordable(settings), self._step),
         )
 
-    def tell(self, stage: str) -> None:
+    def announce(self, stage: str) -> None:
         """Tell the present step, with the part of the budget that is used, where there is one."""
         used, most = max(self.allowance.used, 0), self.allowance.most
         self.progress(stage, used, max(most, used) if math.isfinite(most) else 0)
 
     def _step(self, share: float) -> None:
-        self.tell("")
+        self.announce("")
 
     def affordable(self, settings: FitSettings) -> FitSettings:
         """Fit settings limited to the evaluations left in the budget, but no fewer than the verdict needs."""
-        return replace(settings, evaluations=min(settings.evaluations, max(self.allowance.left, RULES.least_residuals)))
+        return replace(
+            settings, evaluations=min(settings.evaluations, max(self.allowance.remaining, RULES.least_residuals))
+        )
 
     def singles(
         self,
@@ -169,7 +171,7 @@ class Refits:
         self, base: CandidateFit, named: Scores, name: str, starts: dict[tuple[str, ...], dict[str, float]]
     ) -> CandidateFit | None:
         """Fit of one effect, from its earlier fit or from one step off the base model."""
-        self.tell(f"fitting {self.by_name[name].title}")
+        self.announce(f"fitting {self.by_name[name].title}")
         known = [starts[(name,)]] if (name,) in starts else None
         return self.best_of((name,), known or self.starts(base.fit, named, name), base)
 
@@ -206,11 +208,11 @@ class Refits:
 
     def without(self, model: CandidateFit, effect: Candidate, base: CandidateFit) -> CandidateFit | None:
         """A model refitted without one of its effects, from its values; None where that cannot be evaluated."""
-        left = tuple(name for name in model.names if name != effect.name)
-        if not left:
+        remaining = tuple(name for name in model.names if name != effect.name)
+        if not remaining:
             return base
-        self.tell(f"leaving out {effect.title}")
-        return self.best_of(left, [{n: v for n, v in model.fit.values.items() if n not in effect.names}], base)
+        self.announce(f"leaving out {effect.title}")
+        return self.best_of(remaining, [{n: v for n, v in model.fit.values.items() if n not in effect.names}], base)
 
     def grown(self, names: tuple[str, ...], parent: CandidateFit) -> CandidateFit:
         """The optimum of a model with fewer effects, with zero magnitude of the further ones."""
@@ -298,7 +300,7 @@ class Refits:
                 predicted, largest = (max(float(found.magnitude[j]), 0.0) ** 2 / 2 for j in (k, int(order[0])))
                 if predicted <= 0 or reached - predicted > near_to(reached) or largest - predicted > RULES.close:
                     break
-                self.tell(f"fitting {self.by_name[found.owners[k]].title}")
+                self.announce(f"fitting {self.by_name[found.owners[k]].title}")
                 fit = self._local(found.owners[k], base, found, best)
                 out += [] if fit is None else [fit]
         return tuple(sorted(out, key=lambda t: -t.ln_evidence))
@@ -349,7 +351,7 @@ class Refits:
         best = candidate_fit
         with self.allowance.continuing():
             for _ in range(RULES.continued):
-                if best.fit.converged or self.allowance.left <= 0:
+                if best.fit.converged or self.allowance.remaining <= 0:
                     break
                 further = self.followed(best)
                 if further is best:
@@ -366,7 +368,7 @@ class Refits:
         best = candidate_fit
         with self.allowance.continuing():
             for _ in range(RULES.walk):
-                if self.allowance.left <= 0:
+                if self.allowance.remaining <= 0:
                     break
                 values = best.fit.values
                 others = other_whole(self.fit_problem(best.names), values)

@@ -40,7 +40,7 @@ def restarted(
     are fitted, and integer parameters are chosen again for the best fit. A fit replaces an earlier one of the same
     effect only if its sum of squares is smaller.
     """
-    fits.tell("fitting from the nominal values too")
+    fits.announce("fitting from the nominal values too")
     own = replace(fits, settings=replace(fits.settings, budget=RULES.anew * fits.settings.budget))
     best = {t.names[0]: t for t in singles}
     try:

@@ -60,13 +60,13 @@ def steps_tables(found: Explanation, errors: pd.DataFrame) -> dict[str, pd.DataF
         ))  # fmt: skip
         before = frozenset(names)
     steps = pd.DataFrame(rows, columns=list(STEP_COLUMNS))
-    told = errors.assign(step=errors["stage"].astype(int)).merge(steps[["step", "effects"]], on="step")
+    by_step = errors.assign(step=errors["stage"].astype(int)).merge(steps[["step", "effects"]], on="step")
     rejected = [
         (_together(t.beside), t.what.name, t.what.title, t.ln_bayes, t.left_out, WHY[t.why]) for t in found.steps.trials
     ]
     return {
         STEPS: steps,
-        STEPS_ERRORS: told[list(ERROR_COLUMNS)],
+        STEPS_ERRORS: by_step[list(ERROR_COLUMNS)],
         REJECTED: pd.DataFrame(rejected, columns=list(REJECTED_COLUMNS)),
     }
 

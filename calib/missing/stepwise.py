@@ -139,7 +139,7 @@ class Stepwise:
     def _beside(self, model: CandidateFit, scores: Scores, effects: Sequence[Candidate]) -> Iterator[CandidateFit]:
         fits = self.fits
         for effect in effects:
-            fits.tell(f"fitting {effect.title} beside {' and '.join(e.title for e in model.effects)}")
+            fits.announce(f"fitting {effect.title} beside {' and '.join(e.title for e in model.effects)}")
             starts = fits.starts(model.fit, scores, effect.name)
             found = fits.best_of((*model.names, effect.name), starts[:1], model)
             if found is not None:

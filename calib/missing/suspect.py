@@ -141,14 +141,14 @@ def suspects_table(
     )
     tests = np.array([(o.chi2, o.dof, o.std) for o in tried]).reshape(-1, 3)
     table["p"] = np.minimum(1.0, len(data) * p_value(*tests.T))
-    table["p_fit_without"], left = np.nan, np.zeros(len(table))
+    table["p_fit_without"], remaining_dof = np.nan, np.zeros(len(table))
     improbable = np.flatnonzero(table["p"] < level)
     for k in range(0, len(improbable), _AT_ONCE):
         some = improbable[k : k + _AT_ONCE]
         rest = _rest(e, root, [tried[j] for j in some])
         found = layout.sums(*rest)
-        table.loc[some, "p_fit_without"], left[some] = found.overall, found.kinds["dof"].sum(axis=1)
-    enough = left >= degrees_of_freedom.RULES.least
+        table.loc[some, "p_fit_without"], remaining_dof[some] = found.overall, found.kinds["dof"].sum(axis=1)
+    enough = remaining_dof >= degrees_of_freedom.RULES.least
     table["explains"] = (table["p"] < level) & (table["p_fit_without"] > level) & enough
     # Of two that explain, the one with fewer rows is the more specific.
     order = np.lexsort((-table["chi2"], np.where(table["explains"], table["rows"], 0), ~table["explains"].astype(bool)))

@@ -202,7 +202,7 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> VerdictWord
         explaining.append((found.ln_bayes(found.fault), told))
         alternatives += found.fault.effects
     if found.datum is not None:
-        explaining.append((found.ln_bayes(found.datum), found.datum.told))
+        explaining.append((found.ln_bayes(found.datum), found.datum.in_words))
         check = f"Or measure the {found.datum.what} again."
     explaining.sort(key=lambda one: -one[0])
     ln_bayes = explaining[0][0] - explaining[1][0]
@@ -267,7 +267,7 @@ def _rest(found: Explanation) -> str:
         return "Give a library with further effects."
     better = bool(found.groups) and (found.chosen is None or perturbation.ln_evidence > found.chosen.ln_evidence)
     words = "it fits better than every listed effect" if better else "it would help most"
-    size = local_perturbation(perturbation).told
+    size = local_perturbation(perturbation).in_words
     return f"Look first at this place: {size}; {words}. It is a place to look at, not a cause."
 
 
@@ -291,7 +291,7 @@ def _nearly(found: Explanation, e: Candidate) -> VerdictWords:
     assert found.chosen is not None and found.chosen_adequacy is not None
     before, after = found.base.fit.misfit, found.chosen.fit.misfit
     low, high = magnitude_range(found)
-    left = where(found.chosen_adequacy)
+    location = where(found.chosen_adequacy)
     return VerdictWords(
         f"The model lacks something like {e.in_words}, but not exactly that; in the form that the library lists it "
         f"would be {range_words(low, high, e.magnitude.unit, meaning_of(e.magnitude))}.",
@@ -299,7 +299,7 @@ def _nearly(found: Explanation, e: Candidate) -> VerdictWords:
         f"{p_words(found.chosen_adequacy.p_family)}. {misfit_in_short(found)} A further, much smaller effect is "
         "possible too.",
         look_for((e,)),
-        (misfit_words(found), f"What is left is largest {left}." if left else "", steps_sentence(found)),
+        (misfit_words(found), f"What is left is largest {location}." if location else "", steps_sentence(found)),
     )
 
 

@@ -148,8 +148,8 @@ def collinear(found: Explanation, effects: pd.DataFrame, chosen: CandidateFit) -
     out = []
     for e in chosen.effects:
         if len(chosen.effects) > 1:
-            told = () if found.steps is None else found.steps.competing
-            own = {n for g in found.groups if e.name in g.names for n in g.names} - {e.name, *(r for _, r in told)}
+            competing = () if found.steps is None else found.steps.competing
+            own = {n for g in found.groups if e.name in g.names for n in g.names} - {e.name, *(r for _, r in competing)}
             same = ", ".join(n for n in found.credible if n in own)
         else:
             same = str(row_of(effects, e.name)["stands_for"])

@@ -44,7 +44,7 @@ def wrong_datum(fits: Refits, base: CandidateFit, accused: pd.DataFrame, best: C
     gone = next(d.rows for d in data_of(h.rows) if (d.what, d.kind) == (first["what"], first["kind"]))
     kept = np.setdiff1d(np.arange(len(h.rows)), gone)
     fit_problem = fits.fit_problem(base.names)
-    fits.tell(f"fitting without {first['what']}")
+    fits.announce(f"fitting without {first['what']}")
     try:
         rest = least_squares_fit(
             Altered(fit_problem, kept=kept), base.names, base.fit.values, settings=fits.affordable(FINE)

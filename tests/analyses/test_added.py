@@ -81,10 +81,15 @@ def study(mast, tmp_path_factory):
     return Study.load(mast.write_study(tmp_path_factory.mktemp("added") / "mast"))
 
 
-def found(verdict, *names, untold=()):
+def found(verdict, *names, equally_good=()):
     chosen = SimpleNamespace(names=names) if names else None
     return SimpleNamespace(
-        verdict=verdict, chosen=chosen, chosen_adequacy=None, untold=untold or names, steps=None, uncontested=False
+        verdict=verdict,
+        chosen=chosen,
+        chosen_adequacy=None,
+        equally_good=equally_good or names,
+        steps=None,
+        uncontested=False,
     )
 
 
@@ -94,7 +99,7 @@ def test_only_effects_without_a_competing_model_are_added():
     for verdict in ("indistinguishable", "partial", "none_explains"):
         assert to_add(found(verdict, "guy")) is None
     assert (
-        to_add(found("two_effects", "guy", "lamp", untold=("guy", "lamp", "ice"))) is None
+        to_add(found("two_effects", "guy", "lamp", equally_good=("guy", "lamp", "ice"))) is None
     )  # ice is a competing model
     assert to_add(found("nothing_detectable")) is None and to_add(found("noise_underestimated")) is None
 
@@ -114,7 +119,7 @@ def test_only_effects_without_a_competing_model_are_added():
     ],
 )
 def test_why_nothing_is_added_is_reported_and_written(study, verdict, words, tmp_path):
-    answer = write_nothing_added(study, found(verdict, "guy", untold=("guy", "lamp")), Results(tmp_path))
+    answer = write_nothing_added(study, found(verdict, "guy", equally_good=("guy", "lamp")), Results(tmp_path))
     assert words in answer.sentence and answer.effects == () and answer.errors.empty
     written = json.loads((tmp_path / "added.json").read_text())
     assert written["sentence"] == answer.sentence and written["effects"] == [] and written["conclusion"] == ""

@@ -33,12 +33,12 @@ def test_two_models_are_linearised_at_samples_of_both_weighted_by_their_probabil
     for competitor, candidate_fit in zip(design.competing.pair, pair, strict=True):
         assert (
             len({p[competitor.name] for p in competitor.points}) == 3
-            and competitor.seen.all()
-            and competitor.there.all()
+            and competitor.sampled_rows.all()
+            and competitor.rows_at_fit.all()
         )
         k = candidate_fit.fit.names.index(competitor.name)
         step = candidate_fit.fit.covariance[k, k] ** 0.5
-        moved = competitor.drawn - competitor.predicted
+        moved = competitor.sampled - competitor.predicted
         linear = np.array(
             [[p[n] - candidate_fit.fit.values[n] for n in candidate_fit.fit.names] for p in competitor.points]
         ) @ competitor.slope.T  # fmt: skip

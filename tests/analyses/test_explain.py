@@ -86,7 +86,7 @@ def test_a_wrong_mass_that_no_effect_describes_is_located(heavier):
     assert heavier.verdict == "none_explains" and heavier.explanation.credible == ()
     change = local_perturbation(heavier.explanation.perturbation)
     assert change.effect.name == "change of m3" and change.low < 1 / 6 < change.high
-    assert change.told.startswith("m3, about ") and f"{change.told}; it fits better" in heavier.sentence
+    assert change.in_words.startswith("m3, about ") and f"{change.in_words}; it fits better" in heavier.sentence
 
 
 @pytest.mark.slow

@@ -152,16 +152,16 @@ def bare_chain(seed, hidden, fault="", offset=(0.0, 0.0)):
 def test_a_measurement_fault_that_explains_as_well_is_named_beside_the_effect(seed, fault, offset, effect):
     found = bare_chain(seed, "", fault, offset)
     own = f"offset of {'freq' if fault.startswith('freq') else 'damping'}"
-    assert found.verdict == "indistinguishable" and found.untold == (effect, own)
+    assert found.verdict == "indistinguishable" and found.equally_good == (effect, own)
     assert abs(found.fault.ln_evidence - found.chosen.ln_evidence) < RULES.credible
 
 
 @pytest.mark.slow
 def test_a_true_damper_and_damping_measured_too_high_are_indistinguishable():
     found = bare_chain(2, "ground_damper_5")
-    assert found.verdict == "indistinguishable" and found.untold == ("ground_damper_5", "offset of damping")
+    assert found.verdict == "indistinguishable" and found.equally_good == ("ground_damper_5", "offset of damping")
     other = bare_chain(2, "ground_spring_3")
-    assert other.verdict == "effect" and other.untold == ("ground_spring_3",) and other.fault is None
+    assert other.verdict == "effect" and other.equally_good == ("ground_spring_3",) and other.fault is None
 
 
 def test_a_perturbed_parameter_is_perturbed_in_effects_too():

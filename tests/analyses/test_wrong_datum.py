@@ -36,10 +36,10 @@ def test_a_wrong_frequency_is_indistinguishable_from_the_effect_that_explains_it
     *_, answer = spoilt
     found = answer.explanation
     assert answer.verdict == "indistinguishable" and found.credible == ("guy",)
-    assert found.datum.what == BAD and found.untold == ("guy", found.datum.told)
+    assert found.datum.what == BAD and found.equally_good == ("guy", found.datum.in_words)
     row = answer.tables["suspects_explained"].set_index("what").loc[BAD]
     assert row["explains"] and found.datum.ln_evidence > found.chosen.ln_evidence - RULES.credible
-    assert found.datum.told in answer.sentence and f"measure the {BAD} again" in answer.sentence
+    assert found.datum.in_words in answer.sentence and f"measure the {BAD} again" in answer.sentence
 
 
 def test_the_summary_names_the_datum(spoilt):
@@ -53,4 +53,4 @@ def test_nothing_is_added_for_a_wrong_frequency(spoilt, tmp_path):
     study, _, answer = spoilt
     assert to_add(answer.explanation) is None
     added = write_nothing_added(study, answer.explanation, Results.at(tmp_path, study.name))
-    assert added.effects == () and answer.explanation.datum.told in added.sentence
+    assert added.effects == () and answer.explanation.datum.in_words in added.sentence

@@ -128,7 +128,7 @@ def one(asked: Chain, name: str, seed: int, outside: bool = False, reading: str 
     return {
         "code": digest_of(CHAIN.sources), "scenario": reading or name or "nothing", "number": seed, "group": group,
         "hidden": list(hidden.hidden), "magnitudes": {n: truth[n] for n in hidden.hidden}, "visible": seen,
-        "untold": list(found.untold), "seconds": seconds,
+        "untold": list(found.equally_good), "seconds": seconds,
     } | row | answers(found, hypotheses, hidden)  # fmt: skip
 
 

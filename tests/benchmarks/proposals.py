@@ -163,7 +163,7 @@ def row_of(
         "both_in_three": any(n and p.composed.kind in truth.kinds for n, p in zip(near[:3], ranked[:3], strict=True)),
         "told": [[c.kind, c.at] for c in close],
         "lost": [[one.title, one.reason] for one in found.lost],
-        "left": None if found.left is None else found.left.p_family,
+        "left": None if found.adequacy is None else found.adequacy.p_family,
         "seconds": round(time.perf_counter() - started, 1),
     }  # fmt: skip
 

@@ -102,7 +102,7 @@ def one(kind: str, design: str, number: int) -> dict[str, Any]:
         return row | {"verdict": f"failed: {fault}"}
     naming = found.verdict in ("effect", "indistinguishable", "two_effects", "several_effects")
     return row | {
-        "verdict": found.verdict, "named": list(found.explanation.explanation.untold) if naming else [],
+        "verdict": found.verdict, "named": list(found.explanation.explanation.equally_good) if naming else [],
     }  # fmt: skip
 
 

@@ -135,7 +135,9 @@ def test_certain_parameters_give_half_of_the_squared_distance():
     pair = []
     for one in found.pair:
         sharp = replace(one.fit, slope=1e9 * one.fit.slope)
-        same = replace(one, fit=sharp, drawn=np.array([one.predicted]), points=one.points[:1], seen=one.seen[:1])
+        same = replace(
+            one, fit=sharp, sampled=np.array([one.predicted]), points=one.points[:1], sampled_rows=one.sampled_rows[:1]
+        )
         pair.append(replace(same, ln_evidence=0.0))
     certain = replace(found, pair=tuple(pair))
     m = float(np.linalg.norm((pair[0].predicted - pair[1].predicted)[~MEASURED]))
@@ -148,9 +150,11 @@ def test_certain_parameters_give_half_of_the_squared_distance():
 def test_a_row_missing_at_a_sample_adds_nothing_there():
     """A mode missing at half of the samples adds half of its expected log Bayes factor."""
     found, _, _ = competing(1, count=20)
-    half = [replace(r, seen=r.seen & ((np.arange(20) % 2 == 0)[:, None] | MEASURED)) for r in found.pair]
-    none = [replace(r, seen=r.seen & MEASURED) for r in found.pair]
-    gone = [found.pair[0], replace(found.pair[1], there=MEASURED)]
+    half = [
+        replace(r, sampled_rows=r.sampled_rows & ((np.arange(20) % 2 == 0)[:, None] | MEASURED)) for r in found.pair
+    ]
+    none = [replace(r, sampled_rows=r.sampled_rows & MEASURED) for r in found.pair]
+    gone = [found.pair[0], replace(found.pair[1], rows_at_fit=MEASURED)]
     now = sum(
         w * s * (found.pair[0].ln_evidence - found.pair[1].ln_evidence)
         for w, s in zip(found.weights, (1, -1), strict=True)

@@ -42,12 +42,12 @@ def test_an_addition_at_a_sensor_is_reported_where_no_component_comes_near(hidde
 def test_the_magnitude_is_reported_with_its_interval(hidden):
     change = local_perturbation(hidden(0.5, "A5").perturbation)
     assert change.effect.name == "A5" and change.low < 1.0 < change.high
-    assert f"about {100 * change.value:.0f} % more [{100 * change.low:.0f}, {100 * change.high:.0f}]" in change.told
+    assert f"about {100 * change.value:.0f} % more [{100 * change.low:.0f}, {100 * change.high:.0f}]" in change.in_words
 
 
 def test_a_loss_is_reported_as_a_percentage(toy):
     effect = replace(toy().perturbations[0], part="damping of the rear right damper")
-    assert LocalPerturbation(effect, -0.6, -0.72, -0.45).told.endswith("about 60 % lost [45, 72]")
+    assert LocalPerturbation(effect, -0.6, -0.72, -0.45).in_words.endswith("about 60 % lost [45, 72]")
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_a_measurement_fault_competes_with_an_effect(toy, likeness, size, verdic
     made = toy().correlated("A5", "E0", likeness)
     perturbations = tuple(replace(a, of_measurement=a.name == "A5") for a in made.perturbations)
     found = decide(replace(made, perturbations=perturbations).drawn(np.random.default_rng(1), {"E0": size}))
-    assert (found.verdict, found.untold, found.credible) == (verdict, untold, ("E0",))
+    assert (found.verdict, found.equally_good, found.credible) == (verdict, untold, ("E0",))
     assert (found.fault is None) == (len(untold) == 1)
 
 
@@ -72,14 +72,14 @@ def test_a_measurement_fault_is_fitted_although_the_budget_is_used_up(toy):
     found = decide(
         replace(made, perturbations=perturbations).drawn(np.random.default_rng(1), {"E0": 1.0}), Settings(budget=3)
     )
-    assert found.evaluations > 3 and found.untold == ("E0", "A5")
+    assert found.evaluations > 3 and found.equally_good == ("E0", "A5")
 
 
 def test_no_effect_is_named_when_a_measurement_fault_explains_clearly_better(toy):
     made = toy().correlated("A5", "E0", 0.93)
     perturbations = tuple(replace(a, of_measurement=a.name == "A5") for a in made.perturbations)
     found = decide(replace(made, perturbations=perturbations).drawn(np.random.default_rng(1), {"A5": 1.5}))
-    assert found.verdict == "none_explains" and found.perturbation.names == ("A5",) and found.untold == ()
+    assert found.verdict == "none_explains" and found.perturbation.names == ("A5",) and found.equally_good == ()
 
 
 def test_a_collinear_local_perturbation_does_not_compete(toy):

@@ -46,7 +46,7 @@ def test_a_wrong_datum_is_not_named_an_effect(toy, share):
     told = [f for f in found if f.verdict == "indistinguishable"]
     assert len(told) >= 8
     for f in told:
-        assert f.datum.what == "frequency of M3" and f.untold[-1] == f.datum.told
+        assert f.datum.what == "frequency of M3" and f.equally_good[-1] == f.datum.in_words
         assert f.datum.ln_evidence > f.chosen.ln_evidence - RULES.credible and f.datum.p_fit > f.alpha
         # Of one value in a linear model, half of z^2 - 1 - ln z^2 with z the studentised difference.
         z2 = f.suspects.set_index("what").loc[f.datum.what, "chi2"]

@@ -73,14 +73,16 @@ def imagined_linearisations(
         first, second = (_competing(imagined, b, own, scale) for b, own in zip(believed[:2], points[:2], strict=True))
         competing = CompetingModels((first, second), measured, seed)
     shares = (1.0,) if competing is None else competing.weights
-    asked = [(k, values, share) for k, (own, share) in enumerate(zip(points, shares, strict=True)) for values in own]
+    requested = [
+        (k, values, share) for k, (own, share) in enumerate(zip(points, shares, strict=True)) for values in own
+    ]
     for one in believed:  # built here, so that no other process needs to
         for names in (one.names, *((*one.names, name) for name, point in _points(one, effects, found) if point)):
             imagined.fit_problem(names)
     tasks = each if _shareable(imagined) else alone
     done = tasks(
-        _linearisation, (imagined, believed, effects, found, scale), asked,
-        lambda number: progress("what to measure next", number, len(asked)),
+        _linearisation, (imagined, believed, effects, found, scale), requested,
+        lambda number: progress("what to measure next", number, len(requested)),
     )  # fmt: skip
     for _, counts in done:
         imagined.hypotheses.counts.add(counts)
@@ -94,10 +96,10 @@ def _shareable(imagined: Imagined) -> bool:
 
 def _linearisation(
     shared: tuple[Imagined, Sequence[CandidateFit], Sequence[Candidate], Scores, float],
-    asked: tuple[int, Mapping[str, float], float],
+    requested: tuple[int, Mapping[str, float], float],
 ) -> tuple[Linearisation | None, Counts]:
     """A linearisation at one sample, and the points requested for it: as many whatever was requested before."""
-    (imagined, believed, effects, found, scale), (k, values, share) = shared, asked
+    (imagined, believed, effects, found, scale), (k, values, share) = shared, requested
     if _shareable(imagined):
         imagined.forget()
     with imagined.hypotheses.counts.apart() as counts:
@@ -124,7 +126,7 @@ def _at(
     points = dict(_points(candidate_fit, effects, found))
     differentiable = [name for name, point in points.items() if not point]
     try:
-        seen, here = imagined.identified(fit_problem, values), fit_problem.residual(values)
+        identified, here = imagined.identified(fit_problem, values), fit_problem.residual(values)
         slope = -fit_problem.jacobian(values, [*names, *differentiable])
     except EvaluationError:
         return None
@@ -140,8 +142,8 @@ def _at(
             columns.append(np.where(both, here - changed, 0.0) / there[effect.name])
         except (EvaluationError, InputError):
             columns.append(np.zeros(len(here)))
-    factor = seen[:, None] / scale
-    loose = imagined.loose(fit_problem, values) * seen[:, None]
+    factor = identified[:, None] / scale
+    loose = imagined.loose(fit_problem, values) * identified[:, None]
     every = (*names, *(f"scale {k}" for k in range(loose.shape[1])))
     known = np.append(candidate_fit.fit.prior_sd, np.ones(loose.shape[1]))
     slopes = np.hstack([slope[:, : len(names)] * factor, loose])
@@ -154,7 +156,7 @@ def _competing(
     """Predictions of a model at its fit and at posterior samples, relative to the imagined test."""
     fit_problem, fit = imagined.fit_problem(candidate_fit.names), candidate_fit.fit
     there = imagined.identified(fit_problem, fit.values)
-    kept, sampled, seen = [], [], []
+    kept, sampled, identified = [], [], []
     for values in points:
         try:
             rows = imagined.identified(fit_problem, values)
@@ -162,12 +164,13 @@ def _competing(
         except EvaluationError:
             continue
         kept.append(values)
-        seen.append(rows)
+        identified.append(rows)
     factor = there / scale
     predicted, slope = -fit_problem.residual(fit.values) * factor, -fit_problem.jacobian(fit.values, fit.names)
     return CompetingModel(
         candidate_fit.names[0], candidate_fit.ln_evidence, fit, predicted, slope * factor[:, None], tuple(kept),
-        np.array(sampled).reshape(len(kept), len(there)), np.array(seen, bool).reshape(len(kept), len(there)), there,
+        np.array(sampled).reshape(len(kept), len(there)),
+        np.array(identified, bool).reshape(len(kept), len(there)), there,
         imagined.loose(fit_problem, fit.values) * there[:, None],
     )  # fmt: skip
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import textwrap
 from collections.abc import Sequence
 
+from calib import structure
 from calib.hypotheses.proposals.composed import Builder, quoted
 from calib.hypotheses.proposals.proposal import Proposal
 from calib.hypotheses.proposals.proposal import composition_words as in_words
@@ -62,8 +64,11 @@ def _plain(text: str) -> str:
 
 
 def _imports(builders: Sequence[Builder]) -> list[str]:
-    names = sorted({name for builder in builders for name in builder.needs})
-    return [f"from calib.structure import {', '.join(names)}"] if names else []
+    """What the code of these builders imports."""
+    body = ["pass", *(line for builder in builders for line in builder.code)]
+    tree = ast.parse("def build(model):\n" + "\n".join(f"    {line}" for line in body))
+    used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}.intersection(dir(structure))
+    return [f"from calib.structure import {', '.join(sorted(used))}"] if used else []
 
 
 def _effect(rank: int, proposal: Proposal, beside: Sequence[str]) -> list[str]:
@@ -71,15 +76,15 @@ def _effect(rank: int, proposal: Proposal, beside: Sequence[str]) -> list[str]:
     assert isinstance(effect, Effect)
     unit = effect.magnitude.unit
     fitted = f"fitted {proposal.value:.3g}{'' if unit == '-' else f' {unit}'}"
-    told = (
+    comment = (
         f"Rank {rank}: composed from the local perturbations ({composed.kind}) at {composed.at}; {fitted} "
         f"(95 %: {range_words(proposal.low, proposal.high, unit)}), ln Bayes {proposal.ln_bayes:.1f} against the model"
         f"{' with ' + ' and '.join(beside) if beside else ''}, one of {proposal.choices} of its kind."
     )
     if proposal.alike:
         others = "; ".join(map(in_words, proposal.alike[:3]))
-        told += f" The data cannot discriminate it from: {others}{'; ...' if len(proposal.alike) > 3 else ''}."
-    lines = [f"# {line}" for line in textwrap.wrap(told, _WIDE - 12)]
+        comment += f" The data cannot discriminate it from: {others}{'; ...' if len(proposal.alike) > 3 else ''}."
+    lines = [f"# {line}" for line in textwrap.wrap(comment, _WIDE - 12)]
     lines += ["Effect("]
     lines += [f"    name={quoted(effect.name)},"]
     for key in ("title", "lacks", "look_for", "phrase"):

@@ -39,11 +39,6 @@ class Builder(Protocol):
         """Lines of the body of a function of ``model``, without indentation."""
         ...
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Names of `calib.structure` that the code uses."""
-        ...
-
 
 def _literal(place: Place) -> str:
     part, point = place
@@ -91,11 +86,6 @@ class ScaledParts:
             lines.append("    ),")
         return (*lines, ")")
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """See `Builder`."""
-        return "Addition", "scaled_part"
-
 
 @dataclass(frozen=True)
 class MountedDampers:
@@ -121,11 +111,6 @@ class MountedDampers:
         """See `Builder`."""
         return (f'return mounted_dampers(model, {_names(self.parts)}, "{self.name}")',)
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """See `Builder`."""
-        return ("mounted_dampers",)
-
 
 @dataclass(frozen=True)
 class SoftSupports:
@@ -149,11 +134,6 @@ class SoftSupports:
     def code(self) -> tuple[str, ...]:
         """See `Builder`."""
         return (f'return softened_supports(model, {_names(self.supports)}, "{self.name}")',)
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """See `Builder`."""
-        return ("softened_supports",)
 
 
 @dataclass(frozen=True)
@@ -189,11 +169,6 @@ class RotationalSprings:
             f'return Addition(stiffness=(outer_term("{self.name}", rows, parameter("{self.name}")),))',
         )
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """See `Builder`."""
-        return "Addition", "outer_term", "parameter", "part_of", "relative_rotation"
-
 
 @dataclass(frozen=True)
 class PointMass:
@@ -225,11 +200,6 @@ class PointMass:
             f"rows = [motion(model, place, direction) {over}]  # 0, 1, 2: x, y, z",
             f'return Addition(mass=(outer_term("{self.name}", rows, parameter("{self.name}")),))',
         )
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """See `Builder`."""
-        return "Addition", "motion", "outer_term", "parameter"
 
 
 @dataclass(frozen=True)
@@ -276,13 +246,6 @@ class HungMass:
             "return Addition(hung.stiffness, hung.damping, (*hung.mass, held), n_added=hung.n_added)",
         )
 
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """See `Builder`."""
-        if not self.others:
-            return "hung_masses", "motion"
-        return "Addition", "hung_masses", "motion", "outer_term", "parameter"
-
 
 @dataclass(frozen=True)
 class Connection:
@@ -327,12 +290,6 @@ class Connection:
         return (*lines, f"return Addition({self.matrix}=({term},))")
 
     @property
-    def needs(self) -> tuple[str, ...]:
-        """See `Builder`."""
-        move = "motion" if self._grounded else "between"
-        return "Addition", move, "outer_term", "parameter"
-
-    @property
     def _grounded(self) -> bool:
         return all(other is None for _, other in self.ends)
 
@@ -363,11 +320,6 @@ class ScaledByFunction:
             f"part = {quoted(self.part)}",
             f'return lambda values: model.function({{**values, part: values.get(part, 0.0) + values["{self.name}"]}})',
         )
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """See `Builder`."""
-        return ()
 
 
 def quoted(text: str) -> str:

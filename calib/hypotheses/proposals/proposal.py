@@ -139,7 +139,7 @@ class Proposals:
         Family-wise p-value of the largest score among all compositions and local perturbations.
     tested : int
         Number of compositions.
-    left : AdequacyTests or None
+    adequacy : AdequacyTests or None
         Tests of the model with the first proposal.
     fault : CandidateFit or None
         The fault of the measurement that explains as well as the first proposal, or better.
@@ -158,7 +158,7 @@ class Proposals:
     ranked: tuple[Proposal, ...]
     p_family: float
     tested: int
-    left: AdequacyTests | None
+    adequacy: AdequacyTests | None
     fault: CandidateFit | None
     datum: WrongDatum | None
     scale: float

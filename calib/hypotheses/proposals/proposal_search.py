@@ -93,10 +93,10 @@ class Search:
     def proposals(self, names: tuple[str, ...], start: Mapping[str, float]) -> Proposals:
         """Search beside some effects of the library, from fitted values."""
         fits, h, alpha = self.fits, self.hypotheses, self.fits.settings.alpha
-        fits.tell("fitting the model")
+        fits.announce("fitting the model")
         begin = nearest_whole(fits.fit_problem(names), dict(start))
         base = fits.finished(fits.beside_whole(fits.candidate_fit(names, begin, whole=1)))
-        fits.tell("testing every composition")
+        fits.announce("testing every composition")
         # Magnitudes of the effects at hand are as free as they can be, so that proposals are not their leftovers.
         fit = base.fit.granting(names) if names else base.fit
         found = scores(fit, [c.effect for c in self.composed], {})
@@ -121,10 +121,20 @@ class Search:
         if not ranked or ranked[0].evidence <= 0:
             return self._none(base, p, len(all_of_them), lost)
         best = ranked[0].candidate_fit
-        left = adequacy_of(fits, best, beside(fits, best, []))
+        adequacy = adequacy_of(fits, best, beside(fits, best, []))
         fault, datum = self._suspect(base, ranked[0])
         return Proposals(
-            base, tuple(ranked), p, len(all_of_them), left, fault, datum, fits.scale, alpha, h.evaluations, tuple(lost)
+            base,
+            tuple(ranked),
+            p,
+            len(all_of_them),
+            adequacy,
+            fault,
+            datum,
+            fits.scale,
+            alpha,
+            h.evaluations,
+            tuple(lost),
         )
 
     def _none(self, base: CandidateFit, p: float, tested: int, lost: Sequence[Lost] = ()) -> Proposals:
@@ -231,7 +241,7 @@ class Search:
         if name not in found.owners:
             lost.append(self._unsolved(base, composed))
             return None
-        fits.tell(f"fitting {composed.effect.title}")
+        fits.announce(f"fitting {composed.effect.title}")
         try:
             fit = fits.best_of((*base.names, name), self._starts(base, composed, found), base)
         except EvaluationError as fault:

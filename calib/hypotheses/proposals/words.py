@@ -91,7 +91,7 @@ def answer_of(found: Proposals) -> Answer:
     evidence = f"ln Bayes {best.ln_bayes:.1f}, chosen among {best.choices} of its kind; {tested}"
     if found.measurement:
         blamed = fault_words(found.fault) if found.fault is not None else ""
-        datum = "" if found.datum is None else found.datum.told
+        datum = "" if found.datum is None else found.datum.in_words
         return Answer(
             f"Nothing is proposed: the measurement is the suspect, {blamed or datum}.",
             f"It explains as well as the best composition, {proposal_words(best)} ({evidence}).",
@@ -103,10 +103,10 @@ def answer_of(found: Proposals) -> Answer:
     if best.alike:
         words += f" The data cannot discriminate it from: {'; '.join(map(composition_words, best.alike[:3]))}."
     if found.datum is not None:
-        words += f" Or {found.datum.told} explains about as well: check it first."
+        words += f" Or {found.datum.in_words} explains about as well: check it first."
     beside = f" beside {' and '.join(found.base.names)}" if found.base.names else ""
-    assert found.left is not None
-    left = min(found.left.p_family, found.left.p_fit)
+    assert found.adequacy is not None
+    left = min(found.adequacy.p_family, found.adequacy.p_fit)
     rest = "nothing systematic is left" if left > found.alpha else "a misfit is left, so it is not the whole truth"
     doubt = f" It is implausible: {best.candidate_fit.implausible}." if best.candidate_fit.implausible else ""
     sure = f"{evidence[:1].upper()}{evidence[1:]}. With it{beside} {rest} ({p_words(left)}).{doubt}"
