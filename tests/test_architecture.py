@@ -50,8 +50,6 @@ PENDING = {
     ("experiment", "study"),
     ("experiment", "analyses"),
     ("hypotheses", "analyses"),
-    ("missing", "analyses"),
-    ("missing", "hypotheses"),
 }
 # What models and libraries of effects may import, so that everything below may move.
 FACES = {"calib", "calib.structure"}
