@@ -12,28 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from calib.report import style
 from calib.report.numbers import fixed
-from calib.report.style import (
-    AFTER,
-    BEFORE,
-    BLACK,
-    GREY,
-    REST,
-    WITH,
-    legend_above,
-    matrix_height,
-    new_figure,
-    own_axes,
-    plain,
-    separate_cells,
-    stage_words,
-)
 from calib.report.svg import hover, hover_cells, hover_points
 
 _LOOKS: dict[str, dict[str, Any]] = {
-    "before": {"color": BEFORE, "hatch": "////", "edgecolor": "white"},
-    "after": {"color": AFTER},
-    "added": {"color": WITH, "hatch": "....", "edgecolor": "white"},
+    "before": {"color": style.BEFORE, "hatch": "////", "edgecolor": "white"},
+    "after": {"color": style.AFTER},
+    "added": {"color": style.WITH, "hatch": "....", "edgecolor": "white"},
 }
 STILL = 0.1
 """Motion over the largest one of a mode, rms over the modes, below which a sensor hardly moves."""
@@ -73,15 +59,15 @@ def draw_frequency_error(
     Axes
         Bar heights in percent; the legend has the mean absolute error over the paired modes.
     """
-    ax = own_axes(ax, 3.2)
+    ax = style.own_axes(ax, 3.2)
     series = _series({"before": before, "after": after, "added": added})
     values = {stage: 100.0 * table["freq_error"] for stage, table in series.items()}
     labels = {
-        stage: f"{stage_words(stage, effects)}: mean |error| {_mean(errors.abs(), '{:.2f} %')}{_paired(errors)}"
+        stage: f"{style.stage_words(stage, effects)}: mean |error| {_mean(errors.abs(), '{:.2f} %')}{_paired(errors)}"
         for stage, errors in values.items()
     }
     ax.axhline(0.0, color="black", linewidth=0.8)
-    told = {stage: stage_words(stage, effects) for stage in values}
+    told = {stage: style.stage_words(stage, effects) for stage in values}
     _bars(ax, values, labels, told, "{:+.1f}", lambda value: f"{fixed(value, 2, sign=True)} %")
     modes = next(iter(values.values())).index
     frequencies = pd.concat([t["natural_freq_measured"] for t in series.values()]).groupby(level=0, sort=False).first()
@@ -112,21 +98,23 @@ def draw_mac(
     noise_mac : float
         Mean MAC of a perfect model with this noise, drawn as a dashed line; NaN where unknown.
     """
-    ax = own_axes(ax, 2.6)
+    ax = style.own_axes(ax, 2.6)
     series = _series({"before": before, "after": after, "added": added})
     values = {stage: table["mac"] for stage, table in series.items()}
     labels = {
-        stage: f"{stage_words(stage, effects)}: mean MAC {_mean(mac, '{:.3f}')}{_paired(mac)}"
+        stage: f"{style.stage_words(stage, effects)}: mean MAC {_mean(mac, '{:.3f}')}{_paired(mac)}"
         for stage, mac in values.items()
     }
-    told = {stage: stage_words(stage, effects) for stage in values}
+    told = {stage: style.stage_words(stage, effects) for stage in values}
     _bars(ax, values, labels, told, "{:.2f}", lambda value: f"MAC {fixed(value, 3)}")
     modes = next(iter(values.values())).index
     ax.set_xticks(range(len(modes)), list(modes))
     _crowded(ax, [str(mode) for mode in modes])
     if not math.isnan(noise_mac):
-        ax.axhline(noise_mac, color=GREY, linestyle="--", linewidth=1.0, label="mean MAC that noise allows", zorder=1)
-        legend_above(ax)
+        ax.axhline(
+            noise_mac, color=style.GREY, linestyle="--", linewidth=1.0, label="mean MAC that noise allows", zorder=1
+        )
+        style.legend_above(ax)
     ax.set_ylim(0.0, 1.1)
     ax.set_yticks(np.linspace(0.0, 1.0, 6))
     ax.set_xlabel("mode")
@@ -146,10 +134,10 @@ def comparison_figure(
     third: dict[str, Any] = {"added": added, "effects": effects}
     more = 0.0 if added is None else 0.5  # for the legend, which names three models on as many lines
     if not has_mac(before, after, added):
-        figure = new_figure(3.6 + more)
+        figure = style.new_figure(3.6 + more)
         draw_frequency_error(before, after, figure.add_subplot(), **third)
         return figure
-    figure = new_figure(6.2 + 2 * more)
+    figure = style.new_figure(6.2 + 2 * more)
     upper, lower = figure.subplots(2, 1, height_ratios=(1.25, 1.0))
     draw_frequency_error(before, after, upper, **third)
     draw_mac(before, after, lower, noise_mac=noise_mac, **third)
@@ -169,12 +157,12 @@ def draw_mac_matrix(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     """
     values = table.drop(columns="mode").to_numpy(dtype=float)
     rows, columns = values.shape
-    ax = own_axes(ax, matrix_height(rows, columns))
+    ax = style.own_axes(ax, style.matrix_height(rows, columns))
     image = ax.imshow(values, cmap="Blues", norm=Normalize(0.0, 1.0), aspect="auto")
     size = 8.0 if columns <= 14 else max(4.5, 8.0 * 14 / columns)
     for i, j in np.argwhere(np.isfinite(values)):
         value = values[i, j]
-        shade = "white" if value > 0.6 else "black" if value >= 0.2 else GREY
+        shade = "white" if value > 0.6 else "black" if value >= 0.2 else style.GREY
         ax.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=size, color=shade)
     ax.set_xticks(range(columns), [str(c) for c in table.columns if c != "mode"], rotation=90 if columns > 6 else 0)
     ax.set_yticks(range(rows), table["mode"].astype(str))
@@ -188,7 +176,7 @@ def draw_mac_matrix(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
             for mode, row in zip(table["mode"], values, strict=True)
         ],
     )
-    separate_cells(ax, rows, columns)
+    style.separate_cells(ax, rows, columns)
     ax.figure.colorbar(image, ax=ax, label="MAC (–)", fraction=0.04, pad=0.02, aspect=40)
     return ax
 
@@ -213,7 +201,7 @@ def draw_comac(
         One dot per sensor and table; of more than 40 sensors the 40 worst, as the axis label then states. The name of a
         sensor that hardly moves is grey, with its motion: its CoMAC is mostly noise.
     """
-    ax = own_axes(ax, 3.6)
+    ax = style.own_axes(ax, 3.6)
     series = _series({"before": before, "after": after}, key="sensor")
     values = {stage: table["comac"] for stage, table in series.items()}
     newest = list(values.values())[-1]
@@ -224,7 +212,7 @@ def draw_comac(
     if len(heights) == 2:
         ax.vlines(x, heights["before"], heights["after"], color="#B5B5B5", linewidth=1.2, zorder=1)
     for name, height in heights.items():
-        colour = BEFORE if name == "before" else AFTER
+        colour = style.BEFORE if name == "before" else style.AFTER
         ax.plot(
             x,
             height,
@@ -234,9 +222,9 @@ def draw_comac(
             markerfacecolor="white" if name == "before" else colour,
             markeredgewidth=1.4,
             color=colour,
-            label=f"{stage_words(name, effects)}: mean CoMAC {_mean(values[name], '{:.3f}')}",
+            label=f"{style.stage_words(name, effects)}: mean CoMAC {_mean(values[name], '{:.3f}')}",
         )
-        told = stage_words(name, effects)
+        told = style.stage_words(name, effects)
         hover_points(ax, x, height, [f"{s}, {told}: {fixed(v, 3)}" for s, v in zip(shown, height, strict=True)])
     lowest = min((float(np.nanmin(h)) for h in heights.values() if np.isfinite(h).any()), default=0.0)
     ax.set_ylim(max(0.0, np.floor(10.0 * lowest - 0.5) / 10.0), 1.03)
@@ -246,14 +234,14 @@ def draw_comac(
     names = [f"{s} ({fixed(100 * motion[s], 0)} %)" if k else str(s) for s, k in zip(shown, still, strict=True)]
     ax.set_xticks(x, names, rotation=90 if len(shown) > 12 or still.any() else 0)
     for label, grey in zip(ax.get_xticklabels(), still, strict=True):
-        label.set_color(GREY if grey else BLACK)
+        label.set_color(style.GREY if grey else style.BLACK)
     ax.grid(axis="both")
     note = f"sensor (node and direction), the {_MAX_SENSORS} worst of {len(order)}" if len(order) > _MAX_SENSORS else ""
     note = note or "sensor (node and direction), worst first"
     hint = "\ngrey: hardly moves (in brackets: of the mode's largest motion, rms), so that noise alone lowers its CoMAC"
     ax.set_xlabel(note + (hint if still.any() else ""))
     ax.set_ylabel("CoMAC (–)")
-    legend_above(ax)
+    style.legend_above(ax)
     return ax
 
 
@@ -295,11 +283,11 @@ def _bars(
                 ha="center",
                 va="bottom",
                 fontsize=7.5,
-                color=GREY,
+                color=style.GREY,
             )
     ax.set_xlim(-0.6, len(next(iter(values.values()))) - 0.4)
     ax.grid(axis="y")
-    legend_above(ax)
+    style.legend_above(ax)
 
 
 def _signed(value: float, number: str) -> str:
@@ -328,7 +316,7 @@ SHOWN = 15
 """Comparisons that are drawn."""
 NOISE = "noise: 1 standard deviation"
 """Label of the line at 1."""
-_MARKS = {"before": ("s", BEFORE), "after": ("o", AFTER), "added": ("D", WITH)}
+_MARKS = {"before": ("s", style.BEFORE), "after": ("o", style.AFTER), "added": ("D", style.WITH)}
 
 
 def draw_worst(
@@ -360,7 +348,7 @@ def draw_worst(
     }
     first = pd.concat(found, axis=1).bfill(axis=1).iloc[:, 0].dropna() if found else pd.Series(dtype=float)
     names = list(first.sort_values(ascending=False, kind="stable").index[:SHOWN])
-    ax = own_axes(ax, 1.3 + 0.26 * max(len(names), 1))
+    ax = style.own_axes(ax, 1.3 + 0.26 * max(len(names), 1))
     ax.set_xscale("log")
     ax.xaxis.set_major_formatter("{x:g}")
     places = np.arange(len(names))
@@ -369,19 +357,19 @@ def draw_worst(
         known = np.isfinite(ends).any(axis=0)
         ax.hlines(
             places[known], np.nanmin(ends[:, known], axis=0), np.nanmax(ends[:, known], axis=0),
-            color=REST, linewidth=1.5, zorder=1,
+            color=style.REST, linewidth=1.5, zorder=1,
         )  # fmt: skip
     for stage, sizes in zip(found, ends, strict=True):
         known = np.flatnonzero(sizes > 0)
         mark, colour = _MARKS[stage]
-        words = stage_words(stage, effects)
+        words = style.stage_words(stage, effects)
         dots = ax.scatter(sizes[known], places[known], s=36, marker=mark, color=colour, label=words, zorder=3)
-        hover(dots, *(f"{names[k]}, {words}: {plain(sizes[k])} standard deviations" for k in known))
-    ax.axvline(1.0, color=BLACK, linestyle="--", linewidth=1.0, label=NOISE, gid="noise")
+        hover(dots, *(f"{names[k]}, {words}: {style.plain(sizes[k])} standard deviations" for k in known))
+    ax.axvline(1.0, color=style.BLACK, linestyle="--", linewidth=1.0, label=NOISE, gid="noise")
     ax.set_yticks(places, names)
     ax.set_ylim(len(names) - 0.5, -0.5)
     ax.tick_params(axis="y", length=0)
     ax.grid(axis="both")
     ax.set_xlabel("difference of model and measurement (standard deviations)")
-    legend_above(ax)
+    style.legend_above(ax)
     return ax

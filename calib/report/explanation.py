@@ -15,20 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
+from calib.report import style
 from calib.report.numbers import fixed, flag, probability, short, significant
-from calib.report.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    ORANGE,
-    REST,
-    SKY,
-    VERMILLION,
-    legend_above,
-    new_figure,
-    own_axes,
-    separate_cells,
-)
 from calib.report.svg import hover, hover_cells, hover_points
 
 LEAST_BAYES_FACTOR = 3.0
@@ -43,17 +31,17 @@ _NOTE = (
 )
 _TOGETHER = "Effects named together have the evidence and the probability of the model with all of them."
 _LOOKS: dict[str, dict[str, Any]] = {
-    "credible set": {"facecolor": ORANGE},
-    "refitted": {"facecolor": BLUE},
-    "not refitted: linear estimate": {"facecolor": "#CFE6F5", "edgecolor": SKY, "linewidth": 0.8},
-    "not visible with these data": {"facecolor": REST},
+    "credible set": {"facecolor": style.ORANGE},
+    "refitted": {"facecolor": style.BLUE},
+    "not refitted: linear estimate": {"facecolor": "#CFE6F5", "edgecolor": style.SKY, "linewidth": 0.8},
+    "not visible with these data": {"facecolor": style.REST},
 }
 
 
 def blank(ax: Axes, words: str) -> Axes:
     """Write into empty Axes why nothing is drawn, and return them."""
     ax.set_axis_off()
-    ax.text(0.5, 0.5, words, transform=ax.transAxes, ha="center", va="center", color=GREY)
+    ax.text(0.5, 0.5, words, transform=ax.transAxes, ha="center", va="center", color=style.GREY)
     return ax
 
 
@@ -85,21 +73,21 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
         not visible are grey.
     """
     rows = ranked(table)
-    ax = own_axes(ax, _height(len(rows)))
+    ax = style.own_axes(ax, _height(len(rows)))
     if rows.empty:
         return blank(ax, "no effect was tested")
     values = rows["ln_bayes"].to_numpy(dtype=float)
     looks, seen, limit = _looks(rows), _flags(rows["visible"]), threshold(len(rows))
     odd_ones = [bool(words) for words in rows["implausible"].fillna("")]
     spans = rows[["ln_bayes_third", "ln_bayes", "ln_bayes_triple"]].to_numpy(dtype=float)
-    ax.axvline(0.0, color=BLACK, linewidth=0.8)
+    ax.axvline(0.0, color=style.BLACK, linewidth=0.8)
     for row, (value, look, odd, span, visible) in enumerate(zip(values, looks, odd_ones, spans, seen, strict=True)):
         mark: dict[str, Any] = {"marker": "X" if odd else "o", "s": 62, "zorder": 4, "gid": look}
         dot = ax.scatter([value], [row], **mark, **_LOOKS[look])
         hover(dot, f"{rows['name'][row]}: ln Bayes {fixed(value, 1)}, {look}" + (", implausible" if odd else ""))
         known = span[np.isfinite(span)]
         if len(known) > 1:
-            ax.plot([known.min(), known.max()], [row, row], color=BLACK, linewidth=1.1, gid="prior", zorder=3)
+            ax.plot([known.min(), known.max()], [row, row], color=style.BLACK, linewidth=1.1, gid="prior", zorder=3)
         words = short(value) if math.isfinite(value) else "no value"
         # Beside its dot, but right of the threshold, which it would otherwise cover.
         end = max(0.0, *known) if len(known) else 0.0
@@ -110,11 +98,11 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
             textcoords="offset points",
             va="center",
             fontsize=8,
-            color=GREY if not visible else VERMILLION if odd else BLACK,
+            color=style.GREY if not visible else style.VERMILLION if odd else style.BLACK,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 0.6},
             zorder=4,
         )
-    ax.axvline(limit, color=BLACK, linestyle="--", linewidth=1.0, gid="threshold")
+    ax.axvline(limit, color=style.BLACK, linestyle="--", linewidth=1.0, gid="threshold")
     everything = np.append(spans[np.isfinite(spans)], [0.0, limit])
     low, high = float(everything.min()), float(everything.max())
     label = "ln Bayes factor against the base model (–)"
@@ -129,7 +117,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
     _name_rows(ax, rows)
     ax.set_xlabel(label)
     if legend:
-        legend_above(ax, _handles(rows))
+        style.legend_above(ax, _handles(rows))
     return ax
 
 
@@ -151,7 +139,7 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         magnitude would be visible. The score z and the model probability within the library stand at the right.
     """
     rows = ranked(table)
-    ax = own_axes(ax, _height(len(rows)))
+    ax = style.own_axes(ax, _height(len(rows)))
     if rows.empty:
         return blank(ax, "no effect was tested")
     ratio = (rows["magnitude_min"] / rows["plausible"]).to_numpy(dtype=float)
@@ -160,23 +148,23 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.set_xscale("log")
     ax.xaxis.set_major_formatter("{x:g}")
     ax.set_xlim(low / 1.6, high * 2.5)
-    ax.axvline(1.0, color=BLACK, linewidth=1.0, gid="plausible")
+    ax.axvline(1.0, color=style.BLACK, linewidth=1.0, gid="plausible")
     ax.axvspan(1.0, high * 2.5, color="#F2F2F2", zorder=0)
     seen = np.array(_flags(rows["visible"]))
-    for visible, face in ((True, BLACK), (False, "white")):
+    for visible, face in ((True, style.BLACK), (False, "white")):
         shown = known & (seen == visible)
-        edge = BLACK if visible else GREY
+        edge = style.BLACK if visible else style.GREY
         gid = "visible" if visible else "not visible"
         ax.plot(ratio[shown], at[shown], "o", color=edge, markerfacecolor=face, markersize=6, gid=gid, zorder=3)
     what = "smallest visible magnitude over the plausible one"
     words = [f"{n}: {what} {significant(r, 2)}" for n, r in zip(rows["name"], ratio, strict=True)]
     hover_points(ax, np.where(known, ratio, np.nan), at, words)
     never = np.isposinf(ratio)
-    ax.plot(np.full(never.sum(), high * 1.9), at[never], ">", color=GREY, markersize=6, gid="never")
+    ax.plot(np.full(never.sum(), high * 1.9), at[never], ">", color=style.GREY, markersize=6, gid="never")
     for row, (z, share) in enumerate(zip(rows["z"], rows["model_probability"], strict=True)):
-        colour = BLACK if seen[row] else GREY
+        colour = style.BLACK if seen[row] else style.GREY
         _beside(ax, row, "–" if pd.isna(z) else f"{z:.1f}", probability(share), colour)
-    _beside(ax, -0.8, "z", "probability", GREY)
+    _beside(ax, -0.8, "z", "probability", style.GREY)
     _name_rows(ax, rows)
     ax.set_xlabel("smallest visible magnitude /\nplausible magnitude (–)")
     return ax
@@ -187,7 +175,7 @@ def ranked_effects_figure(table: pd.DataFrame) -> Figure:
     handles = _handles(table) if len(table) else []
     over_height = 0.2 * math.ceil(len(handles) / 2)
     height = _height(len(table)) + 0.4
-    figure = new_figure(height + over_height)
+    figure = style.new_figure(height + over_height)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(over_height or 0.1, height))
     over, left = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 0])
     right = figure.add_subplot(grid[1, 1], sharey=left)
@@ -197,7 +185,7 @@ def ranked_effects_figure(table: pd.DataFrame) -> Figure:
     over.set_axis_off()
     over.legend(handles=handles, loc="upper left", borderaxespad=0.0, ncols=2)
     note = f"{_NOTE}\n{_TOGETHER}" if _named_together(table) else _NOTE
-    figure.supxlabel(note, x=0.02, ha="left", fontsize=8, color=GREY, linespacing=1.4)
+    figure.supxlabel(note, x=0.02, ha="left", fontsize=8, color=style.GREY, linespacing=1.4)
     return figure
 
 
@@ -229,7 +217,7 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     titles = {} if effects is None else dict(zip(effects["name"], effects["title"], strict=True))
     unabsorbed = {} if effects is None else dict(zip(effects["name"], effects["unabsorbed"], strict=True))
     if ax is None:
-        ax = new_figure(float(np.clip(0.36 * count, 1.2, 9.0)) + 1.9).add_subplot()
+        ax = style.new_figure(float(np.clip(0.36 * count, 1.2, 9.0)) + 1.9).add_subplot()
     if not names:
         return blank(ax, "no effect was tested")
     values = table.set_index("effect").reindex(columns=names).to_numpy(dtype=float)
@@ -237,7 +225,7 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     image = ax.imshow(values, cmap="RdBu_r", norm=Normalize(-1.0, 1.0), aspect="auto")
     size = 7.5 if count <= 12 else max(4.5, 7.5 * 12.5 / count)
     for i, j in np.argwhere(np.isfinite(values)):
-        colour = "white" if abs(values[i, j]) > 0.65 else BLACK
+        colour = "white" if abs(values[i, j]) > 0.65 else style.BLACK
         text = f"{round(values[i, j], 2) + 0.0:.2f}".replace("-", "−")
         ax.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
     hover_cells(
@@ -247,9 +235,15 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
             for a, row in zip(names, values, strict=True)
         ],
     )
-    separate_cells(ax, count, count)
+    style.separate_cells(ax, count, count)
     for i, j in np.argwhere((np.abs(values) > COLLINEAR) & ~np.eye(count, dtype=bool)):
-        looks: dict[str, Any] = {"fill": False, "edgecolor": BLACK, "linewidth": 1.8, "clip_on": False, "zorder": 4}
+        looks: dict[str, Any] = {
+            "fill": False,
+            "edgecolor": style.BLACK,
+            "linewidth": 1.8,
+            "clip_on": False,
+            "zorder": 4,
+        }
         ax.add_patch(Rectangle((j - 0.46, i - 0.46), 0.92, 0.92, gid="collinear", **looks))
     known = {name: f"γ\xa0{unabsorbed[name]:.2f}" for name in names if not pd.isna(unabsorbed.get(name, math.nan))}
     ends = {n: ", ".join([*([n] if titles.get(n, n) != n else []), *([known[n]] if n in known else [])]) for n in names}
@@ -306,12 +300,12 @@ def _handles(rows: pd.DataFrame) -> list[Artist]:
         for name, look in _LOOKS.items() if name in there
     ]  # fmt: skip
     if rows["implausible"].fillna("").astype(bool).any():
-        odd: dict[str, Any] = {"marker": "X", "color": BLUE, "markersize": 7.5}
+        odd: dict[str, Any] = {"marker": "X", "color": style.BLUE, "markersize": 7.5}
         handles.append(Line2D([], [], linestyle="none", label="fitted with implausible values", **odd))
     words = f"threshold ln {len(rows)} + {LEAST_BAYES_FACTOR:g} = {threshold(len(rows)):.1f}"
-    handles.append(Line2D([], [], color=BLACK, linestyle="--", linewidth=1.0, label=words))
+    handles.append(Line2D([], [], color=style.BLACK, linestyle="--", linewidth=1.0, label=words))
     if rows[["ln_bayes_third", "ln_bayes_triple"]].notna().to_numpy().any():
-        handles.append(Line2D([], [], color=BLACK, linewidth=1.1, label="prior width ÷ 3 to × 3"))
+        handles.append(Line2D([], [], color=style.BLACK, linewidth=1.1, label="prior width ÷ 3 to × 3"))
     return handles
 
 
@@ -342,7 +336,7 @@ def _name_rows(ax: Axes, rows: pd.DataFrame) -> None:
     titles = [str(title) or str(name) for name, title in zip(rows["name"], rows["title"], strict=True)]
     ax.set_yticks(range(len(rows)), [_two_lines(title) for title in titles], fontsize=8)
     for words, visible in zip(ax.get_yticklabels(), _flags(rows["visible"]), strict=True):
-        words.set_color(BLACK if visible else GREY)
+        words.set_color(style.BLACK if visible else style.GREY)
     ax.tick_params(axis="y", length=0)
     ax.set_ylim(len(rows) - 0.45, -0.55)
     ax.grid(axis="x")

@@ -11,30 +11,16 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from calib.report import style
 from calib.report.numbers import fixed
-from calib.report.style import (
-    AFTER,
-    BEFORE,
-    BLACK,
-    DENSE,
-    GREY,
-    WITH,
-    added,
-    legend_above,
-    matrix_height,
-    new_figure,
-    own_axes,
-    separate_cells,
-    stage_words,
-)
 from calib.report.svg import hover_cells, hover_points
 
 OVERLAID = 6
 """Functions of which amplitude and phase are drawn."""
 _STAGES: dict[str, dict[str, Any]] = {
-    "before": {"color": BEFORE, "marker": "s", "linestyle": "--"},
-    "after": {"color": AFTER, "marker": "o", "linestyle": "-"},
-    "added": {"color": WITH, "marker": "D", "linestyle": "-"},
+    "before": {"color": style.BEFORE, "marker": "s", "linestyle": "--"},
+    "after": {"color": style.AFTER, "marker": "o", "linestyle": "-"},
+    "added": {"color": style.WITH, "marker": "D", "linestyle": "-"},
 }
 """Look of each stage."""
 _LINEAR_BELOW = 1.0
@@ -71,7 +57,7 @@ def overlay_figure(overlays: Tables, functions: Tables, *, effects: str = "") ->
     chosen = latest.sort_values("frac", kind="stable").head(OVERLAID)[shown].to_dict("records")
     columns = 2 if len(chosen) > 1 else 1
     rows = -(-len(chosen) // columns)
-    figure = new_figure(0.6 + 2.0 * rows)
+    figure = style.new_figure(0.6 + 2.0 * rows)
     grid = figure.add_gridspec(2 * rows, columns, height_ratios=(3, 1) * rows)
     for k, one in enumerate(chosen):
         amplitude = figure.add_subplot(grid[2 * (k // columns), k % columns])
@@ -90,7 +76,7 @@ def overlay_figure(overlays: Tables, functions: Tables, *, effects: str = "") ->
             # Room for the legend, which would widen its column, and which takes two lines for three stages.
             amplitude.set_title(" " if len(overlays) < 3 else " \n ")
         if k == 0:
-            legend_above(amplitude)
+            style.legend_above(amplitude)
             amplitude.get_legend().set_in_layout(False)  # type: ignore[union-attr]
     return figure
 
@@ -114,7 +100,7 @@ def _of(table: pd.DataFrame, response: str, reference: str) -> pd.DataFrame:
 def _overlay(amplitude: Axes, phase: Axes, own: Tables, effects: str) -> None:
     test = next(iter(own.values()))
     measured = test["measured_re"].to_numpy(float) + 1j * test["measured_im"].to_numpy(float)
-    dots: dict[str, Any] = {"linestyle": "", "marker": ".", "markersize": 3, "color": BLACK, "rasterized": True}
+    dots: dict[str, Any] = {"linestyle": "", "marker": ".", "markersize": 3, "color": style.BLACK, "rasterized": True}
     amplitude.plot(test["freq"], np.abs(measured), label="measured", zorder=3, **dots)
     phase.plot(test["freq"], np.degrees(np.angle(measured)), zorder=3, **dots)
     for table, look in _looked(own, effects):
@@ -131,7 +117,7 @@ def _overlay(amplitude: Axes, phase: Axes, own: Tables, effects: str) -> None:
 def _looked(tables: Tables, effects: str) -> Iterator[tuple[pd.DataFrame, dict[str, Any]]]:
     """Every stage's table with the look of its stage and its words for the legend."""
     for stage, table in tables.items():
-        yield table, {**_STAGES[stage], "label": stage_words(stage, effects)}
+        yield table, {**_STAGES[stage], "label": style.stage_words(stage, effects)}
 
 
 def draw_frac(functions: Tables, ax: Axes | None = None, *, effects: str = "") -> Axes:
@@ -155,7 +141,7 @@ def draw_frac(functions: Tables, ax: Axes | None = None, *, effects: str = "") -
     }
     latest = list(named.values())[-1] if named else pd.DataFrame({"name": [], "frac": []})
     names = latest.sort_values("frac", kind="stable")["name"].tolist()
-    ax = own_axes(ax, 1.2 + 0.2 * max(len(names), 1))
+    ax = style.own_axes(ax, 1.2 + 0.2 * max(len(names), 1))
     places = np.arange(len(names))
     for table, look in _looked(named, effects):
         own = table.set_index("name")["frac"].reindex(names).to_numpy(float)
@@ -166,7 +152,7 @@ def draw_frac(functions: Tables, ax: Axes | None = None, *, effects: str = "") -
     ax.set_xlim(-0.02, 1.02)
     ax.set_xlabel("FRAC (–)")
     ax.grid(axis="x")
-    legend_above(ax)
+    style.legend_above(ax)
     return ax
 
 
@@ -185,19 +171,19 @@ def draw_frf_lines(lines: Tables, ax: Axes | None = None, *, effects: str = "") 
     Axes
         Linear up to one standard deviation and logarithmic above; the dashed line at 1 is a right model.
     """
-    ax = own_axes(ax, 3.0)
+    ax = style.own_axes(ax, 3.0)
     for table, look in _looked(lines, effects):
         shown = _gaps(table)
-        look |= {"linestyle": "-", "linewidth": 0.8, "markersize": 2.5, "rasterized": len(shown) > DENSE}
+        look |= {"linestyle": "-", "linewidth": 0.8, "markersize": 2.5, "rasterized": len(shown) > style.DENSE}
         ax.plot(shown["freq"], shown["in_std"], **look)
-    ax.axhline(1.0, color=GREY, linestyle="--", linewidth=1.0)
+    ax.axhline(1.0, color=style.GREY, linestyle="--", linewidth=1.0)
     ax.set_yscale("symlog", linthresh=_LINEAR_BELOW)
     ax.set_ylim(bottom=0.0)
     ax.yaxis.set_major_formatter("{x:g}")
     ax.set_xlabel("frequency (Hz)")
     ax.set_ylabel("rms error (standard deviations)")
     ax.grid(axis="y")
-    legend_above(ax)
+    style.legend_above(ax)
     return ax
 
 
@@ -229,7 +215,7 @@ def draw_frf_misfit(table: pd.DataFrame, ax: Axes | None = None, *, name: str = 
     rms = mean.pivot_table(index="function", columns="band", values="square", sort=False) ** 0.5
     rms = rms.loc[rms.max(axis=1).sort_values(ascending=False, kind="stable").index]
     values = rms.reindex(columns=range(len(bands))).to_numpy(float)
-    ax = own_axes(ax, matrix_height(*values.shape))
+    ax = style.own_axes(ax, style.matrix_height(*values.shape))
     ax.imshow(np.ones_like(values), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
     image = ax.imshow(values, cmap="OrRd", norm=Normalize(0.0, max(3.0, float(np.nanmax(values)))), aspect="auto")
     ends = [f"{band[0]:.4g} to {band[-1]:.4g} Hz" for band in bands]
@@ -238,8 +224,8 @@ def draw_frf_misfit(table: pd.DataFrame, ax: Axes | None = None, *, name: str = 
     ax.set_yticks(range(len(rms)), rms.index.astype(str))
     every = max(1, len(bands) // 8)
     ax.set_xticks(range(0, len(bands), every), [f"{starts[k]:.3g}" for k in range(0, len(bands), every)])
-    separate_cells(ax, *values.shape)
+    style.separate_cells(ax, *values.shape)
     ax.set_xlabel("first line of the band (Hz)")
-    ax.set_title(added(stage, name).replace(": ", ":\n"))
+    ax.set_title(style.added(stage, name).replace(": ", ":\n"))
     ax.figure.colorbar(image, ax=ax, label="rms residual (standard deviations)", fraction=0.04, pad=0.02, aspect=40)
     return ax

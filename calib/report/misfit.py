@@ -15,29 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
+from calib.report import style
 from calib.report.explanation import blank
 from calib.report.numbers import fixed, flag, p_value, short, significant, with_unit
-from calib.report.style import (
-    AFTER,
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    REST,
-    SKY,
-    VERMILLION,
-    WITH,
-    YELLOW,
-    added,
-    legend_above,
-    matrix_height,
-    new_figure,
-    own_axes,
-    plain,
-    separate_cells,
-)
 from calib.report.svg import hover, hover_cells, hover_points
 
 KINDS = ("frequency", "damping", "shape")
@@ -49,7 +29,7 @@ _UNNAMED = "responses"
 _WORDS = {"freq": "frequency", "frf": "FRFs"}
 _MOST = 16.0
 """Upper end of the colour scale of -log10 p."""
-_COLOURS = (AFTER, WITH, PURPLE, ORANGE, SKY)
+_COLOURS = (style.AFTER, style.WITH, style.PURPLE, style.ORANGE, style.SKY)
 
 
 def draw_where_it_fails(
@@ -80,7 +60,7 @@ def draw_where_it_fails(
     modes = list(dict.fromkeys(table["mode"]))
     present = list(dict.fromkeys(table["kind"]))
     kinds = [*(k for k in KINDS if k in present), *(k for k in present if k not in KINDS)]
-    ax = own_axes(ax, matrix_height(len(modes), len(kinds)))
+    ax = style.own_axes(ax, style.matrix_height(len(modes), len(kinds)))
     if not kinds:
         return blank(ax, "no mode was compared")
     rows = table[table["stage"] == stage].set_index(["mode", "kind"])
@@ -97,7 +77,7 @@ def draw_where_it_fails(
     is_attempt = stage == "attempt"
     for i, j in np.ndindex(ratio.shape):
         words = short(float(ratio[i, j]))
-        colour = "white" if unlikely[i, j] > 0.6 * _MOST and not is_attempt else BLACK
+        colour = "white" if unlikely[i, j] > 0.6 * _MOST and not is_attempt else style.BLACK
         ax.text(j, i, words, ha="center", va="center", fontsize=8, color=colour)
     hover_cells(
         ax,
@@ -111,12 +91,14 @@ def draw_where_it_fails(
     )
     ax.set_xticks(range(len(kinds)), kinds)
     ax.set_yticks(range(len(modes)), [str(mode) for mode in modes])
-    separate_cells(ax, len(modes), len(kinds))
-    ax.set_title(added(stage, name).replace(": ", ":\n"), color=GREY if is_attempt else BLACK)
+    style.separate_cells(ax, len(modes), len(kinds))
+    ax.set_title(style.added(stage, name).replace(": ", ":\n"), color=style.GREY if is_attempt else style.BLACK)
     if is_attempt:
         for text in ax.texts:
             text.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8})
-        whole = Rectangle((-0.5, -0.5), len(kinds), len(modes), fill=False, hatch="//", edgecolor=REST, linewidth=0.0)
+        whole = Rectangle(
+            (-0.5, -0.5), len(kinds), len(modes), fill=False, hatch="//", edgecolor=style.REST, linewidth=0.0
+        )
         whole.set_gid("attempt")
         ax.add_patch(whole)
     ax.set_xlabel("in the cells: χ² / degrees of freedom")
@@ -137,7 +119,7 @@ def where_it_fails_figure(table: pd.DataFrame, *, name: str = "") -> Figure:
         Effects that the other model adds to the base model; empty when unknown.
     """
     stages = [stage for stage in FITS if (table["stage"] == stage).any()] or ["base"]
-    figure = new_figure(0.2 + matrix_height(table["mode"].nunique(), len(KINDS)))
+    figure = style.new_figure(0.2 + style.matrix_height(table["mode"].nunique(), len(KINDS)))
     panels = list(np.atleast_1d(figure.subplots(1, len(stages), sharey=True)))
     for ax, stage in zip(panels, stages, strict=True):
         draw_where_it_fails(table, ax, stage=stage, bar=False, name=name)
@@ -180,11 +162,16 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
     """
     models, every = list(dict.fromkeys(table["model"])), list(dict.fromkeys(table["parameter"]))
     names = _most_pulled(table, every)
-    ax = own_axes(ax, 1.2 + 0.38 * max(1, len(names)))
+    ax = style.own_axes(ax, 1.2 + 0.38 * max(1, len(names)))
     if not names:
         return blank(ax, "no parameter was calibrated")
     dot = {"marker": "o", "linestyle": "none", "markersize": 11}
-    ring: dict[str, Any] = {**dot, "markerfacecolor": "none", "markeredgewidth": 1.6, "markeredgecolor": VERMILLION}
+    ring: dict[str, Any] = {
+        **dot,
+        "markerfacecolor": "none",
+        "markeredgewidth": 1.6,
+        "markeredgecolor": style.VERMILLION,
+    }
     step = min(0.3, 0.7 / len(models))
     handles: list[Artist] = []
     for k, model in enumerate(models):
@@ -192,9 +179,9 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
         y = np.arange(len(names)) + (k - (len(models) - 1) / 2) * step
         shift = rows["standardised"].to_numpy(dtype=float)
         is_attempt = attempt and model != "base"
-        label = added("base" if model == "base" else "attempt" if is_attempt else "explained", model)
+        label = style.added("base" if model == "base" else "attempt" if is_attempt else "explained", model)
         looks: dict[str, Any] = (
-            {"color": GREY, "markerfacecolor": "white"} if is_attempt else {"color": _COLOURS[k % len(_COLOURS)]}
+            {"color": style.GREY, "markerfacecolor": "white"} if is_attempt else {"color": _COLOURS[k % len(_COLOURS)]}
         )
         handles += ax.plot(
             shift, y, "osD^v"[k % 5], markersize=5.5, label=label, gid=f"shift {model}", zorder=3, **looks
@@ -209,8 +196,8 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
     limits = sorted(set(table["limit"].astype(float).dropna().round(3)))
     for limit in limits:
         for side in (-limit, limit):
-            ax.axvline(side, color=BLACK, linestyle="--", linewidth=0.9, gid="limit")
-    ax.axvline(0.0, color=GREY, linewidth=0.8)
+            ax.axvline(side, color=style.BLACK, linestyle="--", linewidth=0.9, gid="limit")
+    ax.axvline(0.0, color=style.GREY, linewidth=0.8)
     for row, name in enumerate(names):
         words = _values(table[table["parameter"] == name], models)
         ax.text(1.02, row, words, transform=ax.get_yaxis_transform(), va="center", fontsize=8)
@@ -228,13 +215,13 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
     )
     words = " → ".join(["nominal", *("base" if model == "base" else f"with {model}" for model in models)])
     words = textwrap.fill(words, 40, break_long_words=False)
-    ax.text(1.02, -0.02, words, transform=ax.transAxes, va="top", fontsize=8, color=GREY)
+    ax.text(1.02, -0.02, words, transform=ax.transAxes, va="top", fontsize=8, color=style.GREY)
     if limits:
         label = "limit ± " + ", ".join(f"{limit:.2f}" for limit in limits)
-        handles.append(Line2D([], [], color=BLACK, linestyle="--", linewidth=0.9, label=label))
+        handles.append(Line2D([], [], color=style.BLACK, linestyle="--", linewidth=0.9, label=label))
     if any(map(flag, table["pulled"])):
         handles.append(Line2D([], [], label="pulled", **ring))
-    legend_above(ax, handles)
+    style.legend_above(ax, handles)
     return ax
 
 
@@ -252,14 +239,14 @@ def _values(rows: pd.DataFrame, models: list[str]) -> str:
     by_model = rows.set_index("model")
     values = [rows["nominal"].iloc[0], *by_model["value"].reindex(models)]
     unit = str(rows["unit"].iloc[0])
-    text = " → ".join("–" if pd.isna(value) else plain(value).replace("-", "−") for value in values)
+    text = " → ".join("–" if pd.isna(value) else style.plain(value).replace("-", "−") for value in values)
     return text if unit in ("", "-", "–") else f"{text} {unit}"
 
 
 LOOKS = {
-    "gain": ("o", BLUE), "delay": ("s", SKY), "rotation": ("^", GREEN), "place": ("D", ORANGE),
-    "cross-talk": ("v", PURPLE), "set-up": ("P", YELLOW), "damping": ("X", GREY), "modulus": ("*", BLACK),
-    "mass": ("h", GREY), "phase": ("<", GREEN),
+    "gain": ("o", style.BLUE), "delay": ("s", style.SKY), "rotation": ("^", style.GREEN), "place": ("D", style.ORANGE),
+    "cross-talk": ("v", style.PURPLE), "set-up": ("P", style.YELLOW), "damping": ("X", style.GREY),
+    "modulus": ("*", style.BLACK), "mass": ("h", style.GREY), "phase": ("<", style.GREEN),
 }  # fmt: skip
 """Marker and colour of every kind of fault; others are grey dots."""
 WHOLE = "whole test"
@@ -289,14 +276,14 @@ def draw_suspects(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     names = [name for name in largest.index if name in kept]
     place = {name: k for k, name in enumerate(sorted(names, key=_natural))}
     rows = rows[rows["at"].isin(kept)]
-    ax = own_axes(ax, max(2.4, 0.9 + 0.19 * len(place)))
+    ax = style.own_axes(ax, max(2.4, 0.9 + 0.19 * len(place)))
     limit = float(table["limit"].iloc[0])
     for side in (-limit, limit):
-        ax.axvline(side, color=BLACK, linewidth=0.8, linestyle="--", gid="limit")
-    ax.axvline(0.0, color=GREY, linewidth=0.8)
+        ax.axvline(side, color=style.BLACK, linewidth=0.8, linestyle="--", gid="limit")
+    ax.axvline(0.0, color=style.GREY, linewidth=0.8)
     for kind in dict.fromkeys(rows["kind"]):
         own = rows[rows["kind"] == kind]
-        marker, colour = LOOKS.get(str(kind), ("o", GREY))
+        marker, colour = LOOKS.get(str(kind), ("o", style.GREY))
         heights = [place[name] for name in own["at"]]
         dots = ax.scatter(
             own["score"], heights, s=22, marker=marker, c=colour, label=str(kind), gid=str(kind), zorder=3
@@ -305,13 +292,13 @@ def draw_suspects(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     blamed = rows[[flag(b) for b in rows["blamed"]]]
     if len(blamed):
         heights = [place[name] for name in blamed["at"]]
-        ring: dict[str, Any] = {"s": 110, "facecolors": "none", "edgecolors": VERMILLION, "linewidths": 1.6}
+        ring: dict[str, Any] = {"s": 110, "facecolors": "none", "edgecolors": style.VERMILLION, "linewidths": 1.6}
         ax.scatter(blamed["score"], heights, label="named by the verdict", gid="blamed", zorder=4, **ring)
     ax.set_yticks(range(len(place)), list(place))
     ax.set_ylim(len(place) - 0.4, -0.6)
     ax.set_xlabel(f"score of the fault (noise alone stays within ± {fixed(limit, 1)} in 99 % of all cases)")
     ax.grid(axis="y")
-    legend_above(ax)
+    style.legend_above(ax)
     return ax
 
 

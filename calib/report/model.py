@@ -13,20 +13,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
+from calib.report import scene
 from calib.report.mesh import FACE, LINE, MeshTables, draw_pieces, pieces, point_coordinates, seen_places
-from calib.report.scene import (
-    FOOT,
-    PLACE,
-    axis_vectors,
-    frame_panel,
-    new_axes,
-    new_scene,
-    plot_coordinates,
-    plot_lines,
-    seen_size,
-    show_axes,
-    write_size,
-)
 from calib.report.style import BLACK, GREEN, GREY, MEASURED, ORANGE, PURPLE, SKY, WIDTH, YELLOW
 
 COLOURS = (SKY, ORANGE, GREEN, PURPLE, YELLOW, GREY)
@@ -57,7 +45,7 @@ def draw_model(mesh: MeshTables, sensors: pd.DataFrame | None = None, ax: Axes3D
     Axes3D
         Pieces with the gid ``model``, lines with the gids ``sensors`` (one dot per place) and ``directions``.
     """
-    ax = new_axes(ax)
+    ax = scene.new_axes(ax)
     parts, rest = pieces(mesh), point_coordinates(mesh)
     names = face_groups(mesh)
     vertices = rest[parts.corners]
@@ -72,15 +60,15 @@ def draw_model(mesh: MeshTables, sensors: pd.DataFrame | None = None, ax: Axes3D
     draw_pieces(ax, vertices, parts.kind, faces, edges, _WIDTHS[parts.kind], "model")
     seen = rest[np.unique(parts.corners)]
     if sensors is not None:
-        placed = sensors[sensors[PLACE].notna().all(axis=1)]
-        place = placed[PLACE].to_numpy(dtype=float)
+        placed = sensors[sensors[scene.PLACE].notna().all(axis=1)]
+        place = placed[scene.PLACE].to_numpy(dtype=float)
         tips = sensor_tips(placed, np.concatenate([seen, place]))
-        plot_lines(ax, np.stack([place, tips], axis=1), color=MEASURED, linewidth=1.2, gid="directions", zorder=3)
-        dots = plot_coordinates(np.unique(place, axis=0)).T
+        scene.plot_lines(ax, np.stack([place, tips], axis=1), color=MEASURED, linewidth=1.2, gid="directions", zorder=3)
+        dots = scene.plot_coordinates(np.unique(place, axis=0)).T
         ax.plot(*dots, "o", color=MEASURED, markeredgecolor="white", markeredgewidth=0.5, markersize=4.5,
                 gid="sensors", zorder=4)  # fmt: skip
         seen = np.concatenate([seen, place, tips])
-    frame_panel(ax, seen, "")
+    scene.frame_panel(ax, seen, "")
     return ax
 
 
@@ -95,7 +83,7 @@ def sensor_tips(sensors: pd.DataFrame, points: np.ndarray) -> np.ndarray:
         Points of the structure, whose box gives the length of a stick.
     """
     length = _STICK * float(np.linalg.norm(np.ptp(points, axis=0)))
-    return sensors[PLACE].to_numpy(dtype=float) + length * axis_vectors(sensors["direction"])
+    return sensors[scene.PLACE].to_numpy(dtype=float) + length * scene.axis_vectors(sensors["direction"])
 
 
 def face_groups(mesh: MeshTables) -> list[str]:
@@ -116,16 +104,16 @@ def model_figure(mesh: MeshTables, sensors: pd.DataFrame | None = None) -> Figur
     if sensors is not None:
         words = f"sensors used ({len(sensors)}) and their directions"
         handles.append(Line2D([], [], color=MEASURED, marker="o", markersize=4.5, linewidth=1.2, label=words))
-    wide, high = seen_size(rest, 0.06 * float(np.linalg.norm(np.ptp(rest, axis=0))))
-    foot = max(FOOT, 0.4 + 0.2 * math.ceil(len(handles) / _ABREAST))
-    figure = new_scene(min(WIDTH * high / wide, 6.0) + foot, foot)
+    wide, high = scene.seen_size(rest, 0.06 * float(np.linalg.norm(np.ptp(rest, axis=0))))
+    foot = max(scene.FOOT, 0.4 + 0.2 * math.ceil(len(handles) / _ABREAST))
+    figure = scene.new_scene(min(WIDTH * high / wide, 6.0) + foot, foot)
     draw_model(mesh, sensors, figure.add_subplot(projection="3d"))
     low = 0.34 / float(figure.get_size_inches()[1])
     figure.legend(
         handles=handles, loc="lower right", bbox_to_anchor=(0.99, low), ncols=_ABREAST, borderaxespad=0.0
     )  # fmt: skip
-    show_axes(figure)
-    write_size(figure, rest)
+    scene.show_axes(figure)
+    scene.write_size(figure, rest)
     return figure
 
 

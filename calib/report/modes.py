@@ -18,6 +18,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from calib.report import scene
 from calib.report.mesh import (
     BORDER,
     FACE,
@@ -29,16 +30,6 @@ from calib.report.mesh import (
     pieces,
     point_coordinates,
     thickness,
-)
-from calib.report.scene import (
-    colour_bar,
-    frame_panel,
-    motion_scale,
-    new_axes,
-    panel_grid,
-    plot_lines,
-    show_axes,
-    write_size,
 )
 from calib.report.style import REST
 
@@ -132,21 +123,21 @@ def draw_model_mode(
         A line with the gid ``undeformed`` and pieces with the gid ``deformed``; the colour is the mean amplitude at a
         piece's corners over the largest of the mode.
     """
-    ax = new_axes(ax)
+    ax = scene.new_axes(ax)
     parts, rest, motion = pieces(mesh), point_coordinates(mesh), motions(mesh, deflection)
     amplitude = np.linalg.norm(motion, axis=1)
     largest = float(amplitude[parts.corners].max(initial=0.0)) or 1.0
     shown = parts if chosen is None else parts.some(chosen)
     seen = np.unique(shown.corners)
-    scale = motion_scale(rest[seen], motion[seen], thickness(mesh)) if scale is None else scale
+    scale = scene.motion_scale(rest[seen], motion[seen], thickness(mesh)) if scale is None else scale
     moved = rest + scale * motion
     colours = AMPLITUDE(amplitude[shown.corners].mean(axis=1) / largest)
     kind = shown.kind[:, None]
     faces = np.where(kind == FACE, colours, 0.0)
     edges = np.where(kind == BORDER, to_rgba(_BORDER), colours)
-    plot_lines(ax, rest[shown.strokes], color=REST, linewidth=0.5, gid="undeformed", zorder=1)
+    scene.plot_lines(ax, rest[shown.strokes], color=REST, linewidth=0.5, gid="undeformed", zorder=1)
     draw_pieces(ax, moved[shown.corners], shown.kind, faces, edges, _WIDTHS[shown.kind], "deformed")
-    frame_panel(ax, np.concatenate([rest[seen], moved[seen]]), title)
+    scene.frame_panel(ax, np.concatenate([rest[seen], moved[seen]]), title)
     return ax
 
 
@@ -164,13 +155,13 @@ def model_modes_figure(modes: pd.DataFrame, deflection: pd.DataFrame, mesh: Mesh
     parts, rest = pieces(mesh), point_coordinates(mesh)
     all_seen = rest[np.unique(parts.corners)]
     axis = int(np.argmax(np.ptp(all_seen, axis=0)))
-    figure, cells = panel_grid(len(modes), all_seen, thickness(mesh))
+    figure, cells = scene.panel_grid(len(modes), all_seen, thickness(mesh))
     for row, cell in zip(modes.to_dict("records"), cells, strict=True):
         rows = deflection[deflection["mode"] == row["mode"]]
         motion = motions(mesh, rows)
         looks = views(parts, rest, motion)
         seen = [np.unique(parts.corners[chosen]) for chosen in looks]
-        scale = min(motion_scale(rest[k], motion[np.concatenate(seen)], thickness(mesh)) for k in seen)
+        scale = min(scene.motion_scale(rest[k], motion[np.concatenate(seen)], thickness(mesh)) for k in seen)
         within = cell.subgridspec(1, len(looks))
         for k, chosen in enumerate(looks):
             ax = draw_model_mode(
@@ -181,9 +172,11 @@ def model_modes_figure(modes: pd.DataFrame, deflection: pd.DataFrame, mesh: Mesh
                 words = f"at {'xyz'[axis]} = {middle:.1f} m".replace("-", "−")
                 _write_over(ax, words, -13.0)
         _write_title(figure, cell, row)
-    show_axes(figure)
-    write_size(figure, all_seen)
-    colour_bar(figure, ScalarMappable(Normalize(0.0, 1.0), AMPLITUDE), "amplitude over the largest of the mode (–)")
+    scene.show_axes(figure)
+    scene.write_size(figure, all_seen)
+    scene.colour_bar(
+        figure, ScalarMappable(Normalize(0.0, 1.0), AMPLITUDE), "amplitude over the largest of the mode (–)"
+    )
     return figure
 
 

@@ -12,22 +12,9 @@ from matplotlib.lines import Line2D
 from matplotlib.path import Path
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
+from calib.report import scene
 from calib.report.mesh import FACE, MeshTables, pieces, point_coordinates, seen_places
 from calib.report.numbers import counted
-from calib.report.scene import (
-    FOOT,
-    PLACE,
-    frame_panel,
-    hover_places,
-    new_axes,
-    new_scene,
-    number_points,
-    plot_coordinates,
-    plot_lines,
-    seen_size,
-    show_axes,
-    write_size,
-)
 from calib.report.style import BLUE, GREEN, GREY, ORANGE, PURPLE, REST, VERMILLION, WIDTH
 
 _SPRING = Path([(0, -1), (0, -0.65), (0.5, -0.5), (-0.5, -0.2), (0.5, 0.1), (-0.5, 0.4), (0, 0.6), (0, 1)])
@@ -70,11 +57,11 @@ def draw_places(mesh: MeshTables, table: pd.DataFrame, ax: Axes3D | None = None)
         One line for each form, with the form as gid; what no parameter scales is grey. A number is that of
         `numbered_parameters`. Name, form and parameters appear under the mouse.
     """
-    ax = new_axes(ax)
+    ax = scene.new_axes(ax)
     parts, rest = pieces(mesh), point_coordinates(mesh)
-    plot_lines(ax, rest[parts.strokes], color=REST, linewidth=0.8, gid="mesh", zorder=1)
+    scene.plot_lines(ax, rest[parts.strokes], color=REST, linewidth=0.8, gid="mesh", zorder=1)
     inner = parts.corners[parts.kind == FACE]
-    plot_lines(ax, rest[inner[:, :2]], color=REST, linewidth=0.15, gid="faces", zorder=1)
+    scene.plot_lines(ax, rest[inner[:, :2]], color=REST, linewidth=0.15, gid="faces", zorder=1)
     fixed = table["parameters"].eq("")
     small = {} if len(table) <= _MOST_NUMBERS * 2 else {"markersize": 5, "markeredgewidth": 0.7}
     for form, look in MARKS.items():
@@ -82,12 +69,12 @@ def draw_places(mesh: MeshTables, table: pd.DataFrame, ax: Axes3D | None = None)
             some = table[(table["form"] == form) & (fixed == still)]
             if len(some):
                 own = {**look, **small, **({"color": GREY, "alpha": 0.55} if still and form != "support" else {})}
-                at = plot_coordinates(some[PLACE].to_numpy(dtype=float)).T
+                at = scene.plot_coordinates(some[scene.PLACE].to_numpy(dtype=float)).T
                 ax.plot(*at, linestyle="none", gid=f"fixed {form}" if still else form, zorder=3 if still else 4, **own)
-    at = table[PLACE].to_numpy(dtype=float)
-    frame_panel(ax, np.concatenate([rest[np.unique(parts.corners)], at]), "")
-    number_points(ax, at, _numbers(table))
-    hover_places(ax, at, _words(table))
+    at = table[scene.PLACE].to_numpy(dtype=float)
+    scene.frame_panel(ax, np.concatenate([rest[np.unique(parts.corners)], at]), "")
+    scene.number_points(ax, at, _numbers(table))
+    scene.hover_places(ax, at, _words(table))
     return ax
 
 
@@ -112,9 +99,9 @@ def places_figure(mesh: MeshTables, table: pd.DataFrame) -> Figure:
     room = _LETTER * max(map(len, shown), default=0) + 0.1
     columns = max(1, min(_COLUMNS, int((WIDTH - 0.2) / room)))
     rows = math.ceil(len(keys) / columns)
-    foot = FOOT + 0.17 * rows + 0.1
-    wide, high = seen_size(rest, 0.1 * float(np.linalg.norm(np.ptp(rest, axis=0))))
-    figure = new_scene(min(WIDTH * high / wide, 5.6) + foot, foot)
+    foot = scene.FOOT + 0.17 * rows + 0.1
+    wide, high = scene.seen_size(rest, 0.1 * float(np.linalg.norm(np.ptp(rest, axis=0))))
+    figure = scene.new_scene(min(WIDTH * high / wide, 5.6) + foot, foot)
     height = float(figure.get_size_inches()[1])
     draw_places(mesh, table, figure.add_subplot(projection="3d"))
     for column in range(columns):
@@ -139,8 +126,8 @@ def places_figure(mesh: MeshTables, table: pd.DataFrame) -> Figure:
     figure.legend(
         handles=handles, loc="lower right", bbox_to_anchor=(0.99, 0.06 / height), ncols=3, borderaxespad=0.0
     )  # fmt: skip
-    show_axes(figure)
-    write_size(figure, rest)
+    scene.show_axes(figure)
+    scene.write_size(figure, rest)
     return figure
 
 
@@ -175,7 +162,7 @@ def _words(table: pd.DataFrame) -> list[str]:
 def _numbers(table: pd.DataFrame) -> dict[int, int | str]:
     """Row of each place to number, and what to write there."""
     keys = numbered_parameters(table)
-    rows = np.flatnonzero(table["parameters"].ne("") & ~table.duplicated([*PLACE, "parameters"]))
+    rows = np.flatnonzero(table["parameters"].ne("") & ~table.duplicated([*scene.PLACE, "parameters"]))
     if len(rows) > _MOST_NUMBERS:
         rows = rows[~table.iloc[rows].duplicated(["form", "parameters"]).to_numpy()]
     return {k: "+".join(map(str, sorted(keys[n] for n in _names(table["parameters"].iloc[k])))) for k in rows.tolist()}

@@ -13,23 +13,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
+from calib.report import scene
 from calib.report.numbers import counted, fixed, flag
-from calib.report.scene import (
-    FOOT,
-    HEADING,
-    PLACE,
-    colour_bar,
-    draw_dots,
-    frame_panel,
-    largest_drawn,
-    new_axes,
-    new_scene,
-    number_points,
-    plot_coordinates,
-    plot_lines,
-    seen_size,
-    show_axes,
-)
 from calib.report.style import BLUE, REST, WIDTH
 
 BEST = 3
@@ -50,7 +35,7 @@ def placed_proposals(table: pd.DataFrame) -> pd.DataFrame:
     """
     own = table["fitted"].map(flag)
     best = own & ((table["rank"] <= BEST) | table["close"].map(flag))
-    return table[(best | (~own & (table["rank"] == 1))) & table[PLACE].notna().all(axis=1)]
+    return table[(best | (~own & (table["rank"] == 1))) & table[scene.PLACE].notna().all(axis=1)]
 
 
 def draw_proposals(table: pd.DataFrame, rest: np.ndarray, ax: Axes3D | None = None) -> Axes3D:
@@ -71,24 +56,24 @@ def draw_proposals(table: pd.DataFrame, rest: np.ndarray, ax: Axes3D | None = No
     Axes3D
         Circles with the gid ``evidence``, numbered by rank, and small open squares with the gid ``alike``.
     """
-    ax = new_axes(ax)
+    ax = scene.new_axes(ax)
     rows = placed_proposals(table)
     fitted = rows["fitted"].map(flag)
-    plot_lines(ax, rest, color=REST, linewidth=0.8, gid="structure", zorder=1)
-    alike = rows[~fitted][PLACE].to_numpy(dtype=float)
+    scene.plot_lines(ax, rest, color=REST, linewidth=0.8, gid="structure", zorder=1)
+    alike = rows[~fitted][scene.PLACE].to_numpy(dtype=float)
     ax.plot(
-        *plot_coordinates(alike).T, "s", markerfacecolor="none", color=BLUE, markersize=5, gid="alike", zorder=5,
+        *scene.plot_coordinates(alike).T, "s", markerfacecolor="none", color=BLUE, markersize=5, gid="alike", zorder=5,
         clip_on=False,
     )  # fmt: skip
     own = rows[fitted].iloc[::-1]  # the best on top
-    place, evidence = own[PLACE].to_numpy(dtype=float), own["evidence"].to_numpy(dtype=float)
-    draw_dots(ax, place, np.maximum(evidence, 0.0), Normalize(0.0, _largest(table)), "YlOrRd", "evidence")
-    frame_panel(ax, np.concatenate([rest.reshape(-1, 3), place, alike]), "")
+    place, evidence = own[scene.PLACE].to_numpy(dtype=float), own["evidence"].to_numpy(dtype=float)
+    scene.draw_dots(ax, place, np.maximum(evidence, 0.0), Normalize(0.0, _largest(table)), "YlOrRd", "evidence")
+    scene.frame_panel(ax, np.concatenate([rest.reshape(-1, 3), place, alike]), "")
     ranks: dict[tuple[float, ...], list[int]] = {}
     for at, rank in zip(place.round(6).tolist(), own["rank"], strict=True):
         ranks.setdefault(tuple(at), []).append(int(rank))
     points = np.array(list(ranks)).reshape(-1, 3)
-    number_points(ax, points, {k: ", ".join(map(str, sorted(set(own)))) for k, own in enumerate(ranks.values())})
+    scene.number_points(ax, points, {k: ", ".join(map(str, sorted(set(own)))) for k, own in enumerate(ranks.values())})
     return ax
 
 
@@ -101,15 +86,17 @@ def proposals_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     like = rows[~fitted].drop_duplicates(["kind", "at"])
     if len(like):
         lines.append(f"□  {counted(len(like), 'composition')} like the first, which these data cannot discriminate")
-    points = np.concatenate([rest.reshape(-1, 3), rows[PLACE].to_numpy(dtype=float)])
-    wide, high = seen_size(points, largest_drawn(points))
-    foot = FOOT + 0.25 + 0.15 * len(lines)
-    figure = new_scene(min(WIDTH * high / wide + 2 * HEADING, 4.4) + foot, foot)
+    points = np.concatenate([rest.reshape(-1, 3), rows[scene.PLACE].to_numpy(dtype=float)])
+    wide, high = scene.seen_size(points, scene.largest_drawn(points))
+    foot = scene.FOOT + 0.25 + 0.15 * len(lines)
+    figure = scene.new_scene(min(WIDTH * high / wide + 2 * scene.HEADING, 4.4) + foot, foot)
     draw_proposals(table, rest, figure.add_subplot(projection="3d"))
-    show_axes(figure)
+    scene.show_axes(figure)
     height = float(figure.get_size_inches()[1])
     figure.text(1.0 / WIDTH, (foot - 0.05) / height, "\n".join(lines), fontsize=8.5, va="top", linespacing=1.25)
-    colour_bar(figure, ScalarMappable(Normalize(0.0, _largest(table)), "YlOrRd"), "ln Bayes less ln of the choices")
+    scene.colour_bar(
+        figure, ScalarMappable(Normalize(0.0, _largest(table)), "YlOrRd"), "ln Bayes less ln of the choices"
+    )
     return figure
 
 

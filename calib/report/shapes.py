@@ -16,6 +16,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
+from calib.report import scene
 from calib.report.mesh import (
     FACE,
     MeshTables,
@@ -27,17 +28,6 @@ from calib.report.mesh import (
     point_coordinates,
     seen_places,
     thickness,
-)
-from calib.report.scene import (
-    PLACE,
-    frame_panel,
-    motion_scale,
-    new_axes,
-    panel_grid,
-    plot_coordinates,
-    plot_lines,
-    show_axes,
-    write_size,
 )
 from calib.report.style import BLUE, MEASURED, REST
 
@@ -74,7 +64,7 @@ def draw_mode_shape(
         in all directions measured there) and ``motion`` (lines from the position at rest), pieces with the gid
         ``deformed``. Model and measurement have the same scale, that of `motion_scale`.
     """
-    ax = new_axes(ax)
+    ax = scene.new_axes(ax)
     place, measured = measured_motions(shapes)
     motion = motions(mesh, deflection) if len(deflection) else None
     _draw_mesh(ax, mesh, motion, place, measured, BLUE, _PALE, "deformed", title)
@@ -110,7 +100,7 @@ def draw_measured_shape(
         Lines with the gids ``undeformed`` and ``wireframe``, or pieces with the gid ``expanded``; dots with the gid
         ``measured``.
     """
-    ax = new_axes(ax)
+    ax = scene.new_axes(ax)
     place, measured = measured_motions(shapes)
     if expanded is not None and len(expanded):
         motion = motions(mesh, expanded)
@@ -119,12 +109,12 @@ def draw_measured_shape(
     rest = seen_places(mesh)
     lines = wireframe(mesh, place)
     at = np.concatenate([rest, place])
-    moved = place + motion_scale(at, measured, thickness(mesh)) * measured
-    plot_lines(ax, place[lines], color=REST, linewidth=0.8, gid="undeformed", zorder=1)
-    plot_lines(ax, moved[lines], color=MEASURED, linewidth=1.0, gid="wireframe", zorder=3)
-    dots = plot_coordinates(moved).T
+    moved = place + scene.motion_scale(at, measured, thickness(mesh)) * measured
+    scene.plot_lines(ax, place[lines], color=REST, linewidth=0.8, gid="undeformed", zorder=1)
+    scene.plot_lines(ax, moved[lines], color=MEASURED, linewidth=1.0, gid="wireframe", zorder=3)
+    dots = scene.plot_coordinates(moved).T
     ax.plot(*dots, linestyle="none", marker="o", markersize=2.5, color=MEASURED, gid="measured", zorder=4)
-    frame_panel(ax, np.concatenate([at, moved]), title)
+    scene.frame_panel(ax, np.concatenate([at, moved]), title)
     return ax
 
 
@@ -149,8 +139,8 @@ def mode_shapes_figure(
     """
     modes = list(dict.fromkeys(shapes["mode"]))
     rest = seen_places(mesh)
-    everything = np.concatenate([rest, shapes[PLACE].dropna().to_numpy(dtype=float)])
-    figure, cells = panel_grid(2 * len(modes), everything, thickness(mesh), pairs=True)
+    everything = np.concatenate([rest, shapes[scene.PLACE].dropna().to_numpy(dtype=float)])
+    figure, cells = scene.panel_grid(2 * len(modes), everything, thickness(mesh), pairs=True)
     facts = {} if comparison is None else {str(row["mode"]): row for row in comparison.to_dict("records")}
     for mode, left, right in zip(modes, cells[::2], cells[1::2], strict=True):
         found, (test, model) = shapes[shapes["mode"] == mode], _panel_titles(mode, facts)
@@ -160,8 +150,8 @@ def mode_shapes_figure(
         ax = draw_mode_shape(found, motion, mesh, figure.add_subplot(right, projection="3d"), title=model)
         for drawn in (*beside.collections, *ax.collections):
             drawn.set_rasterized(len(modes) * len(mesh.elements) > _MANY)
-    show_axes(figure)
-    write_size(figure, rest)
+    scene.show_axes(figure)
+    scene.write_size(figure, rest)
     handles = [
         Line2D([], [], color=REST, label="at rest"),
         Line2D([], [], color=BLUE, linewidth=1.6, label="model"),
@@ -199,18 +189,18 @@ def _draw_mesh(
     seen = np.unique(parts.corners)
     moves = np.zeros_like(rest) if motion is None else motion
     at = np.concatenate([rest[seen], place])
-    scale = motion_scale(at, np.concatenate([moves[seen], measured]), thickness(mesh))
-    plot_lines(ax, rest[parts.strokes], color=REST, linewidth=0.8, gid="undeformed", zorder=1)
+    scale = scene.motion_scale(at, np.concatenate([moves[seen], measured]), thickness(mesh))
+    scene.plot_lines(ax, rest[parts.strokes], color=REST, linewidth=0.8, gid="undeformed", zorder=1)
     if motion is not None:
         is_face = (parts.kind == FACE)[:, None]
         faces = np.where(is_face, to_rgba(pale), 0.0)
         edges = np.where(is_face, to_rgba(pale), to_rgba(colour))
         draw_pieces(ax, (rest + scale * moves)[parts.corners], parts.kind, faces, edges, _WIDTHS[parts.kind], gid)
     moved = place + scale * measured
-    plot_lines(ax, np.stack([place, moved], axis=1), color=MEASURED, linewidth=0.8, gid="motion", zorder=3)
-    ends = plot_coordinates(moved).T
+    scene.plot_lines(ax, np.stack([place, moved], axis=1), color=MEASURED, linewidth=0.8, gid="motion", zorder=3)
+    ends = scene.plot_coordinates(moved).T
     ax.plot(*ends, linestyle="none", marker="o", markersize=3.0, color=MEASURED, gid="measured", zorder=4)
-    frame_panel(ax, np.concatenate([rest[seen], (rest + scale * moves)[seen], place, moved]), title)
+    scene.frame_panel(ax, np.concatenate([rest[seen], (rest + scale * moves)[seen], place, moved]), title)
 
 
 def measured_motions(shapes: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
@@ -224,7 +214,7 @@ def measured_motions(shapes: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
     shapes : DataFrame
         Columns ``direction, x, y, z, measured_re``.
     """
-    values = shapes[[*PLACE, "measured_re"]].to_numpy(dtype=float)
+    values = shapes[[*scene.PLACE, "measured_re"]].to_numpy(dtype=float)
     known = shapes["direction"].isin(_AXES).to_numpy() & ~np.isnan(values).any(axis=1)
     axis = np.array([_AXES.index(direction) for direction in shapes["direction"][known]], dtype=int)
     rows: dict[tuple[float, ...], int] = {}

@@ -13,25 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from calib.report import style
 from calib.report.explanation import LEAST_BAYES_FACTOR, blank
 from calib.report.numbers import fixed, p_value, short
-from calib.report.style import (
-    AFTER,
-    BLACK,
-    CASES,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    REST,
-    SKY,
-    WITH,
-    YELLOW,
-    added,
-    legend_above,
-    new_figure,
-    own_axes,
-)
 from calib.report.svg import hover, hover_points
 
 GROUPS = {
@@ -44,17 +28,17 @@ GROUPS = {
     "held_out_bands": "held-out bands",
 }
 _STAGES: dict[str, dict[str, Any]] = {
-    "before": {"color": AFTER, "marker": "o"},
-    "after": {"color": WITH, "marker": "D"},
-    "attempt": {"color": GREY, "marker": "X"},
+    "before": {"color": style.AFTER, "marker": "o"},
+    "after": {"color": style.WITH, "marker": "D"},
+    "attempt": {"color": style.GREY, "marker": "X"},
 }
 _KINDS = {
-    "sensor": ("further sensor", SKY),
-    "mode": ("further mode", ORANGE),
-    "reference": ("further force", AFTER),
-    "held out": ("held-out data", YELLOW),
-    "repeats": ("more repeats", GREEN),
-    "bench": ("bench test", PURPLE),
+    "sensor": ("further sensor", style.SKY),
+    "mode": ("further mode", style.ORANGE),
+    "reference": ("further force", style.AFTER),
+    "held out": ("held-out data", style.YELLOW),
+    "repeats": ("more repeats", style.GREEN),
+    "bench": ("bench test", style.PURPLE),
 }
 STEP_ERRORS = "error_by_step"
 """Name of the figure of `draw_error_steps`."""
@@ -82,7 +66,7 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
         logarithmic when errors differ by a factor above 20.
     """
     groups = _groups(table)
-    ax = own_axes(ax, 3.6)
+    ax = style.own_axes(ax, 3.6)
     if not groups:
         return blank(ax, "no error is known")
     stages = [stage for stage in _STAGES if (table["stage"] == stage).any()]
@@ -94,7 +78,7 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
         x = np.arange(len(groups)) + (k - (len(stages) - 1) / 2) * width
         rms, expected, p = (rows[name].to_numpy(dtype=float) for name in ("rms", "expected", "p"))
         looks = _STAGES[stage]
-        label = added("base" if stage == "before" else stage, name)
+        label = style.added("base" if stage == "before" else stage, name)
         ends.append((x, rms))
         (dots,) = ax.plot(x, rms, linestyle="none", markersize=9, label=label, gid=stage, zorder=5, **looks)
         words = [
@@ -110,18 +94,18 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
                 )  # fmt: skip
         floor = np.isfinite(expected)
         reach = (x[floor] - 0.4 * width, x[floor] + 0.4 * width)
-        ax.hlines(expected[floor], *reach, color=BLACK, linewidth=1.6, gid=f"expected {stage}", zorder=4)
+        ax.hlines(expected[floor], *reach, color=style.BLACK, linewidth=1.6, gid=f"expected {stage}", zorder=4)
         handles.append(dots)
     if len(ends) == 2:
         (x_first, first), (x_last, last) = ends
-        ax.plot([x_first, x_last], [first, last], color=REST, linewidth=1.2, zorder=2)
-    handles.append(Line2D([], [], color=BLACK, linewidth=1.6, label="expected for a correctly specified model"))
+        ax.plot([x_first, x_last], [first, last], color=style.REST, linewidth=1.2, zorder=2)
+    handles.append(Line2D([], [], color=style.BLACK, linewidth=1.6, label="expected for a correctly specified model"))
     _scale(ax, table, 1.2)
     ax.set_xticks(range(len(groups)), [textwrap.fill(GROUPS.get(g, g), 18) for g in groups])
     ax.set_xlim(-0.6, len(groups) - 0.4)
     ax.grid(axis="y")
     ax.set_ylabel("rms error (σ)")
-    legend_above(ax, handles)
+    style.legend_above(ax, handles)
     return ax
 
 
@@ -163,14 +147,14 @@ def draw_error_versions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         One line per group, dashed lines at the expected values; logarithmic when errors differ by a factor above 20.
     """
     groups, versions = _groups(table), sorted(set(table["version"]))
-    ax = own_axes(ax, 3.8)
+    ax = style.own_axes(ax, 3.8)
     if not groups:
         return blank(ax, "no version of the model is known")
     x = np.arange(len(versions))
     for k, group in enumerate(groups):
         rows = table[table["group"] == group].groupby("version")[["rms", "expected"]].first().reindex(versions)
         looks: dict[str, Any] = {
-            "color": CASES[k % len(CASES)],
+            "color": style.CASES[k % len(style.CASES)],
             "marker": "osD^v"[k % 5],
             "markersize": 5.5,
             "linewidth": 1.6,
@@ -196,9 +180,11 @@ def draw_error_versions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.set_ylabel("rms error (σ)")
     handles: list[Artist] = list(ax.get_legend_handles_labels()[0])
     handles.append(
-        Line2D([], [], color=GREY, linestyle="--", linewidth=1.1, label="expected for a correctly specified model")
+        Line2D(
+            [], [], color=style.GREY, linestyle="--", linewidth=1.1, label="expected for a correctly specified model"
+        )
     )
-    legend_above(ax, handles)
+    style.legend_above(ax, handles)
     return ax
 
 
@@ -230,29 +216,29 @@ def draw_next_measurement(
         Whether a legend stands above the Axes.
     """
     rows = best_candidates(table)
-    ax = own_axes(ax, _next_height(rows))
+    ax = style.own_axes(ax, _next_height(rows))
     if rows.empty:
         return blank(ax, "no further measurement was considered")
     at = np.arange(len(rows))
     values = rows[measure].to_numpy(dtype=float)
     start = 1.0 if measure == "gain" else 0.0
-    colours = [_KINDS.get(kind, (kind, GREY))[1] for kind in rows["kind"].astype(str)]
+    colours = [_KINDS.get(kind, (kind, style.GREY))[1] for kind in rows["kind"].astype(str)]
     words = ["–" if np.isnan(v) else f"× {v:.2f}" if measure == "gain" else f"{v:.1f}" for v in values]
     values = np.where(np.isfinite(values), values, start)
     bars = ax.barh(at, values - start, 0.66, left=start, color=colours, gid=measure)
     for bar, name, word in zip(bars, rows["measurement"], words, strict=True):
         hover(bar, f"{name}: {word}")
     ax.bar_label(bars, [w.replace("-", "−").replace("inf", "∞") for w in words], fontsize=8, padding=3)
-    ax.axvline(start, color=BLACK, linewidth=0.8)
+    ax.axvline(start, color=style.BLACK, linewidth=0.8)
     low, high = (rows[f"{measure}_{end}"].to_numpy(dtype=float) for end in ("low", "high"))
     wide = np.isfinite(low) & np.isfinite(high)
-    ax.hlines(at[wide] + 0.2, low[wide], high[wide], color=BLACK, linewidth=1.0, gid="range")
+    ax.hlines(at[wide] + 0.2, low[wide], high[wide], color=style.BLACK, linewidth=1.0, gid="range")
     known = np.concatenate([values, low[wide], high[wide]])
     known = np.append(known, [start, 2.0 if measure == "gain" else LEAST_BAYES_FACTOR])
     span = float(known.max() - known.min())
     ax.set_xlim(known.min() - 0.02 * span, known.max() + 0.24 * span)
     if measure == "ln_bayes":
-        ax.axvline(LEAST_BAYES_FACTOR, color=BLACK, linestyle="--", linewidth=1.0, gid="threshold")
+        ax.axvline(LEAST_BAYES_FACTOR, color=style.BLACK, linestyle="--", linewidth=1.0, gid="threshold")
         limits = f"lines: 8 of 10 cases; dashed: {LEAST_BAYES_FACTOR:g}"
         ax.set_xlabel(f"expected ln Bayes factor of the\ntrue effect (–; {limits})")
     else:
@@ -270,7 +256,7 @@ def draw_next_measurement(
 def next_measurement_figure(table: pd.DataFrame) -> Figure:
     """Draw `draw_next_measurement`, and beside it the expected ln Bayes factor where two effects compete."""
     rows = best_candidates(table)
-    figure = new_figure(_next_height(rows))
+    figure = style.new_figure(_next_height(rows))
     if not table["ln_bayes"].notna().any():
         draw_next_measurement(table, figure.add_subplot())
         return figure
@@ -313,7 +299,7 @@ def _error_words(rms: float, p: float) -> str:
 
 
 def _kind_handles(rows: pd.DataFrame) -> list[Artist]:
-    looks = [_KINDS.get(kind, (kind, GREY)) for kind in dict.fromkeys(rows["kind"].astype(str))]
+    looks = [_KINDS.get(kind, (kind, style.GREY)) for kind in dict.fromkeys(rows["kind"].astype(str))]
     return [Patch(facecolor=colour, label=words) for words, colour in looks]
 
 

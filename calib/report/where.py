@@ -16,26 +16,9 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
+from calib.report import scene
 from calib.report.numbers import fixed
 from calib.report.numbers import place as place_of
-from calib.report.scene import (
-    FOOT,
-    HEADING,
-    PLACE,
-    axis_vectors,
-    colour_bar,
-    draw_dots,
-    frame_panel,
-    largest_drawn,
-    motion_scale,
-    new_axes,
-    new_scene,
-    number_points,
-    plot_coordinates,
-    plot_lines,
-    seen_size,
-    show_axes,
-)
 from calib.report.shapes import measured_motions
 from calib.report.style import BLUE, GREY, REST, VERMILLION, WIDTH
 
@@ -81,8 +64,8 @@ def misfit_tips(sensors: pd.DataFrame, points: np.ndarray) -> np.ndarray:
     points : ndarray (n, 3)
         Points of the structure; the longest stick is a tenth of the diagonal of their box.
     """
-    sticks = axis_vectors(sensors["direction"]) * sensors["rms"].to_numpy(dtype=float)[:, None]
-    return sensors[PLACE].to_numpy(dtype=float) + motion_scale(points, sticks) * sticks
+    sticks = scene.axis_vectors(sensors["direction"]) * sensors["rms"].to_numpy(dtype=float)[:, None]
+    return sensors[scene.PLACE].to_numpy(dtype=float) + scene.motion_scale(points, sticks) * sticks
 
 
 def draw_sensor_misfit(
@@ -108,17 +91,17 @@ def draw_sensor_misfit(
         the structure's diagonal), circles with the gid ``rms`` at their ends, coloured and sized by the rms; the worst
         three are numbered.
     """
-    ax = new_axes(ax)
+    ax = scene.new_axes(ax)
     sensors = sensor_rms(table[table["stage"] == stage]).dropna()
-    place = sensors[PLACE].to_numpy(dtype=float)
+    place = sensors[scene.PLACE].to_numpy(dtype=float)
     rms = sensors["rms"].to_numpy(dtype=float)
     everything = np.concatenate([rest.reshape(-1, 3), place])
     tips = misfit_tips(sensors, everything)
-    plot_lines(ax, rest, color=REST, linewidth=0.8, gid="structure", zorder=1)
-    plot_lines(ax, np.stack([place, tips], axis=1), color=GREY, linewidth=1.0, gid="direction", zorder=2)
-    draw_dots(ax, tips, rms, Normalize(0.0, float(np.max(rms, initial=3.0))), "YlOrRd", "rms")
-    frame_panel(ax, np.concatenate([everything, tips]), f"all modes, sensors: {len(sensors)}")
-    number_points(ax, tips, {k: k + 1 for k in range(min(3, len(tips)))})
+    scene.plot_lines(ax, rest, color=REST, linewidth=0.8, gid="structure", zorder=1)
+    scene.plot_lines(ax, np.stack([place, tips], axis=1), color=GREY, linewidth=1.0, gid="direction", zorder=2)
+    scene.draw_dots(ax, tips, rms, Normalize(0.0, float(np.max(rms, initial=3.0))), "YlOrRd", "rms")
+    scene.frame_panel(ax, np.concatenate([everything, tips]), f"all modes, sensors: {len(sensors)}")
+    scene.number_points(ax, tips, {k: k + 1 for k in range(min(3, len(tips)))})
     return ax
 
 
@@ -142,21 +125,21 @@ def draw_mode_misfit(
     Axes3D
         Lines with the gids ``structure``, ``re`` and ``im`` (from the place to the tip), and ``re tip``, ``im tip``.
     """
-    ax = new_axes(ax)
+    ax = scene.new_axes(ax)
     arrows = {part: measured_motions(table.assign(measured_re=table[part])) for part in ("re", "im")}
     everything = np.concatenate([rest.reshape(-1, 3), *[place for place, _ in arrows.values()]])
     if scale is None:
-        scale = motion_scale(everything, np.concatenate([motion for _, motion in arrows.values()]))
-    plot_lines(ax, rest, color=REST, linewidth=0.7, gid="structure", zorder=1)
+        scale = scene.motion_scale(everything, np.concatenate([motion for _, motion in arrows.values()]))
+    scene.plot_lines(ax, rest, color=REST, linewidth=0.7, gid="structure", zorder=1)
     for part, colour, marker, order in (("im", BLUE, "s", 2), ("re", VERMILLION, "o", 3)):
         place, motion = arrows[part]
         tips = place + scale * motion
-        plot_lines(ax, np.stack([place, tips], axis=1), color=colour, linewidth=0.9, gid=part, zorder=order)
-        ends = plot_coordinates(tips).T
+        scene.plot_lines(ax, np.stack([place, tips], axis=1), color=colour, linewidth=0.9, gid=part, zorder=order)
+        ends = scene.plot_coordinates(tips).T
         ax.plot(*ends, marker, color=colour, markersize=2.6, gid=f"{part} tip", zorder=order)
         everything = np.concatenate([everything, tips])
     mode = str(table["mode"].iloc[0]) if len(table) else ""
-    frame_panel(ax, everything, f"{mode}   rms {_rms(table):.1f} σ" if mode else "no mode")
+    scene.frame_panel(ax, everything, f"{mode}   rms {_rms(table):.1f} σ" if mode else "no mode")
     return ax
 
 
@@ -172,22 +155,22 @@ def sensor_misfit_figure(table: pd.DataFrame, rest: np.ndarray, *, stage: str = 
     stage : str
         The rows to draw.
     """
-    rows = table[(table["stage"] == stage) & table[PLACE].notna().all(axis=1)]
+    rows = table[(table["stage"] == stage) & table[scene.PLACE].notna().all(axis=1)]
     by_mode = {str(mode): part for mode, part in rows.groupby("mode", sort=False)}
     worst = sorted(by_mode, key=lambda mode: -np.nan_to_num(_rms(by_mode[mode])))[:3]
     points = _everything(rest, rows)
-    wide, high = seen_size(points, largest_drawn(points))
-    upper = min(WIDTH * high / wide + 2 * HEADING, 4.4)
-    lower = min(WIDTH / 3 * high / wide + 2 * HEADING, WIDTH / 3) if worst else 0.0
-    figure = new_scene(upper + lower + FOOT)
+    wide, high = scene.seen_size(points, scene.largest_drawn(points))
+    upper = min(WIDTH * high / wide + 2 * scene.HEADING, 4.4)
+    lower = min(WIDTH / 3 * high / wide + 2 * scene.HEADING, WIDTH / 3) if worst else 0.0
+    figure = scene.new_scene(upper + lower + scene.FOOT)
     grid = figure.add_gridspec(2 if worst else 1, 3, height_ratios=[upper, lower] if worst else None)
     main = draw_sensor_misfit(table, rest, figure.add_subplot(grid[0, :], projection="3d"), stage=stage)
     shown = [by_mode[mode] for mode in worst]
     motions = [measured_motions(t.assign(measured_re=t[part]))[1] for t in shown for part in ("re", "im")]
-    scale = motion_scale(points, np.concatenate(motions)) if motions else None
+    scale = scene.motion_scale(points, np.concatenate(motions)) if motions else None
     for k, part in enumerate(shown):
         draw_mode_misfit(part, rest, figure.add_subplot(grid[1, k], projection="3d"), scale=scale)
-    show_axes(figure)
+    scene.show_axes(figure)
     height = float(figure.get_size_inches()[1])
     if motions:
         longest = float(np.linalg.norm(np.concatenate(motions), axis=1).max(initial=0.0))
@@ -202,7 +185,7 @@ def sensor_misfit_figure(table: pd.DataFrame, rest: np.ndarray, *, stage: str = 
     words = [f"{n}  {row.sensor}: {row.rms:.1f} σ" for n, row in enumerate(worst_sensors, start=1)]
     figure.text(3.0 / WIDTH, 0.1 / height, "\n".join(["worst sensors:", *words]), fontsize=8.5, va="bottom")
     (dots,) = main.collections
-    colour_bar(figure, cast(ScalarMappable, dots), "rms over the modes (σ; noise alone: about 1)")
+    scene.colour_bar(figure, cast(ScalarMappable, dots), "rms over the modes (σ; noise alone: about 1)")
     return figure
 
 
@@ -237,19 +220,21 @@ def draw_perturbations(
     Axes3D
         Circles with the gid ``score``, the largest at the back, and small crosses with the gid ``absorbed``.
     """
-    ax = new_axes(ax)
-    rows = table[(table["kind"] == kind) & table[PLACE].notna().all(axis=1)]
+    ax = scene.new_axes(ax)
+    rows = table[(table["kind"] == kind) & table[scene.PLACE].notna().all(axis=1)]
     rows = rows.iloc[np.argsort(-rows["score"].abs().to_numpy(dtype=float), kind="stable")]
     limit = score_limit(table) if limit is None else limit
-    place, score = rows[PLACE].to_numpy(dtype=float), rows["score"].to_numpy(dtype=float)
+    place, score = rows[scene.PLACE].to_numpy(dtype=float), rows["score"].to_numpy(dtype=float)
     known = np.isfinite(score)
-    plot_lines(ax, rest, color=REST, linewidth=0.8, gid="structure", zorder=1)
-    absorbed = plot_coordinates(place[~known]).T
+    scene.plot_lines(ax, rest, color=REST, linewidth=0.8, gid="structure", zorder=1)
+    absorbed = scene.plot_coordinates(place[~known]).T
     ax.plot(*absorbed, "x", color=GREY, markersize=3.0, markeredgewidth=0.7, gid="absorbed", zorder=2)
-    draw_dots(ax, place[known], score[known], Normalize(-limit, limit), "RdBu_r", "score")
-    frame_panel(ax, np.concatenate([rest.reshape(-1, 3), place]), f"{kind}, local perturbations: {len(rows)}")
+    scene.draw_dots(ax, place[known], score[known], Normalize(-limit, limit), "RdBu_r", "score")
+    scene.frame_panel(ax, np.concatenate([rest.reshape(-1, 3), place]), f"{kind}, local perturbations: {len(rows)}")
     marked = list((best_perturbations(table) if best is None else best).index)
-    number_points(ax, place, {k: marked.index(label) + 1 for k, label in enumerate(rows.index) if label in marked})
+    scene.number_points(
+        ax, place, {k: marked.index(label) + 1 for k, label in enumerate(rows.index) if label in marked}
+    )
     return ax
 
 
@@ -260,7 +245,7 @@ def score_limit(table: pd.DataFrame) -> float:
 
 def best_perturbations(table: pd.DataFrame, count: int = 3) -> pd.DataFrame:
     """Return the rows with the largest absolute ``score`` among those with coordinates."""
-    placed = table[table[[*PLACE, "score"]].notna().all(axis=1)]
+    placed = table[table[[*scene.PLACE, "score"]].notna().all(axis=1)]
     return placed.iloc[np.argsort(-placed["score"].abs().to_numpy(dtype=float), kind="stable")[:count]]
 
 
@@ -282,7 +267,7 @@ def perturbation_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     ]
     kinds = kinds or [PERTURBATION_KINDS[0]]
     shown = _everything(rest, table)
-    wide, high = seen_size(shown, 0.3 * largest_drawn(shown))
+    wide, high = scene.seen_size(shown, 0.3 * scene.largest_drawn(shown))
     # A long low structure is shown best with the panels above one another.
     columns = 1 if high < 0.28 * wide or len(kinds) == 1 else min(len(kinds), 2)
     count = math.ceil(len(kinds) / columns)
@@ -293,32 +278,32 @@ def perturbation_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     words = "\n".join([heading, *named]) if named else "no local perturbation has a score"
     words += "\n×  absorbed by the parameters" if table["score"].isna().any() else ""
     # The list stands above the colour bar, in the place of a panel where one is free.
-    foot = FOOT + (0.0 if count * columns > len(kinds) else 0.1 + 0.15 * (words.count("\n") + 1))
-    figure = new_scene(count * min(panel * high / wide + 3 * HEADING, panel, 4.4) + foot, foot)
+    foot = scene.FOOT + (0.0 if count * columns > len(kinds) else 0.1 + 0.15 * (words.count("\n") + 1))
+    figure = scene.new_scene(count * min(panel * high / wide + 3 * scene.HEADING, panel, 4.4) + foot, foot)
     grid = figure.add_gridspec(count, columns)
     limit = score_limit(table)
     for k, kind in enumerate(kinds):
         ax = figure.add_subplot(grid[k // columns, k % columns], projection="3d")
         draw_perturbations(table, rest, ax, kind=kind, limit=limit, best=best)
-    show_axes(figure)
+    scene.show_axes(figure)
     height = float(figure.get_size_inches()[1])
-    figure.text(4.5 / WIDTH, (FOOT + 0.02) / height, words, fontsize=8.5, va="bottom")
+    figure.text(4.5 / WIDTH, (scene.FOOT + 0.02) / height, words, fontsize=8.5, va="bottom")
     colours = ScalarMappable(Normalize(-limit, limit), "RdBu_r")
     noise = f"; noise alone: within ±{fixed(table['limit'].iloc[0], 1)}" if len(table) else ""
-    colour_bar(figure, colours, f"score z (–{noise})")
+    scene.colour_bar(figure, colours, f"score z (–{noise})")
     return figure
 
 
 def _everything(rest: np.ndarray, placed: pd.DataFrame) -> np.ndarray:
     """Ends of the mesh's lines and the coordinates in a table."""
-    return np.concatenate([rest.reshape(-1, 3), placed[PLACE].dropna().to_numpy(dtype=float)])
+    return np.concatenate([rest.reshape(-1, 3), placed[scene.PLACE].dropna().to_numpy(dtype=float)])
 
 
 def _in_words(number: int, row: dict[Hashable, Any]) -> str:
     """Name, kind, score, unabsorbed fraction and place of a perturbation, on as many lines as needed."""
     name = textwrap.fill(f"{number}  {row['perturbation']}", 46, subsequent_indent="     ")
     facts = f"{row['kind']}, z = {row['score']:+.1f}, γ = {row.get('unabsorbed', math.nan):.2f}"
-    at = place_of([float(row[axis]) for axis in PLACE])
+    at = place_of([float(row[axis]) for axis in scene.PLACE])
     return f"{name}\n     {facts.replace('-', '−')}\n     x, y, z = {at} m"
 
 
