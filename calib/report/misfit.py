@@ -17,7 +17,7 @@ from matplotlib.patches import Rectangle
 
 from calib.report import style
 from calib.report.explanation import blank
-from calib.report.numbers import fixed, flag, p_value, short, significant, with_unit
+from calib.report.numbers import fixed, flag, p_in_words, short, significant, with_unit
 from calib.report.svg import hover, hover_cells, hover_points
 
 KINDS = ("frequency", "damping", "shape")
@@ -83,7 +83,7 @@ def draw_where_it_fails(
         ax,
         [
             [
-                f"{m}, {kind}: χ²/ν {significant(r, 3)}, p {p_value(q)}"
+                f"{m}, {kind}: χ²/ν {significant(r, 3)}, p {p_in_words(q)}"
                 for kind, r, q in zip(kinds, line, chances, strict=True)
             ]
             for m, line, chances in zip(modes, ratio, p, strict=True)

@@ -51,7 +51,7 @@ def with_unit(value: float, unit: str, digits: int = 3) -> str:
     return words if unit in ("", "-", UNKNOWN) or words == UNKNOWN else f"{words} {unit}"
 
 
-def p_value(p: float) -> str:
+def p_in_words(p: float) -> str:
     """Format a probability."""
     if p is None or math.isnan(p):
         return UNKNOWN

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 
 from calib.report import style
 from calib.report.explanation import LEAST_BAYES_FACTOR, blank
-from calib.report.numbers import fixed, p_value, short
+from calib.report.numbers import fixed, p_in_words, short
 from calib.report.svg import hover, hover_points
 
 GROUPS = {
@@ -82,7 +82,7 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
         ends.append((x, rms))
         (dots,) = ax.plot(x, rms, linestyle="none", markersize=9, label=label, gid=stage, zorder=5, **looks)
         words = [
-            f"{GROUPS.get(group, group)}, {label}: {fixed(r, 2)} σ; expected {fixed(e, 2)}; p {p_value(q)}"
+            f"{GROUPS.get(group, group)}, {label}: {fixed(r, 2)} σ; expected {fixed(e, 2)}; p {p_in_words(q)}"
             for group, r, e, q in zip(groups, rms, expected, p, strict=True)
         ]
         hover_points(ax, x, rms, words)

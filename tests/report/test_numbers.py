@@ -6,7 +6,7 @@ from calib.report.numbers import (
     counted,
     fixed,
     flag,
-    p_value,
+    p_in_words,
     percent,
     place,
     places,
@@ -55,7 +55,7 @@ def test_significant(value, digits, words):
 def test_units_fractions_and_probabilities():
     assert percent(0.12345, 1, sign=True) == "+12.3"
     assert with_unit(63.5652, "kg") == "63.6 kg" and with_unit(0.5, "-") == "0.500" and with_unit(math.nan, "kg") == "–"
-    assert p_value(1e-9) == "< 0.001" and p_value(0.0371) == "0.037" and p_value(math.nan) == "–"
+    assert p_in_words(1e-9) == "< 0.001" and p_in_words(0.0371) == "0.037" and p_in_words(math.nan) == "–"
     assert counted(1, "mode") == "1 mode" and counted(0, "mode") == "0 modes"
 
 

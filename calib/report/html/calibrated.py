@@ -44,7 +44,7 @@ def cases(results: StudyResults) -> pd.DataFrame | None:
     return pd.DataFrame(rows) if rows else None
 
 
-def by_test(results: StudyResults) -> list[tuple[str, list[str]]] | None:
+def columns_by_test(results: StudyResults) -> list[tuple[str, list[str]]] | None:
     """Columns of what each of several tests alone would determine."""
     table = results.table("std_by_test")
     if table is None:

@@ -76,7 +76,10 @@ def _marked(value: Any, mark: str) -> str:
 
 
 FILTERS: dict[str, Callable[..., Any]] = {
-    **{name: by_row(getattr(numbers, name)) for name in ("fixed", "percent", "significant", "p_value", "probability")},
+    **{
+        name: by_row(getattr(numbers, name))
+        for name in ("fixed", "percent", "significant", "p_in_words", "probability")
+    },
     "yes": by_row(numbers.yes, TextCells),
     "with_unit": by_row(numbers.with_unit),
     "text": by_row(str, TextCells),

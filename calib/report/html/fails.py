@@ -10,7 +10,7 @@ import pandas as pd
 from calib.report.explanation import LEAST_BAYES_FACTOR, only_predicted, threshold
 from calib.report.html.cells import flagged
 from calib.report.html.study_results import StudyResults
-from calib.report.numbers import fixed, flag, p_value
+from calib.report.numbers import fixed, flag, p_in_words
 from calib.report.where import sensor_rms
 
 TESTS = {
@@ -171,7 +171,7 @@ def least_likely(results: StudyResults) -> str | None:
     if table is None:
         return None
     base = table[table["stage"] == "base"].replace({"kind": {"freq": "frequency"}}).sort_values("p")
-    return ", ".join(f"{r['kind']} of {r['mode']} (p {p_value(r['p'])})" for r in base.head(3).to_dict("records"))
+    return ", ".join(f"{r['kind']} of {r['mode']} (p {p_in_words(r['p'])})" for r in base.head(3).to_dict("records"))
 
 
 def sensors(results: StudyResults) -> list[str] | None:
