@@ -14,16 +14,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import calib
 from calib.errors.place import Place
 
+CALIB = Path(os.path.abspath(calib.__file__)).parent
+"""Folder of calib's own files."""
 _NOT_THE_USERS = (
-    os.path.dirname(os.path.abspath(__file__)) + os.sep,
+    f"{CALIB}{os.sep}",
     *(sysconfig.get_path(kind) + os.sep for kind in ("stdlib", "purelib", "platlib")),
 )
 _INSTALLED = ("site-packages", "dist-packages")
 _CELL = "<ipython-input"
 """Beginning of the name of what is typed into IPython; a notebook's cell has the name of a file that is not there."""
-_LIBRARY = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "models") + os.sep
+_LIBRARY = f"{CALIB.parent / 'models'}{os.sep}"
 """Models that come with calib: a library where the user's own code calls them, else the code that a study names."""
 _HEAD_LINES = 30
 """Lines of decorators that may stand above a function's name."""

@@ -50,7 +50,9 @@ def digest_of(*things: Any) -> str:
     """Hash over the content of any objects: numbers, arrays, functions, objects with their state.
 
     It is the same in every process. A function is hashed by its source file, code, defaults and closure; an object
-    without accessible state by the name of its type alone.
+    without accessible state by the name of its type alone. Of calib's own functions and types only the name and what
+    they hold count, not the code and not the module: other code of calib is told beside a result, see
+    `calib.results.code_digest`, and makes no stored number invalid.
     """
     digest = hashlib.sha256()
     for part in _Walk().parts(tuple(things)):
@@ -91,8 +93,11 @@ class _Walk:
         elif isinstance(thing, types.MethodType):
             yield from self._each((thing.__func__, thing.__self__))
         elif isinstance(thing, types.FunctionType):
-            yield self._file(thing)
-            yield from self._each((thing.__code__, thing.__defaults__, thing.__kwdefaults__))
+            if _is_calibs(thing):
+                yield thing.__qualname__.encode()
+            else:
+                yield self._file(thing)
+                yield from self._each((thing.__code__, thing.__defaults__, thing.__kwdefaults__))
             yield from self._each([_content(cell) for cell in thing.__closure__ or ()])
             if hasattr(thing, "__wrapped__"):
                 yield from self.parts(thing.__wrapped__)
@@ -134,7 +139,9 @@ class _Walk:
         yield from self.parts(state)
 
     def _file(self, holder: Any) -> bytes:
-        """Digest of the file that defines a function or class; empty where there is none."""
+        """Digest of the file that defines a function or class; empty where there is none, or one of calib."""
+        if _is_calibs(holder):
+            return b""
         try:
             path = Path(inspect.getfile(holder))
         except (TypeError, OSError):  # built-in or interactively defined
@@ -166,9 +173,15 @@ def _is_kept(kind: type, name: str) -> bool:
 
 
 def _name(kind: type) -> bytes:
-    # The module name of a file outside any package is derived from its path, which must not count.
-    module = "" if kind.__module__.startswith("calib_study_") else kind.__module__
+    # The module name of a file outside any package is derived from its path, which must not count; that of calib's own
+    # types changes where a file of calib moves.
+    module = "" if kind.__module__.startswith("calib_study_") or _is_calibs(kind) else kind.__module__
     return f"{module}.{kind.__qualname__}".encode()
+
+
+def _is_calibs(holder: Any) -> bool:
+    """Whether a function or type belongs to calib itself."""
+    return str(getattr(holder, "__module__", "")).split(".")[0] == "calib"
 
 
 def _content(cell: types.CellType) -> Any:

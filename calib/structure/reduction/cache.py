@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-import calib.structure
+from calib.results.code_digest import code_digest
 from calib.errors.errors import InputError
 from calib.results.written import DRAFT
 from calib.structure.model import StructuralModel
@@ -178,11 +178,8 @@ def key_of(model: StructuralModel, *more: object) -> str:
 
 @functools.cache
 def _code() -> str:
-    """Hash over the code of `calib.structure` and the versions of NumPy and SciPy."""
-    digest = hashlib.sha256(f"{np.__version__} {scipy.__version__}".encode())
-    for file in sorted(Path(calib.structure.__file__).parent.glob("*.py")):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
+    """Digest over the code of `calib.structure`, whatever the folders in it, and the versions of NumPy and SciPy."""
+    return hashlib.sha256(f"{np.__version__} {scipy.__version__} {code_digest('calib.structure')}".encode()).hexdigest()
 
 
 def _read(path: Path, key: str) -> Basis | None:
