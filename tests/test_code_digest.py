@@ -20,7 +20,7 @@ FILES = {
     "solve.py": "from calib.room import cache\n\n\ndef modes():\n    return [1, \"# no comment\"]\n",
     "room/__init__.py": "from lazy_loader import attach_stub\n__getattr__, _, _ = attach_stub(__name__, __file__)\n",
     "room/__init__.pyi": "from . import cache\nfrom .basis import (\n    Basis as Basis,\n)\nfrom .other import A\n",
-    "room/basis.py": '"""Bases."""\n\nLIMIT = 2.0\n"""Bytes."""\n\n\nclass Basis:\n    """A basis."""\n\n    size = 1\n',
+    "room/basis.py": '"""Bases."""\n\nLIMIT = 2.0\n"""Bytes."""\n\nclass Basis:\n    """A basis."""\n\n    size = 1\n',
     "room/cache.py": "KEPT = 1\n",
     "room/other.py": "class Other:\n    size = 3\n",
 }  # fmt: skip

@@ -1,7 +1,7 @@
 """Numbers at the top of modules: those that decide a verdict stand in the rules, which every record holds.
 
 What is left is listed here by its reason, file by file. A new one that decides between verdicts, or that stands for
-something unknown, belongs into the rules of its subject (`calib.analyses.provenance.recorded_rules`).
+something unknown, belongs into the rules of its subject (`calib.analyses.provenance.state`).
 """
 
 import ast

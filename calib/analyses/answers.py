@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import pandas as pd
 
-from calib.analyses.fit_statistics import FitStatistics
 from calib.correlation.frf.comparison import FRFComparison
 from calib.correlation.modal.comparison import BEYOND, Comparison
 from calib.correlation.modal.sensors import SensorFinding
@@ -17,6 +16,9 @@ from calib.hypotheses.rules import RULES
 from calib.inference.verdicts import identified_sentence
 from calib.problem.joint import of_test
 from calib.results.answer import Answer
+
+if TYPE_CHECKING:
+    from calib.analyses.fit_statistics import FitStatistics
 
 NAMED = 6
 """Largest number of parameters or sensors named in a sentence."""

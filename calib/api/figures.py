@@ -59,7 +59,7 @@ def draw(
     title, synthetic = study.settings.title, study.synthetic
     stale = stale_answers(study, folder, None if root == RESULTS else root)
     try:
-        shown = StudyResults(CurrentFolder(folder.path, stale.files), title, synthetic, stale.sentences)
+        shown = StudyResults(CurrentFolder(folder.path, stale.files), title, synthetic, stale.sentences, stale.other_code)
         report = report or folder.has(REPORT)
 
         with listener.progress() as step, places.tasks_shared(workers):
@@ -76,7 +76,7 @@ def draw(
     if stale.files:
         old = [file for kind in FORMATS for file in folder.path.glob(f"*.{kind}")]
         folder.remove(*(file.name for file in old if is_own(file) and file not in figures))
-    listener.drawn(study, figures, stale.sentences, written)
+    listener.drawn(study, figures, stale.told, written)
 
 
 def draw_anew(study: StudyFile, root: Path, listener: Listener, formats: Sequence[Format], width: Width) -> None:

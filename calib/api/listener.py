@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
@@ -72,8 +73,10 @@ class Listener:
     def versions(self, found: Versions) -> None:
         """Errors over the versions of a model."""
 
-    def drawn(self, study: StudyFile, figures: Sequence[Path], outdated: Mapping[str, str], page: Page | None) -> None:
-        """Figures, and the report where there is one, were made."""
+    def drawn(self, study: StudyFile, figures: Sequence[Path], told: Sequence[str], page: Page | None) -> None:
+        """Figures, and the report where there is one, were made; what is told of older results becomes a warning."""
+        for sentence in told:
+            warnings.warn(f"{sentence}.", stacklevel=2)
 
 
 class Showing(Listener):

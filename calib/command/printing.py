@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -116,8 +116,8 @@ class _Printing(Listener):
     def nothing_added(self, sentence: str) -> None:
         self._add(Words(sentence, when="always"))
 
-    def drawn(self, study: StudyFile, figures: Sequence[Path], outdated: Mapping[str, str], page: Page | None) -> None:
-        entries: list[Entry] = [Warned(sentence) for sentence in outdated.values()]
+    def drawn(self, study: StudyFile, figures: Sequence[Path], told: Sequence[str], page: Page | None) -> None:
+        entries: list[Entry] = [Warned(sentence) for sentence in told]
         if figures:
             entries += [Words("\nFigures, each beside its table:"), *(Words(f"  {path}") for path in figures)]
         self._add(*entries)

@@ -22,7 +22,7 @@ from sphinx.application import Sphinx
 from typer.main import get_command
 
 import calib
-from calib.analyses.provenance.recorded_rules import every_rule
+from calib.analyses.provenance.state import every_rule
 from calib.command.cli import app as command
 from calib.modal_analysis import rules as identification
 from calib.study.settings import schema

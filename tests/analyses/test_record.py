@@ -11,7 +11,7 @@ import pytest
 from calib import __version__
 from calib.analyses.compare import compare
 from calib.analyses.provenance.record import measured_table, parameters_table, sensors_table, write_record
-from calib.analyses.provenance.recorded_rules import every_rule
+from calib.analyses.provenance.state import every_rule
 from calib.correlation import rules as comparison
 from calib.problem.parameter import Parameter
 from calib.problem.space import ParameterSpace

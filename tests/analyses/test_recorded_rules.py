@@ -4,8 +4,7 @@ from dataclasses import fields, is_dataclass, replace
 
 import pytest
 
-from calib.analyses.provenance.recorded_rules import every_rule, rules_of
-from calib.analyses.provenance.state import WRITES, changed, made_from, made_from_on_paper
+from calib.analyses.provenance.state import WRITES, changed, every_rule, made_from, rules_of
 from calib.study.study_file import StudyFile
 
 PLACES = {
@@ -41,4 +40,4 @@ def test_an_analysis_is_stale_once_one_of_its_rules_changes(guyed, monkeypatch, 
     monkeypatch.setattr(PLACES[name], replace(rules, **{first: 2 * getattr(rules, first)}))
     expected = ["the rules of calib"] if name in rules_of(analysis) else []
     assert changed(then, made_from(study, analysis)) == expected
-    assert changed(then, made_from_on_paper(file, analysis, then, then["selected"])) == expected
+    assert changed(then, made_from(file, analysis)) == expected

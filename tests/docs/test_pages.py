@@ -12,7 +12,7 @@ import pytest
 
 import calib
 import calib.structure
-from calib.analyses.provenance.recorded_rules import every_rule
+from calib.analyses.provenance.state import every_rule
 from calib.results.version import FALLBACK
 from calib.study.settings import schema
 

@@ -14,8 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 import pandas as pd
 
-from calib.analyses.provenance.recorded_rules import rules_of
-from calib.analyses.provenance.state import made_from
+from calib.analyses.provenance.state import code_of, made_from, rules_of
 from calib.analyses.uncertainty import accuracy_words, assumed_std, assumed_words, in_one, std_notes
 from calib.errors.errors import InputError
 from calib.measurement.disagreements import COLUMNS, Disagreement
@@ -120,7 +119,7 @@ def write_record(
                 "quick": quick,
                 "options": list(options),
                 "seeds": dict(seeds),
-                "made_from": made_from(study, analysis),
+                "made_from": {**made_from(study, analysis), "selected": list(study.search_space.free_names)},
                 "sentences": list(sentences),
                 **({} if answer is None else {"answer": answer.plain}),
             },
@@ -169,11 +168,12 @@ def parameters_table(
 
 
 def made_with(analysis: str) -> dict[str, Any]:
-    """Time, versions and rules of an analysis made now."""
+    """Time, versions, rules and code of an analysis made now."""
     return {
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {"calib": __version__, "Python": platform.python_version(), **_installed()},
         "rules": {name: asdict(rules) for name, rules in rules_of(analysis).items()},
+        "code": code_of(analysis),
     }
 
 
@@ -260,7 +260,8 @@ def earlier(results: Results, analysis: str) -> dict[str, dict[str, Any]]:
 _ANALYSIS = {
     "quick": bool,
     "options": [str],
-    "made_from": {"files": {ANY: str}, "stated": {ANY: str}, "selected": [str]},
+    "code": str,
+    "made_from": {"files": {ANY: str}, "sources": [str], "stated": {ANY: str}, "selected": [str]},
 }
 """Types of the entries of an analysis that later commands read."""
 

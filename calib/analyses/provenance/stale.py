@@ -11,14 +11,14 @@ from typing import Any
 
 from calib.analyses.provenance.places import QUICK, is_quick
 from calib.analyses.provenance.record import analyses_of
-from calib.analyses.provenance.state import WRITES, changed, made_from, made_from_on_paper
-from calib.analyses.provenance.taken_over import found_earlier
-from calib.analyses.sensitivity import selected_in, selecting
+from calib.analyses.provenance.state import WRITES, agree, changed, code_of, made_from
+from calib.analyses.sensitivity import selected_in
 from calib.errors.errors import InputError
+from calib.results.json_file import read_json
 from calib.results.results import Results
+from calib.results.table import read_table
 from calib.results.written import is_own
-from calib.study.study import Study
-from calib.study.study_file import StudyFile, shell_argument
+from calib.study.study_file import StudyFile, shell_argument, study_file
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,18 @@ class Stale:
     files : frozenset of str
         Their tables, and tables that no finished analysis wrote. A table that several analyses write belongs to the
         latest.
+    other_code : str
+        A sentence on the analyses that are not stale and were computed by other code of calib; empty without.
     """
 
     sentences: Mapping[str, str] = field(default_factory=dict)
     files: frozenset[str] = frozenset()
+    other_code: str = ""
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """All sentences."""
+        return (*self.sentences.values(), *filter(None, [self.other_code]))
 
 
 def stale_answers(study: StudyFile, results: Results, root: Path | None = None) -> Stale:
@@ -57,13 +65,7 @@ def stale_answers(study: StudyFile, results: Results, root: Path | None = None) 
         if analysis not in WRITES:
             continue
         writer |= dict.fromkeys(WRITES[analysis], analysis)
-        then = entry.get("made_from", {})
-        if isinstance(study, Study):
-            now = made_from(_selecting(study, results, entry) if analysis == "calibrate" else study, analysis)
-        else:
-            found = found_earlier(study, results)
-            now = made_from_on_paper(study, analysis, then, _selected(study, results, entry), found)
-        if differs := changed(then, now):
+        if differs := _changed(study, results, analysis, entry):
             options = "".join(f" {shlex.quote(option)}" for option in entry.get("options", ()))
             sentences[analysis] = (
                 f"'{analysis}' was run on an earlier state of {', '.join(differs)}, so its results are not shown; run "
@@ -78,7 +80,8 @@ def stale_answers(study: StudyFile, results: Results, root: Path | None = None) 
                 f"'{analysis}' was interrupted, so its incomplete results are not shown; run it again with: "
                 f"calib {_verb(analysis)} {shell_argument(study.file)}{quick}{place}"
             )
-    return Stale(sentences, frozenset(stale | written))
+    current = {name: entry for name, entry in analyses_of(results).items() if name in WRITES and name not in sentences}
+    return Stale(sentences, frozenset(stale | written), _other_code(current))
 
 
 def stale_analyses(file: Path, results: Results) -> set[str]:
@@ -96,6 +99,25 @@ _OWN = {
 """Tables that no other analysis writes."""
 
 
+def _changed(study: StudyFile, results: Results, analysis: str, entry: Mapping[str, Any]) -> list[str]:
+    """What an analysis in a folder was made from and is otherwise now, in words."""
+    then, now = dict(entry.get("made_from", {})), made_from(study, analysis)
+    if analysis == "calibrate" and (selected := _selected(study, results, entry)) is not None:
+        now["selected"], then["selected"] = sorted(selected), sorted(then.get("selected", ()))
+    if "taken" not in now and (found := _found_earlier(study, results)):
+        now["taken"] = next((values for values in found if agree(then.get("taken", {}), values)), found[0])
+    return changed(then, now)
+
+
+def _other_code(entries: Mapping[str, Mapping[str, Any]]) -> str:
+    """A sentence on the analyses that were computed by other code of calib; empty without."""
+    other = [f"'{name}'" for name in WRITES if name in entries and entries[name].get("code") != code_of(name)]
+    if not other:
+        return ""
+    listed = " and ".join(filter(None, [", ".join(other[:-1]), other[-1]]))
+    return f"Results of {listed} were computed by other code of calib than the present one; a new run may change them"
+
+
 def _verb(analysis: str) -> str:
     """Command that runs an analysis."""
     return "run" if analysis == "extend" else analysis
@@ -108,14 +130,6 @@ def _selection_in(results: Results, entry: Mapping[str, Any]) -> Results | None:
     return next((place for place in places if place.has("selection.csv")), None)
 
 
-def _selecting(study: Study, results: Results, entry: Mapping[str, Any]) -> Study:
-    """The study with the parameters that a calibration would fit now."""
-    if place := _selection_in(results, entry):
-        with suppress(InputError):
-            return selecting(study, place)
-    return study
-
-
 def _selected(study: StudyFile, results: Results, entry: Mapping[str, Any]) -> tuple[str, ...] | None:
     """The parameters that the sensitivity analysis selects; None where the study names them, or it was not run."""
     place = _selection_in(results, entry)
@@ -123,3 +137,28 @@ def _selected(study: StudyFile, results: Results, entry: Mapping[str, Any]) -> t
         with suppress(InputError):
             return selected_in(place.path / "selection.csv")[0]
     return None
+
+
+def _found_earlier(study: StudyFile, results: Results) -> list[dict[str, float]]:
+    """Values that the study named under ``[adopted]`` has found, in its full run and in its quick run.
+
+    The folder of that study is beside that of this one. Empty where it has no readable results, or nothing is adopted.
+    """
+    adopted = study.settings.adopted
+    home = next((path for path in (results.path, *results.path.parents) if path.name == study.name), None)
+    if adopted is None or home is None:
+        return []
+    name = study_file(study.file.resolve().parent / adopted.study).resolve().parent.name
+    out = []
+    for folder in (home.parent / name, home.parent / name / QUICK):
+        with suppress(InputError):
+            values = _best_case(folder)
+            out.append({parameter: values[parameter] for parameter in adopted.parameters if parameter in values})
+    return out
+
+
+def _best_case(folder: Path) -> dict[str, float]:
+    best = read_json(folder / "summary.json", {"best_case": str}, ["best_case"])["best_case"]
+    table = read_table(folder / "parameters.csv", ["case", "parameter"], ["value"], complete=["value"])
+    found = table[table["case"] == best]
+    return dict(zip(found["parameter"], found["value"], strict=True))

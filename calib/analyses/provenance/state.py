@@ -1,21 +1,31 @@
-"""State behind an analysis, as digests of measurement, model and settings, and the version of calib."""
+"""State behind an analysis: its measurement, model, settings and rules, and the code of calib that computed it.
+
+One rule holds for all results. Other measured data, another model, other settings or other rules make them stale: they
+are not shown, and nothing else rests on them. Other code of calib is told beside them. Evaluations in a ledger stay
+valid in both cases, since their key holds what their values depend on.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-from calib.analyses.provenance.recorded_rules import rules_of
-from calib.results.version import __version__
-from calib.study.several import AnyStudy
+from calib.code_digest import code_digest
+from calib.correlation import fault_rules as faults
+from calib.correlation import rules as comparison
+from calib.correlation import standard_deviations
+from calib.hypotheses import rules as analyses
+from calib.inference import rules as inference
+from calib.measurement import rules as reading
+from calib.missing import rules as missing
+from calib.problem import degrees_of_freedom, parameter
+from calib.sensitivity import rules as sensitivity
+from calib.structure import rules as models
 from calib.study.study import Study
 from calib.study.study_file import StudyFile
-
-PARTS = ("measurement", "model", "settings", "rules", "code")
-"""Parts of the state of an analysis; ``files`` beside them names what changed in the first two."""
 
 _NAMES_OF_FILES = {"files", "shapes", "sensors", "responses"}
 
@@ -70,93 +80,56 @@ WRITES: Mapping[str, tuple[str, ...]] = {
 """All tables that an analysis may write; a shared table belongs to the latest analysis."""
 
 
-def made_from(study: AnyStudy, analysis: str) -> dict[str, Any]:
+def made_from(study: StudyFile, analysis: str) -> dict[str, Any]:
     """Present state that an analysis would be made from.
 
     Parameters
     ----------
-    study : Study or JointStudy
-        With the selection of the analysis.
+    study : StudyFile
+        With its code run (`calib.study.study.Study`, `calib.study.several.JointStudy`) or only read.
     analysis : str
         One of `WRITES`.
 
     Returns
     -------
     dict
-        A digest for each of `PARTS` (of ``code`` the version); ``files``: digests of the files that the study names,
-        except its own, by their paths as written there; ``stated``: digests of the entries on model and settings in
-        its own file; ``selected``: the parameters of the search; ``taken``: values adopted from an earlier study. The
-        last three are available without running the study's code (see `made_from_on_paper`).
+        Digests of ``measurement``, ``rules`` and ``stated``, the entries on model and settings in the study's file;
+        ``files``: digests of all files that it names and of its code, by path; ``sources``: those of them that decide
+        on the model of this analysis. Only where the code was run: digests of ``model`` and, for an analysis that uses
+        them, ``effects``; ``taken``: values adopted from an earlier study.
     """
-    models, settings = [], []
-    for one in study.studies:
-        problem, given = one.problem, one.settings
-        models.append(_digest(problem.model_fingerprint, one.model.space, given.with_effects))
-        settings.append(_digest(given.pairing.model_dump(), *_SETTINGS[analysis.partition(" ")[0]](one)))
-    adopted = study.settings.adopted
-    return {
+    tests: tuple[Study, ...] = getattr(study, "studies", ())
+    files = {name: digest for one in tests for name, digest in one.read_files.items()} if tests else study.file_digests
+    state = {
         "measurement": _measured(study, analysis),
-        "model": models[0] if len(models) == 1 else _digest(*models),
-        "settings": settings[0] if len(settings) == 1 else _digest(*settings),
         "rules": _digest(rules_of(analysis)),
-        "code": __version__,
-        "files": {name: digest for one in study.studies for name, digest in one.read_files.items()},
         "stated": _stated(study, analysis),
-        "selected": list(study.search_space.free_names),
-        "taken": {} if adopted is None else {name: study.adopted.get(name) for name in adopted.parameters},
+        "files": dict(files),
+        "sources": _sources(study, analysis, files),
     }
+    if not tests:
+        return state
+    built = [_digest(one.problem.model_fingerprint, one.model.space, one.settings.with_effects) for one in tests]
+    adopted, values = study.settings.adopted, tests[0].adopted
+    state["model"] = built[0] if len(built) == 1 else _digest(*built)
+    state["taken"] = {} if adopted is None else {name: values.get(name) for name in adopted.parameters}
+    if _uses_effects(analysis):
+        state["effects"] = _digest(*map(_effects, tests))
+    return state
 
 
-def made_from_on_paper(
-    study: StudyFile,
-    analysis: str,
-    then: Mapping[str, Any],
-    selected: Sequence[str] | None,
-    found: Sequence[Mapping[str, float]] = (),
-) -> dict[str, Any]:
-    """Present state that an analysis would be made from, determined without running the study's code.
-
-    The recorded digests of model and settings are kept as long as the code files, the entries of the study's file, the
-    selection, and the adopted values are unchanged. Other changes outside the study's folder are not detected.
-
-    Parameters
-    ----------
-    study : StudyFile
-    analysis : str
-    then : mapping
-        The recorded state; see `made_from`.
-    selected : sequence of str or None
-        Present selection of the sensitivity analysis; None where the study names its selection, or there is none.
-    found : sequence of mapping from parameter name to value
-        Present results of the earlier study, any of which may be adopted; empty without any.
-    """
-    files, stated = dict(study.file_digests), _stated(study, analysis)
-    old, said = then.get("files", {}), then.get("stated", {})
-    needed = study.settings.depends_on
-    code = [n for n in {**old, **files} if (n.endswith(".py") or n in needed) and old.get(n) != files.get(n)]
-    of_effects = {function.rpartition(":")[0] for function in study.settings.libraries}
-    uses_effects = analysis in ("explain", "propose", "extend")
-    of_model = [name for name in code if name not in of_effects or study.settings.with_effects]
-    taken = then.get("taken", {})
-    same_values = not found or any(_agree(taken, values) for values in found)
-    same_model = not of_model and said.get("model") == stated["model"] and same_values
-    same_settings = said.get("settings") == stated["settings"] and not (uses_effects and code)
-    if analysis == "calibrate" and selected is not None:
-        same_settings = same_settings and sorted(then.get("selected", ())) == sorted(selected)
-    return {
-        "measurement": _measured(study, analysis),
-        "model": then.get("model") if same_model else "changed",
-        "settings": then.get("settings") if same_settings else "changed",
-        "rules": _digest(rules_of(analysis)),
-        "code": __version__,
-        "files": files,
-        "taken": taken if same_values else {**taken, **found[0]},
-    }
+def _sources(study: StudyFile, analysis: str, files: Mapping[str, str]) -> list[str]:
+    """Files of code, and those that a study declares; without its effects where the analysis uses none."""
+    given = study.settings
+    of_effects = {function.rpartition(":")[0] for function in given.libraries}
+    unused = set() if given.with_effects or _uses_effects(analysis) else of_effects
+    return [name for name in files if (name.endswith(".py") or name in given.depends_on) and name not in unused]
 
 
-def _agree(taken: Mapping[str, float], values: Mapping[str, float]) -> bool:
-    """Whether values are equal to the ten digits that tables keep."""
-    return all(math.isclose(values[name], taken[name], rel_tol=1e-9) for name in {*taken} & {*values})
+def _effects(study: Study) -> str:
+    """Digest of all effects that an explanation may test, and of what is known of adopted values."""
+    known = [(e.name, e.parameters, e.grid) for e in study.library]
+    return _digest(known, study.library_digest, study.adopted_sd)
 
 
 def measurement_digest(study: StudyFile) -> str:
@@ -171,7 +144,7 @@ def measurement_digest(study: StudyFile) -> str:
 def _measured(study: StudyFile, analysis: str) -> str:
     """Digest of the data behind an analysis: for one of several tests fitted together, those of all tests."""
     own = measurement_digest(study)
-    if not study.test or analysis.partition(" ")[0] not in _TOGETHER:
+    if not study.test or _verb(analysis) not in _TOGETHER:
         return own
     whole = StudyFile.read(study.file)
     tests = [test.model_dump(exclude=_NAMES_OF_FILES) for test in whole.settings.tests]
@@ -183,62 +156,128 @@ _TOGETHER = ("calibrate", "explain", "extend")
 
 
 def changed(then: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Differences between two states, in words; empty where they are equal."""
-    parts = [part for part in PARTS if then.get(part) != now.get(part)]
+    """Differences between two states, in words; empty where they are equal.
+
+    Files of code stand for model and effects where the code was not run.
+    """
     old, new = then.get("files", {}), now["files"]
     files = [name for name in {**old, **new} if old.get(name) != new.get(name)]
-    out = [name for name in files if {"measurement", "model"} & set(parts)]
-    if then.get("taken", {}) != now["taken"]:
-        out.append("the values adopted from another study")
-    if {"measurement", "model"} & set(parts) and not out:
-        out.append("the measurement" if "measurement" in parts else "the model or its parameters")
-    out += ["the settings in the study file"] * ("settings" in parts)
-    out += ["the rules of calib"] * ("rules" in parts)
-    return out + [f"calib itself ({then.get('code', 'unknown')}, now {now['code']})"] * ("code" in parts)
+    code = [name for name in files if name in {*then.get("sources", ()), *now["sources"]}]
+    parts = {part for part in ("measurement", "model", "effects", "selected", "rules") if _differs(part, then, now)}
+    stated = {part for part in now["stated"] if _differs(part, then.get("stated", {}), now["stated"])}
+    measurement = "measurement" in parts
+    model = "model" in parts or "model" in stated or ("model" not in now and code)
+    taken = "taken" in now and not agree(then.get("taken", {}), now["taken"])
+    out = files if measurement else code if model else []
+    out = [*out, *["the values adopted from another study"] * taken]
+    if (measurement or model) and not out:
+        out = ["the measurement" if measurement else "the model or its parameters"]
+    settings = "settings" in stated or {"effects", "selected"} & parts
+    return [*out, *["the settings in the study file"] * bool(settings), *["the rules of calib"] * ("rules" in parts)]
+
+
+def _differs(part: str, then: Mapping[str, Any], now: Mapping[str, Any]) -> bool:
+    """Whether a part that is known now was another one."""
+    return part in now and then.get(part) != now[part]
+
+
+def agree(taken: Mapping[str, float], values: Mapping[str, float]) -> bool:
+    """Whether adopted values are equal to the ten digits that tables keep."""
+    return all(math.isclose(values[name], taken[name], rel_tol=1e-9) for name in {*taken} & {*values})
+
+
+_MODEL = ("model", "model_options", "with_effects", "adopted", "parameters", "constraints", "tests")
+_OF_CALIBRATION = ("pairing", "selection", "calibration", "reduction")
+_OF_EXPLANATION = (*_OF_CALIBRATION, "explain", "effects")
+_STATED: Mapping[str, tuple[str, ...]] = {
+    "compare": ("pairing",),
+    "sensitivity": ("pairing", "sensitivity"),
+    "calibrate": _OF_CALIBRATION,
+    "explain": _OF_EXPLANATION,
+    "propose": _OF_EXPLANATION,
+    "extend": _OF_EXPLANATION,
+}
+"""Keys of a study's file that an analysis depends on beside those of its model."""
 
 
 def _stated(study: StudyFile, analysis: str) -> dict[str, str]:
     """Digests of the entries of a study's file on its model, and on everything else that an analysis depends on."""
     given = study.settings.model_dump()
-    sections = _STATED[analysis.partition(" ")[0]]
-    return {part: _digest(*(given[key] for key in keys)) for part, keys in (("model", _MODEL), ("settings", sections))}
+    parts = {"model": _MODEL, "settings": _STATED[_verb(analysis)]}
+    return {part: _digest(*(given[key] for key in keys)) for part, keys in parts.items()}
 
 
-def _of_calibration(study: Study) -> tuple[Any, ...]:
-    given = study.settings
-    return (
-        study.search_space, given.calibration.model_dump(), given.reduction.model_dump(), study.adopted_sd,
-    )  # fmt: skip
+def _uses_effects(analysis: str) -> bool:
+    return "effects" in _STATED[_verb(analysis)]
 
 
-def _of_explanation(study: Study) -> tuple[Any, ...]:
-    effects = [(e.name, e.parameters, e.grid) for e in study.library]
-    own = [digest for name, digest in study.read_files.items() if name.endswith(".py")]
-    return (*_of_calibration(study), study.settings.explain.model_dump(), effects, study.library_digest, own)
-
-
-_SETTINGS: Mapping[str, Callable[[Study], tuple[Any, ...]]] = {
-    "compare": lambda study: (),
-    "sensitivity": lambda study: (study.sensitivity_space, study.settings.sensitivity.model_dump()),
-    "calibrate": _of_calibration,
-    "explain": _of_explanation,
-    "propose": _of_explanation,
-    "extend": _of_explanation,
-}
-
-
-_MODEL = ("model", "model_options", "with_effects", "adopted", "parameters", "constraints", "tests")
-_STATED_OF_CALIBRATION = ("pairing", "selection", "calibration", "reduction")
-_STATED: Mapping[str, tuple[str, ...]] = {
-    "compare": ("pairing",),
-    "sensitivity": ("pairing", "sensitivity"),
-    "calibrate": _STATED_OF_CALIBRATION,
-    "explain": (*_STATED_OF_CALIBRATION, "explain", "effects"),
-    "propose": (*_STATED_OF_CALIBRATION, "explain", "effects"),
-    "extend": (*_STATED_OF_CALIBRATION, "explain", "effects"),
-}
-"""Keys of the study's file that replace `_SETTINGS` where no code is run."""
+def _verb(analysis: str) -> str:
+    """An analysis without its method."""
+    return analysis.partition(" ")[0]
 
 
 def _digest(*things: Any) -> str:
     return hashlib.sha256(json.dumps([repr(thing) for thing in things]).encode()).hexdigest()[:16]
+
+
+# -- rules and code of calib -------------------------------------------------------------------------------------------
+
+_COMPARED = ("reading", "degrees_of_freedom", "floors", "comparison")
+# A calibration tests its fit, single data and held-out data as an explanation does.
+_FITTED = (*_COMPARED, "faults", "models", "limits", "inference", "missing", "analyses")
+_USED: Mapping[str, tuple[str, ...]] = {
+    "compare": (*_COMPARED, "analyses"),
+    "sensitivity": (*_COMPARED, "sensitivity"),
+    "calibrate": _FITTED,
+    "explain": _FITTED,
+    "propose": _FITTED,
+    "extend": _FITTED,
+}
+
+
+def every_rule() -> dict[str, Any]:
+    """All objects of rules in force, frozen dataclasses, by the name that `record.json` has for them."""
+    return {
+        "reading": reading.RULES,
+        "degrees_of_freedom": degrees_of_freedom.RULES,
+        "floors": standard_deviations.USUAL,
+        "comparison": comparison.RULES,
+        "faults": faults.RULES,
+        "models": models.RULES,
+        "sensitivity": sensitivity.RULES,
+        "limits": parameter.RULES,
+        "inference": inference.RULES,
+        "analyses": analyses.RULES,
+        "missing": missing.RULES,
+    }
+
+
+def rules_of(analysis: str) -> dict[str, Any]:
+    """Rules that an analysis depends on, by name.
+
+    Parameters
+    ----------
+    analysis : str
+        One of `WRITES`.
+    """
+    every = every_rule()
+    return {name: every[name] for name in _USED[_verb(analysis)]}
+
+
+_MODULES: Mapping[str, tuple[str, ...]] = {
+    "compare": ("calib.analyses.compare",),
+    "sensitivity": ("calib.analyses.sensitivity",),
+    "calibrate": ("calib.analyses.calibrate", "calib.analyses.joint_calibration"),
+    "explain": ("calib.analyses.explain",),
+    "propose": ("calib.analyses.propose",),
+    "extend": ("calib.analyses.extend", "calib.analyses.added"),
+}
+
+
+def code_of(analysis: str) -> str:
+    """Digest of the code of calib that an analysis runs.
+
+    Rules count by themselves, and what compares states decides no result.
+    """
+    of_rules = {name for rules in every_rule().values() if (name := type(rules).__module__).endswith("rules")}
+    return code_digest(*_MODULES[_verb(analysis)], apart={__name__, f"{__package__}.stale", *of_rules})

@@ -61,12 +61,15 @@ class StudyResults:
         Whether the measurement is synthetic.
     stale : mapping from analysis to str
         Analyses of another state of the study, with a sentence about each; ``folder`` hides their results.
+    other_code : str
+        A sentence on the analyses that other code of calib has computed; empty without.
     """
 
     folder: Folder
     title: str
     synthetic: bool
     stale: Mapping[str, str] = field(default_factory=dict)
+    other_code: str = ""
     _tables: dict[str, pd.DataFrame | None] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @cached_property

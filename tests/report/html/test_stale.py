@@ -3,16 +3,22 @@
 import contextlib
 import io
 import json
+import os
 import shutil
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+import calib
 from calib.analyses.provenance.record import write_record
 from calib.analyses.provenance.stale import stale_answers
-from calib.analyses.provenance.state import WRITES, made_from
+from calib.analyses.provenance.state import WRITES, changed, made_from
 from calib.command import cli
 from calib.errors.errors import InputError
+from calib.errors.own_code import CALIB
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import page_summary
 from calib.report.html.write import NAME, sections
@@ -174,9 +180,70 @@ def test_the_report_alone_names_what_is_stale_and_keeps_the_tables(sums, unrende
     assert {p.name for p in (ROOT / "sums").glob("*.png")} == pictures
 
 
-def test_results_of_another_version_of_calib_are_stale(sums, monkeypatch):
-    monkeypatch.setattr("calib.analyses.provenance.state.__version__", "99.0")
-    assert set(stale().sentences) == {"compare", "sensitivity", "calibrate"}
+SEARCH = "inference/gauss_newton.py"
+OTHER = "'{}' were computed by other code of calib than the present one; a new run may change them"
+LOOK = """
+from pathlib import Path
+from calib.analyses.provenance.stale import stale_answers
+from calib.results.results import Results
+from calib.study.study_file import StudyFile
+found = stale_answers(StudyFile.read(Path("sums")), Results(Path("results/sums")))
+print("".join(f"{one}\\n" for one in found.told), end="")
+"""
+
+
+@pytest.fixture
+def found_by(sums, tmp_path):
+    """What a copy of calib, edited in one file, says of the results."""
+    copy = tmp_path / "installed/calib"
+    shutil.copytree(CALIB, copy, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def told(file: str, old: str, new: str) -> list[str]:
+        text = (copy / file).read_text()
+        assert old in text
+        (copy / file).write_text(text.replace(old, new, 1))
+        ran = subprocess.run(
+            [sys.executable, "-c", LOOK], capture_output=True, text=True, check=True,
+            env={**os.environ, "PYTHONPATH": str(copy.parent), "PYTHONDONTWRITEBYTECODE": "1"},
+        )  # fmt: skip
+        (copy / file).write_text(text)
+        return ran.stdout.split("\n")[:-1]
+
+    return told
+
+
+@pytest.mark.mostly_slow(2)
+@pytest.mark.parametrize(
+    ("file", "old", "new", "analyses"),
+    [
+        (SEARCH, "\n\n\n", "\n\n\nLATER = 1\n", "calibrate"),
+        ("sensitivity/spearman.py", "\n\n\n", "\n\n\nLATER = 1\n", "sensitivity"),
+        (SEARCH, '"""', '"""Another sentence. ', ""),
+        (SEARCH, "from __future__", "# a remark\n\nfrom __future__", ""),
+        ("report/style.py", "\n\n\n", "\n\n\nLATER = 1\n", ""),
+    ],
+)
+def test_other_code_of_calib_is_told_of_the_analyses_that_run_it(found_by, file, old, new, analyses):
+    """Words and code that an analysis does not run are no other code; nothing is refused."""
+    assert found_by(file, old, new) == ([f"Results of {OTHER.format(analyses)}"] if analyses else [])
+
+
+def test_other_rules_of_calib_are_refused_and_no_other_code(found_by):
+    (words,) = found_by("sensitivity/rules.py", "bound: float = 0.1", "bound: float = 0.2")
+    assert "'sensitivity' was run on an earlier state of the rules of calib" in words
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_command_python_and_report_tell_the_same_of_other_code(sums, monkeypatch):
+    monkeypatch.setattr("calib.analyses.provenance.stale.code_of", lambda analysis: "other")
+    found = stale()
+    assert not found.sentences and not found.files and "'compare', 'sensitivity' and 'calibrate'" in found.other_code
+    assert found.other_code in " ".join(run("report").split())
+    with pytest.warns(UserWarning, match="other code of calib") as caught:
+        calib.Study.load(sums, results=ROOT, progress=False).report()
+    assert [str(one.message) for one in caught] == [f"{found.other_code}."]
+    shown = {s.name: s for s in sections(replace(results(found), other_code=found.other_code))}
+    assert shown["versions"].blocks[0].text == f"{found.other_code}." and "calibrated" in shown
 
 
 def test_a_file_of_the_user_is_no_interrupted_analysis(sums):
@@ -310,11 +377,12 @@ def test_the_values_an_effect_holds_are_inputs_of_an_explanation(sums, monkeypat
     Path("sums/effects.py").write_text(EFFECTS)
     edit("study.toml", "selection", 'effects = "effects.py:library"\nselection')
 
-    def settings(share):
+    def states(share):
         monkeypatch.setenv("SHARE", share)
         study = Study.load(Path("sums"))
-        return {analysis: made_from(study, analysis)["settings"] for analysis in ("calibrate", "explain")}
+        return {analysis: made_from(study, analysis) for analysis in ("calibrate", "explain")}
 
-    one, same, other = settings("1.0"), settings("1.0"), settings("2.0")
+    one, same, other = states("1.0"), states("1.0"), states("2.0")
     assert one == same
-    assert one["explain"] != other["explain"] and one["calibrate"] == other["calibrate"]
+    assert changed(one["explain"], other["explain"]) == ["the settings in the study file"]
+    assert changed(one["calibrate"], other["calibrate"]) == []
