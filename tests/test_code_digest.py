@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from calib.errors.own_code import CALIB
 from calib.results import code_digest as digests
 from calib.results.code_digest import code_digest, imports_of
-from calib.errors.own_code import CALIB
 
 FILES = {
     "__init__.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from calib.solve import modes as modes\n",
-    "version.py": '__version__ = "1"\n',
-    "explain.py": '"""Explain."""\nimport calib.results.version\nfrom calib import modes\nfrom calib.room import Basis\n',
+    "results/version.py": '__version__ = "1"\n',
+    "explain.py": "import calib.results.version\nfrom calib import modes\nfrom calib.room import Basis\n",
     "solve.py": "from calib.room import cache\n\n\ndef modes():\n    return [1, \"# no comment\"]\n",
     "room/__init__.py": "from lazy_loader import attach_stub\n__getattr__, _, _ = attach_stub(__name__, __file__)\n",
     "room/__init__.pyi": "from . import cache\nfrom .basis import (\n    Basis as Basis,\n)\nfrom .other import A\n",
@@ -81,7 +81,7 @@ def test_code_that_may_change_a_result_changes_the_digest(package, file, old, ne
         ("room/basis.py", '"""Bytes."""\n', "# bytes\n\n\n"),
         ("solve.py", "    return", "    # why\n\n    return"),
         ("room/other.py", "size = 3", "size = 4"),
-        ("version.py", "1", "2"),
+        ("results/version.py", "1", "2"),
         (
             "explain.py",
             "import calib.results.version\n",
@@ -161,13 +161,13 @@ def test_a_function_that_holds_objects_of_calib_counts_by_its_own_code(tmp_path)
         return ran.stdout
 
     before = fingerprint()
-    for name in ("parameter.py", "structure/effects/perturbations.py", "space.py"):
+    for name in ("problem/parameter.py", "structure/effects/perturbations.py", "problem/space.py"):
         file = tmp_path / "calib" / name
         file.write_text(file.read_text() + "\nLATER = 1\n")
     perturbations = tmp_path / "calib/structure/effects/perturbations.py"
     perturbations.rename(perturbations.with_name("elsewhere.py"))
-    moved = HELD.replace("structure.perturbations", "structure.elsewhere")
-    perturbations.write_text("from calib.structure.elsewhere import *  # noqa: F403\n")
+    moved = HELD.replace("structure.effects.perturbations", "structure.effects.elsewhere")
+    perturbations.write_text("from calib.structure.effects.elsewhere import *  # noqa: F403\n")
     # The script's own text is part of the function's code, so the import that moved is kept as it was.
     assert fingerprint() == before
     assert fingerprint(moved) != before

@@ -25,8 +25,8 @@ _IMPORT = re.compile(
     r"|import (?P<module>calib\b[\w.]*)[^\n]*)\n",
     re.MULTILINE,
 )
-_WITHOUT_INFLUENCE = {"__init__.py", "version.py"}
-"""Files of calib's own folder that decide no result: the public names and the version."""
+_WITHOUT_INFLUENCE = {"__init__.py", "results/version.py"}
+"""Files that decide no result: the public names and the version."""
 
 
 def code_digest(*modules: str, apart: Collection[str] = (), folder: Path = CALIB) -> str:

@@ -13,7 +13,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from calib.code_digest import code_digest
 from calib.correlation import fault_rules as faults
 from calib.correlation import rules as comparison
 from calib.correlation import standard_deviations
@@ -22,6 +21,7 @@ from calib.inference import rules as inference
 from calib.measurement import rules as reading
 from calib.missing import rules as missing
 from calib.problem import degrees_of_freedom, parameter
+from calib.results.code_digest import code_digest
 from calib.sensitivity import rules as sensitivity
 from calib.structure import rules as models
 from calib.study.study import Study

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from calib.results.code_digest import code_digest
 from calib.errors.errors import InputError
+from calib.results.code_digest import code_digest
 from calib.results.written import DRAFT
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.basis import Basis
