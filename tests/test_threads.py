@@ -2,7 +2,7 @@
 
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from calib.execution.threads import one_thread
+from calib.execution.tasks import one_thread
 
 
 def threads():

@@ -147,7 +147,7 @@ def modes(
     from calib.api.modes import identify_modes
     from calib.command.entries import tell_entries
     from calib.command.identified import entries
-    from calib.execution.threads import one_thread
+    from calib.execution.tasks import one_thread
 
     with one_thread():
         written = identify_modes(
@@ -344,7 +344,7 @@ def _study(
     from calib.api.study import Study
     from calib.command.cached import tell_cache
     from calib.command.printing import printing
-    from calib.execution.threads import one_thread
+    from calib.execution.tasks import one_thread
     from calib.structure.reduction.cache import using
 
     # The matrices are small: several threads of one product wait for each other. Only loaded libraries are limited.

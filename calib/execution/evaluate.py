@@ -17,8 +17,8 @@ import pandas as pd
 
 from calib.errors.errors import InputError
 from calib.execution import interrupt, worker
-from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED, Asked, Function, Outcome, attempt
-from calib.execution.threads import one_thread
+from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED, Function, Individual, Outcome, attempt
+from calib.execution.tasks import one_thread
 from calib.execution.worker import Source
 
 Arrived = Callable[[Outcome], None]
@@ -55,7 +55,7 @@ class Recorder(Protocol):
         """Outcomes in the order of the points; those not known are evaluated as one batch and kept."""
         ...
 
-    def record(self, run: str, fingerprint: str, generation: int, asked: Sequence[Asked]) -> None:
+    def record(self, run: str, fingerprint: str, generation: int, individuals: Sequence[Individual]) -> None:
         """Record one generation of a search."""
         ...
 

@@ -13,7 +13,7 @@ from calib.errors.errors import InputError
 from calib.execution import worker
 from calib.execution.evaluate import Arrived, failed, opened, unheard
 from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED, Outcome, directory_kept, told
-from calib.execution.threads import one_thread
+from calib.execution.tasks import one_thread
 from calib.execution.worker import Source
 
 _Task = Future[Outcome | Exception]

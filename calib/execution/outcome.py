@@ -159,7 +159,7 @@ def _one_line(text: str) -> str:
 
 
 @dataclass(frozen=True)
-class Asked:
+class Individual:
     """One individual of a generation of a search.
 
     Attributes

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import lru_cache
 from typing import Protocol, TypeVar
 
-from calib.execution.threads import one_thread
+from threadpoolctl import ThreadpoolController, threadpool_limits
 
 S = TypeVar("S")
 I = TypeVar("I")  # noqa: E741
@@ -78,3 +80,14 @@ def shared_by(share: Share) -> Iterator[None]:
         yield
     finally:
         _in_use.reset(before)
+
+
+def one_thread() -> threadpool_limits:
+    """Context in which numerical libraries use one thread: rounding depends on their number, and more are slower."""
+    return _libraries(len(sys.modules)).limit(limits=1)
+
+
+@lru_cache(maxsize=1)
+def _libraries(modules: int) -> ThreadpoolController:
+    """Loaded libraries, cached by the number of modules: finding them takes longer than evaluating a small model."""
+    return ThreadpoolController()

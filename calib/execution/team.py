@@ -21,8 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from calib.errors.errors import InputError
 from calib.execution import interrupt, tasks, worker
-from calib.execution.tasks import I, R, S, Told, untold
-from calib.execution.threads import one_thread
+from calib.execution.tasks import I, R, S, Told, one_thread, untold
 
 _MOST = 1024
 """Tasks of one call; more are done in several."""

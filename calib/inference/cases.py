@@ -15,7 +15,7 @@ import pandas as pd
 
 from calib.errors.errors import EvaluationError, again
 from calib.execution.evaluate import BatchEvaluator, Recorder
-from calib.execution.outcome import Asked, Outcome, failure, key_of
+from calib.execution.outcome import Individual, Outcome, failure, key_of
 from calib.inference.genetic import GeneticSearch, GeneticSettings
 from calib.inference.objective import Objective
 from calib.inference.rules import RULES
@@ -170,11 +170,11 @@ def run_case(
             if math.isnan(misfit[k]):
                 violation[k] = FAILED
                 last_fault = failure(outcome) if outcome.error else EvaluationError("the misfit is not finite")
-        asked = []
+        individuals = []
         for k in range(len(points)):
             broken: Literal["failed", "infeasible"] = "failed" if violation[k] == FAILED else "infeasible"
-            asked.append(Asked(keys[k], "ok" if violation[k] == 0 else broken, float(misfit[k])))
-        ledger.record(run, fingerprint, generation, asked)
+            individuals.append(Individual(keys[k], "ok" if violation[k] == 0 else broken, float(misfit[k])))
+        ledger.record(run, fingerprint, generation, individuals)
         evaluated += len(feasible)
         if best is None and evaluated >= settings.population:
             break  # a whole population failed: the model is broken, further generations would only cost time

@@ -25,7 +25,7 @@ from stopwatch import HEADER, Spent, compared, short, spent
 
 import calib
 from calib.execution.outcome import Outcome, key_of
-from calib.results.ledger import Asked, Ledger
+from calib.results.ledger import Individual, Ledger
 
 POPULATION = 30
 PARAMETERS, RESPONSES = 16, 48
@@ -130,8 +130,9 @@ def prepared(ledger: Ledger, task: str, generation: int) -> Callable[[], object]
     if task == "lookup":
         return lambda: ledger.lookup("model", keys)
     if task in ("record", "again"):
-        asked = [Asked(key, "ok", outcome.responses["response_0"]) for key, outcome in zip(keys, outcomes, strict=True)]
-        return lambda: ledger.record("run", "model", generation, asked)
+        misfits = [outcome.responses["response_0"] for outcome in outcomes]
+        individuals = [Individual(key, "ok", misfit) for key, misfit in zip(keys, misfits, strict=True)]
+        return lambda: ledger.record("run", "model", generation, individuals)
     if task == "history":
         return lambda: ledger.history("run")
     if task == "count":

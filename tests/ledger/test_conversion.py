@@ -10,7 +10,7 @@ import pytest
 
 from calib.errors.errors import InputError
 from calib.execution.outcome import Outcome, key_of
-from calib.results.ledger import Asked, Ledger, ledger
+from calib.results.ledger import Individual, Ledger, ledger
 from calib.results.ledger.database import Database
 
 FORK = multiprocessing.get_context("fork")
@@ -49,7 +49,7 @@ def test_what_a_search_asks_is_answered_as_before(former, tmp_path):
         order = [(fingerprint, key_of(o.values)) for fingerprint, o in former.evaluations]
         assert raw(path, "SELECT fingerprint, key FROM evaluations ORDER BY created") == order
         keys = [row[4] for row in former.individuals if row[0] == "A:1" and row[1] == 1]
-        asked = [Asked(key, "ok", 1.0) for key in keys]
+        asked = [Individual(key, "ok", 1.0) for key in keys]
         opened.record("C:3", "one", 1, asked)
         # Infeasible points were never evaluated, so that the first such point is not reused; every other one is.
         assert opened.history("C:3")["status"].tolist() == ["reused"] * 4 + ["solved"] + ["reused"] * 2

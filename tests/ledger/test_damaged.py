@@ -7,7 +7,7 @@ import pytest
 
 from calib.errors.errors import InputError
 from calib.execution.outcome import Outcome, key_of
-from calib.results.ledger import Asked, Ledger
+from calib.results.ledger import Individual, Ledger
 
 POINTS = [{"a": float(k), "b": 2.0} for k in range(60)]
 
@@ -18,7 +18,7 @@ def whole(tmp_path_factory):
     path = tmp_path_factory.mktemp("ledger") / "whole.sqlite"
     with Ledger.open(path) as ledger:
         ledger.append("f", [Outcome(p, "ok", {"r": p["a"]}, "", 0.1) for p in POINTS])
-        ledger.record("run", "f", 0, [Asked(key_of(p), "ok", p["a"]) for p in POINTS[:20]])
+        ledger.record("run", "f", 0, [Individual(key_of(p), "ok", p["a"]) for p in POINTS[:20]])
         ledger.keep_vectors("rows", key_of(POINTS[0]), {"": np.ones(50), "a": np.zeros(50)})
     return path.read_bytes()
 
@@ -54,7 +54,7 @@ def test_a_damaged_ledger_is_used_or_refused(version, trials, request, tmp_path)
                 ledger.stored("f"), ledger.failed("f"), ledger.stored_at("f", POINTS[3])
                 ledger.vectors("rows", key_of(POINTS[0]), ["", "a"])
                 ledger.append("f", [Outcome({"a": 99.0, "b": 1.0}, "ok", {"r": 1.0}, "", 0.1)])
-                ledger.record("run", "f", 1, [Asked(key_of(p), "ok", 1.0) for p in POINTS[5:25]])
+                ledger.record("run", "f", 1, [Individual(key_of(p), "ok", 1.0) for p in POINTS[5:25]])
             told.add("used")
         except InputError as fault:
             assert path.name in str(fault) and "\n" not in str(fault)

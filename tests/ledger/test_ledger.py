@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from calib.errors.errors import InputError
 from calib.execution.evaluate import Evaluator
 from calib.execution.outcome import OUT_OF_MEMORY, WORKER_DIED, Outcome, attempt, key_of
-from calib.results.ledger import Asked, Ledger
+from calib.results.ledger import Individual, Ledger
 
 FORK = multiprocessing.get_context("fork")
 
@@ -72,7 +72,7 @@ def test_one_in_memory_remembers_until_it_is_closed(tmp_path, monkeypatch):
         with Ledger.in_memory() as ledger:
             for _ in range(2):
                 ledger.evaluate("f", [{"x": 1.0}], evaluator)
-            ledger.record("run", "f", 1, [Asked(key_of({"x": 1.0}), "ok", 0.5)])
+            ledger.record("run", "f", 1, [Individual(key_of({"x": 1.0}), "ok", 0.5)])
             assert ledger.history("run")["status"].tolist() == ["solved"]
     assert evaluator.batches == [[1.0], [1.0]] and list(tmp_path.iterdir()) == []
 
@@ -174,10 +174,11 @@ def statuses(ledger, run):
 
 def test_reused_means_requested_before(ledger):
     ledger.append("f", [ok(x=1.0)])  # known, such as from a batch whose generation was not recorded: not reused
-    ledger.record("A", "f", 1, [Asked(KEYS[1], "ok", 1.0), Asked(KEYS[2], "ok", 2.0), Asked(KEYS[1], "ok", 1.0)])
-    ledger.record("A", "f", 2, [Asked(KEYS[2], "ok", 2.0), Asked(KEYS[3], "infeasible"), Asked(KEYS[4], "failed")])
-    ledger.record("B", "f", 1, [Asked(KEYS[3], "ok", 1.0), Asked(KEYS[4], "failed"), Asked(KEYS[2], "ok", 2.0)])
-    ledger.record("C", "g", 1, [Asked(KEYS[2], "ok", 1.0)])
+    one, two = Individual(KEYS[1], "ok", 1.0), Individual(KEYS[2], "ok", 2.0)
+    ledger.record("A", "f", 1, [one, two, one])
+    ledger.record("A", "f", 2, [two, Individual(KEYS[3], "infeasible"), Individual(KEYS[4], "failed")])
+    ledger.record("B", "f", 1, [Individual(KEYS[3], "ok", 1.0), Individual(KEYS[4], "failed"), two])
+    ledger.record("C", "g", 1, [Individual(KEYS[2], "ok", 1.0)])
     assert statuses(ledger, "A") == ["solved", "solved", "reused", "reused", "infeasible", "failed"]
     assert statuses(ledger, "B") == ["solved", "failed", "reused"]
     assert statuses(ledger, "C") == ["solved"]
@@ -189,18 +190,18 @@ def test_reused_means_requested_before(ledger):
 
 
 def test_a_run_that_started_later_reuses_nothing_of_what_followed(ledger):
-    ledger.record("A", "f", 1, [Asked(KEYS[1], "ok", 1.0)])
-    ledger.record("B", "f", 1, [Asked(KEYS[2], "ok", 1.0)])  # asked while A was interrupted
-    ledger.record("A", "f", 2, [Asked(KEYS[2], "ok", 1.0)])
+    ledger.record("A", "f", 1, [Individual(KEYS[1], "ok", 1.0)])
+    ledger.record("B", "f", 1, [Individual(KEYS[2], "ok", 1.0)])  # asked while A was interrupted
+    ledger.record("A", "f", 2, [Individual(KEYS[2], "ok", 1.0)])
     assert statuses(ledger, "A") == ["solved", "solved"]
 
 
 def test_recording_again_changes_nothing(ledger):
     rows = [
-        Asked(KEYS[1], "ok", 1.0),
-        Asked(KEYS[1], "ok", 1.0),
-        Asked(KEYS[2], "failed"),
-        Asked(KEYS[3], "infeasible"),
+        Individual(KEYS[1], "ok", 1.0),
+        Individual(KEYS[1], "ok", 1.0),
+        Individual(KEYS[2], "failed"),
+        Individual(KEYS[3], "infeasible"),
     ]
     for generation in (1, 2):
         ledger.record("A", "f", generation, rows)
@@ -213,9 +214,9 @@ def test_recording_again_changes_nothing(ledger):
 
 def test_a_history_tells_one_search(ledger):
     for generation in (1, 2, 3):
-        ledger.record("A", "f", generation, [Asked(KEYS[generation], "failed" if generation == 2 else "ok", 1.0)])
-    ledger.record("A", "f", 1, [Asked(KEYS[1], "ok", 1.0)])
-    ledger.record("A", "f", 2, [Asked(KEYS[2], "ok", 0.5)])  # the machine was mended
+        ledger.record("A", "f", generation, [Individual(KEYS[generation], "failed" if generation == 2 else "ok", 1.0)])
+    ledger.record("A", "f", 1, [Individual(KEYS[1], "ok", 1.0)])
+    ledger.record("A", "f", 2, [Individual(KEYS[2], "ok", 0.5)])  # the machine was mended
     assert ledger.history("A")[["generation", "status"]].values.tolist() == [[1, "solved"], [2, "solved"]]
 
 

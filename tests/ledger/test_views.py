@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from calib.execution.outcome import Outcome, key_of
-from calib.results.ledger import Asked, Ledger
+from calib.results.ledger import Individual, Ledger
 from calib.results.ledger.blobs import packed_array
 
 pytestmark = pytest.mark.skipif(sqlite3.sqlite_version_info < (3, 38), reason="the views need SQLite 3.38")
@@ -36,7 +36,7 @@ def test_without_calib(tmp_path):
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
         ledger.append("f", [Outcome(points[0], "ok", {"y": 0.3, "z": math.nan}, "", 0.5)])
         ledger.append("f", [Outcome(points[1], "failed", {}, "singular", 0.25)])
-        ledger.record("run", "f", 1, [Asked(keys[0], "ok", 0.7), Asked(keys[1], "failed")])
+        ledger.record("run", "f", 1, [Individual(keys[0], "ok", 0.7), Individual(keys[1], "failed")])
         ledger.keep_vectors("g", keys[0], {"": np.array([1.0, 2.0]), "a": np.array([3.0])})
         when = ledger.stored_at("f", points[0])
     with closing(sqlite3.connect(f"file:{tmp_path / 'ledger.sqlite'}?mode=ro", uri=True)) as database:
@@ -84,7 +84,7 @@ def test_names_stand_once(tmp_path):
     evaluated = path.stat().st_size
     with Ledger.open(path) as ledger:
         for generation in range(count // 20):
-            asked = [Asked(key_of(o.values), "ok", 0.5) for o in outcomes[20 * generation : 20 * generation + 20]]
+            asked = [Individual(key_of(o.values), "ok", 0.5) for o in outcomes[20 * generation : 20 * generation + 20]]
             ledger.record("a run with a long name", "f" * 16, generation, asked)
     recorded = path.stat().st_size
     with closing(sqlite3.connect(path)) as database:

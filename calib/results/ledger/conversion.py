@@ -13,8 +13,7 @@ from datetime import datetime
 from calib.execution.outcome import Outcome
 from calib.results.ledger.blobs import array
 from calib.results.ledger.database import Database
-from calib.results.ledger.identifiers import Identifiers
-from calib.results.ledger.rows import Rows
+from calib.results.ledger.rows import Identifiers, RowWriter
 from calib.results.ledger.schema import create
 
 
@@ -31,7 +30,7 @@ def convert(database: Database) -> None:
     for table in former:
         database.execute(f"ALTER TABLE {table} RENAME TO former_{table}")
     create(database)
-    rows = Rows(database, Identifiers(database))
+    rows = RowWriter(database, Identifiers(database))
     try:
         _copy_evaluations(database, rows)
         _copy_history(database, rows)
@@ -43,7 +42,7 @@ def convert(database: Database) -> None:
         database.execute(f"DROP TABLE former_{table}")
 
 
-def _copy_evaluations(database: Database, rows: Rows) -> None:
+def _copy_evaluations(database: Database, rows: RowWriter) -> None:
     for fingerprint, key, attempt, parameters, responses, status, error, seconds, created in database.execute(
         "SELECT fingerprint, key, attempt, parameters, responses, status, error, seconds, created"
         " FROM former_evaluation ORDER BY id"
@@ -53,14 +52,14 @@ def _copy_evaluations(database: Database, rows: Rows) -> None:
         rows.add_evaluation(fingerprint, key, attempt, outcome, milliseconds)
 
 
-def _copy_history(database: Database, rows: Rows) -> None:
+def _copy_history(database: Database, rows: RowWriter) -> None:
     for run, fingerprint, *individual in database.execute(
         "SELECT run, fingerprint, generation, individual, key, status, misfit FROM former_history ORDER BY id"
     ):
         rows.add_individuals(run, fingerprint, [individual])
 
 
-def _copy_vectors(database: Database, rows: Rows) -> None:
+def _copy_vectors(database: Database, rows: RowWriter) -> None:
     for fingerprint, key, name, numbers in database.execute(
         "SELECT fingerprint, key, name, numbers FROM former_vector"
     ):

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 
 import pandas as pd
 
-from calib.execution.outcome import Asked
+from calib.execution.outcome import Individual
 from calib.results.ledger.blobs import blob_of_key, key_of_blob
 from calib.results.ledger.database import Database
-from calib.results.ledger.rows import Rows
+from calib.results.ledger.rows import RowWriter
 from calib.results.ledger.schema import STATE
 
 _RUN = "(SELECT id FROM run WHERE name = ?)"
@@ -19,11 +19,11 @@ _RUN = "(SELECT id FROM run WHERE name = ?)"
 class History:
     """The searches of one ledger."""
 
-    def __init__(self, database: Database, rows: Rows):
+    def __init__(self, database: Database, rows: RowWriter):
         self._database = database
         self._rows = rows
 
-    def record(self, run: str, fingerprint: str, generation: int, asked: Sequence[Asked]) -> None:
+    def record(self, run: str, fingerprint: str, generation: int, individuals: Sequence[Individual]) -> None:
         """Record one generation; see `calib.results.ledger.Ledger.record`."""
         with self._database.transaction():
             recorded = self._database.execute(
@@ -32,12 +32,12 @@ class History:
             ).fetchall()
             if recorded:
                 stored = [(key_of_blob(k), s if s in ("infeasible", "failed") else "ok", m) for k, s, m in recorded]
-                if stored == [(a.key, a.status, _nullable(a.misfit)) for a in asked]:
+                if stored == [(a.key, a.status, _nullable(a.misfit)) for a in individuals]:
                     return
                 self._database.execute(f"DELETE FROM history WHERE run = {_RUN} AND generation >= ?", (run, generation))
-            earlier = self._asked_earlier(run, fingerprint, [a.key for a in asked])
+            earlier = self._requested_earlier(run, fingerprint, [a.key for a in individuals])
             rows = []
-            for individual, one in enumerate(asked):
+            for individual, one in enumerate(individuals):
                 status: str = one.status
                 if status == "ok":
                     status = "reused" if one.key in earlier else "solved"
@@ -46,7 +46,7 @@ class History:
                 rows.append((generation, individual, one.key, status, _nullable(one.misfit)))
             self._rows.add_individuals(run, fingerprint, rows)
 
-    def _asked_earlier(self, run: str, fingerprint: str, keys: Iterable[str]) -> set[str]:
+    def _requested_earlier(self, run: str, fingerprint: str, keys: Iterable[str]) -> set[str]:
         """Those of some points that this run requested, or another one before this one's first generation."""
         first = self._database.execute(
             f"SELECT run, id FROM history WHERE run = {_RUN} ORDER BY generation, individual LIMIT 1", (run,)

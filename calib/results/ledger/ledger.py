@@ -18,13 +18,12 @@ import numpy as np
 import pandas as pd
 
 from calib.execution.evaluate import BatchEvaluator
-from calib.execution.outcome import Asked, Outcome, key_of
+from calib.execution.outcome import Individual, Outcome, key_of
 from calib.results.ledger.blobs import array, blob_of_key, key_of_blob, named
 from calib.results.ledger.conversion import convert
 from calib.results.ledger.database import Database, connected, marks
 from calib.results.ledger.history import History
-from calib.results.ledger.identifiers import Identifiers
-from calib.results.ledger.rows import Rows
+from calib.results.ledger.rows import Identifiers, RowWriter
 from calib.results.ledger.schema import STATE, VERSION, create, version_of
 
 _BUSY_SECONDS = 30.0
@@ -45,7 +44,7 @@ class Ledger:
         self.retried = 0
         self._database = database
         self._identifiers = Identifiers(database)
-        self._rows = Rows(database, self._identifiers)
+        self._rows = RowWriter(database, self._identifiers)
         self._history = History(database, self._rows)
         self._tried: set[tuple[str, str]] = set()
 
@@ -237,7 +236,7 @@ class Ledger:
 
     # -- history -------------------------------------------------------------------------------------------------------
 
-    def record(self, run: str, fingerprint: str, generation: int, asked: Sequence[Asked]) -> None:
+    def record(self, run: str, fingerprint: str, generation: int, individuals: Sequence[Individual]) -> None:
         """Record one generation of a search.
 
         An evaluated point is ``reused`` if this run requested it earlier, or another run did before this run's first
@@ -247,7 +246,7 @@ class Ledger:
         The history of a run is always that of one search. A recorded generation stays if the new one is equal; if not
         (after a transient failure, say), it and all later ones are replaced.
         """
-        self._history.record(run, fingerprint, generation, asked)
+        self._history.record(run, fingerprint, generation, individuals)
 
     def history(self, run: str) -> pd.DataFrame:
         """Points requested by a run: ``generation, individual, key, status, misfit``, sorted by the first two."""
