@@ -59,7 +59,8 @@ def draw(
     title, synthetic = study.settings.title, study.synthetic
     stale = stale_answers(study, folder, None if root == RESULTS else root)
     try:
-        shown = StudyResults(CurrentFolder(folder.path, stale.files), title, synthetic, stale.sentences, stale.other_code)
+        current = CurrentFolder(folder.path, stale.files)
+        shown = StudyResults(current, title, synthetic, stale.sentences, stale.other_code)
         report = report or folder.has(REPORT)
 
         with listener.progress() as step, places.tasks_shared(workers):

@@ -243,7 +243,7 @@ def test_command_python_and_report_tell_the_same_of_other_code(sums, monkeypatch
         calib.Study.load(sums, results=ROOT, progress=False).report()
     assert [str(one.message) for one in caught] == [f"{found.other_code}."]
     shown = {s.name: s for s in sections(replace(results(found), other_code=found.other_code))}
-    assert shown["versions"].blocks[0].text == f"{found.other_code}." and "calibrated" in shown
+    assert section_blocks(shown["versions"])[0].text == f"{found.other_code}." and "calibrated" in shown
 
 
 def test_a_file_of_the_user_is_no_interrupted_analysis(sums):
