@@ -49,7 +49,6 @@ PENDING = {
     ("experiment", "hypotheses"),
     ("experiment", "study"),
     ("experiment", "analyses"),
-    ("hypotheses", "analyses"),
 }
 # What models and libraries of effects may import, so that everything below may move.
 FACES = {"calib", "calib.structure"}

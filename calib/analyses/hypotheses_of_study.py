@@ -8,8 +8,9 @@ from dataclasses import replace
 from typing import Any
 
 from calib.analyses.provenance.record import check_repeats, disagreements_table
-from calib.analyses.reduction import Wanted, reduction_of, training, worthwhile
+from calib.analyses.reduction import reduction_of, training, worthwhile
 from calib.analyses.uncertainty import accuracy_words, assumed_words, std_notes
+from calib.correlation.basis import BasisRequirements
 from calib.correlation.modal.fault_library import modal_faults
 from calib.correlation.modal.faults import ModalFault
 from calib.correlation.modal.problem import ModalProblem
@@ -144,7 +145,7 @@ def basis_of(
         return found.basis
 
     settings = study.settings.reduction
-    space, wanted = study.search_space, Wanted.of(problem, settings.tolerance, settings.seed)
+    space, wanted = study.search_space, BasisRequirements.of(problem, settings.tolerance, settings.seed)
     with training(study), contextlib.suppress(ToleranceError):
         return effects_basis(
             model, space, study.candidates, local, wanted, results.path, search_basis, progress

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,101 +13,26 @@ from typing import Any
 import numpy as np
 
 from calib.analyses.provenance.user_function import ledger_keys_of_modes
+from calib.correlation.basis import BasisRequirements, Reducible, is_large
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.modal.problem import ModalProblem
 from calib.errors.errors import EvaluationError, InputError, ToleranceError
 from calib.execution.evaluate import Evaluator
 from calib.execution.outcome import Outcome
 from calib.execution.stage import Progress, unheard
-from calib.problem.effect import Effect
-from calib.problem.space import Parameter, ParameterSpace
 from calib.results.ledger import Ledger
 from calib.results.results import Results
-from calib.structure.effects.perturbations import Perturbation
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.basis import Basis
-from calib.structure.reduction.cache import kept_basis, key_of
-from calib.structure.reduction.effect_basis import effect_basis, frf_effect_basis
-from calib.structure.reduction.frf_target import FRFTarget
+from calib.structure.reduction.cache import kept_basis
 from calib.structure.reduction.growth import Target
 from calib.structure.reduction.reduced import ReducedModel
 from calib.structure.reduction.refinement import modes_near
-from calib.structure.reduction.training import enrich_basis, train
+from calib.structure.reduction.training import enrich_basis
 from calib.study.study import Study
-
-WORTHWHILE_DOFS = 300
-"""Degrees of freedom below which a model is fast enough at full order."""
 
 FIRST_ORDER = 10.0
 """Factor on the tolerance: the error of MAC is of first order, that of frequencies of second."""
-
-
-Reducible = ModalProblem | FRFProblem
-"""Problems that a reduced basis serves."""
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What a basis must represent, and how well.
-
-    Attributes
-    ----------
-    target : Target
-        Modes, or FRFs with the loads of their test.
-    names : tuple of str
-        Parameters over which it must do so.
-    seed : int
-    """
-
-    target: Target
-    names: tuple[str, ...]
-    seed: int
-
-    @classmethod
-    def of(cls, problem: Reducible, tolerance: float, seed: int) -> Wanted:
-        """The requirements of a problem at full order.
-
-        Of modes all, up to the end of the frequency window, with ``tolerance`` as the relative error of an eigenvalue;
-        of FRFs all that are in use, with `calib.structure.reduction.frf_target.TOLERANCE`.
-        """
-        return cls(problem.basis_target(tolerance), problem.basis_names, seed)
-
-    def key(self, model: StructuralModel, space: ParameterSpace) -> str:
-        """Hash of everything that a basis depends on: model, target, limits, constraints and seed.
-
-        Measured values are not among it, except for the standard deviations of FRFs, the unit of their target's error.
-        """
-        one, own = self.target, self.within(space)
-        wanted = one.count, one.freq_max, one.damping_max, one.tolerance, one.request, self.seed
-        return key_of(model, wanted, [parameter_key(p) for p in own.parameters], own.constraints)
-
-    def within(self, space: ParameterSpace) -> ParameterSpace:
-        """Those parameters of a search over which the basis is trained: gains of channels, say, are not."""
-        own = tuple(p for p in space.parameters if p.name in self.names)
-        return ParameterSpace(own, space.constraints) if len(own) < len(space.parameters) else space
-
-    def trained(self, model: StructuralModel, space: ParameterSpace, progress: Progress = unheard) -> Basis:
-        """A basis of the model alone; EvaluationError when it cannot be solved at some training point."""
-        return train(model, self.within(space), self.target, seed=self.seed, progress=progress)
-
-    def with_effects(
-        self,
-        model: StructuralModel,
-        basis: Basis,
-        space: ParameterSpace,
-        effects: Sequence[Effect],
-        local: Sequence[Perturbation],
-        progress: Progress = unheard,
-    ) -> Basis:
-        """The next version of a basis, for effects and local perturbations; see `effect_basis`."""
-        if isinstance(self.target, FRFTarget):
-            return frf_effect_basis(model, basis, self.within(space), effects, self.target, self.seed, progress)
-        return effect_basis(model, basis, space, effects, local, self.seed, progress)
-
-
-def parameter_key(p: Parameter) -> tuple[object, ...]:
-    """What of a parameter a basis depends on: neither its prior nor any words."""
-    return p.name, p.value, p.lower, p.upper, p.unit, p.distribution, p.integer
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,7 +182,7 @@ def reduction_of(study: Study, home: Results, progress: Progress = unheard) -> R
     if model is None or not worthwhile(study):
         return None
     path = _file(home, 1)
-    wanted = Wanted.of(problem, settings.tolerance, settings.seed)
+    wanted = BasisRequirements.of(problem, settings.tolerance, settings.seed)
     key = wanted.key(model, study.search_space)
     _raise_known(home, key)
     with training(study):
@@ -299,7 +224,7 @@ def training(study: Study) -> Iterator[None]:
 def worthwhile(study: Study) -> bool:
     """Whether a study is solved on a reduced basis: requested, and the model is large enough."""
     model = study.problem.reducible
-    return study.settings.reduction.use and model is not None and model.n_dof >= WORTHWHILE_DOFS
+    return study.settings.reduction.use and model is not None and is_large(model)
 
 
 def fingerprints(study: Study, home: Results) -> tuple[str, ...]:

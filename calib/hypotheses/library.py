@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from calib.analyses.reduction import Wanted, parameter_key
+from calib.correlation.basis import BasisRequirements, parameter_key
 from calib.execution.stage import Progress, unheard
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
@@ -56,7 +56,7 @@ def effects_basis(
     space: ParameterSpace,
     effects: Sequence[Effect],
     local: Sequence[Perturbation],
-    wanted: Wanted,
+    wanted: BasisRequirements,
     folder: Path | None = None,
     base: Callable[[], Basis] | None = None,
     progress: Progress = unheard,

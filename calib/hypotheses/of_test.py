@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import Any
 
-from calib.analyses.reduction import WORTHWHILE_DOFS, Reducible, Wanted
+from calib.correlation.basis import BasisRequirements, Reducible, is_large
 from calib.errors.errors import ToleranceError
 from calib.hypotheses.library import effects_basis
 from calib.problem.effect import Effect
@@ -21,9 +21,9 @@ def basis_for(
 
     None where it is not, or the tolerance is not reached.
     """
-    if (whole := model.reducible) is None or whole.n_dof < WORTHWHILE_DOFS:
+    if (whole := model.reducible) is None or not is_large(whole):
         return None, False
-    wanted = Wanted.of(used, ReductionSettings().tolerance, seed)
+    wanted = BasisRequirements.of(used, ReductionSettings().tolerance, seed)
     with suppress(ToleranceError):
         return effects_basis(model, used.space, effects, local, wanted), True
     return None, True

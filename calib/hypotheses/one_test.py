@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from calib.analyses.reduction import Wanted
+from calib.correlation.basis import BasisRequirements
 from calib.correlation.mesh_error import MeshError
 from calib.errors.errors import EvaluationError
 from calib.execution.outcome import Outcome
@@ -233,7 +233,7 @@ class OneTest(ABC):
             return None
         basis = variants.basis
         if basis is not None:
-            wanted = Wanted.of(self.hypotheses.pair.problem, basis.tolerance, self.facts.seed)
+            wanted = BasisRequirements.of(self.hypotheses.pair.problem, basis.tolerance, self.facts.seed)
             basis = wanted.with_effects(variants.model, basis, self.hypotheses.space, [simpler.richer], (), progress)
         exchanged = variants.exchanged(simpler, simpler.richer, basis)
         return replace(self, hypotheses=replace(self.hypotheses, variants=exchanged))

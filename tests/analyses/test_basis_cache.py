@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.analyses import reduction
 from calib.analyses.hypotheses_of_study import modal_hypotheses
-from calib.analyses.reduction import Wanted, reduction_of
+from calib.analyses.reduction import reduction_of
 from calib.command import cli
+from calib.correlation import basis as requirements
+from calib.correlation.basis import BasisRequirements
 from calib.errors.errors import InputError
 from calib.hypotheses.library import local_perturbations
 from calib.results.results import Results
@@ -28,12 +29,10 @@ KEY = "0123456789abcdef"
 def trainings(monkeypatch):
     """A basis pays for a small model; the trainings for a search and for effects."""
     counts = []
-    monkeypatch.setattr(reduction, "WORTHWHILE_DOFS", 10)
+    monkeypatch.setattr(requirements, "WORTHWHILE_DOFS", 10)
     for name in ("train", "effect_basis"):
-        original = getattr(reduction, name)
-        monkeypatch.setattr(
-            reduction, name, lambda *a, _name=name, _do=original, **k: counts.append(_name) or _do(*a, **k)
-        )
+        original = getattr(requirements, name)
+        monkeypatch.setattr(basis, name, lambda *a, _name=name, _do=original, **k: counts.append(_name) or _do(*a, **k))
     return counts
 
 
@@ -81,7 +80,7 @@ def test_no_measured_frequency_enters_the_weights_of_local_perturbations(mast, t
 def test_everything_a_basis_depends_on_is_in_its_key(mast, tmp_path, change):
     study = Study.load(mast.write_study(tmp_path / "mast"))
     model, space = study.model, study.search_space
-    wanted = Wanted.of(study.problem, 1e-5, 1)
+    wanted = BasisRequirements.of(study.problem, 1e-5, 1)
     before = wanted.key(model, space)
     name = space.free_names[0]
     if change == "value":
@@ -96,7 +95,7 @@ def test_everything_a_basis_depends_on_is_in_its_key(mast, tmp_path, change):
     elif change == "seed":
         wanted = replace(wanted, seed=2)
     elif change == "count":
-        wanted = Wanted.of(replace(study.problem, mode_count=study.problem.mode_count + 1), 1e-5, 1)
+        wanted = BasisRequirements.of(replace(study.problem, mode_count=study.problem.mode_count + 1), 1e-5, 1)
     elif change == "sensor":
         at = [
             local_perturbations(model, [m], space.values) for m in (study.measured, study.measured.without((), ("3x",)))

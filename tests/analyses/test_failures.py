@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from calib.analyses import reduction
 from calib.analyses.calibrate import calibrate
 from calib.analyses.failures import reasons, stored_reasons
 from calib.analyses.sensitivity import sensitivity
+from calib.correlation import basis as requirements
 from calib.errors.errors import ToleranceError
 from calib.execution.outcome import Outcome
 from calib.results.ledger import Ledger
@@ -64,8 +64,8 @@ def test_a_basis_that_misses_its_tolerance_is_not_used_and_not_tried_again(tmp_p
         tried.append(space)
         raise ToleranceError("it misses its tolerance of 1e-05")
 
-    monkeypatch.setattr(reduction, "WORTHWHILE_DOFS", 0)
-    monkeypatch.setattr(reduction.Wanted, "trained", missing)
+    monkeypatch.setattr(requirements, "WORTHWHILE_DOFS", 0)
+    monkeypatch.setattr(requirements.BasisRequirements, "trained", missing)
     study = Study.load(RIG)
     small = study.settings.calibration.model_copy(update={"population": 6, "generations": 3, "starts": 1})
     study = type(study)(**{**vars(study), "settings": study.settings.model_copy(update={"calibration": small})})

@@ -9,7 +9,9 @@ import pytest
 from calib.analyses import reduction
 from calib.analyses.explain import explain
 from calib.analyses.hypotheses_of_study import adapter_of, basis_of
-from calib.analyses.reduction import Wanted, reduction_of
+from calib.analyses.reduction import reduction_of
+from calib.correlation import basis as requirements
+from calib.correlation.basis import BasisRequirements
 from calib.errors.errors import ToleranceError
 from calib.hypotheses.library import local_perturbations
 from calib.results.results import Results
@@ -24,7 +26,7 @@ WORLD = module_of(Path(__file__).resolve().parents[2] / "tests/template/frf_chai
 @pytest.fixture
 def study(tmp_path, monkeypatch):
     """The chain with gains and accelerometers as nuisances; a basis serves a model of any size."""
-    monkeypatch.setattr(reduction, "WORTHWHILE_DOFS", 2)
+    monkeypatch.setattr(requirements, "WORTHWHILE_DOFS", 2)
     folder = WORLD.write_study(tmp_path / "chain", ground=WORLD.HIDDEN)
     text = (folder / "study.toml").read_text()
     more = "nuisances = { gain = 1.0, accelerometer = 0.0002 }\nheld_out ="
@@ -41,7 +43,7 @@ def results(tmp_path):
 
 def test_a_basis_is_trained_over_model_and_loads_but_not_over_gains(study, results):
     found = reduction_of(study, results)
-    wanted = Wanted.of(study.problem, 1e-5, 1)
+    wanted = BasisRequirements.of(study.problem, 1e-5, 1)
     assert {"mass_1", "gain_1x"} < set(study.search_space.names)
     assert set(wanted.names) == {"k", "c", "m", "mass_1", "mass_3", "mass_4"}
     assert [p.name for p in wanted.within(study.search_space).parameters] == list(wanted.names)
@@ -50,12 +52,12 @@ def test_a_basis_is_trained_over_model_and_loads_but_not_over_gains(study, resul
     assert wanted.key(study.model, study.search_space) == key
     assert replace(wanted, seed=2).key(study.model, study.search_space) != key
     other = replace(study.problem, measured=replace(study.problem.measured, std=2 * study.problem.measured.std))
-    assert Wanted.of(other, 1e-5, 1).key(study.model, study.search_space) != key
+    assert BasisRequirements.of(other, 1e-5, 1).key(study.model, study.search_space) != key
 
 
 def test_the_stored_basis_is_loaded_and_serves_workers(study, results, monkeypatch):
     found = reduction_of(study, results)
-    monkeypatch.setattr(reduction, "train", lambda *a, **k: pytest.fail("it is there"))
+    monkeypatch.setattr(requirements, "train", lambda *a, **k: pytest.fail("it is there"))
     assert reduction_of(study, results).basis.digest == found.basis.digest
     values = study.search_space.complete({"k": 1.3e4, "gain_1x": 2.0, "mass_4": 0.0003})
     source = EvaluationSource.of(study, found.problem, found.path)
@@ -131,7 +133,7 @@ def test_without_a_basis_the_full_model_is_used_and_the_notes_say_so(study, resu
     def unreached(*a, **k):
         raise ToleranceError("not reached", place="here")
 
-    monkeypatch.setattr(reduction, "train", unreached)
+    monkeypatch.setattr(requirements, "train", unreached)
     adapter = adapter_of(study, results, lambda *a: None, ())
     assert adapter.hypotheses.variants.basis is None
     assert any("reduced basis" in note for note in adapter.notes())

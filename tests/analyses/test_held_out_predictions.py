@@ -8,9 +8,9 @@ import pytest
 import calib
 from calib.analyses.explain import adapter_for, decision
 from calib.api.explained import _adapters, library_of
+from calib.correlation import basis as requirements
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import unheard
-from calib.hypotheses import of_test
 from calib.missing.discrepancy import discrepancy
 from calib.results.results import Results
 from calib.study.loading import module_of
@@ -96,7 +96,7 @@ def test_held_out_modes_above_the_reach_of_a_reduced_basis_are_predicted_at_full
     test = calib.ModalTest(study.problem.measured, clusters=study.problem.mode_clusters, held_out=["B3x", "B3z"])
     problem = calib.Problem(mast.mast(), test)
     plain = _adapter(problem, mast)
-    monkeypatch.setattr(of_test, "WORTHWHILE_DOFS", 10)
+    monkeypatch.setattr(requirements, "WORTHWHILE_DOFS", 10)
     reduced = _adapter(problem, mast)
     basis = reduced.hypotheses.variants.basis
     assert plain.hypotheses.variants.basis is None and reduced.whole.mode_count > basis.count > 0

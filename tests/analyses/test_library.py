@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.analyses import reduction
 from calib.analyses.hypotheses_of_study import modal_hypotheses
 from calib.analyses.reduction import reduction_of
+from calib.correlation import basis as requirements
 from calib.correlation.modal.problem import ModalProblem
 from calib.errors.errors import EvaluationError, InputError
 from calib.results.results import Results
@@ -30,9 +30,9 @@ def results(tmp_path):
 def small_pays(monkeypatch):
     """Uses a basis even for a small model, and records the trainings for effects."""
     trained = []
-    train = reduction.effect_basis
-    monkeypatch.setattr(reduction, "WORTHWHILE_DOFS", 10)
-    monkeypatch.setattr(reduction, "effect_basis", lambda *a: trained.append(a) or train(*a))
+    train = requirements.effect_basis
+    monkeypatch.setattr(requirements, "WORTHWHILE_DOFS", 10)
+    monkeypatch.setattr(requirements, "effect_basis", lambda *a: trained.append(a) or train(*a))
     return trained
 
 
@@ -98,7 +98,7 @@ def test_the_stored_basis_agrees_with_the_model_itself(study, results, small_pay
 def test_the_basis_of_a_search_is_reused_and_left_unchanged(study, results, small_pays, monkeypatch, own_cache):
     modal_hypotheses(study, results)
     trained = []
-    monkeypatch.setattr(reduction, "train", lambda *a, **k: trained.append(a))
+    monkeypatch.setattr(requirements, "train", lambda *a, **k: trained.append(a))
     assert reduction_of(study, results).basis.version == 1 and not trained
     bases(results)[0].unlink()
     shutil.rmtree(own_cache)
@@ -166,7 +166,7 @@ def test_the_user_may_switch_the_basis_off(study, results, small_pays):
     assert small_pays == [] and bases(results) == []
 
 
-@pytest.mark.parametrize(("module", "training"), [(reduction, "effect_basis"), (reduction, "train")])
+@pytest.mark.parametrize(("module", "training"), [(requirements, "effect_basis"), (requirements, "train")])
 def test_a_basis_that_cannot_be_trained_is_reported_with_a_remedy(
     study, results, small_pays, monkeypatch, module, training
 ):

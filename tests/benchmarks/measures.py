@@ -33,7 +33,7 @@ from stopwatch import Spent, exponent, median, spent
 from subject import ROOT, study_of
 
 from calib.analyses.provenance import places
-from calib.analyses.reduction import Wanted
+from calib.correlation.basis import BasisRequirements
 from calib.hypotheses.library import local_perturbations
 from calib.problem.sampling import sample
 from calib.structure.reduction.basis import Basis
@@ -82,7 +82,7 @@ def of_effects() -> Taken:
 
     def widened() -> None:
         with shared():
-            wanted = Wanted.of(problem, settings.tolerance, settings.seed)
+            wanted = BasisRequirements.of(problem, settings.tolerance, settings.seed)
             wanted.with_effects(problem.model, basis, space, study.candidates, local)
 
     return {"effects": spent(widened), "effects_search": search}
@@ -222,7 +222,7 @@ def trained(study: Study) -> tuple[Spent, Basis]:
 
     def train() -> None:
         with shared():
-            wanted = Wanted.of(study.problem, settings.tolerance, settings.seed)
+            wanted = BasisRequirements.of(study.problem, settings.tolerance, settings.seed)
             made.append(wanted.trained(study.model, study.search_space))
 
     taken = spent(train)

@@ -22,7 +22,7 @@ from rates_subject import ROOT
 from rates_world import World
 
 import calib
-from calib.analyses.reduction import Wanted
+from calib.correlation.basis import BasisRequirements
 from calib.correlation.modal.problem import ModalProblem
 from calib.hypotheses.library import effects_basis
 from calib.measurement.modal import MeasuredModes, Sensor
@@ -349,7 +349,7 @@ class FrameWorld(World):
         tested = perturbations(self.model, self.specimen.layout[::4], self.space.values, 1.0)
         folder = self.folder / "own"
         folder.mkdir(parents=True, exist_ok=True)
-        wanted = Wanted.of(problem, 1e-4, 1)
+        wanted = BasisRequirements.of(problem, 1e-4, 1)
         basis = effects_basis(self.model, self.space, self.library, tested, wanted, folder)
         return {OWN: Variants(self.model, self.library, tuple(p.effect for p in tested), basis)}
 

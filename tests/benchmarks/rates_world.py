@@ -21,7 +21,7 @@ from rates_outcome import Measured, magnitude, outcome
 from rates_scenarios import FIFTY, OWN, Scenario, fifty_effects, scenarios
 from rates_subject import ROOT, Subject
 
-from calib.analyses.reduction import Wanted
+from calib.correlation.basis import BasisRequirements
 from calib.correlation.modal.fault_library import modal_faults
 from calib.correlation.modal.held_out import held_out_errors
 from calib.correlation.modal.problem import ModalProblem
@@ -187,7 +187,9 @@ class World:
         count: int | None = None,
     ) -> Basis:
         settings, problem, folder = self.study.settings.reduction, self.study.problem, self.folder / name
-        wanted = Wanted.of(replace(problem, mode_count=count or problem.mode_count), settings.tolerance, settings.seed)
+        wanted = BasisRequirements.of(
+            replace(problem, mode_count=count or problem.mode_count), settings.tolerance, settings.seed
+        )
         folder.mkdir(parents=True, exist_ok=True)
         return effects_basis(model, space, effects, local, wanted, folder)
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib.analyses import reduction
 from calib.command import cli
+from calib.correlation import basis as requirements
 from calib.study.study import Study
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -158,11 +158,11 @@ def test_what_is_not_known_is_left_empty(guyed, capsys):
 
 @pytest.mark.slow
 def test_a_basis_says_the_same_and_twice_the_same_bytes(explained, guyed, monkeypatch, capsys, explanation, files):
-    monkeypatch.setattr(reduction, "WORTHWHILE_DOFS", 10)
+    monkeypatch.setattr(requirements, "WORTHWHILE_DOFS", 10)
     assert cli.execute(["explain", "mast"]) == 0
     first = {p: b for p, b in files("results/mast").items() if p.suffix in (".csv", ".npz")}
     assert any(p.suffix == ".npz" for p in first)
-    monkeypatch.setattr(reduction, "effect_basis", lambda *a: pytest.fail("a basis is there"))
+    monkeypatch.setattr(requirements, "effect_basis", lambda *a: pytest.fail("a basis is there"))
     before = explanation()
     assert cli.execute(["explain", "mast"]) == 0
     assert first == {p: b for p, b in files("results/mast").items() if p.suffix in (".csv", ".npz")}

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from calib.analyses import reduction
 from calib.command import cli
+from calib.correlation import basis as requirements
 
 
 @pytest.fixture
@@ -48,11 +48,11 @@ def test_a_model_that_has_all_effects_lacks_nothing_more(guyed, edit, explanatio
     assert explanation()["verdict"] == "nothing_detectable"
 
 
-@pytest.mark.parametrize("worthwhile_dofs", [reduction.WORTHWHILE_DOFS, 10])
+@pytest.mark.parametrize("worthwhile_dofs", [requirements.WORTHWHILE_DOFS, 10])
 @pytest.mark.parametrize("held", [["B2z", "B3x", "B3z"], ["B1x", "B1z", "B2x", "B2z", "B3x"]])
 def test_too_few_modes_are_told_before_a_basis_is_trained(guyed, refused, monkeypatch, held, worthwhile_dofs, edit):
-    monkeypatch.setattr(reduction, "WORTHWHILE_DOFS", worthwhile_dofs)
-    monkeypatch.setattr(reduction, "train", lambda *a, **k: pytest.fail("a basis is trained"))
+    monkeypatch.setattr(requirements, "WORTHWHILE_DOFS", worthwhile_dofs)
+    monkeypatch.setattr(requirements, "train", lambda *a, **k: pytest.fail("a basis is trained"))
     edit(guyed, "modes = []", f"modes = {json.dumps(held)}")
     words = f"{6 - len(held)} measured modes cannot tell a missing effect from a parameter"
     refused(["explain", "mast"], words, "measure at least 4")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.analyses.reduction import Wanted
+from calib.correlation.basis import BasisRequirements
 from calib.correlation.frf.cross_talk import CrossTalkError
 from calib.correlation.frf.nuisance import AccelerometerMass, ChannelError, belonging_to
 from calib.correlation.frf.places import PlaceError
@@ -156,7 +156,9 @@ def test_suspects_change_no_target_of_a_basis_but_fitted_errors_do(bogie):
         assert targets[0].request == targets[1].request and len(suspected.faults) > 10
         assert plain.problem.basis_names == suspected.problem.basis_names
         # A richer effect is added to the basis by the problem with suspects.
-        one, other = (Wanted.of(pair.problem, 1e-5, 1).key(bogie, bogie.space) for pair in (plain, suspected))
+        one, other = (
+            BasisRequirements.of(pair.problem, 1e-5, 1).key(bogie, bogie.space) for pair in (plain, suspected)
+        )
         assert one == other
     mass = AccelerometerMass(GIRDER, 0.1)
     loaded = FRFProblem(bogie, empty(), (mass,), suspects=(mass,))
