@@ -65,7 +65,11 @@ def test_they_are_the_same_whoever_makes_them(folder, shown, tmp_path_factory, m
     with Team(2) as team, shared_by(team):
         while len(set(team(figure_tasks.who, None, range(12)))) == 1:
             pass
-        known = make_all(figures, asked(*shown), lambda *given: own.append(given))
+        for _ in range(20):  # on a busy machine this process may be through before the other has begun
+            own.clear()
+            known = make_all(figures, asked(*shown), lambda *given: own.append(given))
+            if len(own) < len(figures.plan):
+                break
     figures.take(lambda: known)
     assert drawn(figures, shown) == expected
     assert 0 < len(own) < len(figures.plan)
