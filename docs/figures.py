@@ -89,9 +89,10 @@ def main() -> None:
     arguments.add_argument("--results", type=Path, default=Path("results"), help="where the studies' results are")
     arguments.add_argument("--into", type=Path, default=HERE / "figures", help="where the figures go")
     arguments.add_argument("--only", metavar="NAME", help="one figure, which must be drawn")
+    arguments.add_argument("--of", default="", metavar="PART", help="for hidden_bogie: 'quick' for the quick runs")
     given = arguments.parse_args()
     given.into.mkdir(parents=True, exist_ok=True)
-    both = [given.results / name for name in ("hidden_bogie", "hidden_bogie_extended")]
+    both = [given.results / name / given.of for name in ("hidden_bogie", "hidden_bogie_extended")]
     drawn = {"hidden_bogie": lambda: before_and_after(*both)}
     drawn |= {name: partial(of_folder, given.results / shown.folder, shown.name) for name, shown in FIGURES.items()}
     if given.only is not None and given.only not in drawn:
