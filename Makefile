@@ -12,7 +12,7 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check
 TEST_WORKERS ?= 2
 TOGETHER := -n $(TEST_WORKERS) --dist loadgroup
 STUDIES := studies/four_storey_rig studies/bogie studies/hidden_bogie
-# What `make run` shows: the bogies with small searches, which find the same; the full ones take several minutes each.
+# What `make run` shows: the bogies with small searches; the full ones take several minutes each.
 SHOWN := studies/four_storey_rig 'studies/bogie --quick' 'studies/hidden_bogie --quick'
 ONE_BLAS_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # Compiled tests are kept whatever the shell says: or every process compiles all of them and all of calib anew.
