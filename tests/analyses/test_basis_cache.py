@@ -185,11 +185,6 @@ def test_another_code_or_library_asks_for_another_key(mast, tmp_path, monkeypatc
     cached._code.cache_clear()
 
 
-def test_the_key_is_of_all_code_that_makes_a_basis():
-    files = {str(file.relative_to(cached._code_files()[0].parent)) for file in cached._code_files()}
-    assert {"model.py", "reduction/basis.py", "reduction/training.py", "eigenproblem/solve.py"} <= files
-
-
 @pytest.mark.slow
 def test_the_command_keeps_bases_where_it_is_asked_to(mast, tmp_path, trainings, capsys, undrawn):
     study, there = mast.write_study(tmp_path / "mast"), tmp_path / "bases"
