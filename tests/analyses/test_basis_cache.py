@@ -32,7 +32,7 @@ def trainings(monkeypatch):
     monkeypatch.setattr(requirements, "WORTHWHILE_DOFS", 10)
     for name in ("train", "effect_basis"):
         original = getattr(requirements, name)
-        monkeypatch.setattr(basis, name, lambda *a, _name=name, _do=original, **k: counts.append(_name) or _do(*a, **k))
+        monkeypatch.setattr(requirements, name, lambda *a, _name=name, _do=original, **k: counts.append(_name) or _do(*a, **k))
     return counts
 
 
@@ -126,6 +126,18 @@ def test_a_file_under_another_key_is_no_answer(tmp_path):
     with using(tmp_path) as notes:
         assert cache.find(other) is None
     assert len(notes) == 1 and other in notes[0]
+
+
+def test_an_equal_basis_of_other_code_keeps_what_a_ledger_knows_of_it(tmp_path):
+    """Else a changed line of calib would empty every ledger."""
+    path = tmp_path / "basis_v1.npz"
+    first = basis("f" * 16)
+    first.save(path)
+    with using(tmp_path / "cache"):
+        assert kept_basis(path, KEY, lambda: basis()).digest == first.digest
+        assert Basis.load(path).key == first.key
+        other = kept_basis(path, "e" * 16, lambda: basis(seed=2))  # not equal: the present one replaces it
+    assert other.digest != first.digest and Basis.load(path).digest == other.digest
 
 
 def test_runs_that_write_one_key_at_once_leave_one_whole_file(tmp_path):

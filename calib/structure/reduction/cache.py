@@ -62,8 +62,8 @@ class BasisCache:
         path = self._path(key)
         if not path.is_file():
             return None
-        basis = _read(path, key)
-        if basis is None:
+        basis = _read(path)
+        if basis is None or basis.key != key:
             _note(f"A damaged basis in the cache was ignored and trained again: {path}")
             return None
         with contextlib.suppress(OSError):
@@ -142,7 +142,8 @@ def kept_basis(path: Path | None, key: str, trained: Callable[[], Basis]) -> Bas
     """The basis of a key: that in a file of results, else that in the cache, else one that is trained.
 
     It is written to both, so that the results hold what they were made with. Trained or read, it is the same to the
-    last bit.
+    last bit. A basis of the results that was trained by other code and equals the present one but for its key stays:
+    evaluations that a ledger keeps under it are still those of this basis.
 
     Parameters
     ----------
@@ -152,7 +153,8 @@ def kept_basis(path: Path | None, key: str, trained: Callable[[], Basis]) -> Bas
         Of `key_of`.
     trained : callable
     """
-    if path is not None and path.is_file() and (there := _read(path, key)) is not None:
+    there = None if path is None else _read(path)
+    if there is not None and there.key == key:
         return there
     cache = basis_cache()
     basis = None if cache is None else cache.find(key)
@@ -160,6 +162,8 @@ def kept_basis(path: Path | None, key: str, trained: Callable[[], Basis]) -> Bas
         basis = replace(trained(), key=key)
         if cache is not None:
             cache.keep(basis)
+    if there is not None and replace(there, key=key).digest == basis.digest:
+        return there
     if path is not None:
         basis.save(path)
     return basis
@@ -182,13 +186,12 @@ def _code() -> str:
     return hashlib.sha256(f"{np.__version__} {scipy.__version__} {code_digest('calib.structure')}".encode()).hexdigest()
 
 
-def _read(path: Path, key: str) -> Basis | None:
-    """The basis in a file; None where it cannot be read or has another key."""
+def _read(path: Path) -> Basis | None:
+    """The basis in a file; None where there is none or it cannot be read."""
     try:
-        basis = Basis.load(path)
+        return Basis.load(path)
     except InputError:
         return None
-    return basis if basis.key == key else None
 
 
 def _note(words: str) -> None:
