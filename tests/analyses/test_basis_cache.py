@@ -32,7 +32,12 @@ def trainings(monkeypatch):
     monkeypatch.setattr(requirements, "WORTHWHILE_DOFS", 10)
     for name in ("train", "effect_basis"):
         original = getattr(requirements, name)
-        monkeypatch.setattr(requirements, name, lambda *a, _name=name, _do=original, **k: counts.append(_name) or _do(*a, **k))
+
+        def counted(*given, _name=name, _do=original, **options):
+            counts.append(_name)
+            return _do(*given, **options)
+
+        monkeypatch.setattr(requirements, name, counted)
     return counts
 
 
