@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from calib.experiment.frf import FRFTest as FRFTest
     from calib.experiment.modal import ModalTest as ModalTest
     from calib.experiment.response import ResponseTest as ResponseTest
+    from calib.measurement.arrays import modes as modes
     from calib.measurement.files.read import read_modes as read_modes
     from calib.measurement.files.read_frf import read_frfs as read_frfs
     from calib.measurement.modal import MeasuredModes as MeasuredModes
@@ -55,6 +56,7 @@ _PLACES = {
     "Sensor": "measurement.modal",
     "StructuralModel": "structure.model",
     "Study": "api.study",
+    "modes": "measurement.arrays",
     "modes_from_frfs": "modal_analysis.identify",
     "read_frfs": "measurement.files.read_frf",
     "read_modes": "measurement.files.read",

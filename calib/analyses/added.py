@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calib.analyses.calibrate import Calibration
+from calib.analyses.calibration import Calibration
 from calib.analyses.every_mode import with_held_out
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.errors.errors import EvaluationError

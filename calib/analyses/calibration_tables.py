@@ -1,15 +1,28 @@
-"""Tables of a calibration: its parameters, and what the data determine of them."""
+"""Tables of a calibration: its parameters, what the data determine of them, and the model before and after."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
+from calib.analyses.compare import before_and_after, write_comparison, write_model_modes
 from calib.analyses.fit_statistics import FitStatistics
-from calib.inference.cases import CaseResult, parameters_table
+from calib.analyses.provenance.record import begin_analysis
+from calib.analyses.provenance.state import ADDED
+from calib.analyses.uncertainty import accuracy_words
+from calib.inference.cases import CaseResult, convergence_table, parameters_table
+from calib.problem.joint import stacked
 from calib.problem.space import ParameterSpace
+from calib.results.results import Results
+from calib.study.several import AnyStudy
+from calib.study.study import Study
+
+if TYPE_CHECKING:
+    from calib.analyses.calibration import Calibration, JointCalibration
+    from calib.analyses.case import CaseFound
 
 
 def tables_of(
@@ -68,3 +81,92 @@ def _without_whole(table: pd.DataFrame, space: ParameterSpace) -> pd.DataFrame:
     whole = table["parameter"].isin([p.name for p in space.free if p.integer])
     std = [column for column in ("std", "std_of_range") if column in table]
     return table.assign(**{column: table[column].mask(whole) for column in std})
+
+
+def write_calibration(
+    study: Study, results: Results, answer: Calibration, method: str, mark: str, seconds: float
+) -> None:
+    """Write all tables on one test and ``summary.json``; ``mark`` is the digest of what the calibration depends on."""
+    begin_analysis(results, "calibrate")
+    results.remove("std_by_test.csv", "modes.csv", "data_errors.csv", "responses.csv", *ADDED)
+    write_comparison(results, answer.best.answer, "after")
+    for name, table in answer.tables.items():
+        results.write_table(name, table)
+    results.write_table("points", pd.concat([case.points for case in answer.cases], ignore_index=True))
+    results.write_table("convergence", convergence_table([case.result for case in answer.cases]))
+    if answer.modes is not None:
+        results.write_table("modes", answer.modes)
+        for stage, comparison in answer.stages.items():
+            write_model_modes(results, comparison, stage)
+    if answer.errors is not None:
+        results.write_table("data_errors", answer.errors.assign(std_from=answer.best.statistics.rests_on))
+    if answer.responses is not None:
+        results.write_table("responses", answer.responses)
+    results.write_json("summary", _summary(study, method, answer, mark, seconds))
+
+
+def write_jointly(study: AnyStudy, results: Results, answer: JointCalibration, method: str, seconds: float) -> None:
+    """Write the parameters and the tables on all tests together; those on one test are in its own folder."""
+    best = answer.any.best
+    begin_analysis(results, "calibrate")
+    for name, table in answer.any.tables.items():
+        results.write_table(name, table)
+    errors = {test: one.errors for test, one in answer.tests.items() if one.errors is not None}
+    results.remove("data_errors.csv")
+    if errors:
+        results.write_table("data_errors", stacked(errors).assign(std_from=best.statistics.rests_on))
+    results.write_json("summary", {
+        "study": study.name,
+        "synthetic": study.synthetic,
+        "method": method,
+        "best_case": best.name,
+        **best.statistics.figures,
+        "seconds": seconds,
+        "tests": {test: before_and_after(one.before, one.best.answer) for test, one in answer.tests.items()},
+    })  # fmt: skip
+
+
+def _summary(study: Study, method: str, answer: Calibration, mark: str, seconds: float) -> dict[str, object]:
+    found, best, before = answer.cases, answer.best, answer.before
+    counts = {"evaluations": "asked", **{name: name for name in ("solved", "reused", "infeasible", "failed")}}
+
+    def figures(case: CaseFound) -> dict[str, object]:
+        return {
+            "misfit": case.result.misfit,
+            "search_misfit": None if case.search is None else case.search.misfit,
+            "search_misfit_full_order": case.search_full_order,
+            **before_and_after(before, case.answer),
+            **{key: getattr(case.result, name) for key, name in counts.items()},
+            "seconds": case.result.seconds,
+        }
+
+    return {
+        "study": study.name,
+        "synthetic": study.synthetic,
+        "fingerprint": mark,
+        "method": method,
+        "best_case": best.name,
+        **before_and_after(before, best.answer),
+        "noise_freq_error": float(np.mean(noise_errors(study))),
+        "noise_mac": best.answer.noise_mac,
+        **best.statistics.figures,
+        "accuracy": accuracy_words(study) or "none",
+        **{key: sum(getattr(case.result, name) for case in found) for key, name in counts.items()},
+        "seconds": seconds,
+        **{f"held_out_{kind}": list(names) for kind, names in study.settings.held_out.model_dump().items()},
+        "cases": {case.name: figures(case) for case in found},
+        "contradictions": list(answer.contradictions),
+    }
+
+
+_MEAN_ABSOLUTE = float(np.sqrt(2 / np.pi))
+"""Mean absolute value of a standard normal variate."""
+
+
+def noise_errors(study: Study) -> np.ndarray:
+    """Mean relative error of each frequency or scalar response of a perfect model, due to the standard deviation alone.
+
+    The standard deviation is the one that calibration weights by, accuracy and floors included; NaN where it would be
+    assumed.
+    """
+    return _MEAN_ABSOLUTE * study.problem.relative_std

@@ -1,14 +1,14 @@
-"""One case of a calibration: a genetic search refined by least squares, or least squares alone."""
+"""One case of a calibration: what a genetic search and least squares found for every test of a study."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import pandas as pd
 
@@ -16,40 +16,44 @@ from calib.analyses.case_starts import Starts, Steps, evaluable, known_starts, l
 from calib.analyses.compare import ComparisonResult, comparison_at
 from calib.analyses.explained_fit import explained_fit
 from calib.analyses.fit_statistics import (
+    FitProblem,
     FitProgress,
     FitStatistics,
     Shared,
     Terms,
     criteria,
     ended,
-    posed,
+    fit_problem,
     refined,
     statistics_at,
 )
+from calib.analyses.joint_responses import Responses, objective_for, own_values
 from calib.analyses.provenance.places import QUICK_GENERATIONS, QUICK_POPULATION, Workers, open_evaluator, tasks_shared
 from calib.analyses.provenance.stored import confirm
 from calib.analyses.reduction import Reduction, reduction_of
-from calib.correlation.modal.problem import ModalProblem
 from calib.errors.errors import EvaluationError, InputError, ToleranceError
+from calib.execution.evaluate import BatchEvaluator
 from calib.execution.outcome import Outcome, answered, key_of
 from calib.execution.stage import Progress, named, unheard
-from calib.experiment import ForwardProblem
+from calib.experiment.test import ForwardProblem
 from calib.hypotheses.linear_start import linear_starts
 from calib.inference.cases import Case, CaseResult, run_case
 from calib.inference.genetic import GeneticSettings
-from calib.inference.objective import FrequencyMacObjective, ResponseObjective
+from calib.inference.objective import Objective
 from calib.inference.rules import RULES
 from calib.inference.starts import Enough, UntilAgreed, never
-from calib.problem.problem import Counts, Pair, Problem
+from calib.problem.joint import JointProblem
+from calib.problem.problem import Counts
 from calib.problem.sampling import sample
 from calib.results.ledger import Ledger
 from calib.results.results import Results
+from calib.study.several import AnyStudy
 from calib.study.study import Study
-
-Objective: TypeAlias = FrequencyMacObjective | ResponseObjective
 
 SEARCH, FITTED = "search", "least squares"
 """Names of the points of a case."""
+Homes: TypeAlias = Mapping[str, Results]
+"""Folders that keep the reduced bases of the tests, by name of the test; those of a study in memory have none."""
 
 _SEARCHED = " A genetic search followed."
 """End of the sentence on starts that do not agree."""
@@ -99,26 +103,12 @@ class CaseFound:
         return self.result.misfit > 1.01 * self.search_full_order  # NaN without a search
 
 
-def objective_of(study: Study) -> Objective:
-    """Objective that the search minimises."""
-    return objective_for(study.problem, study.settings.calibration.weight_freq, study.settings.calibration.weight_mac)
+def objective_of(study: AnyStudy) -> Objective:
+    """Objective that a search minimises: that of the only test, or the sum over all."""
+    return Responses.of(study).objective(study.settings.calibration)
 
 
-def objective_for(problem: ForwardProblem, weight_freq: float = 1.0, weight_mac: float = 1.0) -> Objective:
-    """The same for a model against its measurement."""
-    if not isinstance(problem, ModalProblem):
-        return ResponseObjective(problem.search_targets)
-    measured = problem.measured
-    return FrequencyMacObjective(
-        modes=measured.names,
-        natural_freq=dict(zip(measured.names, measured.natural_freq.tolist(), strict=True)),
-        weight_freq=weight_freq,
-        weight_mac=weight_mac,
-        use_mac=measured.has_shapes,
-    )
-
-
-def genetic_settings(study: Study, quick: bool) -> GeneticSettings:
+def genetic_settings(study: AnyStudy, quick: bool) -> GeneticSettings:
     """Settings of the genetic algorithm, smaller for a quick run."""
     own = {one.name for one in fields(GeneticSettings)}
     given = GeneticSettings(**study.settings.calibration.model_dump(include=own))
@@ -130,72 +120,101 @@ def genetic_settings(study: Study, quick: bool) -> GeneticSettings:
 
 @dataclass(frozen=True, eq=False)
 class CaseFinder:
-    """Runs one case after the other.
+    """Runs one case after the other; each gives one result a test.
 
     Attributes
     ----------
-    study : Study
-    home : Results
-        Where the reduced basis is kept.
+    study : Study or JointStudy
+        Its functions behind the ledger.
     ledger : Ledger
+    homes : mapping from str to Results
+        Where the reduced basis of each test is kept.
     workers : int, Injected or None
         Who evaluates a search; see `calib.analyses.provenance.places.Workers`.
     quick : bool
         A smaller search for a quick run.
     progress : Progress
     seconds : float or None
-        Duration of one evaluation of the study's problem (s), where known.
-    notes : list of str
-        Where a search deviated from the study's settings, and how many starts agreed.
+        Duration of one evaluation of the only test (s), where known.
+    reduction_notes : mapping from str to list of str
+        Where a search deviated from the study's settings, by name of the test.
+    agreeing : list of str
+        How many starts of each case agreed.
     """
 
-    study: Study
-    home: Results
+    study: AnyStudy
     ledger: Ledger
-    workers: Workers
-    quick: bool
-    progress: Progress
+    homes: Homes = field(default_factory=dict)
+    workers: Workers = None
+    quick: bool = False
+    progress: Progress = unheard
     seconds: float | None = None
-    notes: list[str] = field(init=False, repr=False, default_factory=list)
+    reduction_notes: dict[str, list[str]] = field(init=False, repr=False, default_factory=dict)
+    agreeing: list[str] = field(init=False, repr=False, default_factory=list)
     _shared: dict[str, Shared] = field(init=False, repr=False, default_factory=dict)
 
+    def found(self, method: str, cases: Sequence[Case]) -> Iterator[tuple[CaseFound, ...]]:
+        """The cases by one method: ``auto``, ``genetic``, ``gauss-newton`` or ``cmcf``."""
+        by = {
+            "auto": self.by_agreement, "genetic": self.by_search, "gauss-newton": self.by_least_squares,
+            "cmcf": self.by_equations if self._only else self.by_least_squares,
+        }  # fmt: skip
+        yield from by[method](cases)
+
     @property
-    def exact(self) -> Problem[Pair]:
+    def _only(self) -> Study | None:
+        """The only test; None for several."""
+        return self.study.studies[0] if len(self.study.studies) == 1 else None
+
+    @property
+    def exact(self) -> FitProblem:
         """The problem that is fitted, at full order."""
-        return posed(self.study, self.ledger)
+        return fit_problem(self.study, self.ledger)
 
     @cached_property
     def known(self) -> tuple[dict[str, float], ...]:
         """Further starting points: linear ones, those of the study, the fit of the same model by an explanation."""
         linear = linear_starts(self.exact, self.study.search_space.values)
-        return (*linear, *known_starts(self.study, explained_fit(self.study, self.home)))
+        home = self.homes.get(self.study.test)
+        explained = [] if self._only is None or home is None else [explained_fit(self.study, home)]
+        return (*linear, *known_starts(self.study, *explained))
 
-    def _reduction(self) -> Reduction | None:
+    def _reductions(self) -> dict[str, Reduction]:
+        """The reduced bases of the tests whose models are large, by name of the test."""
+        out = {}
         with tasks_shared(self.workers):
-            return reduction_noted(self.study, self.home, self.notes, self.progress)
+            for one in self.study.studies:
+                notes = self.reduction_notes.setdefault(one.test, [])
+                found = reduction_noted(one, self.homes.get(one.test), notes, self.progress)
+                if found is not None:
+                    out[one.test] = found
+        return out
 
-    def by_agreement(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
+    def by_agreement(self, cases: Sequence[Case]) -> Iterator[tuple[CaseFound, ...]]:
         """Least squares from sampled points until the starts agree; where they do not, a genetic search from there too.
 
         The search goes first where the study states the weights of its objective, or forbids least squares after it.
+        Several tests are not searched: least squares alone report their best fit.
         """
-        given = self.study.settings.calibration
-        if not given.refine or {"weight_freq", "weight_mac"} & given.model_fields_set:
+        given, only = self.study.settings.calibration, self._only
+        if only and (not given.refine or {"weight_freq", "weight_mac"} & given.model_fields_set):
             yield from self.by_search(cases)
             return
-        reduction = self._reduction()
+        reductions = self._reductions()
         for case in cases:
             until, found = UntilAgreed(len(self.known) + 1), None
-            fit = partial(self.refined, reduction, told=named(self.progress, case.name), enough=until)
-            with suppress(EvaluationError):  # the search copes with points that fail
-                found = reported(self.study, *until_agreed(case, self.study, self.known, self.quick, fit))
-            self.notes.append(f"{case.name}: {until.optima.sentence}.{_SEARCHED * (not until.agree)}")
-            if found is not None and until.agree:
+            fit = partial(self.refined, reductions, told=named(self.progress, case.name), enough=until)
+            copes = suppress(EvaluationError) if only else evaluable(self.study)  # a search copes with failed points
+            with copes:
+                found = self.reported(*until_agreed(case, self.study, self.known, self.quick, fit))
+            searched = only is not None and not until.agree
+            self.agreeing.append(f"{case.name}: {until.optima.sentence}.{_SEARCHED * searched}")
+            if found is not None and not searched:
                 yield found
             else:
-                yield from self.by_search([case], () if found is None else [found.result.values])
+                yield from self.by_search([case], () if found is None else [found[0].result.values])
 
-    def by_search(self, cases: Sequence[Case], also: Starts = ()) -> Iterator[CaseFound]:
+    def by_search(self, cases: Sequence[Case], also: Starts = ()) -> Iterator[tuple[CaseFound, ...]]:
         """Genetic search, refined where requested by least squares from its best point, `known` and the nominal values.
 
         Fits from starting points that all cases share are run once. ``also`` are further starts. The solution of the
@@ -204,44 +223,66 @@ class CaseFinder:
         """
         study, space = self.study, self.study.search_space
         settings, objective = genetic_settings(study, self.quick), objective_of(study)
-        reduction = self._reduction()
+        reductions = self._reductions()
         remaining = list(cases)
         while remaining:
-            problem = study.problem if reduction is None else reduction.problem
-            basis = None if reduction is None else reduction.path
-            certify = _as_it_is if reduction is None else reduction.certifier(self.ledger)
+            responses = Responses.of(study, {test: one.problem for test, one in reductions.items()})
             count = settings.population * settings.generations
-            seconds = self.seconds if reduction is None else None
-            with open_evaluator(study, self.workers, count, problem, basis, seconds) as evaluator, evaluable(study):
+            with self._evaluator(responses, reductions, count) as evaluator, evaluable(study):
                 while remaining:
                     case = remaining.pop(0)
                     told = named(self.progress, case.name)
                     initial = sample(space, settings.population, case.seed).points
                     search = run_case(
-                        case, space, objective, settings, evaluator, self.ledger, problem.fingerprint, initial,
-                        progress=partial(told, "genetic search"), certify=certify,
+                        case, space, objective, settings, evaluator, self.ledger, responses.fingerprint, initial,
+                        progress=partial(told, "genetic search"), certify=self._certifier(reductions),
                     )  # fmt: skip
                     if study.settings.calibration.refine:
                         statistics = self.refined(
-                            reduction, [search.values, *also], RULES.refits_after_search, shared=True, told=told
+                            reductions, [search.values, *also], RULES.refits_after_search, shared=True, told=told
                         )
                     else:
                         statistics = statistics_at(self.exact, Terms.of(study), search.values)
                     told("checking at full order")
                     yield self._searched(objective, search, statistics)
-                    before = reduction
-                    reduction = None if reduction is None else reduction.after_case(search.values, self.home)
-                    if reduction is not before:
+                    before = reductions
+                    reductions = self._after_case(reductions, search.values)
+                    if reductions is not before:
                         break  # the next cases work on the next version of the basis
 
-    def by_least_squares(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
-        """Least squares from several starting points of each case."""
-        reduction = self._reduction()
-        for case in cases:
-            fit = partial(self.refined, reduction, told=named(self.progress, case.name))
-            yield reported(self.study, *least_squares(case, self.study, self.known, self.quick, fit))
+    def _evaluator(
+        self, responses: Responses, reductions: Mapping[str, Reduction], count: int
+    ) -> AbstractContextManager[BatchEvaluator]:
+        """Evaluator of a search: of one test in worker processes where that pays, of several in this one."""
+        if self._only is None:
+            return responses.evaluator(self.study, self.workers)
+        reduction = reductions.get(self._only.test)
+        problem = self._only.problem if reduction is None else reduction.problem
+        basis, seconds = (None, self.seconds) if reduction is None else (reduction.path, None)
+        return open_evaluator(self._only, self.workers, count, problem, basis, seconds)
 
-    def by_equations(self, cases: Sequence[Case]) -> Iterator[CaseFound]:
+    def _certifier(self, reductions: Mapping[str, Reduction]) -> Any:
+        """Callback that checks every would-be best point of one test; several are checked where a case ended."""
+        reduction = reductions.get(self._only.test) if self._only else None
+        return _as_it_is if reduction is None else reduction.certifier(self.ledger)
+
+    def _after_case(self, reductions: dict[str, Reduction], values: Mapping[str, float]) -> dict[str, Reduction]:
+        """The same reductions, or those whose bases missed their tolerance at the end of a case enriched."""
+        new = {}
+        for one in self.study.studies:
+            if one.test in reductions:
+                own = values if self._only else own_values(one, values)
+                new[one.test] = reductions[one.test].after_case(own, self.homes.get(one.test))
+        return reductions if all(new[test] is reductions[test] for test in new) else new
+
+    def by_least_squares(self, cases: Sequence[Case]) -> Iterator[tuple[CaseFound, ...]]:
+        """Least squares from several starting points of each case."""
+        reductions = self._reductions()
+        for case in cases:
+            fit = partial(self.refined, reductions, told=named(self.progress, case.name))
+            yield self.reported(*least_squares(case, self.study, self.known, self.quick, fit))
+
+    def by_equations(self, cases: Sequence[Case]) -> Iterator[tuple[CaseFound, ...]]:
         """The solution of the linear cross-model equations of FRFs, not refined, as the first case.
 
         Raises
@@ -249,8 +290,8 @@ class CaseFinder:
         InputError
             Where they cannot be posed.
         """
-        started, study = time.perf_counter(), self.study
-        found = linear_starts(self.exact, study.search_space.values)
+        started, study, exact = time.perf_counter(), self.study, self.exact
+        found = linear_starts(exact, study.search_space.values)
         if not found:
             raise InputError(
                 "the cross-model equations cannot be posed",
@@ -261,11 +302,11 @@ class CaseFinder:
         steps(1, 1, sum(criteria(self.exact, found[0])))
         seconds = time.perf_counter() - started
         result = CaseResult.fitted(cases[0].name, statistics.values, self.exact.counts, steps.table(), seconds)
-        yield reported(study, result, statistics)
+        yield self.reported(result, statistics)
 
     def refined(
         self,
-        reduction: Reduction | None,
+        reductions: Mapping[str, Reduction],
         starts: Starts,
         refits: int,
         progress: FitProgress = lambda start, fits, misfit: None,
@@ -280,28 +321,43 @@ class CaseFinder:
         tells after every start whether the others may be left out.
         """
         study, counts = self.study, counts or Counts()
-        exact = posed(study, self.ledger, counts=counts)
-        near = None if reduction is None else posed(study, self.ledger, reduction.problem, counts)
+        exact = fit_problem(study, self.ledger, counts=counts)
+        reduced: dict[str, ForwardProblem] = {test: one.problem for test, one in reductions.items()}
+        near = fit_problem(study, self.ledger, reduced, counts) if reduced else None
         common = self._in_common(exact if near is None else near, refits, told) if shared else None
         return refined(exact, near, Terms.of(study), starts, refits, progress, self.known, common, told, enough)
 
-    def _in_common(self, problem: Problem[Pair], refits: int, told: Progress) -> Shared:
+    def _in_common(self, problem: FitProblem, refits: int, told: Progress) -> Shared:
         """Fits from the starting points that all cases share, run once per basis."""
-        key = problem.pair.problem.fingerprint
+        parts = problem.parts.values() if isinstance(problem, JointProblem) else (problem,)
+        key = " ".join(part.pair.problem.fingerprint for part in parts)
         if key not in self._shared:
             nominal = ended(problem, [self.study.search_space.values], refits, told)
             self._shared[key] = Shared(nominal, known=ended(problem, self.known, refits, told))
         return self._shared[key]
 
-    def _searched(self, objective: Objective, search: CaseResult, statistics: FitStatistics) -> CaseFound:
+    def _searched(self, objective: Objective, search: CaseResult, statistics: FitStatistics) -> tuple[CaseFound, ...]:
         """A case that a search began, with both criteria at its end, at full order."""
-        problem = self.study.problem
-        if problem.user_function is not None:
+        if (only := self._only) is None:
+            full = objective(answered(Responses.of(self.study).at, search.values))
+            return self.reported(search, statistics, search, (full, *criteria(self.exact, search.values)))
+        problem, exact = only.problem, self.exact
+        if problem.user_function is not None and not only.in_memory:
             key = key_of(search.values)
-            confirm(self.study, self.ledger, self.ledger.lookup(problem.ledger_key, [key])[key])
-        known = self.exact.pair.told_by_responses
+            confirm(only, self.ledger, self.ledger.lookup(problem.ledger_key, [key])[key])
+        known = not isinstance(exact, JointProblem) and exact.pair.told_by_responses
         full = objective(search.responses if known else answered(problem.evaluate, search.values))
-        return reported(self.study, search, statistics, search, (full, *criteria(self.exact, search.values)))
+        return self.reported(search, statistics, search, (full, *criteria(exact, search.values)))
+
+    def reported(
+        self,
+        result: CaseResult,
+        statistics: FitStatistics,
+        search: CaseResult | None = None,
+        before: tuple[float, float, float] = (math.nan, math.nan, math.nan),
+    ) -> tuple[CaseFound, ...]:
+        """A case at its final values, for every test; see `reported`."""
+        return tuple(reported(one, result, statistics, search, before) for one in self.study.studies)
 
 
 def reported(
@@ -315,9 +371,10 @@ def reported(
 
     ``before`` holds the objective and the sums of squares of data and priors at the end of a search.
     """
-    values = {name: value for name, value in statistics.values.items() if name in study.problem.space}
+    values = own_values(study, statistics.values)
     responses = answered(study.problem.evaluate, values)
-    final = replace(result, values=statistics.values, misfit=objective_of(study)(responses), responses=responses)
+    objective = objective_for(study.problem, study.settings.calibration)
+    final = replace(result, values=statistics.values, misfit=objective(responses), responses=responses)
     points = [] if search is None else [(final.name, SEARCH, *before)]
     if statistics.fit is not None:
         points.append((final.name, FITTED, final.misfit, statistics.misfit, statistics.prior_misfit))
@@ -326,7 +383,9 @@ def reported(
     return CaseFound(final, search, statistics, comparison_at(study, values), table)
 
 
-def reduction_noted(study: Study, home: Results, notes: list[str], progress: Progress = unheard) -> Reduction | None:
+def reduction_noted(
+    study: Study, home: Results | None, notes: list[str], progress: Progress = unheard
+) -> Reduction | None:
     """The reduced basis of a study's search; None where it misses its tolerance, which is added to the notes."""
     try:
         return reduction_of(study, home, progress)

@@ -20,7 +20,6 @@ from calib.inference.rules import RULES
 from calib.problem.problem import Counts
 from calib.problem.sampling import sample
 from calib.study.several import AnyStudy
-from calib.study.study_file import StudyFile
 
 Starts: TypeAlias = Sequence[Mapping[str, float]]
 Fit: TypeAlias = Callable[[Starts, int, FitProgress, Counts], FitStatistics]
@@ -81,10 +80,12 @@ class Steps:
 
 
 @contextmanager
-def evaluable(study: StudyFile) -> Iterator[None]:
-    """Turn the failure of every point of a case into an InputError with a remedy."""
+def evaluable(study: AnyStudy) -> Iterator[None]:
+    """Turn the failure of every point of a case into an InputError with a remedy; not of a study in memory."""
     try:
         yield
     except EvaluationError as fault:
+        if study.in_memory:
+            raise
         remedy = "check the model over the search limits"
         raise InputError(str(fault), place=study.file, remedy=remedy, at=fault.at) from as_cause(fault)

@@ -27,7 +27,7 @@ from calib.correlation.rules import RULES
 from calib.correlation.units import frequency_hint, response_hints
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.outcome import answered, as_cause
-from calib.experiment import ForwardProblem
+from calib.experiment.test import ForwardProblem
 from calib.measurement.check import SensorFinding
 from calib.measurement.modal import MeasuredModes
 from calib.results.answer import Answer
@@ -240,12 +240,20 @@ def _scalar_answer(
     )
 
 
-def compare(study: Study, results: Results) -> ComparisonResult:
-    """Compare the model at its nominal values with the measurement; writes the ``*_before`` tables."""
+def nominal_comparison(study: Study) -> ComparisonResult:
+    """Compare the model at its nominal values with the measurement.
+
+    Raises
+    ------
+    InputError
+        Where it cannot be evaluated there; of a study in memory the EvaluationError itself.
+    """
     nominal = study.model.space.values
     try:
-        answer = comparison_at(study, nominal)
+        return comparison_at(study, nominal)
     except EvaluationError as fault:
+        if study.in_memory:
+            raise
         again = traced(study.problem, nominal, fault)
         check = "check parameter values, supports and mode_count"
         raise InputError(
@@ -254,6 +262,11 @@ def compare(study: Study, results: Results) -> ComparisonResult:
             remedy=check if again.at is None else "correct the function that fails",
             at=again.at,
         ) from as_cause(again)
+
+
+def compare(study: Study, results: Results) -> ComparisonResult:
+    """Compare the model at its nominal values with the measurement; writes the ``*_before`` tables."""
+    answer = nominal_comparison(study)
     begin_analysis(results, "compare")
     write_comparison(results, answer, "before")
     sensor_findings = [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import pandas as pd
@@ -72,12 +71,10 @@ def every_response(study: Study, before: Mapping[str, float], after: Mapping[str
     EvaluationError
         When the model cannot be evaluated at either point.
     """
-    given: Any = study.responses
-    problem: Any = study.problem
-    targets = given.targets
-    whole = replace(problem, targets=targets)
+    experiment: Any = study.experiment
+    whole, targets = experiment.every_response(study.problem), experiment.measured.targets
     measured = pd.Series({name: value for name, (value, _) in targets.items()})
-    table = pd.DataFrame({"held_out": measured.index.isin(study.settings.held_out.responses), "measured": measured})
+    table = pd.DataFrame({"held_out": measured.index.isin(experiment.held_out), "measured": measured})
     for stage, values in {"before": before, "after": after}.items():
         table[stage] = pd.Series(answered(whole.evaluate, values))
     for stage in ("before", "after"):

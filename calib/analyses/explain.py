@@ -66,18 +66,7 @@ def explain(
         When there are too few measured data.
     """
     tests = study.studies
-    require_usable([(one.model, one.candidates) for one in tests], str(study.file))
-    if any(one.measured is not None for one in tests):
-        require_modes(sum(one.problem.n_measured for one in tests))
-    started, mesh_sd = time.perf_counter(), study.settings.explain.mesh_sd
-    adapter = adapter_for(study, results, progress, homes)
-    answer = explain_tests(adapter, study.settings.explain, study.file, started, mesh_words(mesh_sd), progress)
-    taken = dict.fromkeys(note for one in tests for note in uncertain_note(one))
-    figures = answer.figures if mesh_sd is None else answer.figures | {"mesh_sd": mesh_sd}
-    fits = explained_fits(study, answer.explanation, answer.richer)
-    answer = replace(
-        answer, tables=answer.tables | {TABLE: fits}, notes=(*answer.notes, *taken), figures=figures
-    )  # fmt: skip
+    adapter, answer = explanation_of(study, progress, {one.test: homes.get(one.test, results) for one in tests})
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
     of_all = {name: table for name, table in answer.tables.items() if TEST not in table or name in (BY_TEST, BETWEEN)}
     parts, whole = by_test(adapter, answer), replace(answer, tables=of_all)
@@ -88,8 +77,36 @@ def explain(
     return answer
 
 
-def adapter_for(study: AnyStudy, results: Results, progress: Progress, homes: Mapping[str, Results]) -> Adapter:
+def explanation_of(
+    study: AnyStudy, progress: Progress = unheard, homes: Mapping[str, Results] = MappingProxyType({})
+) -> tuple[Adapter, ExplanationResult]:
+    """The same without writing anything, with the adapter that it rests on; a study in memory has no ``homes``."""
+    tests = study.studies
+    require_usable([(one.model, one.candidates) for one in tests], str(study.file))
+    if any(one.measured is not None for one in tests):
+        require_modes(sum(one.problem.n_measured for one in tests))
+    started, mesh_sd = time.perf_counter(), study.settings.explain.mesh_sd
+    adapter = adapter_for(study, None, progress, homes)
+    answer = explain_tests(adapter, study.settings.explain, study.file, started, mesh_words(mesh_sd), progress)
+    taken = dict.fromkeys(note for one in tests for note in uncertain_note(one))
+    figures = answer.figures if mesh_sd is None else answer.figures | {"mesh_sd": mesh_sd}
+    fits = explained_fits(study, answer.explanation, answer.richer)
+    tables, notes = answer.tables | {TABLE: fits}, (*answer.notes, *taken)
+    return adapter, replace(answer, tables=tables, notes=notes, figures=figures)
+
+
+def adapter_for(study: AnyStudy, results: Results | None, progress: Progress, homes: Mapping[str, Results]) -> Adapter:
     """All tests of a study, with stated errors of its models; arguments as in `explain`."""
+    return together(adapters_for(study, results, progress, homes))
+
+
+def adapters_for(
+    study: AnyStudy,
+    results: Results | None = None,
+    progress: Progress = unheard,
+    homes: Mapping[str, Results] = MappingProxyType({}),
+) -> dict[str, Adapter]:
+    """The same test by test."""
     local, mesh_sd = perturbations_of(study), study.settings.explain.mesh_sd
     adapters = {
         s.test: adapter_of(with_uncertain(s), homes.get(s.test, results), progress, local[s.test], study.held_sd)
@@ -97,8 +114,8 @@ def adapter_for(study: AnyStudy, results: Results, progress: Progress, homes: Ma
     }
     if mesh_sd is not None:
         progress("error of the mesh")
-        adapters = {s.test: _with_mesh(adapters[s.test], s, mesh_sd) for s in study.studies}
-    return together(adapters)
+        adapters |= {s.test: _with_mesh(adapters[s.test], s, mesh_sd) for s in study.studies if s.states_mesh}
+    return adapters
 
 
 def _with_mesh(adapter: Adapter, study: Study, sd: float) -> Adapter:

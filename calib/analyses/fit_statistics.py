@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TypeAlias
+from types import MappingProxyType
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ import pandas as pd
 from calib.analyses.uncertainty import assumed_words, in_one
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import Progress, unheard
-from calib.experiment import ForwardProblem
+from calib.experiment.test import ForwardProblem
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import CaseResult
 from calib.inference.gauss_newton import FitResult, Prior
@@ -32,29 +33,37 @@ from calib.missing.rules import RULES as MISSING
 from calib.missing.suspect import suspects_table
 from calib.problem.degrees_of_freedom import effective_dof
 from calib.problem.joint import JointProblem
-from calib.problem.problem import Counts, Pair, Problem
+from calib.problem.problem import Counts, Problem
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
 from calib.study.several import AnyStudy
-from calib.study.study import Study
 
 FitProgress = Callable[[int, int, float], None]
 Profiles: TypeAlias = Mapping[str, tuple[np.ndarray, np.ndarray]]
-PosedProblem: TypeAlias = Problem[Pair] | JointProblem
+FitProblem: TypeAlias = Problem[Any] | JointProblem
 
 LEAST_SQUARES = "least squares"
 """Name of the stage of a fit."""
 
 
-def posed(
-    study: Study, ledger: Ledger, problem: ForwardProblem | None = None, counts: Counts | None = None
-) -> Problem[Pair]:
-    """The fit problem of a study: its measurement against its model, every solved point in the ledger.
+def fit_problem(
+    study: AnyStudy,
+    ledger: Ledger,
+    instead: Mapping[str, ForwardProblem] = MappingProxyType({}),
+    counts: Counts | None = None,
+) -> FitProblem:
+    """The fit problem of a study: its measurements against its models, every solved point in the ledger.
 
-    ``problem`` replaces the study's own, for example a reduced one; ``counts`` counts every requested point.
+    ``instead`` holds problems that replace the study's own, for example reduced ones, by name of the test; ``counts``
+    counts every requested point.
     """
-    pair = study.pair if problem is None else study.tested.pair(problem)
-    return Problem(pair, study.search_space.without(study.condition), ledger, counts=counts or Counts())
+    counts, several = counts or Counts(), len(study.studies) > 1
+    parts = {}
+    for one in study.studies:
+        pair = one.experiment.residual(instead.get(one.test, one.problem))
+        space = one.search_space.without(one.condition) if several else one.search_space
+        parts[one.test] = Problem(pair, space, ledger, counts=counts)
+    return JointProblem(parts) if several else next(iter(parts.values()))
 
 
 @dataclass(frozen=True)
@@ -214,7 +223,7 @@ class FitStatistics:
         )
 
 
-def criteria(problem: PosedProblem, values: Mapping[str, float]) -> tuple[float, float]:
+def criteria(problem: FitProblem, values: Mapping[str, float]) -> tuple[float, float]:
     """Sums of squares of data and priors at given values; infinite where the model cannot be evaluated."""
     names = [p.name for p in problem.space.free if not p.integer]
     try:
@@ -242,7 +251,7 @@ class Shared:
 
 
 def ended(
-    problem: PosedProblem, starts: Sequence[Mapping[str, float]], refits: int, told: Progress = unheard
+    problem: FitProblem, starts: Sequence[Mapping[str, float]], refits: int, told: Progress = unheard
 ) -> MixedResult | None:
     """Best least-squares fit from some starts; None without one, or where none can be evaluated or is feasible."""
     with suppress(EvaluationError, InfeasibleError):
@@ -252,7 +261,7 @@ def ended(
 
 
 def fitted(
-    problem: PosedProblem,
+    problem: FitProblem,
     terms: Terms,
     starts: Sequence[Mapping[str, float]],
     refits: int,
@@ -288,8 +297,8 @@ def fitted(
 
 
 def refined(
-    exact: PosedProblem,
-    near: PosedProblem | None,
+    exact: FitProblem,
+    near: FitProblem | None,
     terms: Terms,
     starts: Sequence[Mapping[str, float]],
     refits: int,
@@ -311,13 +320,13 @@ def refined(
     return fitted(exact, terms, [begin], 1, before=found, told=told, stage=f"{LEAST_SQUARES} at full order")
 
 
-def statistics_at(problem: PosedProblem, terms: Terms, values: Mapping[str, float]) -> FitStatistics:
+def statistics_at(problem: FitProblem, terms: Terms, values: Mapping[str, float]) -> FitStatistics:
     """Fit statistics at given values, without a fit."""
     return _statistics(problem, terms, dict(values), None, {}, True)
 
 
 def _statistics(
-    problem: PosedProblem,
+    problem: FitProblem,
     terms: Terms,
     values: dict[str, float],
     fit: FitResult | None,

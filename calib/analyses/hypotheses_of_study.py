@@ -17,9 +17,7 @@ from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.errors.errors import ToleranceError
 from calib.execution.stage import Progress, unheard
-from calib.experiment.frfs import TestedFRFs
-from calib.experiment.modes import TestedModes
-from calib.experiment.responses import TestedResponses
+from calib.experiment import FRFTest, ModalTest, ResponseTest
 from calib.hypotheses.function_perturbations import model_hypotheses
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.library import effects_basis, local_perturbations
@@ -38,7 +36,7 @@ Local = tuple[Perturbation, ...]
 
 
 def adapter_of(
-    study: Study, home: Results, progress: Progress, local: Local, held_sd: Mapping[str, float] | None = None
+    study: Study, home: Results | None, progress: Progress, local: Local, held_sd: Mapping[str, float] | None = None
 ) -> Adapter:
     """The adapter of a study's test.
 
@@ -47,11 +45,11 @@ def adapter_of(
     """
     facts = facts_of(study)
     facts = facts if held_sd is None else replace(facts, held_sd=held_sd)
-    return _OF_TEST[type(study.tested)](study, home, progress, local, facts)
+    return _OF_TEST[type(study.experiment)](study, home, progress, local, facts)
 
 
 def _of_responses(
-    study: Study, home: Results, progress: Progress, local: Local, facts: MeasurementFacts
+    study: Study, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts
 ) -> ScalarAdapter:
     pair: Any = study.pair
     space = study.search_space.without(study.condition)
@@ -59,7 +57,9 @@ def _of_responses(
     return ScalarAdapter(found, own, facts, study.unseen)
 
 
-def _of_frfs(study: Study, home: Results, progress: Progress, local: Local, facts: MeasurementFacts) -> FRFAdapter:
+def _of_frfs(
+    study: Study, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts
+) -> FRFAdapter:
     pair: Any = study.pair
     basis, space = basis_of(study, home, local, progress), study.search_space.without(study.condition)
     return FRFAdapter.of(
@@ -68,15 +68,17 @@ def _of_frfs(study: Study, home: Results, progress: Progress, local: Local, fact
     )  # fmt: skip
 
 
-def _of_modes(study: Study, home: Results, progress: Progress, local: Local, facts: MeasurementFacts) -> ModalAdapter:
+def _of_modes(
+    study: Study, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts
+) -> ModalAdapter:
     found, own = modal_hypotheses(study, home, progress, local)
     return ModalAdapter(found, own, facts, study.whole_problem(), study.finer_model, reduced=worthwhile(study))
 
 
 _OF_TEST: Mapping[type, Callable[..., Adapter]] = {
-    TestedResponses: _of_responses,
-    TestedFRFs: _of_frfs,
-    TestedModes: _of_modes,
+    ResponseTest: _of_responses,
+    FRFTest: _of_frfs,
+    ModalTest: _of_modes,
 }
 
 
@@ -88,11 +90,11 @@ def perturbations_of(study: AnyStudy) -> dict[str, Local]:
     groups: dict[str, list[Study]] = {}
     for one in study.studies:
         if isinstance(one.model, StructuralModel):
-            groups.setdefault(repr((one.settings.model, one.settings.model_options)), []).append(one)
+            groups.setdefault(one.model_key, []).append(one)
     out: dict[str, Local] = {one.test: () for one in study.studies}
     for group in groups.values():
-        first, used = group[0], [data for one in group for data in one.tested.sensed]
-        of = first.test if len(groups) > 1 else ""
+        first, used = group[0], [data for one in group for data in one.experiment.sensed]
+        of = first.model_label if len(groups) > 1 else ""
         found = local_perturbations(first.model, used, first.search_space.values, of)
         out |= {one.test: found for one in group}
     return out
@@ -100,7 +102,7 @@ def perturbations_of(study: AnyStudy) -> dict[str, Local]:
 
 def modal_hypotheses(
     study: Study,
-    results: Results,
+    results: Results | None,
     progress: Progress = unheard,
     local: tuple[Perturbation, ...] | None = None,
 ) -> tuple[ModelHypotheses[ModalResidual], tuple[Perturbation, ...]]:
@@ -121,13 +123,14 @@ def modal_hypotheses(
 
 def faults_of(study: Study) -> tuple[ModalFault, ...]:
     """Faults that the measured modes of a study may have."""
-    problem, set_ups = study.problem, study.settings.measurement.set_ups
+    problem, experiment = study.problem, study.experiment
+    assert isinstance(experiment, ModalTest)
     assert isinstance(problem, ModalProblem)
-    return modal_faults(problem.model, problem.measured, set_ups, study.test)
+    return modal_faults(problem.model, problem.measured, experiment.set_ups, study.test)
 
 
 def basis_of(
-    study: Study, results: Results, local: Sequence[Perturbation], progress: Progress = unheard
+    study: Study, results: Results | None, local: Sequence[Perturbation], progress: Progress = unheard
 ) -> Basis | None:
     """A basis for a study with its effects and local perturbations.
 
@@ -148,7 +151,8 @@ def basis_of(
     space, wanted = study.search_space, BasisRequirements.of(problem, settings.tolerance, settings.seed)
     with training(study), contextlib.suppress(ToleranceError):
         return effects_basis(
-            model, space, study.candidates, local, wanted, results.path, search_basis, progress
+            model, space, study.candidates, local, wanted, None if results is None else results.path, search_basis,
+            progress,
         )  # fmt: skip
     return None
 

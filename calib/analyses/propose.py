@@ -114,6 +114,14 @@ class ProposalStart:
     attempt: Mapping[str, float] = field(default_factory=dict)
     beside: tuple[str, ...] = ()
 
+    @classmethod
+    def of(cls, found: Explanation) -> ProposalStart:
+        """What an explanation found, with the fits of its best attempt."""
+        explained = cls(found.verdict, (), found.noise_scale, found.base.fit.values)
+        if found.verdict == "partial" and found.chosen is not None:
+            explained = replace(explained, attempt=found.chosen.fit.values, beside=found.chosen.names)
+        return explained
+
 
 def propose(
     study: AnyStudy,
@@ -143,7 +151,7 @@ def propose(
     """
     explained = _explained(study, results)
     tests = study.studies
-    models = {repr((one.settings.model, one.settings.model_options)) for one in tests}
+    models = {one.model_key for one in tests}
     if len(models) > 1:
         raise InputError(
             "its tests have several models, of each of which other effects would be composed", place=study.file,
@@ -156,14 +164,26 @@ def propose(
         found = ProposalResult(None, not_sought(explained.verdict, explained.named, remedy))
         return _kept(study, results, found, count)
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
-    adapter = adapter_for(study, results, progress, homes)
-    measured = [data for one in tests for data in one.tested.sensed]
-    taken = [name for effect in study.library for one in effect.family for name in one.names]
-    model = tests[0].model
-    found = composed(adapter, model, measured, taken, study.settings.explain, explained, count, progress)
+    found = compose_for(study, results, explained, count, progress, homes)
     if found.proposals is not None and found.proposals.ranked and not found.proposals.measurement:
         found = _written(study, results, found)
     return _kept(study, results, found, count)
+
+
+def compose_for(
+    study: AnyStudy,
+    results: Results | None,
+    explained: ProposalStart,
+    count: int = RANKED,
+    progress: Progress = unheard,
+    homes: Mapping[str, Results] = MappingProxyType({}),
+) -> ProposalResult:
+    """The same without writing anything; arguments as in `propose`, a study in memory has no ``results``."""
+    adapter = adapter_for(study, results, progress, homes)
+    measured = [data for one in study.studies for data in one.experiment.sensed]
+    taken = [name for effect in study.library for one in effect.family for name in one.names]
+    model = study.studies[0].model
+    return composed(adapter, model, measured, taken, study.settings.explain, explained, count, progress)
 
 
 def composed(

@@ -49,8 +49,8 @@ class Reduction(ABC):
         What the basis represents.
     basis : Basis
         Frozen.
-    path : Path
-        File of the basis, for worker processes.
+    path : Path or None
+        File of the basis, for worker processes; None for a study in memory.
     """
 
     full: Any
@@ -58,10 +58,10 @@ class Reduction(ABC):
     whole: StructuralModel
     target: Target
     basis: Basis
-    path: Path
+    path: Path | None
 
     @staticmethod
-    def on(problem: Reducible, target: Target, basis: Basis, path: Path) -> Reduction:
+    def on(problem: Reducible, target: Target, basis: Basis, path: Path | None) -> Reduction:
         """The reduction of a problem to a basis in a file, of the kind of the problem."""
         whole = problem.reducible
         assert whole is not None
@@ -89,13 +89,14 @@ class Reduction(ABC):
     def misses_at(self, values: Mapping[str, float]) -> bool:
         """Whether reduced and full responses at a point differ by more than the tolerance."""
 
-    def after_case(self, values: Mapping[str, float], home: Results) -> Reduction:
+    def after_case(self, values: Mapping[str, float], home: Results | None) -> Reduction:
         """The same reduction, or one with an enriched basis when this one misses its tolerance at a case's optimum."""
         if not self.misses_at(values):
             return self
         basis = enrich_basis(self.whole, self.basis, [values], self.target)
-        path = _file(home, basis.version)
-        basis.save(path)
+        path = None if home is None else _file(home, basis.version)
+        if path is not None:
+            basis.save(path)
         return Reduction.on(self.full, self.target, basis, path)
 
 
@@ -167,8 +168,10 @@ class FRFReduction(Reduction):
 _OF_PROBLEM: Mapping[type, type[Reduction]] = {ModalProblem: ModalReduction, FRFProblem: FRFReduction}
 
 
-def reduction_of(study: Study, home: Results, progress: Progress = unheard) -> Reduction | None:
+def reduction_of(study: Study, home: Results | None, progress: Progress = unheard) -> Reduction | None:
     """The basis of a study's search, kept or trained; None where full order is fast enough.
+
+    A study in memory has no ``home``; its basis is kept in the cache alone.
 
     Raises
     ------
@@ -181,15 +184,17 @@ def reduction_of(study: Study, home: Results, progress: Progress = unheard) -> R
     model, settings = study.problem.reducible, study.settings.reduction
     if model is None or not worthwhile(study):
         return None
-    path = _file(home, 1)
+    path = None if home is None else _file(home, 1)
     wanted = BasisRequirements.of(problem, settings.tolerance, settings.seed)
     key = wanted.key(model, study.search_space)
-    _raise_known(home, key)
+    if home is not None:
+        _raise_known(home, key)
     with training(study):
         try:
             basis = kept_basis(path, key, lambda: wanted.trained(model, study.search_space, progress))
         except ToleranceError as fault:
-            home.write_json(_UNREACHED, {"asked": key, "problem": fault.problem})
+            if home is not None:
+                home.write_json(_UNREACHED, {"asked": key, "problem": fault.problem})
             raise
     return Reduction.on(problem, wanted.target, basis, path)
 
@@ -227,7 +232,7 @@ def worthwhile(study: Study) -> bool:
     return study.settings.reduction.use and model is not None and is_large(model)
 
 
-def fingerprints(study: Study, home: Results) -> tuple[str, ...]:
+def fingerprints(study: Study, home: Results | None) -> tuple[str, ...]:
     """Fingerprints under which a ledger stores valid points of a study.
 
     For responses its own, and those of its reduced problems on the stored bases; for a function of modes also those of
@@ -235,7 +240,7 @@ def fingerprints(study: Study, home: Results) -> tuple[str, ...]:
     """
     problem: Any = study.problem
     own, model = [study.problem.fingerprint], study.problem.reducible
-    if model is not None:
+    if model is not None and home is not None:
         kept = [_loaded(path) for path in sorted(home.path.glob(_file(home, "*").name))]
         fitting = [b for b in kept if b is not None and b.model_fingerprint == model.fingerprint]
         own += [problem.reduced(basis).fingerprint for basis in fitting]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,6 +14,7 @@ import pandas as pd
 
 from calib.analyses.answers import of_screening, of_sensitivity
 from calib.analyses.failures import reasons, reasons_sentence
+from calib.analyses.joint_responses import Responses
 from calib.analyses.provenance.places import (
     QUICK_BASE,
     QUICK_SAMPLES,
@@ -25,7 +27,8 @@ from calib.analyses.provenance.record import analyses_of, begin_analysis, write_
 from calib.analyses.provenance.recorded import recorded
 from calib.analyses.provenance.state import changed, made_from
 from calib.analyses.provenance.stored import confirmed
-from calib.errors.errors import InputError
+from calib.errors.errors import EvaluationError, InputError
+from calib.execution.evaluate import BatchEvaluator
 from calib.execution.outcome import Outcome
 from calib.execution.stage import Progress, unheard
 from calib.problem.sampling import Sample, sample
@@ -38,6 +41,7 @@ from calib.results.written import is_own
 from calib.sensitivity.selection import Assessment, assess
 from calib.sensitivity.spearman import noise_floor
 from calib.sensitivity.variance import Design, morris_design, morris_effects, sobol_design, sobol_shares
+from calib.study.several import AnyStudy
 from calib.study.study import Study
 from calib.study.study_file import shell_argument
 
@@ -112,14 +116,8 @@ def sensitivity(
     quick: bool = False,
     progress: Progress = unheard,
 ) -> Sensitivity:
-    """Sample all free parameters by a constrained Latin hypercube; rank correlations, variance shares, selection."""
-    settings = study.settings.sensitivity
-    space = study.sensitivity_space
-    count = min(settings.samples, QUICK_SAMPLES) if quick else settings.samples
-    drawn = sample(space, count, settings.seed)
-    outcomes = _evaluate(study, ledger, [space.complete(x) for x in drawn.points], workers, progress)
-    forced = study.settings.listed
-    answer = measured(space, drawn, outcomes, {name: name for name in study.problem.sensitivity_responses}, forced)
+    """Assess a study's parameters and write all tables; see `sampled`."""
+    answer = sampled(study, ledger, workers, quick, progress)
     assessment = answer.assessment
     begin_analysis(results, "sensitivity")
     results.write_table("sensitivity", assessment.spearman, index=True)
@@ -127,18 +125,34 @@ def sensitivity(
     results.write_table("variance_share", assessment.variance_share.table, index=True)
     results.write_table("selection", assessment.selection)
     results.write_table("sensitivity_samples", answer.sampled)
-    if space.constraints:
+    if study.sensitivity_space.constraints:
         results.write_table("input_correlation", assessment.input_correlation, index=True)
-    seeds = {"samples": settings.seed}
+    seeds = {"samples": study.settings.sensitivity.seed}
     write_record(study, results, "sensitivity", seeds, answer.sentences, quick, answer=answer.answer)
     return answer
+
+
+def sampled(
+    study: AnyStudy, ledger: Ledger, workers: Workers = None, quick: bool = False, progress: Progress = unheard
+) -> Sensitivity:
+    """Sample all free parameters by a constrained Latin hypercube; rank correlations, variance shares, selection."""
+    settings, space, names = study.settings.sensitivity, _space(study), Responses.of(study).measured
+    count = min(settings.samples, QUICK_SAMPLES) if quick else settings.samples
+    points = sample(space, count, settings.seed)
+    outcomes = _evaluate(study, ledger, [space.complete(x) for x in points.points], workers, progress)
+    return measured(space, points, outcomes, names, study.settings.listed)
+
+
+def _space(study: AnyStudy) -> ParameterSpace:
+    """The parameters that are varied."""
+    return study.search_space if len(study.studies) > 1 else study.studies[0].sensitivity_space
 
 
 def measured(
     space: ParameterSpace,
     drawn: Sample,
     outcomes: Sequence[Outcome],
-    names: Mapping[str, str],
+    names: Sequence[str],
     forced: Sequence[str] | None = None,
 ) -> Sensitivity:
     """Sensitivity measures of a sample; see `Sensitivity` and `calib.sensitivity.selection.assess`.
@@ -149,13 +163,13 @@ def measured(
     drawn : Sample
     outcomes : sequence of Outcome
         Of the sampled points.
-    names : mapping from response to str
-        Responses to assess, with their names in tables.
+    names : sequence of str
+        Responses to assess.
     forced : sequence of str, optional
         Parameters that the user selected.
     """
     x = pd.DataFrame(drawn.points, columns=list(space.free_names))
-    y = table_of(outcomes, list(names)).rename(columns=dict(names))
+    y = table_of(outcomes, names)
     assessment = assess(x, y, forced)
     known, failed = int((~y.isna().any(axis=1)).sum()), sum(o.status != "ok" for o in outcomes)
     floor = noise_floor(max(known, 3), max(int(assessment.spearman.notna().sum().sum()), 1))
@@ -266,55 +280,83 @@ def screen(
     ignore_constraints: bool = False,
     progress: Progress = unheard,
 ) -> Screening:
+    """Morris' elementary effects or Sobol's variance shares; writes their table, see `screened`."""
+    answer = screened(study, ledger, method, workers, quick, ignore_constraints, progress)
+    analysis = f"sensitivity --method {method}"
+    begin_analysis(results, analysis)
+    results.write_table(method, answer.table)
+    options, seed = ["--ignore-constraints"] * ignore_constraints, study.settings.sensitivity.seed
+    write_record(study, results, analysis, {"points": seed}, answer.sentences, quick, options, answer.answer)
+    return answer
+
+
+def screened(
+    study: AnyStudy,
+    ledger: Ledger,
+    method: Literal["morris", "sobol"],
+    workers: Workers = None,
+    quick: bool = False,
+    ignore_constraints: bool = False,
+    progress: Progress = unheard,
+) -> Screening:
     """Morris' elementary effects or Sobol's variance shares, for independent inputs between their limits."""
-    space, seed = study.sensitivity_space, study.settings.sensitivity.seed
+    space, seed = _space(study), study.settings.sensitivity.seed
     design: Design
     if method == "morris":
         design = morris_design(
             space, QUICK_TRAJECTORIES if quick else TRAJECTORIES, seed, ignore_constraints=ignore_constraints
         )
-    else:
+    elif method == "sobol":
         design = sobol_design(space, QUICK_BASE if quick else BASE, seed, ignore_constraints)
+    else:
+        raise InputError(
+            f"there is no method {method!r}", place="sensitivity, method", remedy="it is ranks, morris or sobol"
+        )
     outcomes = _evaluate(study, ledger, [space.complete(x) for x in design.points], workers, progress)
-    responses = table_of(outcomes, study.problem.sensitivity_responses)
+    responses = table_of(outcomes, Responses.of(study).measured)
     table = morris_effects(design, responses) if method == "morris" else sobol_shares(design, responses)
-    analysis = f"sensitivity --method {method}"
-    begin_analysis(results, analysis)
-    results.write_table(method, table)
-    options = ["--ignore-constraints"] * ignore_constraints
-    answer = Screening(method, table, len(design.points), design.note)
-    write_record(study, results, analysis, {"points": seed}, answer.sentences, quick, options, answer.answer)
-    return answer
+    return Screening(method, table, len(design.points), design.note)
 
 
 # -- evaluations -------------------------------------------------------------------------------------------------------
 
 
 def _evaluate(
-    study: Study,
+    study: AnyStudy,
     ledger: Ledger,
     points: Sequence[Mapping[str, float]],
     workers: Workers,
     progress: Progress,
 ) -> list[Outcome]:
     outcomes: list[Outcome] = []
-    seconds = confirmed(study, ledger)
-    with open_evaluator(recorded(study, ledger), workers, len(points), seconds=seconds) as evaluator:
+    responses = Responses.of(study)
+    with _evaluator(study, ledger, responses, workers, len(points)) as evaluator:
         for start in range(0, len(points), _BATCH):
             batch = points[start : start + _BATCH]
-            told = partial(_tell, progress, len(outcomes), len(points))
-            outcomes += ledger.evaluate(study.problem.fingerprint, batch, evaluator, told)
+            step = partial(_report, progress, len(outcomes), len(points))
+            outcomes += ledger.evaluate(responses.fingerprint, batch, evaluator, step)
             progress("sampling", len(outcomes), len(points))
     if all(o.status != "ok" for o in outcomes):
-        raise InputError(
-            reasons_sentence(study.sensitivity_space, reasons(outcomes), len(outcomes)),
-            place=study.file,
-            remedy="check the model over the limits of its parameters",
-        )
+        found = reasons(outcomes)
+        words = reasons_sentence(_space(study), found, len(outcomes))
+        if study.in_memory:
+            raise EvaluationError(f"the model cannot be evaluated within its limits: {words}", at=found[0].first.at)
+        raise InputError(words, place=study.file, remedy="check the model over the limits of its parameters")
     return outcomes
 
 
-def _tell(progress: Progress, before: int, total: int, batch: int) -> None:
+def _evaluator(
+    study: AnyStudy, ledger: Ledger, responses: Responses, workers: Workers, count: int
+) -> AbstractContextManager[BatchEvaluator]:
+    """Evaluator of a sample: of one test in worker processes where that pays, of several in this one."""
+    if len(study.studies) > 1:
+        return responses.evaluator(study, workers)
+    (one,) = study.studies
+    seconds = confirmed(one, ledger)
+    return open_evaluator(recorded(one, ledger), workers, count, seconds=seconds)
+
+
+def _report(progress: Progress, before: int, total: int, batch: int) -> None:
     progress("sampling", before + batch, total)
 
 

@@ -38,8 +38,8 @@ def freed(space: ParameterSpace, parameters: Iterable[Parameter], given: str) ->
 
 def uncertain(study: Study) -> tuple[Parameter, ...]:
     """Unselected parameters to which a share of their value applies: no integers, none of value 0, none held."""
-    held = {*study.search_space.free_names, *study.condition, *study.adopted}
-    return tuple(p for p in study.sensitivity_space.free if p.name not in held and not p.integer and p.value != 0)
+    own = (study.sensitivity_space[name] for name in study.unselected)
+    return tuple(p for p in own if not p.integer and p.value != 0)
 
 
 def uncertain_note(study: Study) -> tuple[str, ...]:
@@ -48,11 +48,7 @@ def uncertain_note(study: Study) -> tuple[str, ...]:
     if given is None:
         return ()
     names = [p.name for p in uncertain(study)]
-    exact = [
-        p.name
-        for p in study.sensitivity_space.free
-        if p.name not in (*study.search_space.free_names, *study.condition, *study.adopted, *names)
-    ]
+    exact = [name for name in study.unselected if name not in names]
     return (uncertain_words(given, names, exact),)
 
 

@@ -45,4 +45,4 @@ def notes_on(claimed: str, assumed: str) -> tuple[str, ...]:
 
 def accuracy_words(study: Study) -> str:
     """The claimed accuracy of a study in words; empty without."""
-    return study.given.claimed
+    return study.experiment.claimed

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from calib.analyses import added
 from calib.analyses import extend as extension
-from calib.analyses.joint_calibration import Fitted
+from calib.analyses.calibration import Fitted
 from calib.analyses.versions import write_versions
 from calib.missing.explanation import Explanation
 

@@ -7,20 +7,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from calib.analyses import compare
+from calib.analyses.compare import ComparisonResult, comparison_at
+from calib.analyses.joint_responses import own_values
+from calib.api.pairs import reporting
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.expansion import By, ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
 from calib.errors.errors import InputError
-from calib.problem.joint import said, stacked
+from calib.problem.joint import of_test, said, stacked
 from calib.results.answer import LABEL
+
+if TYPE_CHECKING:
+    from calib.api.protocols import ProblemLike
 
 
 class Shown(ABC):
-    """A result that prints as its answer in four lines, else as sentences and a table; in a notebook with its table."""
+    """A result that prints as its answer in a few lines and its main table, in a notebook as HTML."""
 
     @property
     @abstractmethod
@@ -30,23 +35,44 @@ class Shown(ABC):
     @property
     @abstractmethod
     def table(self) -> pd.DataFrame:
-        """Table shown below the sentences."""
+        """The main table."""
+
+    @property
+    def display_table(self) -> pd.DataFrame:
+        """The columns of `table` that are printed."""
+        return self.table
 
     @property
     def lines(self) -> Mapping[str, str]:
         """The answer by the labels of its lines, the last of which tells where the rest is; empty without an answer."""
         return {}
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Doubts that must not be missed, printed below the answer."""
+        return ()
+
     def __str__(self) -> str:
-        if self.lines:
-            return "\n".join(f"{label}:".ljust(LABEL) + text for label, text in self.lines.items())
-        words = "\n".join(self.sentences)
-        return f"{words}\n\n{self.table.to_string(index=False, float_format='%.4g')}"
+        words = [f"{label}:".ljust(LABEL) + text for label, text in self.lines.items()] or list(self.sentences)
+        table = self.display_table
+        told = "\n".join([*words, *self.warnings])
+        if not len(table):
+            return told
+        return f"{told}\n\n{table.to_string(index=False, float_format='%.4g', na_rep='')}"
 
     def _repr_html_(self) -> str:
         answer = "".join(f"<p><b>{label}:</b> {escape(text)}</p>" for label, text in self.lines.items())
         words = answer or "".join(f"<p>{escape(sentence)}</p>" for sentence in self.sentences)
-        return words + str(self.table.to_html(index=False, float_format=lambda v: f"{v:.4g}", na_rep=""))
+        words += "".join(f"<p>{escape(sentence)}</p>" for sentence in self.warnings)
+        return words + str(self.display_table.to_html(index=False, float_format=lambda v: f"{v:.4g}", na_rep=""))
+
+
+_MODE_COLUMNS = {
+    "mode": "mode", "model_mode": "model mode", "natural_freq_measured": "measured Hz",
+    "natural_freq_model": "model Hz", "freq_error": "error", "damping_ratio_measured": "damping",
+    "damping_ratio_model": "model damping", "mac": "MAC",
+}  # fmt: skip
+"""Columns of compared modes that are printed, with their heads."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -69,7 +95,7 @@ class Compared(Shown):
         load      50.0   40.0   -0.2          -5.0
     """
 
-    by_test: Mapping[str, compare.ComparisonResult]
+    by_test: Mapping[str, ComparisonResult]
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -81,6 +107,33 @@ class Compared(Shown):
         """One row per measured mode or response, with a column ``test`` where there are several."""
         tables = {name: answer.table for name, answer in self.by_test.items()}
         return stacked(tables) if len(tables) > 1 else next(iter(tables.values()))
+
+    @property
+    def display_table(self) -> pd.DataFrame:
+        """Of modes the frequencies, damping ratios and MAC of each pair, as far as they are known."""
+        table = self.table
+        if "natural_freq_model" not in table:
+            return table
+        kept = [name for name in ("test", *_MODE_COLUMNS) if name in table and table[name].notna().any()]
+        return table[kept].rename(columns=_MODE_COLUMNS)
+
+    @property
+    def lines(self) -> Mapping[str, str]:
+        """The answer by the labels of its lines, of several tests test by test, and where the rest is."""
+        several, out = len(self.by_test) > 1, dict[str, str]()
+        for name, answer in self.by_test.items():
+            for label, text in answer.answer.labelled.items():
+                before = f"{out[label]} " if label in out else ""
+                out[label] = before + (of_test(name, text) if several else text)
+        return {**out, "Evidence": ".sentences, .table; all in .by_test"}
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Doubtful units, pairs and sensors."""
+        return said({
+            name: [*answer.warnings, *(f"Check this sensor: {f.sentence}" for f in answer.sensor_findings)]
+            for name, answer in self.by_test.items()
+        })  # fmt: skip
 
     def orthogonality(self, test: str = "", by: By | None = None) -> Orthogonality:
         """Mass-orthogonality of the measured shapes, to the model's and among themselves.
@@ -143,6 +196,18 @@ class Compared(Shown):
         return f"Compared({', '.join(f'{name}: {len(answer.table)} rows' for name, answer in self.by_test.items())})"
 
 
+def compared(problem: ProblemLike, values: Mapping[str, float] | None) -> Compared:
+    """See `calib.api.problem.Problem.compare`; ``values`` of all parameters, by default the nominal ones."""
+    study = problem.study()
+    with reporting("compare", False):
+        return Compared({
+            one.experiment.name: comparison_at(
+                one, one.model.space.values if values is None else own_values(one, values)
+            )
+            for one in study.studies
+        })  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class AnalysisResult(Shown):
     """Result of a study's analysis: sentences and their main table.
@@ -183,7 +248,7 @@ class AnalysisResult(Shown):
         return f"AnalysisResult({len(self.rows)} rows in {self.folder})"
 
 
-def _remarks(answer: compare.ComparisonResult) -> list[str]:
+def _remarks(answer: ComparisonResult) -> list[str]:
     """Suspicious sensors, and the mean error of scalar responses."""
     out = [finding.sentence for finding in answer.sensor_findings]
     if answer.frfs is not None:

@@ -2,36 +2,29 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Generic, TypeAlias
+from dataclasses import dataclass
+from typing import Any, Generic, TypeAlias
 
 import pandas as pd
 
 from calib.analyses.added import to_add
-from calib.analyses.explain import explain_tests, require_usable
+from calib.analyses.explain import explanation_of
 from calib.analyses.propose import RANKED
-from calib.analyses.provenance.record import check_repeats, disagreements_table
-from calib.analyses.uncertainty import in_words, notes_on
+from calib.api.arguments import explain_settings
 from calib.api.display import Shown
-from calib.api.model_error import EXACT, ModelError, finer_of
-from calib.api.progress import in_python
+from calib.api.finer_mesh import finer_of, require_mesh
+from calib.api.pairs import library_of, reporting
 from calib.api.proposed import Proposed, proposed
-from calib.api.protocols import Effects, Finer, P, PosedProblem
-from calib.errors.arguments import integer, objects
+from calib.api.protocols import Effects, Finer, P
 from calib.errors.errors import InputError
-from calib.experiment.modal import Test, under
-from calib.hypotheses.joint import together
-from calib.hypotheses.library import local_perturbations
 from calib.missing.discrepancy import TABLE as PARAMETERS
-from calib.missing.facts import MeasurementFacts
 from calib.missing.findings import ExplanationResult
 from calib.missing.predictions import TABLE as PREDICTIONS
-from calib.missing.test import Adapter
 from calib.problem.effect import Effect
+from calib.structure.model import StructuralModel
 from calib.study.loading import require_distinct
-from calib.study.settings import ExplainSettings
+from calib.study.settings import StudySettings
 
 Library: TypeAlias = Mapping[str, tuple[Effect, ...]]
 """Effects by the name of the model that may lack them."""
@@ -49,10 +42,10 @@ class Explained(Shown, Generic[P]):
         The tested effects, by the name of the model that may lack them.
     explanation : ExplanationResult
         All results, with their tables.
-    seed : int
-        Of its random numbers.
-    error : ModelError
-        Stated errors of the models.
+    settings : StudySettings
+        With those of its analysis.
+    finer : mapping from str to StructuralModel
+        Models on a finer mesh, by the name of the model.
 
     Examples
     --------
@@ -74,8 +67,8 @@ class Explained(Shown, Generic[P]):
     problem: P
     effects: Library
     explanation: ExplanationResult
-    seed: int = 1
-    error: ModelError = EXACT
+    settings: StudySettings
+    finer: Mapping[str, StructuralModel]
 
     @property
     def verdict(self) -> str:
@@ -101,6 +94,11 @@ class Explained(Shown, Generic[P]):
         wider = [name for name in ("intervals", "predictions") if len(getattr(self, name))]
         rest = ", ".join([f".sentences{notes}", ".table", ".errors", *(f".{name}" for name in wider)])
         return {**self.explanation.answer.labelled, "Evidence": f"{rest}; all in .explanation"}
+
+    @property
+    def display_table(self) -> pd.DataFrame:
+        """Empty: the answer names what counts."""
+        return pd.DataFrame()
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -157,66 +155,29 @@ class Explained(Shown, Generic[P]):
         InputError
             For a problem of several models.
         """
-        adapter = together(_adapters(self.problem, self.effects, self.seed, self.error))
-        family = [one for own in self.effects.values() for effect in own for one in effect.family]
-        taken = [name for one in family for name in one.names]
-        return proposed(self.problem, adapter, self.explanation.explanation, taken, rank, progress)
+        study = self.problem.study(self.settings, self.effects, self.finer)
+        return proposed(study, self.explanation.explanation, rank, progress)
 
     def __repr__(self) -> str:
         return f"Explained({self.verdict}{''.join(f', {e.name}' for e in self.named)})"
 
 
 def explained(
-    problem: P, effects: Effects, seed: int, progress: bool, fixed_sd: str | None, finer: Finer, mesh_sd: float | None
+    problem: P,
+    effects: Effects,
+    keys: Mapping[str, Any],
+    finer: Finer,
+    reduction: bool | Mapping[str, Any] | None,
+    progress: bool,
 ) -> Explained[P]:
     """See `calib.api.problem.Problem.explain`."""
-    library, seed = library_of(problem, effects), integer(seed, 0, "seed")
-    known = [(model, library.get(model.name, ())) for model, _ in problem.by_model]
-    for model, own in known:
-        require_distinct(own, model, "effects")
-    require_usable(known, "effects")
-    models = [model for model, _ in known]
-    error = ModelError(fixed_sd, finer_of(models, finer), mesh_sd)
-    started = time.perf_counter()
-    with in_python("explain", progress) as told:
-        adapter = together(_adapters(problem, library, seed, error))
-        settings = ExplainSettings().model_copy(update={"seed": seed})
-        answer = explain_tests(adapter, settings, "explain", started, error.supposed, told)
-        notes = (*answer.notes, *error.notes(models, problem.unselected))
-        return Explained(problem, library, replace(answer, notes=notes), seed, error)
-
-
-def library_of(problem: PosedProblem, effects: Effects) -> Library:
-    """Effects by the name of the model; a plain sequence is for the first. InputError for an unknown model."""
-    known = [model.name for model, _ in problem.by_model]
-    if not isinstance(effects, Mapping):
-        return {known[0]: objects(effects, Effect, "effects")}
-    for name in effects:
-        if name not in known:
-            raise InputError(
-                f"no model is named {name!r}", place="effects", remedy=f"the models are {', '.join(known)}"
-            )
-    return {name: objects(own, Effect, f"effects of {name}") for name, own in effects.items()}
-
-
-def _adapters(problem: PosedProblem, effects: Library, seed: int, error: ModelError = EXACT) -> dict[str, Adapter]:
-    """Adapters by name of the test; all tests of one model share its local perturbations."""
-    groups = problem.by_model
-    out: dict[str, Adapter] = {}
-    for given, tests in groups:
-        model = error.of(given, problem.unselected)
-        own, several = effects.get(model.name, ()), len(tests) > 1 or len(groups) > 1
-        measured = [data for test in tests for data in test.sensed]
-        local = local_perturbations(model, measured, model.space.values, model.name if len(groups) > 1 else "")
-        for test in tests:
-            held, facts = under(model, test.name, test.condition), _facts(test, seed)
-            adapter = test.adapter(held, own, local, facts, test.name if several else "")
-            out[test.name] = error.within(adapter, model, test, several)
-    return out
-
-
-def _facts(test: Test, seed: int) -> MeasurementFacts:
-    assumed, claimed = in_words(test.assumed), test.claimed
-    notes = (*notes_on(claimed, assumed), *check_repeats(test))
-    table = disagreements_table(test)
-    return MeasurementFacts(assumed, claimed, notes, table, {}, seed, ExplainSettings().samples)
+    library, models = library_of(problem, effects), [model for model, _ in problem.by_model]
+    for model in models:
+        require_distinct(library.get(model.name, ()), model, "effects")
+    settings = explain_settings(problem.settings, keys, reduction)
+    meshes = finer_of(models, finer) or dict(getattr(problem, "finer", {}))
+    require_mesh(settings.explain, meshes, problem.pairs)
+    study = problem.study(settings, library, meshes)
+    with reporting("explain", progress) as step:
+        _, answer = explanation_of(study, step)
+    return Explained(problem, library, answer, settings, meshes)

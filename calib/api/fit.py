@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic
+from typing import TYPE_CHECKING, Any, Generic, Unpack
 
-from calib.analyses.fit_statistics import FitStatistics
+from calib.analyses.calibrate import CalibrationRun
+from calib.analyses.calibrate import calibrated as run_calibration
+from calib.analyses.calibration import Calibration, Fitted
+from calib.analyses.fit_statistics import FitStatistics, Terms, fit_problem, statistics_at
+from calib.analyses.joint_responses import own_values
+from calib.analyses.provenance.places import tasks_shared
+from calib.api.arguments import ExplainKeys, calibration_settings
 from calib.api.display import Compared, Shown
-from calib.api.explained import Explained, explained
-from calib.api.page import draw, write_pages
+from calib.api.pairs import kept_in, reporting
 from calib.api.protocols import Effects, Finer, P
-from calib.api.responses import own
 from calib.api.search import Searched
 from calib.errors.arguments import path as path_of
-from calib.inference.agreement import Agreement, agreement_sentences
+from calib.execution.executor import Injected
+from calib.hypotheses.verify import errors_at
+from calib.inference.agreement import Agreement
+from calib.results.answer import Answer
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from calib.api.explained import Explained
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -30,8 +41,8 @@ class Fit(Shown, Generic[P]):
     problem : Problem
         Its free parameters are the fitted ones.
     statistics : FitStatistics
-    search : Searched or None
-        The genetic searches before least squares; None without.
+    calibration : Calibration, JointCalibration or None
+        All results of the calibration, as a study has them; None for statistics at given values.
 
     Examples
     --------
@@ -51,17 +62,31 @@ class Fit(Shown, Generic[P]):
 
     problem: P
     statistics: FitStatistics
-    search: Searched | None = None
+    calibration: Fitted | None = None
 
     @property
     def values(self) -> dict[str, float]:
         """All parameters, each in its own unit."""
         return self.statistics.values
 
-    @cached_property
+    @property
+    def cases(self) -> Calibration | None:
+        """Cases of the calibration with their searches and statistics; those of the first of several tests."""
+        if self.calibration is None:
+            return None
+        return self.calibration if isinstance(self.calibration, Calibration) else self.calibration.any
+
+    @property
     def agreement(self) -> Agreement | None:
-        """Whether starts that fit equally well ended in one solution; None for fewer than two of them."""
-        return self.statistics.agreement(self.problem.space)
+        """Whether the cases and their starts found one solution; None for statistics at given values."""
+        return None if self.cases is None else self.cases.agreement
+
+    @property
+    def search(self) -> Searched | None:
+        """The genetic searches before least squares; None without."""
+        found = () if self.cases is None else self.cases.cases
+        searches = tuple(case.search for case in found if case.search is not None)
+        return Searched(self.problem.space, searches) if searches else None
 
     @cached_property
     def parameters(self) -> Any:
@@ -69,14 +94,15 @@ class Fit(Shown, Generic[P]):
 
         Columns as in `calib.inference.verdicts.parameter_verdicts`; the index is the parameter.
         """
-        differing = self.agreement.differing if self.agreement else {}
-        return self.statistics.verdicts(self.problem.space, {}, differing).set_index("parameter")
+        if self.cases is not None:
+            return self.cases.verdicts.set_index("parameter")
+        return self.statistics.verdicts(self.problem.space, {}, {}).set_index("parameter")
 
     @property
     def table(self) -> Any:
         """The main columns of `parameters`."""
-        shown = ["value", "unit", "std", "identified", "on_limit", "confounded_with"]
-        return self.parameters[shown].reset_index()
+        main = ["value", "unit", "std", "identified", "on_limit", "confounded_with"]
+        return self.parameters[main].reset_index()
 
     @property
     def std_by_test(self) -> Any:
@@ -87,12 +113,37 @@ class Fit(Shown, Generic[P]):
         return self.statistics.by_test
 
     @property
+    def answer(self) -> Answer | None:
+        """What was found, how sure that is, and what to do next; None for statistics at given values."""
+        return None if self.calibration is None else self.calibration.answer
+
+    @property
+    def lines(self) -> Mapping[str, str]:
+        """The answer by the labels of its lines, and where the rest is."""
+        if self.answer is None:
+            return {}
+        rest = ".parameters, .errors, .compare(), .std_by_test, .calibration; .figure(name) draws "
+        return {**self.answer.labelled, "Evidence": f"{rest}{', '.join(self.figures)}"}
+
+    @property
     def sentences(self) -> tuple[str, ...]:
-        """Goodness of fit, identifiability of each parameter, and whether starts and searches agree."""
-        each = (f"{name}: {sentence}" for name, sentence in self.parameters["sentence"].items())
-        ends = agreement_sentences(self.agreement, self.search.agreement if self.search else None)
-        failed = (self.search.why_failed,) if self.search and self.search.why_failed else ()
-        return (self.statistics.sentence, *each, *ends, *failed)
+        """Goodness of fit, held-out data that contradict, agreement and notes, then identifiability one by one."""
+        each = tuple(f"{name}: {sentence}" for name, sentence in self.parameters["sentence"].items())
+        if self.calibration is None:
+            return (self.statistics.sentence, *each)
+        return (*self.calibration.sentences, *each)
+
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """Sentences on held-out data that contradict the fitted model; see `calib.analyses.contradiction`."""
+        return () if self.calibration is None else self.calibration.contradictions
+
+    @property
+    def figures(self) -> tuple[str, ...]:
+        """Names of the figures that it can draw."""
+        from calib.api.page import figures_of
+
+        return figures_of(self)
 
     def __repr__(self) -> str:
         known = int(self.parameters["identified"].fillna(False).astype(bool).sum())
@@ -106,10 +157,12 @@ class Fit(Shown, Generic[P]):
         """
         import pandas as pd
 
-        parts = []
-        for model, test in self.problem.pairs:
-            values = own(model, test, self.values)
-            parts.append(test.errors(model, values, self.statistics).assign(test=test.name))
+        parts, statistics = [], self.statistics
+        for one in self.problem.study().studies:
+            found = None if self.calibration is None else self.calibration.seen(one.test).errors
+            if found is None:
+                found = errors_at(one, own_values(one, self.values), statistics.parts.get(one.test), statistics.active)
+            parts.append(found.assign(test=one.experiment.name))
         return pd.concat(parts, ignore_index=True)[["test", "group", "rows", "rms", "expected", "p", "unpaired"]]
 
     def compare(self) -> Compared:
@@ -117,11 +170,18 @@ class Fit(Shown, Generic[P]):
         return self.problem.compare(self.values)
 
     def explain(
-        self, effects: Effects = (), *, seed: int = 1, progress: bool = True, fixed_sd: str | None = None,
-        finer: Finer = None, mesh_sd: float | None = None,
-    ) -> Explained[P]:  # fmt: skip
+        self,
+        effects: Effects = (),
+        *,
+        finer: Finer = None,
+        reduction: bool | Mapping[str, Any] | None = None,
+        progress: bool = True,
+        **keys: Unpack[ExplainKeys],
+    ) -> Explained[P]:
         """See `calib.Problem.explain`."""
-        return explained(self.problem, effects, seed, progress, fixed_sd, finer, mesh_sd)
+        from calib.api.explained import explained
+
+        return explained(self.problem, effects, keys, finer, reduction, progress)
 
     def figure(self, name: str, ax: Axes | None = None, *, test: str = "") -> Axes:
         """Draw one figure of the fit.
@@ -141,6 +201,8 @@ class Fit(Shown, Generic[P]):
         InputError
             For an unknown figure or test, and where the data for it were not measured.
         """
+        from calib.api.page import draw
+
         return draw(self, name, test, ax)
 
     def report(self, path: str | Path) -> tuple[Path, ...]:
@@ -151,4 +213,33 @@ class Fit(Shown, Generic[P]):
         InputError
             Where it cannot be written.
         """
+        from calib.api.page import write_pages
+
         return write_pages(self, path_of(path, "report"))
+
+
+def calibrated(
+    problem: P,
+    verb: str,
+    keys: Mapping[str, Any],
+    cases: int | Sequence[int] | None,
+    seed: int | None,
+    reduction: bool | Mapping[str, Any] | None,
+    executor: Executor | Injected | None,
+    progress: bool,
+) -> Fit[P]:
+    """See `calib.api.problem.Problem.calibrate`."""
+    settings = calibration_settings(problem.settings, keys, cases, seed, reduction, verb)
+    study = problem.study(settings)
+    workers = None if executor is None else Injected.of(executor)
+    with reporting(verb, progress) as step, kept_in(problem.ledger) as ledger, tasks_shared(workers):
+        found = run_calibration(study, CalibrationRun(ledger, workers=workers, progress=step))
+    best = found.seen(study.studies[0].test).best
+    return Fit(problem, best.statistics, found)
+
+
+def assessed_at(problem: P, values: Mapping[str, float]) -> Fit[P]:
+    """See `calib.api.problem.Problem.statistics_at`."""
+    study = problem.study()
+    with reporting("statistics_at", False), kept_in(problem.ledger) as ledger:
+        return Fit(problem, statistics_at(fit_problem(study, ledger), Terms.of(study), values))

@@ -8,9 +8,9 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from calib.analyses.added import Added
+from calib.analyses.calibration import Fitted
 from calib.analyses.compare import ComparisonResult
 from calib.analyses.extend import Extension
-from calib.analyses.joint_calibration import Fitted
 from calib.analyses.propose import ProposalResult
 from calib.analyses.sensitivity import Screening, Sensitivity
 from calib.analyses.versions import Versions

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
 
 from calib.analyses.answers import of_fit
-from calib.analyses.calibration_tables import tables_of
-from calib.analyses.compare import ComparisonResult, before_and_after, comparison_of, write_comparison
+from calib.analyses.calibration_tables import tables_of, write_calibration
+from calib.analyses.compare import ComparisonResult, before_and_after, comparison_at, write_comparison
+from calib.analyses.joint_responses import own_values
 from calib.analyses.provenance.record import assumptions_of, made_with, parameters_table, sensors_table
 from calib.api.protocols import Solved
-from calib.api.responses import own
 from calib.correlation.modal.expansion import orthogonality
 from calib.errors.errors import InputError
-from calib.experiment.checked import place_of
-from calib.experiment.modal import ModalTest, Model, Test
+from calib.experiment import ModalTest, Test
+from calib.experiment.test import Model, place_of
 from calib.inference.cases import CaseResult
 from calib.problem.problem import Counts
 from calib.results.results import Results
 from calib.results.written import whole
+from calib.study.study import Study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,13 +39,26 @@ FIGURES = (
 """Figures of a fit."""
 
 
-def compared(fit: Solved, test: Test, model: Model) -> tuple[ComparisonResult, ComparisonResult]:
+def compared(fit: Solved, test: Test) -> tuple[ComparisonResult, ComparisonResult]:
     """One test before the fit, at the nominal values, and after it."""
-    before, after = (
-        comparison_of(test.problem(model), own(model, test, values))
-        for values in (fit.problem.space.values, fit.values)
-    )
-    return before, after
+    one = _part(fit, test)
+    if fit.calibration is not None:
+        found = fit.calibration.seen(one.test)
+        return found.before, found.best.answer
+    return comparison_at(one, one.model.space.values), comparison_at(one, own_values(one, fit.values))
+
+
+def _part(fit: Solved, test: Test) -> Study:
+    """A test with its model, as the analyses take them."""
+    return next(one for one in fit.problem.study().studies if one.experiment.name == test.name)
+
+
+def figures_of(fit: Solved) -> tuple[str, ...]:
+    """Names of the figures that a fit can draw of at least one of its tests."""
+    modal = [test for _, test in fit.problem.pairs if isinstance(test, ModalTest)]
+    if not modal:
+        return ("parameters",)
+    return FIGURES if any(test.used.has_shapes for test in modal) else ("frequency_errors", "parameters")
 
 
 def chosen(fit: Solved, name: str) -> tuple[Model, Test]:
@@ -65,14 +80,14 @@ def draw(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
 
     if name not in FIGURES:
         raise InputError(f"there is no figure {name!r}", place="figure", remedy=f"the figures are {', '.join(FIGURES)}")
-    model, selected = chosen(fit, test)
+    _, selected = chosen(fit, test)
     if name == "parameters":
         return draw_parameters(_tables(fit)["parameters"], ax, prior=fit.problem.space.frame())
     if not isinstance(selected, ModalTest):
         raise InputError("it has no modes", place=place_of(selected), remedy="draw its parameters")
     if name != "frequency_errors" and not selected.used.has_shapes:
         raise InputError("no shapes were measured", place=place_of(selected), remedy="draw the frequency errors")
-    before, after = compared(fit, selected, model)
+    before, after = compared(fit, selected)
     if name == "frequency_errors":
         return draw_frequency_error(before.table, after.table, ax)
     if name == "mac":
@@ -112,28 +127,27 @@ def write_pages(fit: Solved, path: Path) -> tuple[Path, ...]:
 
 def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
     """Write the tables that the report reads."""
-    before, after = compared(fit, test, model)
+    before, after = compared(fit, test)
     write_comparison(folder, before, "before")
-    write_comparison(folder, after, "after")
-    for name, table in _tables(fit).items():
-        folder.write_table(name, table)
+    if fit.calibration is None:
+        write_comparison(folder, after, "after")
+        for name, table in _tables(fit).items():
+            folder.write_table(name, table)
+        summary = {"best_case": CASE, "method": "gauss-newton", **before_and_after(before, after)}
+        folder.write_json("summary", {**summary, "noise_mac": after.noise_mac})
+    else:
+        one = _part(fit, test)
+        own = fit.calibration.seen(one.test)
+        write_calibration(one, folder, own, "gauss-newton" if own.best.search is None else "genetic", "", 0.0)
     errors = fit.errors
     folder.write_table("data_errors", errors[errors["test"] == test.name].drop(columns="test"))
     space = fit.problem.space
     folder.write_table("parameter_space", parameters_table(space, space))
     folder.write_table("assumptions", assumptions_of(model, test.assumed))
     if isinstance(test, ModalTest) and test.modes.has_shapes:
-        folder.write_table(
-            "sensors", sensors_table(test.modes, [n for n in test.held_out if n not in test.modes.names])
-        )
-    folder.write_json("summary", {
-        "best_case": CASE,
-        "method": "gauss-newton",
-        **before_and_after(before, after),
-        "noise_mac": after.noise_mac,
-    })  # fmt: skip
-    agreed = fit.agreement.verdict if fit.agreement else "one case"
-    answer = of_fit(fit.statistics, fit.parameters.reset_index(), {"": (before, after)}, agreement=agreed)
+        folder.write_table("sensors", sensors_table(test.modes, test.held_out_sensors))
+    answer = of_fit(fit.statistics, fit.parameters.reset_index(), {"": (before, after)})
+    answer = answer if fit.calibration is None else fit.calibration.answer
     folder.write_json("record", {
         "notebook": True,
         "model": f"{model.name} ({test.pair(model).fingerprint})",
@@ -151,6 +165,8 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
 
 def _tables(fit: Solved) -> dict[str, pd.DataFrame]:
     """The tables of a fit, in the form of a study's."""
+    if fit.calibration is not None:
+        tables: Mapping[str, pd.DataFrame] = fit.calibration.tables
+        return dict(tables)
     result = CaseResult.fitted(CASE, fit.statistics.values, Counts(), pd.DataFrame(), 0.0)
-    differing = fit.agreement.differing if fit.agreement else {}
-    return tables_of(fit.problem.space, [(result, fit.statistics)], fit.statistics, differing=differing)
+    return tables_of(fit.problem.space, [(result, fit.statistics)], fit.statistics)

@@ -1,27 +1,34 @@
-"""Pairs of a model and a test: what a problem requires of them, and their rows as one problem."""
+"""Models and their tests as a problem holds them: what it requires of them, and the study that the analyses take."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
-from typing import Any, Protocol, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 from calib.api.progress import in_python
+from calib.errors.arguments import objects
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import EvaluationError, InputError
 from calib.errors.place import excerpt
 from calib.execution.stage import Progress
-from calib.experiment.modal import Model, Test
+from calib.experiment import Test
+from calib.experiment.test import Model
+from calib.memory_study import TestedModel, study_in_memory
 from calib.problem.effect import Effect
 from calib.problem.joint import JointProblem
 from calib.problem.problem import Counts
-from calib.problem.problem import Problem as Posed
+from calib.problem.problem import Problem as OneTestProblem
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
+from calib.structure.model import StructuralModel
 from calib.study.loading import extended
+from calib.study.settings import StudySettings
+from calib.study.several import AnyStudy
 
-Pairs: TypeAlias = Sequence[tuple[Model, Test]]
+if TYPE_CHECKING:
+    from calib.api.protocols import Effects, ProblemLike
 
 
 def opened(given: Any) -> Ledger | None:
@@ -42,11 +49,11 @@ def kept_in(ledger: Ledger | None) -> AbstractContextManager[Ledger]:
     return Ledger.in_memory() if ledger is None else nullcontext(ledger)
 
 
-def require_names(pairs: Pairs) -> None:
+def require_names(tests: Sequence[Test]) -> None:
     """InputError without a test, and for two tests of one name."""
-    if not pairs:
+    if not tests:
         raise InputError("no test is given", place="problem", remedy="give a ModalTest, an FRFTest or a ResponseTest")
-    names = [test.name for _, test in pairs]
+    names = [test.name for test in tests]
     for name in names:
         if names.count(name) > 1:
             raise InputError(
@@ -92,22 +99,62 @@ def including(problem: P, effects: Mapping[str, tuple[Effect, ...]]) -> P:
     """A problem whose models have effects, given by the name of the model."""
     own = effects.get(problem.model.name, ())
     model, given = extended(problem.model, own) if own else problem.model, cast(Any, problem)
-    return cast(P, replace(given, model=model, beside=tuple(including(p, effects) for p in problem.beside)))
+    beside = tuple(including(p, effects) for p in problem.beside)
+    return cast(P, replace(given, model=model, base=given.base or given.model, beside=beside))
 
 
-def posed(pairs: Pairs, ledger: Any) -> Posed[Any] | JointProblem:
+def under(model: Model, test: str, condition: Mapping[str, float]) -> Model:
+    """A model with the parameters of a test's condition fixed; InputError for one that it lacks."""
+    try:
+        return replace(model, space=model.space.held(condition))
+    except InputError as fault:
+        raise InputError(fault.problem, place=f"condition of test {test}", remedy=fault.remedy) from None
+
+
+def fit_problem_of(tested: Sequence[TestedModel], ledger: Any) -> OneTestProblem[Any] | JointProblem:
     """Rows, responses, residual and Jacobian of all tests; the space of each has its own parameters too.
 
     ``ledger`` is an opened one, or None.
     """
-    counts, made = Counts(), dict[str, Posed[Any]]()
-    for model, test in pairs:
-        pair = test.pair(model)
-        made[test.name] = Posed(pair, pair.space.without(dict(test.condition)), ledger, counts=counts)
+    counts, made = Counts(), dict[str, OneTestProblem[Any]]()
+    for one in tested:
+        pair = one.test.residual(one.test.problem(one.held, one.base))
+        made[one.test.name] = OneTestProblem(pair, pair.space.without(dict(one.test.condition)), ledger, counts=counts)
     return next(iter(made.values())) if len(made) == 1 else JointProblem(made)
 
 
-def by_model(given: Pairs) -> tuple[tuple[Model, tuple[Test, ...]], ...]:
+def studied(
+    problem: Any,
+    settings: StudySettings,
+    effects: Mapping[str, tuple[Effect, ...]],
+    finer: Mapping[str, StructuralModel],
+) -> AnyStudy:
+    """A problem in memory as the analyses take it; ``effects`` and ``finer`` by the name of the model."""
+
+    def finer_of(tested: TestedModel) -> StructuralModel | None:
+        found = finer.get(tested.model.name)
+        if found is None:
+            return None
+        held: Any = under(found, tested.test.name, tested.test.condition)
+        return cast(StructuralModel, held)
+
+    return study_in_memory(problem.tested, settings, effects, problem.unselected, problem.held_sd, finer_of)
+
+
+def library_of(problem: ProblemLike, effects: Effects) -> dict[str, tuple[Effect, ...]]:
+    """Effects by the name of the model; a plain sequence is for the first. InputError for an unknown model."""
+    known = [model.name for model, _ in problem.by_model]
+    if not isinstance(effects, Mapping):
+        return {known[0]: objects(effects, Effect, "effects")}
+    for name in effects:
+        if name not in known:
+            raise InputError(
+                f"no model is named {name!r}", place="effects", remedy=f"the models are {', '.join(known)}"
+            )
+    return {name: objects(own, Effect, f"effects of {name}") for name, own in effects.items()}
+
+
+def by_model(given: Sequence[tuple[Model, Test]]) -> tuple[tuple[Model, tuple[Test, ...]], ...]:
     """Every model with all of its tests."""
     out: dict[str, tuple[Model, tuple[Test, ...]]] = {}
     for model, test in given:
@@ -117,11 +164,11 @@ def by_model(given: Pairs) -> tuple[tuple[Model, tuple[Test, ...]], ...]:
 
 
 @contextmanager
-def told(verb: str, progress: bool) -> Iterator[Progress]:
+def reporting(verb: str, progress: bool) -> Iterator[Progress]:
     """How far an analysis is; a failure of the user's code shows its line."""
     try:
-        with in_python(verb, progress) as heard:
-            yield heard
+        with in_python(verb, progress) as step:
+            yield step
     except EvaluationError as fault:
         if fault.at is not None:
             fault.add_note("\n".join(excerpt(fault.at)))

@@ -4,38 +4,48 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
-from calib.analyses.compare import comparison_of
-from calib.analyses.fit_statistics import Terms, fitted, statistics_at
-from calib.analyses.uncertainty import in_words
-from calib.api.display import Compared
-from calib.api.explained import Explained, explained, library_of
-from calib.api.fit import Fit
-from calib.api.pairs import by_model, holding, including, opened, posed, require_names, require_within, told
+from calib.api.arguments import DEFAULTS, CalibrationKeys, ExplainKeys, SearchKeys
+from calib.api.pairs import (
+    by_model,
+    fit_problem_of,
+    holding,
+    including,
+    library_of,
+    opened,
+    require_names,
+    require_within,
+    studied,
+    under,
+)
 from calib.api.protocols import Effects, Finer
-from calib.api.responses import own
-from calib.api.search import refined, searched
-from calib.api.sensitivity import Assessed, assessed
-from calib.errors.arguments import integer, objects
 from calib.errors.arguments import names as names_of
+from calib.errors.arguments import objects
 from calib.errors.arguments import values as values_of
 from calib.execution.executor import Injected
-from calib.experiment.modal import TESTS, Model, Test, under
-from calib.hypotheses.linear_start import linear_starts
-from calib.inference.genetic import GeneticSettings
-from calib.inference.rules import RULES
+from calib.experiment import TESTS, Test
+from calib.experiment.test import Model
+from calib.memory_study import TestedModel
+from calib.problem.effect import Effect
 from calib.problem.joint import JointProblem
-from calib.problem.problem import Problem as Posed
-from calib.problem.sampling import sample
+from calib.problem.problem import Problem as OneTestProblem
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
 from calib.structure.function_model import FunctionModel
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
+from calib.study.settings import StudySettings
+from calib.study.several import AnyStudy
+
+if TYPE_CHECKING:
+    from calib.api.display import Compared
+    from calib.api.explained import Explained
+    from calib.api.fit import Fit
+    from calib.api.sensitivity import Assessed
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,6 +68,14 @@ class Problem:
         when something else changes that a function reads. Of joined problems that of the first counts.
     unselected : tuple of str
         Parameters that `keep` has left out.
+    settings : StudySettings
+        Keys of the analyses that no argument gives; of a problem that comes from a study those of its file.
+    base : the same as model, optional
+        The model before effects were added.
+    held_sd : mapping from str to float
+        Standard deviations of held parameters that an earlier study determined.
+    finer : mapping from str to StructuralModel
+        Models on a finer mesh by the name of the model, for `explain`.
 
     Raises
     ------
@@ -89,6 +107,10 @@ class Problem:
     beside: tuple[Problem, ...] = ()
     ledger: str | Path | Ledger | None = None
     unselected: tuple[str, ...] = ()
+    settings: StudySettings = DEFAULTS
+    base: Model | None = None
+    held_sd: Mapping[str, float] = field(default_factory=dict)
+    finer: Mapping[str, StructuralModel] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         objects([self.model], (StructuralModel, ModalFunctionModel, FunctionModel), "problem, model")
@@ -96,7 +118,7 @@ class Problem:
         object.__setattr__(self, "tests", tests[0] if len(tests) == 1 else tests)
         object.__setattr__(self, "beside", objects(self.beside, Problem, "problem, beside"))
         object.__setattr__(self, "ledger", opened(self.ledger))
-        require_names(self._given)
+        require_names([test for _, test in self._given])
         require_within(self.space)  # building the space raises any other inconsistency
 
     @staticmethod
@@ -107,38 +129,55 @@ class Problem:
 
     @property
     def _tests(self) -> tuple[Test, ...]:
-        return (self.tests,) if isinstance(self.tests, TESTS) else tuple(self.tests)
+        return (self.tests,) if isinstance(self.tests, Test) else tuple(self.tests)
 
     @property
     def pairs(self) -> tuple[tuple[Model, Test], ...]:
         """Every test with its model, whose parameters are fixed as the test's condition says."""
-        return tuple((under(model, test.name, test.condition), test) for model, test in self._given)
+        return tuple((one.held, one.test) for one in self.tested)
 
     @property
-    def _given(self) -> tuple[tuple[Model, Test], ...]:
-        """Every test with its model, no condition applied, joined problems after this one."""
-        own = tuple((self.model, test) for test in self._tests)
+    def _given(self) -> tuple[tuple[Problem, Test], ...]:
+        """Every test with the problem that holds its model, joined problems after this one."""
+        own = tuple((self, test) for test in self._tests)
         every = (*own, *(pair for problem in self.beside for pair in problem._given))
-        return tuple((model, test.beside) for model, test in every) if len(every) > 1 else every
+        return tuple((problem, test.beside) for problem, test in every) if len(every) > 1 else every
+
+    @cached_property
+    def tested(self) -> tuple[TestedModel, ...]:
+        """Every test with its model, as the analyses take them."""
+        return tuple(
+            TestedModel(one.model, under(one.model, test.name, test.condition), one.base or one.model, test)
+            for one, test in self._given
+        )
 
     @property
     def by_model(self) -> tuple[tuple[Model, tuple[Test, ...]], ...]:
         """Every model, no condition applied, with all of its tests."""
-        return by_model(self._given)
+        return by_model([(one.model, test) for one, test in self._given])
 
     @property
     def space(self) -> ParameterSpace:
         """All parameters except those that a test's condition sets; free are those that a fit may move."""
-        return self.posed.space
+        return self.fit_problem.space
 
     @cached_property
-    def posed(self) -> Posed[Any] | JointProblem:
+    def fit_problem(self) -> OneTestProblem[Any] | JointProblem:
         """Rows, responses, residual and Jacobian, as fits use them."""
-        return posed(self.pairs, self.ledger)
+        return fit_problem_of(self.tested, self.ledger)
+
+    def study(
+        self,
+        settings: StudySettings | None = None,
+        effects: Mapping[str, tuple[Effect, ...]] | None = None,
+        finer: Mapping[str, StructuralModel] | None = None,
+    ) -> AnyStudy:
+        """The problem as the analyses take it, with effects that its models may lack."""
+        return studied(self, settings or self.settings, effects or {}, self.finer if finer is None else finer)
 
     def __repr__(self) -> str:
         pairs = ", ".join(f"{model.name} against {test.name}" for model, test in self.pairs)
-        return f"Problem({pairs}; {len(self.posed.rows)} rows, {len(self.space.free)} free parameters)"
+        return f"Problem({pairs}; {len(self.fit_problem.rows)} rows, {len(self.space.free)} free parameters)"
 
     def keep(self, names: Sequence[str]) -> Problem:
         """A copy with only the named parameters free; the others keep their nominal values."""
@@ -164,85 +203,87 @@ class Problem:
         EvaluationError
             Where a model cannot be solved.
         """
-        complete = self._complete({} if values is None else values)
-        with told("compare", False):
-            found = {t.name: comparison_of(t.problem(model), own(model, t, complete)) for model, t in self.pairs}
-        return Compared(found)
+        from calib.api.display import compared
+
+        return compared(self, None if values is None else self._complete(values))
 
     def calibrate(
-        self, parameters: Sequence[str] = (), *, starts: int = 1, seed: int = 1, progress: bool = True
+        self,
+        parameters: Sequence[str] = (),
+        *,
+        cases: int | Sequence[int] | None = None,
+        seed: int | None = None,
+        reduction: bool | Mapping[str, Any] | None = None,
+        executor: Executor | Injected | None = None,
+        progress: bool = True,
+        **keys: Unpack[CalibrationKeys],
     ) -> Fit[Problem]:
-        """Fit by weighted least squares with the priors, and assess which parameters the data determine.
+        """Fit the parameters as a study does, and assess which of them the data determine.
+
+        By default least squares start from the nominal values and from sampled points until they agree; where they do
+        not, a genetic search follows. Models of many degrees of freedom are searched on a reduced basis that represents
+        their modes within the limits; what is reported is solved at full order.
 
         Parameters
         ----------
         parameters : sequence of str
             Parameters to fit; all free ones by default.
-        starts : int
-            Number of starting points: the nominal values, then Latin hypercube points. FRFs add the solution of the
-            linear cross-model equations.
-        seed : int
-            Seed of these points.
+        cases : int or sequence of int, optional
+            Number of independent runs, with seeds ``seed, seed + 1, ...``, or their seeds; one by default.
+        seed : int, optional
+            Seed of the first case. Same seed, same fit, whatever the executor.
+        reduction : bool or mapping, optional
+            Whether large models are reduced, or keys of ``[reduction]``: ``use``, ``tolerance``, ``seed``.
+        executor : concurrent.futures.Executor or calib.execution.executor.Injected, optional
+            Evaluates the points of a search; this process by default. Threads suit models that are solved outside
+            Python; other processes must be able to import the model's functions. The caller shuts it down.
         progress : bool
             Whether a terminal or a notebook shows how far it is.
+        **keys
+            As in ``study.toml``, with the same defaults: ``method`` (``"auto"``, ``"genetic"``, ``"gauss-newton"`` or
+            ``"cmcf"``), ``starts`` (of ``"gauss-newton"``, which it asks for), ``refine``, ``begin_at``,
+            ``weight_freq``, ``weight_mac``, ``population``, ``generations``, ``crossover``, ``mutation``,
+            ``sigma_start``, ``sigma_end``, and ``alpha`` of ``[explain]``; see
+            `calib.study.settings.CalibrationSettings`.
 
         Raises
         ------
         InputError
-            For an unknown or a fixed parameter.
+            For an unknown or a fixed parameter, and a key or a value that a study's file could not have.
         EvaluationError
-            When no start can be evaluated.
+            Where no start can be evaluated.
         """
-        starts, seed = integer(starts, 1, "starts"), integer(seed, 0, "seed")
-        problem = self._of(parameters)
-        space = problem.space
-        sampled = sample(space, starts - 1, seed).points if starts > 1 else ()
-        linear = linear_starts(problem.posed, space.values)
-        points = [*linear, space.values, *(space.complete(point) for point in sampled)]
-        with told("calibrate", progress) as heard:
-            return Fit(problem, fitted(problem.posed, problem.terms, points, RULES.refits_in_notebook, told=heard))
+        from calib.api.fit import calibrated
+
+        return calibrated(self._of(parameters), "calibrate", keys, cases, seed, reduction, executor, progress)
 
     def search(
         self,
         parameters: Sequence[str] = (),
         *,
-        cases: int = 3,
-        population: int = 30,
-        generations: int = 250,
-        seed: int = 1,
+        cases: int | Sequence[int] = 3,
+        seed: int | None = None,
+        reduction: bool | Mapping[str, Any] | None = None,
         executor: Executor | Injected | None = None,
         progress: bool = True,
+        **keys: Unpack[SearchKeys],
     ) -> Fit[Problem]:
-        """Fit by genetic searches from several seeds, followed by least squares.
+        """Fit by genetic searches from several seeds, followed by least squares: `calibrate` by ``"genetic"``.
 
         The search minimises the sum over all tests of relative frequency errors and MAC deficits, or of relative errors
-        of scalar responses (Ribeiro et al. 2013). Least squares, as in `calibrate`, then start from the end of every
-        case and from the nominal values; the solution of the latter is taken only where the data clearly prefer it.
-        The fit's ``search`` holds the results of the searches alone. Models are solved at full order: only a study
-        searches on a reduced basis.
+        of scalar responses (Ribeiro et al. 2013). Least squares then start from the end of every case and from the
+        nominal values; the solution of the latter is taken only where the data clearly prefer it. The fit's ``search``
+        holds the results of the searches alone; their agreement shows whether the solution is unique.
 
         Parameters
         ----------
-        parameters : sequence of str
-            Parameters to fit; all free ones by default.
-        cases : int
-            Number of independent searches, with seeds ``seed, seed + 1, ...``; their agreement shows whether the
-            solution is unique.
-        population, generations : int
-            Each case requests ``population * generations`` points; further settings are those of
-            `calib.inference.genetic.GeneticSettings`.
-        seed : int
-            Seed of the first case. Same seed, same fit, whatever the executor.
-        executor : concurrent.futures.Executor or calib.execution.executor.Injected, optional
-            Evaluates the points of a generation; this process by default. Threads suit models that are solved outside
-            Python; other processes must be able to import the model's functions. The caller shuts it down.
-        progress : bool
-            As in `calibrate`.
+        parameters, cases, seed, reduction, executor, progress, **keys
+            As in `calibrate`. Each case requests ``population * generations`` points.
 
         Raises
         ------
         InputError
-            For an unknown or a fixed parameter, and a model that cannot be sent to the executor's processes.
+            As `calibrate`, and for a model that cannot be sent to the executor's processes.
         EvaluationError
             When no point of an initial population can be evaluated.
 
@@ -262,7 +303,7 @@ class Problem:
         ...     return {"f1": low, "f2": high, "sag": 98.1 / v["k1"]}
         >>> measured = calib.ResponseTest({"f1": (2.06, 0.01), "f2": (6.02, 0.03), "sag": (24.5, 2.0)})
         >>> problem = calib.Problem(calib.FunctionModel("chain", space, chain), measured)
-        >>> round(problem.calibrate().values["k1"])
+        >>> round(problem.calibrate(starts=1).values["k1"])
         12
         >>> fit = problem.search(cases=2, population=10, generations=20)
         >>> round(fit.values["k1"]), round(fit.values["k2"])
@@ -270,32 +311,37 @@ class Problem:
         >>> fit.search.table["asked"].tolist()
         [200, 200]
         """
-        cases, seed = integer(cases, 1, "cases"), integer(seed, 0, "seed")
-        settings = GeneticSettings(integer(population, 4, "population"), integer(generations, 1, "generations"))
-        problem = self._of(parameters)
-        with told("search", progress) as heard:
-            found = searched(problem, range(seed, seed + cases), settings, executor, heard)
-            return Fit(problem, refined(problem, found, heard), found)
+        from calib.api.fit import calibrated
+
+        genetic = {**keys, "method": "genetic"}
+        return calibrated(self._of(parameters), "search", genetic, cases, seed, reduction, executor, progress)
 
     def sensitivity(
         self,
         parameters: Sequence[str] = (),
         *,
-        samples: int = 500,
-        seed: int = 1,
+        method: Literal["ranks", "morris", "sobol"] = "ranks",
+        samples: int | None = None,
+        seed: int | None = None,
+        ignore_constraints: bool = False,
         executor: Executor | Injected | None = None,
         progress: bool = True,
     ) -> Assessed:
         """Global sensitivity: a Latin hypercube within the limits, rank correlations, variance shares, a selection.
 
+        Or, by ``method``, the elementary effects of Morris or the variance shares of Sobol, for independent inputs.
+
         Parameters
         ----------
         parameters : sequence of str
             Parameters to vary; all free ones by default. The others keep their nominal values.
-        samples : int
-            Number of points that keep the constraints.
-        seed : int
-            Seed of the points.
+        method : {"ranks", "morris", "sobol"}
+        samples : int, optional
+            Number of points that keep the constraints; 500 by default.
+        seed : int, optional
+            Seed of the points; 1 by default.
+        ignore_constraints : bool
+            Whether ``"morris"`` and ``"sobol"`` ignore the constraints.
         executor : concurrent.futures.Executor or calib.execution.executor.Injected, optional
             As in `search`.
         progress : bool
@@ -324,14 +370,16 @@ class Problem:
         >>> float(found.spearman["f"].round(1)["thickness"])
         0.9
         """
-        samples, seed = integer(samples, 3, "samples"), integer(seed, 0, "seed")
-        with told("sensitivity", progress) as heard:
-            return assessed(self._of(parameters), samples, seed, executor, heard)
+        from calib.api.sensitivity import assessed
+
+        keys = {"samples": samples, "seed": seed}
+        return assessed(self._of(parameters), method, keys, ignore_constraints, executor, progress)
 
     def statistics_at(self, values: Mapping[str, float]) -> Fit[Problem]:
         """Fit statistics at given values, without fitting."""
-        with told("statistics_at", False):
-            return Fit(self, statistics_at(self.posed, self.terms, self._complete(values)))
+        from calib.api.fit import assessed_at
+
+        return assessed_at(self, self._complete(values))
 
     def _of(self, parameters: Sequence[str]) -> Problem:
         """The problem with only the named parameters free; itself without any names."""
@@ -341,9 +389,14 @@ class Problem:
         return self.space.complete(values_of(values, "values"))
 
     def explain(
-        self, effects: Effects = (), *, seed: int = 1, progress: bool = True, fixed_sd: str | None = None,
-        finer: Finer = None, mesh_sd: float | None = None,
-    ) -> Explained[Problem]:  # fmt: skip
+        self,
+        effects: Effects = (),
+        *,
+        finer: Finer = None,
+        reduction: bool | Mapping[str, Any] | None = None,
+        progress: bool = True,
+        **keys: Unpack[ExplainKeys],
+    ) -> Explained[Problem]:
         """Find which effects the models lack: calibrate, test, refit with promising effects, test the remaining misfit.
 
         Without effects it reports whether anything is missing, and which local perturbation fits best. All tests are
@@ -354,23 +407,21 @@ class Problem:
         effects : sequence of Effect, or mapping from str to sequences of them
             Effects that the model may lack; for joined problems by the name of the model. Effects of the same name are
             one effect.
-        seed : int
-            Seed of the samples behind probabilities and the recommended measurement.
-        progress : bool
-            As in `calibrate`.
-        fixed_sd : str, optional
-            Standard deviation of the parameters that `keep` or a fit left out, a share of their nominal values such as
-            ``"3 %"``; exact by default.
         finer : StructuralModel, or mapping from str to StructuralModel, optional
             The model on a finer mesh, which tells the scores that are due to the mesh alone; by the name of the model.
-        mesh_sd : float, optional
-            Standard deviation of the error of the mesh, over the change that the finer mesh makes in the predictions;
-            see `calib.correlation.mesh_error.MeshError`. Exact by default.
+        reduction, progress
+            As in `calibrate`.
+        **keys
+            As under ``[explain]`` of ``study.toml``, with the same defaults: ``alpha`` (false-alarm rate), ``refits``
+            (most promising effects that are fitted), ``merge`` (correlation from which effects are collinear),
+            ``samples`` and ``seed`` (of probabilities and recommendation), ``fixed_sd`` (standard deviation of the
+            parameters that `keep` or a fit left out, such as ``"3 %"``) and ``mesh_sd`` (that of the error of the mesh,
+            over the change that the finer mesh makes; see `calib.correlation.mesh_error.MeshError`).
 
         Raises
         ------
         InputError
-            Where too little was measured to name any effect, or a stated error is out of range.
+            Where too little was measured to name any effect, or a key has a value that it cannot have.
 
         Examples
         --------
@@ -389,9 +440,6 @@ class Problem:
         >>> problem.explain(fixed_sd="5 %", progress=False).verdict
         'nothing_detectable'
         """
-        return explained(self, effects, seed, progress, fixed_sd, finer, mesh_sd)
+        from calib.api.explained import explained
 
-    @property
-    def terms(self) -> Terms:
-        """Inputs of the fit statistics besides the rows."""
-        return Terms(assumed=in_words(a for _, test in self.pairs for a in test.assumed))
+        return explained(self, effects, keys, finer, reduction, progress)

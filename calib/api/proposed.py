@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import pandas as pd
 
-from calib.analyses.propose import ProposalResult, ProposalStart, composed
+from calib.analyses.propose import ProposalResult, ProposalStart, compose_for
 from calib.api.display import Shown
 from calib.api.progress import in_python
 from calib.errors.arguments import integer
@@ -16,12 +15,8 @@ from calib.errors.errors import InputError
 from calib.hypotheses.proposals.code import library_text
 from calib.hypotheses.proposals.words import not_sought
 from calib.missing.explanation import OPEN, Explanation
-from calib.missing.test import Adapter
 from calib.problem.effect import Effect
-from calib.study.settings import ExplainSettings
-
-if TYPE_CHECKING:
-    from calib.api.protocols import PosedProblem
+from calib.study.several import AnyStudy
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -69,12 +64,10 @@ class Proposed(Shown):
         return f"Proposed({', '.join(e.name for e in self.effects)})"
 
 
-def proposed(
-    problem: PosedProblem, adapter: Adapter, found: Explanation, taken: Sequence[str], rank: int, progress: bool
-) -> Proposed:
-    """See `calib.api.explained.Explained.propose`; ``taken`` are names that are used otherwise."""
+def proposed(study: AnyStudy, found: Explanation, rank: int, progress: bool) -> Proposed:
+    """See `calib.api.explained.Explained.propose`."""
     count = integer(rank, 1, "rank")
-    if len(problem.by_model) > 1:
+    if len({one.model_key for one in study.studies}) > 1:
         raise InputError(
             "the problem has several models, of each of which other effects would be composed", place="propose",
             remedy="propose for a problem of one model",
@@ -82,14 +75,5 @@ def proposed(
     if found.verdict not in OPEN:
         named = (*found.credible, *(fault.names[0] for fault in found.blamed))
         return Proposed(ProposalResult(None, not_sought(found.verdict, named, "add what was named: with_named()")))
-    ((model, tests),) = problem.by_model
-    explained = ProposalStart(found.verdict, (), found.noise_scale, found.base.fit.values)
-    if found.verdict == "partial" and found.chosen is not None:
-        explained = replace(explained, attempt=found.chosen.fit.values, beside=found.chosen.names)
-    given = ExplainSettings().model_copy(update={"seed": adapter.facts.seed})
-    with in_python("propose", progress) as told:
-        return Proposed(
-            composed(
-                adapter, model, [data for test in tests for data in test.sensed], taken, given, explained, count, told
-            )
-        )
+    with in_python("propose", progress) as step:
+        return Proposed(compose_for(study, None, ProposalStart.of(found), count, step))

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias, TypeVar
 
-import pandas as pd
-
-from calib.analyses.fit_statistics import FitStatistics, Terms
-from calib.api.display import Compared
-from calib.experiment.modal import Model, Test
-from calib.inference.agreement import Agreement
 from calib.problem.effect import Effect
-from calib.problem.joint import JointProblem
-from calib.problem.problem import Problem as Posed
-from calib.problem.space import ParameterSpace
 from calib.structure.model import StructuralModel
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from calib.analyses.calibration import Fitted
+    from calib.analyses.fit_statistics import FitStatistics
+    from calib.api.display import Compared
+    from calib.experiment import Test
+    from calib.experiment.test import Model
+    from calib.memory_study import TestedModel
+    from calib.problem.space import ParameterSpace
+    from calib.study.settings import StudySettings
+    from calib.study.several import AnyStudy
 
 Effects: TypeAlias = Sequence[Effect] | Mapping[str, Sequence[Effect]]
 """Effects that models may lack: of the first model, or by the name of the model."""
@@ -23,8 +27,13 @@ Finer: TypeAlias = StructuralModel | Mapping[str, StructuralModel] | None
 """The same on a finer mesh: of the first model, or by the name of the model."""
 
 
-class PosedProblem(Protocol):
+class ProblemLike(Protocol):
     """Models and their tests over one parameter space; see `calib.api.problem.Problem`."""
+
+    @property
+    def tested(self) -> tuple[TestedModel, ...]:
+        """Every test with its model."""
+        ...
 
     @property
     def pairs(self) -> tuple[tuple[Model, Test], ...]:
@@ -42,23 +51,22 @@ class PosedProblem(Protocol):
         ...
 
     @property
-    def posed(self) -> Posed[Any] | JointProblem:
-        """Rows, responses, residual and Jacobian."""
-        ...
-
-    @property
     def ledger(self) -> Any:
         """The `calib.results.ledger.Ledger` that keeps its points; None without one."""
         ...
 
     @property
-    def unselected(self) -> tuple[str, ...]:
-        """Parameters that a selection holds at their nominal values."""
+    def settings(self) -> StudySettings:
+        """Keys of the analyses that no argument gives."""
         ...
 
-    @property
-    def terms(self) -> Terms:
-        """Inputs of the fit statistics besides the rows."""
+    def study(
+        self,
+        settings: StudySettings | None = None,
+        effects: Mapping[str, tuple[Effect, ...]] | None = None,
+        finer: Mapping[str, StructuralModel] | None = None,
+    ) -> AnyStudy:
+        """The problem as the analyses take it."""
         ...
 
     def compare(self, values: Mapping[str, float] | None = None) -> Compared:
@@ -70,14 +78,14 @@ class PosedProblem(Protocol):
         ...
 
 
-P = TypeVar("P", bound=PosedProblem)
+P = TypeVar("P", bound=ProblemLike)
 
 
 class Solved(Protocol):
     """A fitted problem; see `calib.api.fit.Fit`."""
 
     @property
-    def problem(self) -> PosedProblem:
+    def problem(self) -> ProblemLike:
         """The problem; its free parameters are the fitted ones."""
         ...
 
@@ -87,8 +95,8 @@ class Solved(Protocol):
         ...
 
     @property
-    def agreement(self) -> Agreement | None:
-        """Whether starts that fit equally well ended in one solution; None for fewer than two of them."""
+    def calibration(self) -> Fitted | None:
+        """The calibration behind it; None for statistics at given values."""
         ...
 
     @property

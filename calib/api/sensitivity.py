@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import pandas as pd
 
-from calib.analyses.failures import reasons, reasons_sentence
-from calib.analyses.sensitivity import Sensitivity, measured
+from calib.analyses.sensitivity import Sensitivity, sampled, screened
+from calib.api.arguments import changed
 from calib.api.display import Shown
-from calib.api.pairs import kept_in
-from calib.api.protocols import PosedProblem
-from calib.api.responses import Responses
-from calib.errors.errors import EvaluationError
+from calib.api.pairs import kept_in, reporting
+from calib.api.protocols import ProblemLike
 from calib.execution.executor import Injected
-from calib.execution.stage import Progress
-from calib.problem.sampling import sample
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -25,8 +23,8 @@ class Assessed(Shown):
 
     Attributes
     ----------
-    answer : Sensitivity
-        All measures with their noise floors and samples.
+    answer : Sensitivity or Screening
+        All measures with their noise floors and samples; the latter of Morris' and Sobol's methods.
 
     Examples
     --------
@@ -42,7 +40,7 @@ class Assessed(Shown):
     1.0
     """
 
-    answer: Sensitivity
+    answer: Any
 
     @property
     def samples(self) -> pd.DataFrame:
@@ -51,7 +49,9 @@ class Assessed(Shown):
 
     @property
     def selected(self) -> tuple[str, ...]:
-        """Parameters that matter, such as `Problem.calibrate` takes."""
+        """Parameters that matter, such as `Problem.calibrate` takes; none of Morris' and Sobol's methods."""
+        if not isinstance(self.answer, Sensitivity):
+            return ()
         table = self.answer.assessment.selection
         return tuple(table["parameter"][table["selected"]])
 
@@ -73,7 +73,9 @@ class Assessed(Shown):
     @property
     def table(self) -> pd.DataFrame:
         """One row per parameter: its largest measures, the responses they belong to, and whether it is selected."""
-        shown = [
+        if not isinstance(self.answer, Sensitivity):
+            return self.answer.table
+        main = [
             "parameter",
             "max_spearman",
             "spearman_response",
@@ -81,30 +83,40 @@ class Assessed(Shown):
             "max_variance_share",
             "variance_share_response",
         ]
-        return self.answer.assessment.selection[[*shown, "selected"]]
+        return self.answer.assessment.selection[[*main, "selected"]]
+
+    @property
+    def lines(self) -> Mapping[str, str]:
+        """The answer by the labels of its lines, and where the rest is."""
+        rest = ".sentences, .spearman, .partial, .variance_share, .samples; .selected for calibrate"
+        evidence = rest if isinstance(self.answer, Sensitivity) else ".table"
+        return {**self.answer.answer.labelled, "Evidence": evidence}
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """The samples behind the measures, and the selection."""
-        return self.answer.sentences
+        found: tuple[str, ...] = self.answer.sentences
+        return found
 
     def __repr__(self) -> str:
+        if not isinstance(self.answer, Sensitivity):
+            return f"Assessed({self.answer.method}, {self.answer.points} points)"
         return f"Assessed({len(self.table)} parameters, {len(self.selected)} selected; {self.answer.samples} samples)"
 
 
 def assessed(
-    problem: PosedProblem, samples: int, seed: int, executor: Executor | Injected | None, told: Progress
+    problem: ProblemLike,
+    method: Literal["ranks", "morris", "sobol"],
+    keys: Mapping[str, Any],
+    ignore_constraints: bool,
+    executor: Executor | Injected | None,
+    progress: bool,
 ) -> Assessed:
     """See `calib.api.problem.Problem.sensitivity`."""
-    space, responses = problem.space, Responses.of(problem)
-    sampled = sample(space, samples, seed)
-    with kept_in(problem.ledger) as ledger, responses.evaluator(executor) as evaluator:
-        points = [space.complete(point) for point in sampled.points]
-        outcomes = ledger.evaluate(
-            responses.fingerprint, points, evaluator, lambda done: told("sampling", done, len(points))
-        )
-    if all(o.status != "ok" for o in outcomes):
-        found = reasons(outcomes)
-        words = f"the model cannot be evaluated within its limits: {reasons_sentence(space, found, len(outcomes))}"
-        raise EvaluationError(words, at=found[0].first.at)
-    return Assessed(measured(space, sampled, outcomes, responses.measured))
+    settings = changed(problem.settings.sensitivity, "sensitivity", keys)
+    study = problem.study(problem.settings.model_copy(update={"sensitivity": settings}))
+    workers = None if executor is None else Injected.of(executor)
+    with reporting("sensitivity", progress) as step, kept_in(problem.ledger) as ledger:
+        if method == "ranks":
+            return Assessed(sampled(study, ledger, workers, progress=step))
+        return Assessed(screened(study, ledger, method, workers, ignore_constraints=ignore_constraints, progress=step))

@@ -16,7 +16,7 @@ from calib.analyses import extend as extension
 from calib.analyses import propose as proposal
 from calib.analyses import sensitivity as sensitivity_analysis
 from calib.analyses import staged
-from calib.analyses.joint_calibration import Fitted, calibrate_jointly
+from calib.analyses.calibration import Fitted
 from calib.analyses.provenance import places
 from calib.analyses.provenance.stored import modes_kept
 from calib.analyses.reduction import fingerprints
@@ -31,13 +31,13 @@ from calib.errors.arguments import integer
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.execution.executor import Injected
-from calib.experiment.modal import model_of, test_of
+from calib.experiment.test import Model
 from calib.missing.findings import ExplanationResult
 from calib.problem.joint import said, stacked
 from calib.report.html.write import NAME as REPORT
 from calib.report.style import Format, Width
 from calib.results.results import RESULTS, Results
-from calib.study.several import AnyStudy, JointStudy
+from calib.study.several import AnyStudy
 from calib.study.study import Study as Loaded
 from calib.study.study_file import StudyFile, shell_argument
 
@@ -157,8 +157,8 @@ class Study:
 
     @property
     def problem(self) -> Problem:
-        """The study's models and tests as a `Problem` in memory, the selected parameters free; nothing is stored."""
-        first, *others = (Problem(model_of(one), test_of(one)) for one in self.loaded.studies)
+        """The study as a `Problem` in memory, with its settings and the selected parameters free; nothing is stored."""
+        first, *others = (_in_memory(one) for one in self.loaded.studies)
         return replace(first, beside=tuple(others))
 
     # -- analyses ------------------------------------------------------------------------------------------------------
@@ -337,13 +337,10 @@ class Study:
         with places.ledger_of(loaded, root) as ledger, self.listener.progress() as step:
             known = [mark for one in loaded.studies for mark in fingerprints(one, homes[one.test])]
             self.listener.other_state(ledger.other_fingerprints(*known))
-            if isinstance(loaded, JointStudy):
-                folders = {one.test: places.results_of(one, root, quick, case, method) for one in loaded.studies}
-                with places.tasks_shared(self.workers):
-                    found: Fitted = calibrate_jointly(loaded, folders, folder, ledger, case, quick, method, step, homes)
-            else:
-                home = homes[loaded.test]
-                found = calibration.calibrate(loaded, folder, ledger, self.workers, case, quick, method, step, home)
+            folders = {one.test: places.results_of(one, root, quick, case, method) for one in loaded.studies}
+            found = calibration.calibrate(
+                loaded, folder, ledger, self.workers, case, quick, method, step, folders, homes
+            )
         self.listener.calibrated(loaded, found, folder)
         return found
 
@@ -384,3 +381,15 @@ class Study:
             replace(self, read=part).draw(own, report)
         if self.loaded.settings.several:
             self.draw(folder)
+
+
+def _in_memory(study: Loaded) -> Problem:
+    """One test of a study as a problem in memory; parameters of its nuisances belong to the test."""
+    space = study.search_space
+    own = {name: value for name, value in space.values.items() if name not in study.model.space}
+    model: Model = replace(study.model, space=space.without(own))
+    finer = study.finer_model()
+    return Problem(
+        model, study.experiment, unselected=study.unselected, settings=study.settings, base=study.base,
+        held_sd=study.held_sd, finer={} if finer is None else {model.name: finer},
+    )  # fmt: skip

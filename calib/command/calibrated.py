@@ -8,8 +8,7 @@ from typing import Any
 import pandas as pd
 
 from calib.analyses.added import WORDS
-from calib.analyses.calibrate import Calibration
-from calib.analyses.joint_calibration import Fitted, JointCalibration
+from calib.analyses.calibration import Calibration, Fitted, JointCalibration
 from calib.command.compared import held_out, more_on_pairs, pairs
 from calib.command.entries import Entry, Rows, Warned, Words
 from calib.command.terminal import count, number

@@ -26,7 +26,7 @@ def entries(study: Study, result: ComparisonResult, folder: Results) -> list[Ent
     """A comparison without a fit."""
     out: list[Entry] = [
         *map(Words, held_out(study)),
-        *(Words(f"Measurement: {note}.") for note in study.measurement_notes),
+        *(Words(f"Measurement: {note}.") for note in study.experiment.notes),
         *map(Warned, check_repeats(study)),
         *map(Warned, result.hints),
         *(Warned(f"Check this sensor: {finding.sentence}") for finding in result.sensor_findings),

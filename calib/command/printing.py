@@ -9,9 +9,9 @@ from pathlib import Path
 from types import TracebackType
 
 from calib.analyses.added import Added, to_add
+from calib.analyses.calibration import Fitted
 from calib.analyses.compare import ComparisonResult
 from calib.analyses.extend import Extension
-from calib.analyses.joint_calibration import Fitted
 from calib.analyses.propose import ProposalResult
 from calib.analyses.sensitivity import Screening, Sensitivity
 from calib.analyses.versions import Versions

@@ -1,16 +1,11 @@
-"""The forward problem of a study's fits: the model against the measured data that are not held out."""
+"""What was measured under one condition, by kind, and the forward problem of a model against it."""
 
-from calib.experiment.held_out import Unseen, UnseenFRFs, unseen_frfs, unseen_responses
-from calib.experiment.tested import AnyPair, ForwardProblem, Tested
-from calib.study.door import tested_for
+from calib.experiment.frf import FRFTest
+from calib.experiment.modal import ModalTest
+from calib.experiment.response import ResponseTest
+from calib.experiment.test import Test
 
-__all__ = [
-    "AnyPair",
-    "ForwardProblem",
-    "Tested",
-    "Unseen",
-    "UnseenFRFs",
-    "tested_for",
-    "unseen_frfs",
-    "unseen_responses",
-]
+TESTS = (ModalTest, ResponseTest, FRFTest)
+"""Every kind of test."""
+
+__all__ = ["TESTS", "FRFTest", "ModalTest", "ResponseTest", "Test"]

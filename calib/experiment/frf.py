@@ -7,28 +7,23 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+import pandas as pd
+
 from calib.correlation.frf.nuisance import NUISANCES, Nuisance, belonging_to, concerned, require_channels
 from calib.correlation.frf.problem import FRFProblem, assumed_frfs
 from calib.correlation.frf.residual import FRFResidual
 from calib.errors.arguments import names, objects
 from calib.errors.errors import InputError
-from calib.experiment import Unseen, unseen_frfs
-from calib.experiment.checked import UNNAMED, Claimed, band, named, place_of
-from calib.experiment.test import BaseTest
-from calib.hypotheses.of_test import basis_for
-from calib.hypotheses.scalar import FRFAdapter
+from calib.experiment.held_out import HeldOutGroups, held_out_frfs
+from calib.experiment.test import UNNAMED, Claimed, Test, TestError, band, place_of, require_named
 from calib.measurement.accuracy import frf_claim
-from calib.measurement.disagreements import Disagreement
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_parts import HeldOutFRFs
-from calib.missing.facts import MeasurementFacts
-from calib.problem.effect import Effect
-from calib.structure.effects.perturbations import Perturbation
 from calib.structure.model import Assumption, StructuralModel
 
 
 @dataclass(frozen=True, eq=False)
-class FRFTest(BaseTest):
+class FRFTest(Test):
     """Measured frequency response functions, compared with those of a model with matrices.
 
     Attributes
@@ -80,8 +75,11 @@ class FRFTest(BaseTest):
     condition: Mapping[str, float] = field(default_factory=dict)
     accuracy: Claimed = None
 
+    words = "FRFs"
+    can_hold_out = ("sensors", "references", "bands")
+
     def __post_init__(self) -> None:
-        place = named(self)
+        place = require_named(self)
         (frfs,) = objects([self.frfs], MeasuredFRFs, f"{place}, frfs")
         object.__setattr__(self, "nuisances", objects(self.nuisances, NUISANCES, f"{place}, nuisances"))
         require_channels(self.nuisances, frfs)
@@ -96,8 +94,8 @@ class FRFTest(BaseTest):
         object.__setattr__(self, "held_out_bands", bands)
         unknown = self._held_out.unknown(self.frfs)
         if unknown is not None:
-            lacking = unknown[1]
-            raise InputError(lacking.problem, place=place, remedy=lacking.remedy)
+            keys, lacking = unknown
+            raise TestError.at_keys(lacking.problem, lacking.remedy or "", place, "held_out", *keys)
 
     @property
     def _held_out(self) -> HeldOutFRFs:
@@ -108,9 +106,19 @@ class FRFTest(BaseTest):
         return self._held_out.split(self.frfs)
 
     @property
-    def synthetic(self) -> bool:
-        """Whether the measurement is marked as synthetic."""
-        return self.frfs.synthetic
+    def measured(self) -> MeasuredFRFs:
+        """Everything that was measured."""
+        return self.frfs
+
+    @property
+    def repeats(self) -> int:
+        """Repeats of the measurement."""
+        return self.frfs.n_repeats
+
+    @property
+    def held_out_sensors(self) -> tuple[str, ...]:
+        """Responses that no fit uses."""
+        return self.held_out
 
     @property
     def used(self) -> MeasuredFRFs:
@@ -118,16 +126,16 @@ class FRFTest(BaseTest):
         return self._parts[0]
 
     @property
-    def unseen(self) -> Unseen:
+    def unseen(self) -> HeldOutGroups:
         """Held-out FRFs, by their group, with the nuisances that concern them."""
-        return unseen_frfs(self._parts[1], self.nuisances)
+        return held_out_frfs(self._parts[1], self.nuisances)
 
-    def problem(self, model: Any) -> FRFProblem:
-        """The forward problem of a model, without held-out FRFs."""
+    def problem(self, model: Any, base: Any = None) -> FRFProblem:
+        """The forward problem of a model, without held-out FRFs; transducers load the structure all the same."""
         if not isinstance(model, StructuralModel):
-            raise InputError(
-                f"the model {model.name} has no matrices", place=place_of(self),
-                remedy="give a StructuralModel; matrices of other codes make one too",
+            raise TestError.at_keys(
+                f"the model {model.name} has no matrices, so it has no FRFs",
+                "give a StructuralModel; matrices of other codes make one too", place_of(self), "measurement", "kind",
             )  # fmt: skip
         return FRFProblem(model, self.used, concerned(self.nuisances, self.used))
 
@@ -136,40 +144,29 @@ class FRFTest(BaseTest):
         """The test as one of several: parameters of its own bear its name."""
         return replace(self, nuisances=belonging_to(self.name, self.nuisances))
 
-    def pair(self, model: Any) -> FRFResidual:
-        """The whitened residual of a model, without held-out FRFs."""
-        return FRFResidual(self.problem(model))
+    def residual(self, problem: Any) -> FRFResidual:
+        """The whitened residual of a forward problem over such data."""
+        return FRFResidual(problem)
 
     @property
     def sensed(self) -> tuple[MeasuredFRFs]:
         """The data in use, whose sensors are places of local perturbations."""
         return (self.used,)
 
-    def adapter(
-        self,
-        model: Any,
-        effects: tuple[Effect, ...],
-        local: tuple[Perturbation, ...],
-        facts: MeasurementFacts,
-        name: str,
-    ) -> FRFAdapter:
-        """See `BaseTest`."""
-        pair = self.pair(model)
-        basis, large = basis_for(model, pair.problem, effects, local, facts.seed)
-        space = pair.space.without(self.condition)
-        return FRFAdapter.of(pair.suspected(name), effects, local, space, facts, self.unseen, basis, large)
-
-    @property
-    def disagreements(self) -> tuple[Disagreement, ...]:
-        """Empty: repeats of FRFs are not compared with each other."""
-        return ()
-
-    @property
-    def claimed(self) -> str:
-        """The claimed accuracy, in words; empty without."""
-        return self.frfs.claimed
-
     @property
     def assumed(self) -> tuple[Assumption, ...]:
         """Assumed standard deviations, where none is known."""
         return assumed_frfs(self.used)
+
+    def table(self) -> pd.DataFrame:
+        """``response, reference, held_out, quantity, lines, freq_min, freq_max, repeats``, one row per function.
+
+        Bands that are held out are not marked.
+        """
+        whole, rows = self.frfs, []
+        for function in whole.functions:
+            response, reference, freq = function.response.name, function.reference.name, whole.freq[function.lines]
+            held_out = response in self.held_out or reference in self.held_out_references
+            rows.append((response, reference, held_out, whole.quantity, len(freq), freq[0], freq[-1], whole.n_repeats))
+        columns = ["response", "reference", "held_out", "quantity", "lines", "freq_min", "freq_max", "repeats"]
+        return pd.DataFrame(rows, columns=columns)

@@ -17,7 +17,7 @@ from calib.measurement.frf import MeasuredFRFs
 from calib.problem.problem import Pair
 
 
-class UnseenPair(Pair, Protocol):
+class HeldOutResidual(Pair, Protocol):
     """A pair whose rows compare one measured value each."""
 
     @property
@@ -31,10 +31,10 @@ class UnseenPair(Pair, Protocol):
         ...
 
 
-class UnseenData(Protocol):
+class HeldOutData(Protocol):
     """Held-out data that are compared entry by entry: scalar responses or FRFs."""
 
-    def pair(self, problem: Any) -> UnseenPair:
+    def pair(self, problem: Any) -> HeldOutResidual:
         """Their whitened residual for the model of the fitted problem."""
 
     def unfitted(self, values: Mapping[str, float]) -> dict[str, float]:
@@ -42,7 +42,7 @@ class UnseenData(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class UnseenResponses:
+class HeldOutResponses:
     """Held-out scalar responses.
 
     Attributes
@@ -53,7 +53,7 @@ class UnseenResponses:
     targets: Targets
 
     def pair(self, problem: FunctionProblem) -> ResponseResidual:
-        """See `UnseenData`."""
+        """See `HeldOutData`."""
         return ResponseResidual(replace(problem, targets=self.targets))
 
     def unfitted(self, values: Mapping[str, float]) -> dict[str, float]:
@@ -62,7 +62,7 @@ class UnseenResponses:
 
 
 @dataclass(frozen=True, eq=False)
-class UnseenFRFs:
+class HeldOutFRFData:
     """Held-out FRFs.
 
     Attributes
@@ -76,26 +76,26 @@ class UnseenFRFs:
     nuisances: tuple[Nuisance, ...]
 
     def pair(self, problem: FRFProblem) -> FRFResidual:
-        """See `UnseenData`."""
+        """See `HeldOutData`."""
         return FRFResidual(replace(problem, measured=self.measured, nuisances=self.nuisances))
 
     def unfitted(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Such as the gain of a held-out channel; see `UnseenData`."""
+        """Such as the gain of a held-out channel; see `HeldOutData`."""
         own = (nuisance.parameter for nuisance in self.nuisances)
         return {p.name: p.prior_width for p in own if p.name not in values}
 
 
-Unseen = Mapping[str, UnseenData]
+HeldOutGroups = Mapping[str, HeldOutData]
 """Held-out scalar responses or FRFs, by group; only groups that hold something."""
 HELD_OUT_RESPONSES = "held_out_responses"
 """Group of held-out responses, as tables name it."""
 
 
-def unseen_responses(whole: Targets, names: Sequence[str]) -> dict[str, UnseenResponses]:
+def held_out_responses(whole: Targets, names: Sequence[str]) -> dict[str, HeldOutResponses]:
     """The named scalar responses as a group of held-out data; empty for none."""
-    return {HELD_OUT_RESPONSES: UnseenResponses({name: whole[name] for name in names})} if names else {}
+    return {HELD_OUT_RESPONSES: HeldOutResponses({name: whole[name] for name in names})} if names else {}
 
 
-def unseen_frfs(groups: Mapping[str, MeasuredFRFs], nuisances: Sequence[Nuisance]) -> dict[str, UnseenFRFs]:
+def held_out_frfs(groups: Mapping[str, MeasuredFRFs], nuisances: Sequence[Nuisance]) -> dict[str, HeldOutFRFData]:
     """Held-out FRFs by group with the nuisances of their test that concern them."""
-    return {group: UnseenFRFs(own, concerned(nuisances, own)) for group, own in groups.items()}
+    return {group: HeldOutFRFData(own, concerned(nuisances, own)) for group, own in groups.items()}

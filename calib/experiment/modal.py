@@ -1,38 +1,35 @@
-"""Test: what was measured of a structure under one condition, here its modes."""
+"""ModalTest: measured modes under one condition, and how they are compared with a model."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
-from calib.correlation.modal.fault_library import modal_faults
+import numpy as np
+import pandas as pd
+
 from calib.correlation.modal.problem import ModalProblem, usual_mode_count
 from calib.correlation.modal.residual import ModalResidual
-from calib.correlation.standard_deviations import assumed_deviations
-from calib.errors.arguments import by_name, integer, names, number, objects
+from calib.correlation.standard_deviations import assumptions, std_for
+from calib.errors.arguments import by_name, integer, names, number, objects, values
 from calib.errors.errors import InputError
-from calib.experiment.checked import UNNAMED, Claimed, Model, band, named, place_of
-from calib.experiment.frf import FRFTest
-from calib.experiment.response import ResponseTest
-from calib.experiment.test import BaseTest
-from calib.hypotheses.function_perturbations import model_hypotheses
-from calib.hypotheses.modal import ModalAdapter
-from calib.hypotheses.of_test import basis_for
+from calib.experiment.test import UNNAMED, Claimed, Model, Test, TestError, band, place_of, require_named
 from calib.measurement.accuracy import Accuracy
-from calib.measurement.disagreements import Disagreement
+from calib.measurement.corrections import corrected
 from calib.measurement.modal import MeasuredModes
-from calib.measurement.responses import read_responses
-from calib.missing.facts import MeasurementFacts
-from calib.problem.effect import Effect
-from calib.structure.effects.perturbations import Perturbation
 from calib.structure.function_model import FunctionModel
 from calib.structure.model import Assumption
-from calib.study.study import Study
+
+MODE_COLUMNS = (
+    "mode", "held_out", "natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std", "repeats",
+    "freq_std_used", "damping_std_used",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class ModalTest(BaseTest):
+class ModalTest(Test):
     """Measured modes, and how they are compared with a model.
 
     Attributes
@@ -57,6 +54,10 @@ class ModalTest(BaseTest):
         Least EMAC of a pair.
     override : mapping from mode to int
         Model modes, from 1, that are paired whatever their EMAC.
+    set_ups : mapping from str to sequence of str
+        Sensors that were scaled together, by the name of their set-up; an explanation suspects the factor of each.
+    corrected : mapping from str to float
+        Faults that are taken out, as an explanation names them, such as ``{"gain of sensor 12y": -0.1}``.
 
     Examples
     --------
@@ -89,17 +90,15 @@ class ModalTest(BaseTest):
     freq_window: tuple[float, float] | None = None
     threshold: float = 0.3
     override: Mapping[str, int] = field(default_factory=dict)
+    set_ups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    corrected: Mapping[str, float] = field(default_factory=dict)
+
+    words = "modes"
+    can_hold_out = ("modes", "sensors")
 
     def __post_init__(self) -> None:
-        place = named(self)
+        place = require_named(self)
         (modes,) = objects([self.modes], MeasuredModes, f"{place}, modes")
-        known = (*modes.names, *(s.name for s in modes.sensors))
-        for name in self.held_out:
-            if name not in known:
-                raise InputError(
-                    f"held-out mode or sensor {name!r} was not measured", place=place,
-                    remedy=f"the measured ones are {', '.join(known)}",
-                )  # fmt: skip
         object.__setattr__(
             self, "clusters", {m: names(c, f"{place}, clusters") for m, c in by_name(self.clusters, place).items()}
         )
@@ -110,128 +109,143 @@ class ModalTest(BaseTest):
             object.__setattr__(self, "mode_count", integer(self.mode_count, 1, f"{place}, mode_count"))
         if self.freq_window is not None:
             object.__setattr__(self, "freq_window", band(self.freq_window, f"{place}, freq_window"))
+        groups = by_name(self.set_ups, f"{place}, set_ups")
+        object.__setattr__(self, "set_ups", {n: names(s, f"{place}, set_ups") for n, s in groups.items()})
+        object.__setattr__(self, "corrected", values(self.corrected, f"{place}, corrected"))
         try:
-            claimed = self.modes.accuracy if self.accuracy is None else Accuracy.of(self.accuracy)
+            claimed = modes.accuracy if self.accuracy is None else Accuracy.of(self.accuracy)
         except (TypeError, ValueError) as fault:
             raise InputError(str(fault), place=f"{place}, accuracy") from None
-        object.__setattr__(self, "modes", replace(self.modes, accuracy=claimed))
+        try:
+            modes = corrected(modes, self.corrected, f"{place}, corrected")
+        except InputError as fault:
+            keys = ("measurement", "corrected")
+            raise TestError.at_keys(fault.problem, fault.remedy or "", f"{place}, corrected", *keys) from None
+        object.__setattr__(self, "corrected", {})  # they are out
+        object.__setattr__(self, "modes", replace(modes, accuracy=claimed))
+        self._require_held_out(place)
+
+    def _require_held_out(self, place: str) -> None:
+        """InputError for a held-out mode or sensor that was not measured, and where nothing is left to fit."""
+        known = (*self.modes.names, *(s.name for s in self.modes.sensors))
+        for k, name in enumerate(self.held_out):
+            if name not in known:
+                raise TestError.at_keys(
+                    f"held-out mode or sensor {name!r} was not measured",
+                    f"the measured ones are {', '.join(known)}", place, "held_out", k,
+                )  # fmt: skip
+        used = self.used
+        if not used.n_modes:
+            raise TestError.at_keys("every measured mode is held out", "leave some to fit", place, "held_out", "modes")
+        if self.modes.has_shapes and not used.has_shapes:
+            raise TestError.at_keys(
+                "every sensor is held out", "leave some by which modes are paired", place, "held_out", "sensors"
+            )
 
     @property
-    def synthetic(self) -> bool:
-        """Whether the measurement is marked as synthetic."""
-        return self.modes.synthetic
+    def measured(self) -> MeasuredModes:
+        """Everything that was measured."""
+        return self.modes
+
+    @property
+    def repeats(self) -> int:
+        """Repeats of the measurement."""
+        return self.modes.n_repeats
+
+    @property
+    def held_out_sensors(self) -> tuple[str, ...]:
+        """Sensors that no fit uses."""
+        return tuple(name for name in self.held_out if name not in self.modes.names)
 
     @cached_property
     def used(self) -> MeasuredModes:
         """The modes in use, without held-out data."""
         modes = [name for name in self.held_out if name in self.modes.names]
-        return self.modes.without(modes, [name for name in self.held_out if name not in modes])
+        return self.modes.without(modes, self.held_out_sensors)
 
-    def problem(self, model: Model) -> ModalProblem:
-        """The forward problem of a model, without held-out data."""
+    def problem(self, model: Model, base: Model | None = None) -> ModalProblem:
+        """The forward problem of a model, without held-out data; effects that add degrees of freedom add modes.
+
+        As many more modes are solved as the model has more than ``base``, the model before effects were added.
+        """
         if isinstance(model, FunctionModel):
-            raise InputError(
-                f"the model {model.name} has no modes",
-                place=place_of(self),
-                remedy="give a ResponseTest, or a ModalFunctionModel",
-            )
-        used = self.used
-        count = self.mode_count if self.mode_count is not None else usual_mode_count(used, model.n_modes)
-        held_out = set(self.held_out) - set(used.names)
+            raise TestError.at_keys(
+                f"the model {model.name} has no modes", "give a ResponseTest, or a ModalFunctionModel", place_of(self),
+                "measurement",
+            )  # fmt: skip
+        used, n_base = self.used, _n_modes(model if base is None else base)
+        count = self.mode_count if self.mode_count is not None else usual_mode_count(used, n_base)
+        if count < used.n_modes:
+            raise TestError.at_keys(
+                f"mode_count is {count}, but {used.n_modes} modes were measured",
+                "solve at least as many, better a few more", place_of(self), "pairing", "mode_count",
+            )  # fmt: skip
+        for key, mode in self._unmeasured():
+            raise TestError.at_keys(
+                f"mode {mode!r} was not measured", f"the measured modes are {', '.join(used.names)}", place_of(self),
+                "pairing", key, mode, mark="key",
+            )  # fmt: skip
+        held_out = set(self.held_out) & set(self.modes.names)
         return ModalProblem(
             model=model,
             measured=used,
             mode_clusters={m: c for m, c in self.clusters.items() if m not in held_out},
-            mode_count=count,
+            mode_count=count + model.n_modes - n_base,
             threshold=self.threshold,
             freq_window=self.freq_window,
             override={m: k for m, k in self.override.items() if m not in held_out},
         )
 
-    def pair(self, model: Model) -> ModalResidual:
-        """The whitened residual of a model, without held-out data."""
-        return ModalResidual(self.problem(model))
+    def _unmeasured(self) -> Iterator[tuple[str, str]]:
+        """Modes that clusters or override name though they were not measured, with the field."""
+        named = {mode: key for key in ("override", "clusters") for mode in getattr(self, key)}
+        yield from ((named[mode], mode) for mode in sorted(named.keys() - set(self.modes.names)))
 
-    def whole_problem(self, model: Model) -> ModalProblem | None:
-        """The forward problem with held-out data, for verification; None where nothing is held out."""
+    def residual(self, problem: Any) -> ModalResidual:
+        """The whitened residual of a forward problem over such data."""
+        return ModalResidual(problem)
+
+    def whole_problem(self, problem: Any) -> ModalProblem | None:
+        """See `Test`."""
         if not self.held_out:
             return None
-        return self.problem(model).over(self.modes, self.clusters, self.override, self.mode_count)
+        whole: ModalProblem = problem.over(self.modes, self.clusters, self.override, self.mode_count)
+        return whole
 
     @property
     def sensed(self) -> tuple[MeasuredModes]:
         """The data in use, whose sensors are places of local perturbations."""
         return (self.used,)
 
-    def adapter(
-        self,
-        model: Model,
-        effects: tuple[Effect, ...],
-        local: tuple[Perturbation, ...],
-        facts: MeasurementFacts,
-        name: str,
-    ) -> ModalAdapter:
-        """See `BaseTest`."""
-        pair = self.pair(model)
-        pair = replace(pair, faults=modal_faults(pair.problem.model, pair.problem.measured, test=name))
-        basis, large = basis_for(model, pair.problem, effects, local, facts.seed)
-        found, own = model_hypotheses(model, pair, effects, local, model.space.without(self.condition), name, basis)
-        return ModalAdapter(found, own, facts, self.whole_problem(model), reduced=large)
-
-    @property
-    def disagreements(self) -> tuple[Disagreement, ...]:
-        """Values in which one repeat disagrees with the others."""
-        return self.modes.disagreements
-
-    @property
-    def claimed(self) -> str:
-        """The claimed accuracy, in words; empty without."""
-        return self.modes.claimed
-
     @property
     def assumed(self) -> tuple[Assumption, ...]:
         """Assumed standard deviations, where none is stated."""
         return assumed_deviations(self.used)
 
+    def table(self) -> pd.DataFrame:
+        """`MODE_COLUMNS`: frequencies in Hz, damping as a ratio, and the number of repeats of the frequency."""
+        whole = self.modes
+        freq_std, damping_std = self._std_used()
+        columns = {
+            "mode": list(whole.names),
+            "held_out": [name in self.held_out for name in whole.names],
+            **{name: getattr(whole, name) for name in MODE_COLUMNS[2:-3]},
+            "repeats": whole.counts("freq"),
+            "freq_std_used": freq_std * whole.natural_freq,
+            "damping_std_used": damping_std * whole.damping_ratio,
+        }
+        return pd.DataFrame(columns, columns=list(MODE_COLUMNS))
 
-TESTS = (ModalTest, ResponseTest, FRFTest)
-Test = ModalTest | ResponseTest | FRFTest
-
-
-def test_of(study: Study) -> Test:
-    """The only test of a study."""
-    given, name, condition = study.settings, study.test or "test", study.condition
-    if study.frfs is not None:
-        held = given.held_out
-        return FRFTest(study.frfs, held.sensors, held.references, held.bands, study.nuisances, name, condition)
-    if study.whole is not None:
-        pairing = given.pairing
-        return ModalTest(
-            study.whole,
-            held_out=(*given.held_out.modes, *given.held_out.sensors),
-            name=name,
-            condition=condition,
-            clusters=pairing.clusters,
-            mode_count=pairing.mode_count,
-            freq_window=pairing.freq_window,
-            threshold=pairing.threshold,
-            override=pairing.override,
-        )
-    data = given.measurement
-    read = read_responses(study.folder / str(data.responses), data.pooling)
-    return ResponseTest(read, given.held_out.responses, name, condition, data.accuracy)
+    def _std_used(self) -> tuple[np.ndarray, np.ndarray]:
+        """Relative standard deviations of frequency and damping, (n_modes,): of the fit, or of the held-out check."""
+        every, used = std_for(self.modes), self.used
+        freq, damping = every.freq.copy(), every.damping.copy()
+        fitted, rows = std_for(used), [self.modes.names.index(name) for name in used.names]
+        freq[rows], damping[rows] = fitted.freq, fitted.damping
+        return freq, damping
 
 
-def model_of(study: Study) -> Model:
-    """The model of a study's only test with the selected parameters free; those of nuisances belong to the test."""
-    space = study.search_space
-    own = {name: value for name, value in space.values.items() if name not in study.model.space}
-    return replace(study.model, space=space.without(own))
-
-
-def under(model: Model, test: str, condition: Mapping[str, float]) -> Model:
-    """A model with the parameters of a test's condition fixed; InputError for one that it lacks."""
-    try:
-        return replace(model, space=model.space.held(condition))
-    except InputError as fault:
-        raise InputError(fault.problem, place=f"condition of test {test}", remedy=fault.remedy) from None
+def _n_modes(model: Any) -> int:
+    """Modes of a model with modes."""
+    count: int = model.n_modes
+    return count

@@ -4,29 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pandas as pd
 
 from calib.correlation.modal.responses import response_problem
-from calib.correlation.response.problem import FunctionProblem, assumed_responses
-from calib.correlation.response.residual import ResponseResidual
-from calib.errors.arguments import by_name, number
+from calib.correlation.response.problem import FunctionProblem, Targets
+from calib.correlation.response.residual import ResponseResidual, response_std
+from calib.correlation.response.values import assumed_responses
+from calib.errors.arguments import by_name, integer, number
 from calib.errors.errors import InputError
-from calib.experiment import Unseen, unseen_responses
-from calib.experiment.checked import UNNAMED, Claimed, Model, named, place_of
-from calib.experiment.test import BaseTest
-from calib.hypotheses.function_perturbations import model_hypotheses
-from calib.hypotheses.scalar import ScalarAdapter
-from calib.measurement.disagreements import Disagreement
-from calib.measurement.responses import MeasuredResponses, response_kinds
-from calib.missing.facts import MeasurementFacts
-from calib.problem.effect import Effect
-from calib.structure.effects.perturbations import Perturbation
+from calib.experiment.held_out import HeldOutGroups, held_out_responses
+from calib.experiment.test import UNNAMED, Claimed, Model, Test, TestError, place_of, require_named
+from calib.measurement.responses import MeasuredResponses
 from calib.structure.model import Assumption
 
 
 @dataclass(frozen=True, eq=False)
-class ResponseTest(BaseTest):
+class ResponseTest(Test):
     """Measured scalar responses, compared with those of a `calib.FunctionModel` or with numbers of modes.
 
     A model with modes has the responses ``freq_1``, ``freq_2``, ... (natural frequencies in ascending order, Hz) and
@@ -42,6 +40,8 @@ class ResponseTest(BaseTest):
         As in `ModalTest`.
     accuracy : str or mapping, optional
         Claimed accuracy: a share of every value, or by response or kind.
+    stated_repeats : int, optional
+        Repeats behind the standard deviations, where the responses do not show them.
 
     Examples
     --------
@@ -70,20 +70,24 @@ class ResponseTest(BaseTest):
     name: str = UNNAMED
     condition: Mapping[str, float] = field(default_factory=dict)
     accuracy: Claimed = None
+    stated_repeats: int | None = None
+
+    words = "scalar responses"
+    can_hold_out = ("responses",)
 
     def __post_init__(self) -> None:
-        place, known = named(self), self.measured.targets
-        for name in self.held_out:
+        place, known = require_named(self), self.measured.targets
+        if self.stated_repeats is not None:
+            object.__setattr__(self, "stated_repeats", integer(self.stated_repeats, 1, f"{place}, stated_repeats"))
+        for k, name in enumerate(self.held_out):
             if name not in known:
-                raise InputError(
-                    f"held-out response {name!r} was not measured", place=place,
-                    remedy=f"the measured ones are {', '.join(known)}",
+                raise TestError.at_keys(
+                    f"held-out response {name!r} was not measured", f"the measured responses are {', '.join(known)}",
+                    place, "held_out", "responses", k,
                 )  # fmt: skip
-
-    @property
-    def synthetic(self) -> bool:
-        """False: scalar responses carry no such mark."""
-        return False
+        if not self.used:
+            words = "every measured response is held out"
+            raise TestError.at_keys(words, "leave some to fit", place, "held_out", "responses")
 
     @cached_property
     def measured(self) -> MeasuredResponses:
@@ -92,56 +96,57 @@ class ResponseTest(BaseTest):
         if not isinstance(given, MeasuredResponses):
             read = by_name(given, f"{place}, responses")
             given = MeasuredResponses({n: _value(v, f"{place}, response {n}") for n, v in read.items()}, {})
-        kinds = response_kinds(given.targets)
         try:
-            return given.pooled(kinds).claiming(kinds, self.accuracy)
+            return given.prepared(self.accuracy)
         except InputError as fault:
-            raise InputError(fault.problem, place=f"{place}, accuracy", remedy=fault.remedy) from None
+            keys = ("measurement", "accuracy")
+            raise TestError.at_keys(fault.problem, fault.remedy or "", f"{place}, accuracy", *keys) from None
         except (TypeError, ValueError) as fault:
             raise InputError(str(fault), place=f"{place}, accuracy") from None
 
-    def problem(self, model: Model) -> FunctionProblem:
+    @cached_property
+    def used(self) -> Targets:
+        """The scalar responses in use, each a value with its standard deviation or None."""
+        return {n: t for n, t in self.measured.targets.items() if n not in self.held_out}
+
+    @property
+    def repeats(self) -> int | None:
+        """Those that the responses show, else those that are stated."""
+        counted = self.measured.repeats
+        return self.stated_repeats if counted is None else counted
+
+    def problem(self, model: Model, base: Any = None) -> FunctionProblem:
         """The forward problem of a model, without held-out responses."""
-        measured = self.measured
-        used = {n: t for n, t in measured.targets.items() if n not in self.held_out}
-        return response_problem(model, measured, used, measured.pooled_repeats, place_of(self))
+        pooled, measured = self.measured.pooled_repeats, self.measured
+        repeats = self.stated_repeats if pooled is None else pooled
+        return response_problem(model, measured, self.used, repeats, place_of(self))
 
-    def pair(self, model: Model) -> ResponseResidual:
-        """The whitened residual of a model, without held-out responses."""
-        return ResponseResidual(self.problem(model))
+    def residual(self, problem: Any) -> ResponseResidual:
+        """The whitened residual of a forward problem over such data."""
+        return ResponseResidual(problem)
+
+    def every_response(self, problem: FunctionProblem) -> FunctionProblem:
+        """The problem of a model over all measured responses, held-out ones included; for verification only."""
+        return replace(problem, targets=self.measured.targets)
 
     @property
-    def unseen(self) -> Unseen:
+    def unseen(self) -> HeldOutGroups:
         """Held-out responses, by their group."""
-        return unseen_responses(self.measured.targets, self.held_out)
-
-    def adapter(
-        self,
-        model: Model,
-        effects: tuple[Effect, ...],
-        local: tuple[Perturbation, ...],
-        facts: MeasurementFacts,
-        name: str,
-    ) -> ScalarAdapter:
-        """See `BaseTest`."""
-        space = model.space.without(self.condition)
-        found, own = model_hypotheses(model, self.pair(model), effects, local, space, name)
-        return ScalarAdapter(found, own, facts, self.unseen)
-
-    @property
-    def disagreements(self) -> tuple[Disagreement, ...]:
-        """Values in which one repeat disagrees with the others."""
-        return self.measured.disagreements
-
-    @property
-    def claimed(self) -> str:
-        """The claimed accuracy, in words; empty without."""
-        return self.measured.claimed
+        return held_out_responses(self.measured.targets, self.held_out)
 
     @property
     def assumed(self) -> tuple[Assumption, ...]:
         """Assumed standard deviations, where none is stated."""
-        return assumed_responses({n: t for n, t in self.measured.targets.items() if n not in self.held_out})
+        return assumed_responses(self.used)
+
+    def table(self) -> pd.DataFrame:
+        """``response, held_out, value, std, repeats, std_used``."""
+        whole = self.measured
+        rows = [
+            (name, name in self.held_out, value, np.nan if std is None else std, whole.counts.get(name, np.nan), used)
+            for (name, (value, std)), used in zip(whole.targets.items(), response_std(whole.targets), strict=True)
+        ]
+        return pd.DataFrame(rows, columns=["response", "held_out", "value", "std", "repeats", "std_used"])
 
 
 def _value(given: object, place: str) -> tuple[float, float | None]:

@@ -1,49 +1,124 @@
-"""What tests of every kind do alike."""
+"""What tests of every kind have in common: a name, a condition, data in use and data held out."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any, Self
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Self
 
+import numpy as np
 import pandas as pd
 
-from calib.analyses.fit_statistics import FitStatistics
-from calib.experiment import Unseen
-from calib.hypotheses.verify import errors_of
-from calib.missing.facts import MeasurementFacts
-from calib.missing.test import Adapter
-from calib.problem.effect import Effect
+from calib.correlation.frf.problem import FRFProblem
+from calib.correlation.frf.residual import FRFResidual
+from calib.correlation.modal.problem import ModalProblem
+from calib.correlation.modal.residual import ModalResidual
+from calib.correlation.response.problem import FunctionProblem
+from calib.correlation.response.residual import ResponseResidual
+from calib.errors.arguments import names, number, values
+from calib.errors.errors import InputError
+from calib.experiment.held_out import HeldOutGroups
+from calib.measurement.disagreements import Disagreement
 from calib.problem.space import ParameterSpace
-from calib.structure.effects.perturbations import Perturbation
+from calib.structure.function_model import FunctionModel
+from calib.structure.modal_function import ModalFunctionModel
+from calib.structure.model import Assumption, StructuralModel
+
+Model = StructuralModel | ModalFunctionModel | FunctionModel
+ForwardProblem = ModalProblem | FunctionProblem | FRFProblem
+Residual = ModalResidual | ResponseResidual | FRFResidual
+
+UNNAMED = "test"
+"""Name of a test that was given none."""
+Claimed = str | float | Mapping[str, str | float] | None
 
 
-class BaseTest(ABC):
-    """A test of one condition; subclasses say what was measured, and how a model is compared with it."""
+class TestError(InputError):
+    """Something wrong in a test, with the keys under which a study's file has it.
 
+    Attributes
+    ----------
+    keys : tuple of str or int
+        Such as ``("pairing", "mode_count")``; empty where no single entry is wrong.
+    mark : {"value", "key"}
+        Whether the value is wrong or the key itself.
+    """
+
+    __test__ = False  # no test of pytest's
+    keys: tuple[str | int, ...] = ()
+    mark: Any = "value"
+
+    @classmethod
+    def at_keys(cls, problem: str, remedy: str, place: str, *keys: str | int, mark: str = "value") -> TestError:
+        """An error with its keys; ``place`` is how the test is named where there is no file."""
+        out = cls(problem, place=place, remedy=remedy)
+        out.keys, out.mark = keys, mark
+        return out
+
+
+class Test(ABC):
+    """A test under one condition; subclasses say what was measured, and how a model is compared with it."""
+
+    __test__ = False  # no test of pytest's
     name: str
     condition: Mapping[str, float]
+    held_out: tuple[str, ...]
+
+    words: ClassVar[str]
+    """The kind in words."""
+    can_hold_out: ClassVar[tuple[str, ...]]
+    """Kinds of data that it can hold out, as a study's file names them."""
+
+    @property
+    @abstractmethod
+    def measured(self) -> Any:
+        """Everything that was measured, held-out data included."""
+
+    @property
+    @abstractmethod
+    def used(self) -> Any:
+        """The data in use, without held-out ones."""
 
     @abstractmethod
-    def problem(self, model: Any) -> Any:
-        """The forward problem of a model, without held-out data."""
+    def problem(self, model: Any, base: Any = None) -> Any:
+        """The forward problem of a model, without held-out data.
+
+        ``base`` is the model before effects were added to it; by default the model itself.
+        """
 
     @abstractmethod
+    def residual(self, problem: Any) -> Residual:
+        """The whitened residual of a forward problem over such data."""
+
     def pair(self, model: Any) -> Any:
         """The whitened residual of a model, without held-out data."""
+        return self.residual(self.problem(model))
 
-    def whole_problem(self, model: Any) -> Any:
-        """The forward problem with held-out modes, for verification; None where none are held out."""
+    def whole_problem(self, problem: Any) -> ModalProblem | None:
+        """The forward problem with held-out modes and sensors too, for verification; None where none are held out.
+
+        See `calib.correlation.modal.problem.ModalProblem.over`.
+
+        Raises
+        ------
+        InputError
+            When a held-out sensor has no place on the model, or a held-out mode an impossible pair.
+        """
         return None
 
     @property
-    def unseen(self) -> Unseen:
-        """Held-out data by their group, other than modes."""
+    def unseen(self) -> HeldOutGroups:
+        """Held-out scalar responses or FRFs by group; empty for modes. For verification only."""
         return {}
 
     @property
     def sensed(self) -> tuple[Any, ...]:
         """The data in use whose sensors are places of local perturbations; empty for data without sensors."""
+        return ()
+
+    @property
+    def held_out_sensors(self) -> tuple[str, ...]:
+        """Sensors that no fit uses."""
         return ()
 
     @property
@@ -56,32 +131,62 @@ class BaseTest(ABC):
         space: ParameterSpace = self.problem(model).space
         return space
 
-    def errors(self, model: Any, values: Mapping[str, float], fit: FitStatistics) -> pd.DataFrame:
-        """Errors on fitted, left-one-out and held-out data; see `calib.hypotheses.verify.errors_of`."""
-        joint, whole = fit.parts.get(self.name), self.whole_problem(model)
-        return errors_of(
-            self.pair(model), whole, self.unseen, self.space(model), values, joint=joint, active=fit.active
-        )
+    @property
+    @abstractmethod
+    def repeats(self) -> int | None:
+        """Repeats behind the measured values; None where they are not stated."""
+
+    @property
+    def synthetic(self) -> bool:
+        """Whether the measurement is marked as synthetic; scalar responses carry no such mark."""
+        return bool(getattr(self.measured, "synthetic", False))
+
+    @property
+    def disagreements(self) -> tuple[Disagreement, ...]:
+        """Values in which one repeat disagrees with the others."""
+        found: tuple[Disagreement, ...] = self.measured.disagreements
+        return found
+
+    @property
+    def claimed(self) -> str:
+        """The claimed accuracy, in words; empty without."""
+        words: str = self.measured.claimed
+        return words
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """How the measurement was read."""
+        found: tuple[str, ...] = self.measured.notes
+        return found
+
+    @property
+    @abstractmethod
+    def assumed(self) -> tuple[Assumption, ...]:
+        """Assumed standard deviations, where none is stated."""
 
     @abstractmethod
-    def adapter(
-        self,
-        model: Any,
-        effects: tuple[Effect, ...],
-        local: tuple[Perturbation, ...],
-        facts: MeasurementFacts,
-        name: str,
-    ) -> Adapter:
-        """The adapter of this test to an explanation.
+    def table(self) -> pd.DataFrame:
+        """All data with their standard deviations, held-out data included and marked."""
 
-        Parameters
-        ----------
-        model : StructuralModel, ModalFunctionModel or FunctionModel
-            Under the condition of the test.
-        effects : tuple of Effect
-        local : tuple of Perturbation
-            Local perturbations that all tests of a model of matrices share.
-        facts : MeasurementFacts
-        name : str
-            Name of the test where there are several; what concerns this one alone bears it.
-        """
+
+def require_named(test: Any) -> str:
+    """Check the fields that all kinds of test share; returns the test as errors name it."""
+    if not isinstance(test.name, str) or not test.name:
+        raise InputError(f"its name is {test.name!r}", place="test", remedy='give one, such as name="loaded"')
+    place = place_of(test)
+    object.__setattr__(test, "held_out", names(test.held_out, f"{place}, held_out"))
+    object.__setattr__(test, "condition", values(test.condition, f"{place}, condition"))
+    return place
+
+
+def place_of(test: Any) -> str:
+    """The test as an error names it; one that was given no name is "the test"."""
+    return f"test {test.name}" if test.name != UNNAMED else "the test"
+
+
+def band(entry: object, place: str) -> tuple[float, float]:
+    """Two frequencies, Hz."""
+    ends = tuple(number(f, place) for f in entry) if isinstance(entry, Sequence | np.ndarray) else ()
+    if isinstance(entry, str) or len(ends) != 2:
+        raise InputError(f"it is {entry!r:.40}", place=place, remedy="give (low, high) in Hz")
+    return ends[0], ends[1]

@@ -13,7 +13,7 @@ from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.mesh_error import geometry_tables
 from calib.correlation.response.residual import ResponseResidual
 from calib.execution.stage import Progress, unheard
-from calib.experiment import Unseen
+from calib.experiment.held_out import HeldOutGroups
 from calib.hypotheses.design.frf import frf_design
 from calib.hypotheses.discretisation_error import frf_discretisation_error
 from calib.hypotheses.hypotheses import ModelHypotheses
@@ -43,11 +43,11 @@ class GroupAdapter(OneTest):
 
     Attributes
     ----------
-    held_out : mapping from group to UnseenData
+    held_out : mapping from group to HeldOutData
     """
 
     hypotheses: ModelHypotheses[ResponseResidual] | ModelHypotheses[FRFResidual]
-    held_out: Unseen
+    held_out: HeldOutGroups
 
     @property
     def left_out_std(self) -> float:
@@ -145,7 +145,7 @@ class FRFAdapter(GroupAdapter):
         local: tuple[Perturbation, ...],
         space: ParameterSpace,
         facts: MeasurementFacts,
-        held_out: Unseen,
+        held_out: HeldOutGroups,
         basis: Basis | None = None,
         reduced: bool = False,
         finer: Callable[[], StructuralModel | None] = _no_finer,

@@ -15,7 +15,8 @@ from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.standard_deviations import Floors
-from calib.experiment import AnyPair, Unseen
+from calib.experiment.held_out import HeldOutGroups
+from calib.experiment.test import Residual
 from calib.inference.identify import posterior, with_held
 from calib.inference.joint_part import JointPart
 from calib.inference.leave_one_out import leave_one_out
@@ -32,9 +33,9 @@ ERROR_COLUMNS = ("group", "rows", "rms", "expected", "p", "unpaired")
 
 
 def errors_of(
-    pair: AnyPair,
+    pair: Residual,
     whole: ModalProblem | None,
-    unseen: Unseen,
+    unseen: HeldOutGroups,
     space: ParameterSpace,
     values: Mapping[str, float],
     held_sd: Mapping[str, float] = _NONE,
@@ -49,7 +50,7 @@ def errors_of(
         The model and the fitted data.
     whole : ModalProblem or None
         The same model with all modes and sensors; None where nothing is held out.
-    unseen : mapping from group to UnseenData
+    unseen : mapping from group to HeldOutData
         Held-out scalar responses or FRFs.
     space : ParameterSpace
         Free are the fitted parameters.
@@ -81,7 +82,7 @@ def errors_of(
 
 def held_out_residuals(
     problem: FunctionProblem | FRFProblem,
-    unseen: Unseen,
+    unseen: HeldOutGroups,
     values: Mapping[str, float],
     names: Sequence[str],
     held_sd: Mapping[str, float] = _NONE,

@@ -127,6 +127,11 @@ class MeasuredResponses:
             shares[name] = 0.0 if std is None or total is None or not repeated else (std / total) ** 2
         return replace(self, targets=targets, shares=shares, claimed=_words(accuracy))
 
+    def prepared(self, accuracy: str | float | Mapping[str, str | float] | None) -> MeasuredResponses:
+        """The same with few repeats pooled and a claimed accuracy added; see `pooled` and `claiming`."""
+        kinds = response_kinds(self.targets)
+        return self.pooled(kinds).claiming(kinds, accuracy)
+
 
 def response_kinds(names: Iterable[str]) -> dict[str, str]:
     """Kind of each scalar response: its name up to the first underscore where several share it, else ``response``."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
+from typing import ClassVar
 
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
@@ -32,6 +33,9 @@ class JointStudy(StudyFile):
     """
 
     studies: tuple[Study, ...]
+
+    in_memory: ClassVar[bool] = False
+    """See `Study.in_memory`."""
 
     @staticmethod
     def load(

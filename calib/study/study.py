@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
-from calib.correlation.frf.nuisance import Nuisance
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.response.problem import Targets
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
-from calib.experiment import AnyPair, ForwardProblem, Tested, Unseen, tested_for
+from calib.experiment import FRFTest, ModalTest, ResponseTest, Test
+from calib.experiment.held_out import HeldOutGroups
+from calib.experiment.test import ForwardProblem, Residual
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
-from calib.measurement.responses import MeasuredResponses
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of, digest_of_files
@@ -29,6 +28,7 @@ from calib.structure.reduction.basis import Basis
 from calib.study.limits import parameter_hints, search_space, sensitivity_space
 from calib.study.loading import Model, Sources, fingerprint_of, lacking, with_effects
 from calib.study.study_file import Measured, StudyFile
+from calib.study_experiment import experiment_of, placed, problem_of
 
 _NONE: Mapping[str, float] = MappingProxyType({})
 
@@ -41,8 +41,8 @@ class Study(StudyFile):
     ----------
     model : StructuralModel, ModalFunctionModel or FunctionModel
         With the study's effects, parameter values, limits and constraints.
-    tested : Tested
-        What was measured. All of it, held-out data included, is for verification only: never given to a fit.
+    experiment : ModalTest, FRFTest or ResponseTest
+        What was measured, and how it is compared with the model.
     problem : ModalProblem, FunctionProblem or FRFProblem
         Named parameters in, named responses out; with the data in use.
     sensitivity_space, search_space : ParameterSpace
@@ -59,10 +59,12 @@ class Study(StudyFile):
         Named files and all code as they were when the study was read; see `file_digests`.
     library_digest : str
         Hash over the functions that build the effects and their source files.
+    base : StructuralModel, ModalFunctionModel or FunctionModel, optional
+        The model before effects were added; None where none are.
     """
 
     model: Model
-    tested: Tested
+    experiment: Test
     problem: ForwardProblem
     sensitivity_space: ParameterSpace
     search_space: ParameterSpace
@@ -73,6 +75,31 @@ class Study(StudyFile):
     hints: tuple[str, ...] = ()
     read_files: Mapping[str, str] = field(default_factory=dict)
     library_digest: str = ""
+    base: Model | None = None
+
+    in_memory: ClassVar[bool] = False
+    """Whether it has no folder; see `calib.memory_study`."""
+
+    @property
+    def model_key(self) -> str:
+        """Same for the tests of one model."""
+        return repr((self.settings.model, self.settings.model_options))
+
+    @property
+    def model_label(self) -> str:
+        """What tells its model from those of other tests."""
+        return self.test
+
+    @property
+    def states_mesh(self) -> bool:
+        """Whether its model has a finer mesh where an error of the mesh is stated; that is checked where it is used."""
+        return True
+
+    @property
+    def unselected(self) -> tuple[str, ...]:
+        """Free parameters that a selection leaves out, those that a condition or an earlier study holds excepted."""
+        held = {*self.search_space.free_names, *self.condition, *self.adopted}
+        return tuple(name for name in self.sensitivity_space.free_names if name not in held)
 
     @property
     def studies(self) -> tuple[Study, ...]:
@@ -94,73 +121,54 @@ class Study(StudyFile):
         return {name: sd for name, sd in self.adopted_sd.items() if sd > 0}
 
     def measurement(self) -> Measured:
-        """Everything that was measured, as it was when the study was read."""
-        return self.given
-
-    @property
-    def given(self) -> Measured:
-        """Everything that was measured."""
-        return self.tested.given
+        """Everything that was measured, as it was when the study was read; for verification only."""
+        found: Measured = self.experiment.measured
+        return found
 
     @property
     def whole(self) -> MeasuredModes | None:
         """All modes; None where scalar responses or FRFs were measured."""
-        return self.tested.modes
-
-    @property
-    def responses(self) -> MeasuredResponses | None:
-        """All scalar responses and their repeats; None where modes or FRFs were measured."""
-        return self.tested.responses
+        return self.experiment.modes if isinstance(self.experiment, ModalTest) else None
 
     @property
     def frfs(self) -> MeasuredFRFs | None:
         """All FRFs; None where modes or scalar responses were measured."""
-        return self.tested.frfs
+        return self.experiment.frfs if isinstance(self.experiment, FRFTest) else None
 
     @property
     def measured(self) -> MeasuredModes | None:
         """Modes in use; None where scalar responses or FRFs were measured."""
-        return self.tested.used_modes
+        return self.experiment.used if isinstance(self.experiment, ModalTest) else None
 
     @property
     def targets(self) -> Targets:
         """Scalar responses in use; empty where modes or FRFs were measured."""
-        return self.tested.targets
+        return self.experiment.used if isinstance(self.experiment, ResponseTest) else {}
 
     @property
-    def pair(self) -> AnyPair:
+    def pair(self) -> Residual:
         """The whitened residual of the problem."""
-        return self.tested.pair(self.problem)
+        return self.experiment.residual(self.problem)
 
     @property
     def asked(self) -> Any:
         """The model as the problem asks it, which may be behind a ledger."""
         return getattr(self.problem, "model", self.model)  # a problem of a function holds no model
 
-    @cached_property
-    def nuisances(self) -> tuple[Nuisance, ...]:
-        """Errors of the test of FRFs that a fit may find, those of held-out channels included."""
-        return self.tested.nuisances(self.model)
-
-    @cached_property
-    def unseen(self) -> Unseen:
+    @property
+    def unseen(self) -> HeldOutGroups:
         """Held-out scalar responses or FRFs, by group; empty where modes were measured. For verification only."""
-        return self.tested.unseen(self.nuisances)
+        return self.experiment.unseen
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:
         """Where one repeat of the measurement disagrees with the others."""
-        return self.given.disagreements
-
-    @property
-    def measurement_notes(self) -> tuple[str, ...]:
-        """Notes on how the measurement was read."""
-        return self.given.notes
+        return self.experiment.disagreements
 
     @property
     def repeats(self) -> int | None:
         """Repeats behind the measured values; None where a study of scalar responses does not state them."""
-        return self.tested.repeats
+        return self.experiment.repeats
 
     @property
     def included(self) -> tuple[Effect, ...]:
@@ -174,8 +182,9 @@ class Study(StudyFile):
         return lacking(self.library, self.settings.with_effects)
 
     def whole_problem(self) -> ModalProblem | None:
-        """The modal problem over everything measured; None where no mode and no sensor is held out; see `Tested`."""
-        return self.tested.whole_problem(self.problem)
+        """The modal problem over everything measured; None where no mode and no sensor is held out."""
+        with placed(self, self.model):
+            return self.experiment.whole_problem(self.problem)
 
     def finer_model(self) -> StructuralModel | None:
         """The model on a finer mesh, effects included; None when the study names no options for one."""
@@ -232,17 +241,17 @@ def _study(
     model = replace(model, space=space)
     for k, name in enumerate(file.settings.depends_on):
         file.path(name, "depends_on", k)
-    tested = tested_for(file, model)
-    tested.require_own()
+    experiment = experiment_of(file, model)
     model = _identified(file, base, included, model)
-    problem = tested.problem(model, base)
+    problem = problem_of(file, experiment, model, base)
     selected = with_nuisances(search_space(space, file.settings, file.place, elsewhere=elsewhere), problem)
     if not file.settings.calibration.weight_freq + file.settings.calibration.weight_mac > 0:
         place = file.place("calibration", "weight_freq")
         raise InputError("both weights are zero", place=place, remedy="give one of them weight")
+    sd = {n: adopted_sd[n] for n in taken if n in adopted_sd}
     return Study(
-        file.name, file.file, file.settings, model, tested, problem, space, selected, library, dict(adopted),
-        {n: adopted_sd[n] for n in taken if n in adopted_sd}, initial, hints, read, digest, part=file.part,
+        file.name, file.file, file.settings, model, experiment, problem, space, selected, library, dict(adopted), sd,
+        initial, hints, read, digest, base if included else None, part=file.part,
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from calib.measurement.files.read import read_modes
 from calib.measurement.files.read_frf import read_frfs
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
-from calib.measurement.responses import MeasuredResponses, read_responses, response_kinds
+from calib.measurement.responses import MeasuredResponses, read_responses
 from calib.results.fingerprint import code_files, digest_of
 from calib.study.settings import StudySettings, TestSettings
 from calib.study.study_text import find, place_of, read_layers, read_settings
@@ -114,7 +114,18 @@ class StudyFile:
         return self.file.resolve().parent
 
     def measurement(self) -> Measured:
-        """Everything that was measured in one test; InputError where it cannot be read.
+        """Everything that was measured in one test, as fits weight it; InputError where it cannot be read."""
+        found = self.measured_data()
+        if not isinstance(found, MeasuredResponses):
+            return found
+        try:
+            return found.prepared(self.settings.measurement.accuracy)
+        except InputError as fault:
+            place = self.place("measurement", "accuracy")
+            raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
+
+    def measured_data(self) -> Measured:
+        """What the files of one test hold; InputError where they cannot be read.
 
         Files that did not change are read once in a process: every result asks for what it was made from.
         """
@@ -132,13 +143,7 @@ class StudyFile:
     def _read(self) -> Measured:
         given = self.settings.measurement
         if given.responses:
-            responses = read_responses(self.path(given.responses, "measurement", "responses"), given.pooling)
-            kinds = response_kinds(responses.targets)
-            try:
-                return responses.pooled(kinds).claiming(kinds, given.accuracy)
-            except InputError as fault:
-                place = self.place("measurement", "accuracy")
-                raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
+            return read_responses(self.path(given.responses, "measurement", "responses"), given.pooling)
         files = [self.path(f, "measurement", "files", k) for k, f in enumerate(given.files)]
         sensors = self.path(given.sensors, "measurement", "sensors") if given.sensors else None
         if given.kind == "frf":

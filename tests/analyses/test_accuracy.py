@@ -152,10 +152,8 @@ def test_the_measured_table_has_the_standard_deviations_that_fits_weight_by(mast
     freq_std = whole.freq_std * np.where(np.arange(whole.n_modes) == whole.n_modes - 1, 9.0, 1.0)
     whole = replace(whole, freq_std=freq_std, n_repeats=5)
     used = whole.without((whole.names[-1],), ())
-    held = study.settings.held_out.model_copy(update={"modes": (whole.names[-1],)})
-    settings = study.settings.model_copy(update={"held_out": held})
-    tested = replace(study.tested, study=replace(study, settings=settings), given=whole)
-    own = replace(study, tested=tested, problem=replace(study.problem, measured=used, mode_clusters={}))
+    experiment = replace(study.experiment, modes=whole, held_out=(whole.names[-1],))
+    own = replace(study, experiment=experiment, problem=replace(study.problem, measured=used, mode_clusters={}))
     table = measured_table(own).set_index("mode")
     np.testing.assert_allclose(table.loc[list(used.names), "freq_std_used"], std_for(used).freq * used.natural_freq)
     assert table.loc[whole.names[-1], "freq_std_used"] > 2 * std_for(used).freq[-1] * whole.natural_freq[-1]

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from calib.analyses.best_case import best_of, summed
+from calib.analyses.calibration import best_of, summed
 from calib.inference.agreement import agreement, agreement_sentences
 from calib.inference.cases import CaseResult
 from calib.inference.rules import RULES

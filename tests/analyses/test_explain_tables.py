@@ -102,7 +102,7 @@ def test_held_out_responses_of_a_function_enter_no_fit_and_verify_it(chain_folde
     function = effect.build(study.model) or study.model.function
     model = function(values)
     e = [
-        (study.responses.targets[n][0] - model[n]) / study.responses.targets[n][1]
+        (study.experiment.measured.targets[n][0] - model[n]) / study.experiment.measured.targets[n][1]
         for n in study.settings.held_out.responses
     ]
     assert table.loc[("held_out_responses", "after"), "rms"] == pytest.approx(np.sqrt(np.mean(np.square(e))), rel=1e-6)

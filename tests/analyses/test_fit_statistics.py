@@ -9,7 +9,7 @@ from scipy import stats
 from calib.analyses.calibrate import calibrate
 from calib.analyses.explain import explain
 from calib.analyses.extend import extend
-from calib.analyses.fit_statistics import Terms, posed, statistics_at
+from calib.analyses.fit_statistics import Terms, fit_problem, statistics_at
 from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.study.study import Study
@@ -145,6 +145,6 @@ def test_without_a_fit_no_datum_is_suspected(line, tmp_path):
     assert found.best.statistics.suspects["what"][0] == "y_5"
     study = Study.load(tmp_path / "line")
     with Ledger.open(tmp_path / "other.sqlite") as ledger:
-        beside = statistics_at(posed(study, ledger), Terms.of(study), found.best.statistics.values)
+        beside = statistics_at(fit_problem(study, ledger), Terms.of(study), found.best.statistics.values)
     assert beside.p_fit == pytest.approx(found.best.statistics.p_fit) and beside.fits is False
     assert beside.suspects.empty

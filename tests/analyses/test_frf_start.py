@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import calib
-from calib.analyses.fit_statistics import fitted
+from calib.analyses.fit_statistics import Terms, fitted
 from calib.correlation.frf.nuisance import ChannelError
 from calib.hypotheses.linear_start import linear_start, linear_starts
 from calib.measurement.modal import Sensor
@@ -26,12 +26,12 @@ def problem_of(model, frfs, nuisances=()):
 
 
 def start_of(problem):
-    posed = problem.posed
+    posed = problem.fit_problem
     return linear_start(posed.pair, posed.space, posed.space.values)
 
 
 def fit_from(problem, point):
-    return fitted(problem.posed, problem.terms, [point], 40)
+    return fitted(problem.fit_problem, Terms(), [point], 40)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def test_it_leads_to_the_truth_where_least_squares_alone_end_elsewhere(frfs, wro
     assert alone.p_fit < 1e-6 and max(abs(alone.values[n] / TRUE[n] - 1) for n in ("k", "m", "links")) > 0.1
     start = start_of(problem)
     assert all(abs(start[n] / TRUE[n] - 1) < NEAR for n in ("k", "m", "links"))
-    fit = problem.calibrate(progress=False)
+    fit = problem.calibrate(starts=1, progress=False)
     assert fit.statistics.p_fit > 1e-3
     assert all(abs(fit.values[n] - true) < 4 * fit.parameters.loc[n, "std"] for n, true in TRUE.items())
 
@@ -103,7 +103,7 @@ def test_sensors_between_degrees_of_freedom_start_as_those_on_them(frfs):
     rows = model.sensor_rows(frfs.responses)
     assert (np.count_nonzero(np.abs(rows) > 1e-3, axis=1) > 1).all()
     ours, theirs = problem_of(model, frfs), problem_of(plain, frfs)
-    np.testing.assert_allclose(ours.posed.pair.solve(TRUE), theirs.posed.pair.solve(TRUE), rtol=1e-8)
+    np.testing.assert_allclose(ours.fit_problem.pair.solve(TRUE), theirs.fit_problem.pair.solve(TRUE), rtol=1e-8)
     start = start_of(theirs)
     assert start_of(ours) == pytest.approx(start, rel=1e-6) and start["k"] != wrong["k"]
 
@@ -112,11 +112,11 @@ def test_errors_of_channels_stay_and_limits_hold(frfs):
     gain = ChannelError("gain", "3x", prior_sd=5.0)
     problem = problem_of(WORLD.chain(k=8e3), frfs, [gain])
     point = {**problem.space.values, "gain_3x": 1.25}
-    start = linear_start(problem.posed.pair, problem.space, point)
+    start = linear_start(problem.fit_problem.pair, problem.space, point)
     assert start["gain_3x"] == 1.25 and set(start) == set(problem.space.names)
     assert abs(start["k"] / WORLD.TRUE["k"] - 1) < NEAR
     narrow = problem.space.replace("k", upper=9e3)
-    assert linear_start(problem.posed.pair, narrow, narrow.values)["k"] == 9e3
+    assert linear_start(problem.fit_problem.pair, narrow, narrow.values)["k"] == 9e3
 
 
 def test_only_free_parameters_are_moved(frfs):
@@ -145,8 +145,8 @@ def test_the_quantity_does_not_matter(frfs):
 )
 def test_there_is_none_without_a_response_at_every_reference(places):
     problem = problem_of(WORLD.chain(), WORLD.measured(1, **places))
-    assert start_of(problem) is None and linear_starts(problem.posed, problem.space.values) == ()
-    assert set(problem.calibrate(progress=False).values) == {"k", "c", "m"}  # from the nominal values
+    assert start_of(problem) is None and linear_starts(problem.fit_problem, problem.space.values) == ()
+    assert set(problem.calibrate(starts=1, progress=False).values) == {"k", "c", "m"}  # from the nominal values
 
 
 def test_there_is_none_for_sensors_that_measure_the_same_motion(frfs):
@@ -177,9 +177,9 @@ def test_it_serves_every_test_of_frfs_of_a_joint_fit():
     one, other = (WORLD.measured(seed, references=(q,)) for seed, q in ((1, 1), (2, 4)))
     tests = [calib.FRFTest(one, name="one"), calib.FRFTest(other, name="other")]
     problem = calib.Problem(WORLD.chain(stiff_links=True, k=6e3, m=1.2, links=0.6), tests)
-    (start,) = linear_starts(problem.posed, problem.space.values)
+    (start,) = linear_starts(problem.fit_problem, problem.space.values)
     assert all(abs(start[n] / TRUE[n] - 1) < 2 * NEAR for n in ("k", "m", "links"))
-    fit = problem.calibrate(progress=False)
+    fit = problem.calibrate(starts=1, progress=False)
     assert all(abs(fit.values[n] - true) < 4 * fit.parameters.loc[n, "std"] for n, true in TRUE.items())
 
 
@@ -193,7 +193,7 @@ def test_priors_decide_where_the_equations_say_nothing(frfs):
         parameters=[calib.Parameter("one", 5e3, 1e3, 2e4, "N/m"), calib.Parameter("two", 4e3, 1e3, 2e4, "N/m")],
     )  # fmt: skip
     problem = problem_of(model, frfs)
-    start = linear_start(problem.posed.pair, problem.space, {"one": 3e3, "two": 7e3})
+    start = linear_start(problem.fit_problem.pair, problem.space, {"one": 3e3, "two": 7e3})
     assert abs((start["one"] + start["two"]) / WORLD.TRUE["k"] - 1) < NEAR
     assert start["one"] - start["two"] == pytest.approx(1e3, abs=20.0)
 

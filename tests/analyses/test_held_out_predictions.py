@@ -53,7 +53,7 @@ def frfs():
     test = calib.FRFTest(FRFS.measured(2, ground=SOFT), **held_out)
     problem = calib.Problem(FRFS.chain(), test)
     found = problem.explain(FRFS.effects(), progress=False)
-    (adapter,) = _adapters(problem, library_of(problem, FRFS.effects()), 1).values()
+    (adapter,) = adapters_for(problem.study(effects=library_of(problem, FRFS.effects()))).values()
     return found.explanation.explanation, adapter
 
 
@@ -109,7 +109,7 @@ def test_held_out_modes_above_the_reach_of_a_reduced_basis_are_predicted_at_full
 
 
 def _adapter(problem, mast):
-    (adapter,) = _adapters(problem, library_of(problem, list(mast.library())), 1).values()
+    (adapter,) = adapters_for(problem.study(effects=library_of(problem, list(mast.library())))).values()
     return adapter
 
 

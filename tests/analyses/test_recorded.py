@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.analyses.calibrate import calibrate
-from calib.analyses.fit_statistics import Terms, fitted, posed
+from calib.analyses.fit_statistics import Terms, fit_problem, fitted
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
@@ -69,7 +69,7 @@ def test_modes_are_solved_once_and_not_again_in_the_next_run(tmp_path, solved):
         with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
             solved.clear()
             counts = Counts()
-            found.append((fitted(posed(study, ledger, counts=counts), Terms.of(study), starts, 1), counts))
+            found.append((fitted(fit_problem(study, ledger, counts=counts), Terms.of(study), starts, 1), counts))
             assert (
                 sum(solved.values()) <= ledger.count(study.problem.fingerprint) + 1
             )  # and the modes of the predictions

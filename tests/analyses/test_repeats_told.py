@@ -78,6 +78,6 @@ def test_an_outlying_response_is_reported_by_an_explanation(tmp_path):
     study = Study.load(folder)
     assert [(d.mode, d.left_out) for d in study.disagreements] == [(given["response"][0], True)]
     assert study.repeats == 5
-    assert [study.responses.counts[n] for n in given["response"][:3]] == [5, 5, 6]
+    assert [study.experiment.measured.counts[n] for n in given["response"][:3]] == [5, 5, 6]
     answer = explain(study, Results.at(tmp_path / "results", study.name))
     assert check_repeats(study)[0] in answer.notes

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.api.explained import _adapters, library_of
+from calib.analyses.explain import adapters_for
+from calib.api.pairs import library_of
 from calib.missing.joint import JointHypotheses
 from calib.study.loading import module_of
 
@@ -13,7 +14,7 @@ CHAIN = module_of(__file__.rsplit("/", 2)[0] + "/template/frf_chain.py")
 
 def hypotheses_of(test):
     problem = calib.Problem(CHAIN.chain(), test)
-    (adapter,) = _adapters(problem, library_of(problem, CHAIN.effects()), 1).values()
+    (adapter,) = adapters_for(problem.study(effects=library_of(problem, CHAIN.effects()))).values()
     return adapter.hypotheses
 
 

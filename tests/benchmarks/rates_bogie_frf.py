@@ -160,7 +160,7 @@ class BogieWorld(World):
         """What the FRFs tell; a failure is a row as well."""
         started, row = time.perf_counter(), dict[str, Any]()
         try:
-            freed = concerned(self.by_frfs.nuisances, self.by_frfs.problem.measured)
+            freed = concerned(self.by_frfs.experiment.nuisances, self.by_frfs.problem.measured)
             seen, true = (
                 FRFResidual(FRFProblem(self.variants.model, one, freed)) for one in self.frfs(scenario, number)
             )

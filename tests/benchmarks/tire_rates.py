@@ -93,7 +93,7 @@ def one(kind: str, design: str, number: int) -> dict[str, Any]:
         ]  # fmt: skip
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            fit = calib.Problem(make.study.tire(), tests).calibrate(progress=False)
+            fit = calib.Problem(make.study.tire(), tests).calibrate(starts=1, progress=False)
             found = fit.explain(list(make.tire_effects()), progress=False)
             row["seconds"] = time.process_time() - begun
             decision = found.explanation.explanation

@@ -13,6 +13,7 @@ import pytest
 import calib
 from calib.command import cli
 from calib.study.loading import module_of
+from calib.study_experiment import nuisances_of
 
 ROOT = Path(__file__).resolve().parents[2]
 WORLD = module_of(ROOT / "tests/template/frf_chain.py")
@@ -174,7 +175,7 @@ def test_python_poses_the_problem_of_the_folder(ran):
     study = calib.Study(ran[0] / "chain")
     problem = study.problem
     one = study.loaded
-    assert problem.posed.pair.problem.measured.fingerprint == one.problem.measured.fingerprint
+    assert problem.fit_problem.pair.problem.measured.fingerprint == one.problem.measured.fingerprint
     assert set(problem.tests.unseen) == set(one.unseen) and problem.tests.unseen
     assert problem.space.free_names == one.search_space.free_names
 
@@ -197,12 +198,12 @@ def test_a_resonance_that_only_held_out_data_show_frees_nothing(tmp_path):
     own = 'kind = "frf"\nnuisances = { resonance = 2.0 }'
     file.write_text(file.read_text().replace('kind = "frf"', own))
     study = calib.Study(file.parent).loaded
-    given = study.tested.given
+    given = study.experiment.frfs
     at = [response.name for response in given.responses].index("3x")
     values = given.values.copy()
     values[:, at] += 50.0 / (1 - (given.freq / 35.0) ** 2 + 0.02j * given.freq / 35.0)[:, None]
-    tested = replace(study.tested, given=replace(given, values=values))
-    peaks = tested.given.resonances()
+    tested = replace(study.experiment, frfs=replace(given, values=values))
+    peaks = tested.frfs.resonances()
     assert min(abs(r.freq - 35.0) for r in peaks) < 1.0 < min(abs(r.freq - 35.0) for r in tested.used.resonances())
-    freed = {error.freq for error in tested.nuisances(study.model)}
+    freed = {error.freq for error in nuisances_of(study, tested, study.model)}
     assert len(freed) == 3 and freed == {r.freq for r in tested.used.resonances()}

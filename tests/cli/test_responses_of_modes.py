@@ -157,7 +157,7 @@ def test_every_parameter_matters_to_some_number(ran):
 
 def test_the_search_and_least_squares_end_where_a_notebook_does(ran):
     fitted = pd.read_csv(ran.of / "verdicts.csv").set_index("parameter")["value"]
-    found = ran.problem.calibrate(progress=False).values
+    found = ran.problem.calibrate(starts=1, progress=False).values
     for name in ("k1", "k3", "b"):
         assert fitted[name] == pytest.approx(found[name], rel=2e-3)
 

@@ -73,10 +73,10 @@ def test_a_parameter_is_identified_where_starts_that_fit_equally_well_agree(disc
     space = calib.ParameterSpace((calib.Parameter("a", 0.5, -3.0, 3.0),))
     model = calib.FunctionModel("square", space, lambda v: {"y": v["a"] ** 2, "z": 1 + 0.01 * v["a"]})
     problem = calib.Problem(model, calib.ResponseTest({"y": (1.0, 0.01), "z": (1.01, 0.001 if discriminated else 0.1)}))
-    assert problem.calibrate().agreement is None  # one start says nothing
+    assert problem.calibrate(starts=1).agreement.verdict == "one case"  # one start says nothing
     fit = problem.calibrate(starts=6)
     assert {np.sign(end.values["a"]) for end in fit.statistics.ends} == {-1.0, 1.0}
-    assert fit.agreement.verdict == ("one solution" if discriminated else "several solutions")
+    assert fit.agreement.verdict == ("one case" if discriminated else "several solutions")
     assert fit.parameters.loc["a", "identified"] == discriminated
     assert fit.parameters.loc["a", "not_identified"] == ("" if discriminated else "solutions")
     fit.report(tmp_path / "report.html")
@@ -94,8 +94,8 @@ def test_a_function_is_explained_as_in_the_study(chain, explained, tmp_path):
     assert [e.name for e in why.named] == list(found.explanation.credible)
     mine, own = why.explanation.effects.set_index("name"), found.effects.set_index("name")
     np.testing.assert_allclose(mine["magnitude"], own["magnitude"], rtol=0.02)
-    before = chain.calibrate()
-    after = why.with_named().calibrate()
+    before = chain.calibrate(starts=1)
+    after = why.with_named().calibrate(starts=1)
     assert before.statistics.fits is False and after.statistics.fits
     rms = [fit.errors.set_index("group").loc["left_out", "rms"] for fit in (before, after)]
     assert rms[1] < 0.5 * rms[0]
@@ -120,8 +120,8 @@ def test_a_missing_effect_of_a_structure_is_named_and_added(tmp_path):
     assert why.verdict == "effect" and [e.name for e in why.named] == ["brake_unit"]
     row = why.table.set_index("name").loc["brake_unit"]
     assert row["magnitude_low"] < 60 < row["magnitude_high"]
-    better = why.with_named().calibrate()
-    before, after = (fit.errors.set_index("group") for fit in (problem.calibrate(), better))
+    better = why.with_named().calibrate(starts=1)
+    before, after = (fit.errors.set_index("group") for fit in (problem.calibrate(starts=1), better))
     assert after.loc["held_out_sensors", "rms"] < 0.6 * before.loc["held_out_sensors", "rms"]
     assert after.loc["held_out_sensors", "p"] > 0.05 and before.loc["held_out_sensors", "p"] < 1e-6
 
@@ -141,18 +141,18 @@ def test_conditions_hold_for_their_test_only():
     ]
     problem = calib.Problem(oscillator(), tests)
     assert problem.space.names == ("k", "m")
-    fit = problem.calibrate()
+    fit = problem.calibrate(starts=1)
     assert (fit.values["k"], fit.values["m"]) == pytest.approx((40, 10), rel=1e-3)
     assert fit.compare().table["model"].to_numpy() == pytest.approx([4000, 8000 / 7], rel=1e-3)
     assert set(fit.errors["test"]) == {"0", "25"}
-    alone = calib.Problem(oscillator(), tests[0]).calibrate()
+    alone = calib.Problem(oscillator(), tests[0]).calibrate(starts=1)
     assert fit.parameters["std"]["k"] < 0.1 * alone.parameters["std"]["k"]
 
 
 def test_a_condition_holds_in_its_test_where_another_test_leaves_the_parameter_free():
     empty = calib.ResponseTest({"w2": (4000.0, 4.0)}, name="empty", condition={"load": 0.0})
     loaded = calib.ResponseTest({"w2": (8000 / 7, 1.0)}, name="loaded")
-    fit = calib.Problem(oscillator(), [empty, loaded]).calibrate()
+    fit = calib.Problem(oscillator(), [empty, loaded]).calibrate(starts=1)
     assert fit.values["load"] > 1.0
     assert fit.compare().table["model"].to_numpy() == pytest.approx([4000, 8000 / 7], rel=1e-3)
     assert fit.errors.set_index(["test", "group"]).loc[("empty", "fit"), "rms"] < 0.1
@@ -163,7 +163,7 @@ def test_parameters_that_are_not_kept_hold_one_value_in_all_joined_problems():
     space = calib.ParameterSpace((calib.Parameter("m", 8.0, 1.0, 50.0, "kg"),))
     scale = calib.FunctionModel("scale", space, lambda v: {"weight": v["m"]})
     joint = calib.Problem.join(first, calib.Problem(scale, calib.ResponseTest({"weight": (10.0, 0.01)}, name="scale")))
-    fit = joint.calibrate(["k"])
+    fit = joint.calibrate(["k"], starts=1)
     assert fit.values["m"] == 7.0 and fit.values["k"] == pytest.approx(28.0, rel=1e-3)
     assert fit.compare().table.set_index("test")["model"]["scale"] == 7.0
 
@@ -175,23 +175,23 @@ def test_joined_problems_share_parameters_by_name():
     )
     second = calib.Problem(scale, calib.ResponseTest({"weight": (10.0, 0.01)}, name="scale"))
     joint = calib.Problem.join(first, second)
-    fit = joint.calibrate()
+    fit = joint.calibrate(starts=1)
     assert (fit.values["k"], fit.values["m"]) == pytest.approx((40, 10), rel=1e-3)
     assert fit.parameters["std"]["m"] == pytest.approx(0.01, rel=0.01)
-    held = joint.calibrate(["k"])
+    held = joint.calibrate(["k"], starts=1)
     assert held.values["m"] == 7.0 and list(held.parameters.index) == ["k"]
-    assert calib.Problem.join(second, first).calibrate().values["k"] == pytest.approx(fit.values["k"], rel=1e-5)
+    assert calib.Problem.join(second, first).calibrate(starts=1).values["k"] == pytest.approx(fit.values["k"], rel=1e-5)
 
 
 def test_held_out_data_check_a_fit(chain):
     ((_, test),) = chain.pairs
     names = [n for n in test.measured.targets if n.startswith("f")][:2]
     own = calib.Problem(chain.model, replace(test, held_out=tuple(names)))
-    fit = own.calibrate()
+    fit = own.calibrate(starts=1)
     groups = fit.errors.set_index("group")
     assert groups.loc["held_out_responses", "rows"] == 2
-    assert len(own.posed.rows) == len(test.measured.targets) - 2
-    assert not set(names) & {row.sensor for row in own.posed.rows}
+    assert len(own.fit_problem.rows) == len(test.measured.targets) - 2
+    assert not set(names) & {row.sensor for row in own.fit_problem.rows}
 
 
 def test_an_accuracy_that_comes_with_the_modes_is_told(rig):
@@ -239,7 +239,7 @@ def test_a_condition_outside_the_limits_is_refused():
         lambda rig, chain: calib.Problem(chain.model, replace(chain.tests, held_out=("g1",))),
         lambda rig, chain: replace(rig.tests, accuracy="lots"),
         lambda rig, chain: rig.keep(["k9"]),
-        lambda rig, chain: rig.calibrate(["k9"]),
+        lambda rig, chain: rig.calibrate(["k9"], starts=1),
         lambda rig, chain: rig.explain({"tower": []}),
         lambda rig, chain: calib.read_modes("nowhere/*.uff"),
     ],
@@ -292,3 +292,31 @@ def test_examples_of_docstrings_hold(undrawn, module):
         pytest.importorskip(OPTIONAL[module])
     failed, count = doctest.testmod(importlib.import_module(module))
     assert count and not failed
+
+
+# -- short displays ----------------------------------------------------------------------------------------------------
+
+
+def test_measurements_spaces_and_models_print_short():
+    modes = calib.read_modes(STUDIES / "four_storey_rig/measured.csv", repeats=100, std_of="repeat")
+    model = four_storey_rig()
+    for one, lines in ((modes, modes.n_modes + 2), (model.space, len(model.space.parameters) + 1), (model, 1)):
+        text = str(one)
+        assert len(text.split("\n")) == lines and len(text) < 100 * lines
+    assert all(name in str(modes) for name in modes.names)
+    assert [p.name for p in model.space] == list(model.space.names)
+
+
+def test_modes_are_made_from_arrays_in_one_line():
+    made = calib.modes([8.0, 27.0], [[0.4, 1.0j], [0.8, 0.5]], sensors=["1x", (2, "x")], damping=[0.01, 0.02])
+    assert [s.name for s in made.sensors] == ["1x", "2x"] and made.names == ("1", "2")
+    np.testing.assert_allclose(abs(made.shapes).max(axis=0), 1.0)
+    np.testing.assert_allclose(made.damped_freq, [8.0 * (1 - 1e-4) ** 0.5, 27.0 * (1 - 4e-4) ** 0.5])
+    assert np.isnan(made.freq_std).all() and calib.modes([8.0]).has_shapes is False
+    for wrong in (
+        lambda: calib.modes([8.0], [[1.0]]), lambda: calib.modes([8.0], [[1.0, 2.0]], sensors=["1x"]),
+        lambda: calib.modes([8.0], damping=[0.01, 0.02]), lambda: calib.modes([8.0], [[1.0]], sensors=["x"]),
+        lambda: calib.modes([[8.0]]),
+    ):  # fmt: skip
+        with pytest.raises(calib.InputError):
+            wrong()

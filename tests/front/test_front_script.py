@@ -21,11 +21,11 @@ modes   = calib.read_modes("measured/*.uff", sensors="sensors.csv")
 problem = calib.Problem(bogie_on_rig(), [calib.ModalTest(modes, held_out=["4BT"])])
 
 problem.compare()                                   # a table; rich in a notebook
-fit = problem.calibrate(["K_primary", "m_crossbar"], seed=1)
+fit = problem.calibrate(["K_primary", "m_crossbar"], starts=1, seed=1)
 fit.parameters                                      # value, std, identified, on_limit, confounded_with
 why = fit.explain(bogie_effects())
 print(why)                                          # four lines: what is missing, how sure, where to look, what to measure next
-better = problem.with_effects(why.named).calibrate()
+better = problem.with_effects(why.named).calibrate(starts=1)
 better.figure("frequency_errors")                   # a matplotlib Axes
 better.report("report.html")
 calib.Study.load("studies/bogie").run()             # the same from a folder, with ledger, resume and results

@@ -110,9 +110,8 @@ def test_least_squares_follow_from_where_the_cases_ended(rig, found):
         assert found.statistics.criterion < rig.keep(STOREYS).statistics_at(case.values).statistics.criterion
     assert list(found.parameters.index) == list(STOREYS)
     ends = agreement_sentences(found.agreement, found.search.agreement)
-    # Goodness of fit, one sentence a parameter, then the agreement once: nothing is told of it besides.
-    assert ends and found.sentences[1 + len(STOREYS) :] == ends and all(name in str(found) for name in STOREYS)
-    assert rig.keep(STOREYS).calibrate().search is None
+    assert ends and set(ends) <= set(found.sentences) and all(name in str(found) for name in STOREYS)
+    assert rig.keep(STOREYS).calibrate(starts=1).search is None
 
 
 def test_tests_are_searched_together_each_under_its_condition():
@@ -153,7 +152,7 @@ def test_points_that_fail_are_counted_and_told():
 
     fit = weighed(oscillator(fragile)).search(cases=1, population=12, generations=8)
     assert fit.search.table["failed"].sum() > 0 and fit.values["k"] == pytest.approx(40, rel=1e-3)
-    assert "the spring tears" in fit.search.sentences[-1]
+    assert any("the spring tears" in sentence for sentence in fit.sentences)
 
     def broken(v):
         raise calib.EvaluationError("no licence")
@@ -197,7 +196,7 @@ def test_what_matters_is_selected_and_can_be_fitted():
     ranks = found.samples[["p", "a"]].rank().corr().iloc[0, 1]
     assert found.spearman.loc["p", "a"] == pytest.approx(ranks)
     np.testing.assert_allclose(found.samples["a"], found.samples["p"] ** 3 + 0.2 * found.samples["q"], rtol=1e-14)
-    assert list(problem.calibrate(found.selected).parameters.index) == ["p", "q"]
+    assert list(problem.calibrate(found.selected, starts=1).parameters.index) == ["p", "q"]
     only = problem.sensitivity(["q"], samples=50)
     assert list(only.table["parameter"]) == ["q"] and only.spearman.loc["q", "b"] == 1.0
     for text in (str(found), found._repr_html_()):

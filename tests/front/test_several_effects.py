@@ -48,7 +48,7 @@ def explained():
         patch.setattr(WORLD, "by_hand", with_three)
         frfs = WORLD.measured(2)
     test = calib.FRFTest(frfs, held_out=["3x"], held_out_bands=[(20.0, 26.0)])
-    return calib.Problem(WORLD.chain(), test).calibrate(progress=False).explain(library(), progress=False)
+    return calib.Problem(WORLD.chain(), test).calibrate(starts=1, progress=False).explain(library(), progress=False)
 
 
 def test_three_effects_are_named_with_their_magnitudes(explained):
@@ -68,6 +68,6 @@ def test_the_error_falls_with_every_step_in_data_used_and_held_out(explained):
 
 
 def test_the_model_with_all_of_them_is_calibrated(explained):
-    fit = explained.with_named().calibrate(progress=False)
+    fit = explained.with_named().calibrate(starts=1, progress=False)
     for name, true in HIDDEN.items():
         assert fit.values[name] == pytest.approx(true, rel=0.05)

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import eigh
 
 import calib
-from calib.api.explained import _adapters
+from calib.analyses.explain import adapters_for
 from calib.structure.affine import Monomial
 from calib.structure.effects.attach import outer_term
 from calib.structure.effects.extend import Addition
@@ -154,7 +154,7 @@ def test_two_conditions_name_the_effect_more_sharply_than_one(both, modal_tests)
 
 def test_the_named_effect_acts_in_both_tests(both):
     problem, why = both
-    before, after = problem.calibrate(), why.with_named().calibrate()
+    before, after = problem.calibrate(starts=1), why.with_named().calibrate(starts=1)
     assert before.statistics.fits is False and after.statistics.fits
     assert after.values["contact_3"] == pytest.approx(GROUND, rel=0.1)
     rms = after.errors.set_index(["group", "test"])["rms"]
@@ -166,10 +166,10 @@ def test_local_perturbations_are_one_in_all_tests_of_a_model(both, modal_tests):
     scores = why.explanation.explanation.base_adequacy.perturbations
     assert len(set(scores.owners)) == 3 + 2 * STOREYS  # springs, own mass and load, and two a sensor
     one = list(scores.owners).index("grounded spring at sensor 3x")
-    half = len(problem.posed.rows) // 2
+    half = len(problem.fit_problem.rows) // 2
     assert np.abs(scores.raw[:half, one]).max() > 0 and np.abs(scores.raw[half:, one]).max() > 0
     fewer = replace(modal_tests[1], modes=modal_tests[1].modes.without((), ("3x",)))
-    adapters = _adapters(calib.Problem(shear_frame(), [modal_tests[0], fewer]), {"matrices": LIBRARY}, 1)
+    adapters = adapters_for(calib.Problem(shear_frame(), [modal_tests[0], fewer]).study(effects={"matrices": LIBRARY}))
     assert "grounded spring at sensor 3x" in {e.name for e in adapters["loaded"].hypotheses.perturbations}
 
 
@@ -201,7 +201,7 @@ def test_effects_of_joined_problems_are_given_by_model(beside):
     why = beside.explain({"matrices": LIBRARY, "rig": [bench]})
     assert why.verdict == "effect" and [e.name for e in why.named] == ["contact_3"]
     assert set(why.table["name"]) == {"contact_1", "contact_3", "contact_5", "soft"}
-    fit = why.with_named().calibrate()
+    fit = why.with_named().calibrate(starts=1)
     assert fit.statistics.fits and fit.values["k"] == pytest.approx(1.06 * STIFF, rel=5e-3)
     names = set(why.explanation.explanation.base_adequacy.perturbations.owners)
     assert any(name.endswith("(matrices)") for name in names) and any("in test bench" in name for name in names)

@@ -14,7 +14,7 @@ from calib.errors.own_code import defined_at
 
 SPACE = calib.ParameterSpace((calib.Parameter("a", 2.0, 1.0, 3.0), calib.Parameter("b", 1.0, 0.5, 2.0)))
 ACTS = {
-    "calibrate": lambda problem, **how: problem.calibrate(**how),
+    "calibrate": lambda problem, **how: problem.calibrate(starts=1, **how),
     "sensitivity": lambda problem, **how: problem.sensitivity(samples=20, **how),
     "search": lambda problem, **how: problem.search(cases=1, population=4, generations=2, **how),
     "explain": lambda problem, **how: problem.explain(**how),
@@ -72,7 +72,7 @@ def test_a_terminal_shows_a_bar_and_a_file_nothing(monkeypatch):
     terminal, file = io.StringIO(), io.StringIO()
     for stream, is_terminal in ((terminal, True), (file, False)):
         monkeypatch.setattr(progress, "ERR", Console(file=stream, force_terminal=is_terminal, width=80))
-        problem_of(answer).calibrate()
+        problem_of(answer).calibrate(starts=1)
     assert "calibrate" in terminal.getvalue() and file.getvalue() == ""
 
 
@@ -80,7 +80,7 @@ def test_two_analyses_at_once_share_a_terminal(monkeypatch):
     stream = io.StringIO()
     monkeypatch.setattr(progress, "ERR", Console(file=stream, force_terminal=True, width=80))
     with progress.in_python("outer") as outer:
-        fit = problem_of(answer).calibrate()
+        fit = problem_of(answer).calibrate(starts=1)
         outer("last", 1, 2)
     assert fit.statistics.fits and "outer: last 1/2" in stream.getvalue()
 

@@ -68,8 +68,8 @@ WRONG = {
         calib.FunctionModel("a", SPACE.replace("k", value=300.0), MODEL.function), responses()
     ),
     "one name kept": lambda: PROBLEM.keep("k"),
-    "one name fitted": lambda: PROBLEM.calibrate("k"),
-    "values fitted": lambda: PROBLEM.calibrate({"k": 3.0}),
+    "one name fitted": lambda: PROBLEM.calibrate("k", starts=1),
+    "values fitted": lambda: PROBLEM.calibrate({"k": 3.0}, starts=1),
     "no start": lambda: PROBLEM.calibrate(starts=0),
     "negative seed": lambda: PROBLEM.calibrate(starts=2, seed=-1),
     "values without names": lambda: PROBLEM.compare(np.ones(2)),
@@ -118,7 +118,7 @@ def test_wrong_input_is_refused(wrong):
 def test_lists_iterators_and_series_serve_as_well():
     tests = (responses({"w2": [4.0, 0.01]}, name=name) for name in "ab")
     problem = calib.Problem(MODEL, tests)
-    assert len(problem.pairs) == 2 and len(problem.posed.rows) == 2
+    assert len(problem.pairs) == 2 and len(problem.fit_problem.rows) == 2
     found = problem.compare(pd.Series({"k": 40.0, "m": 10.0})).table
     assert found["model"].tolist() == [4.0, 4.0]
 

@@ -7,9 +7,8 @@ import pandas as pd
 import pytest
 
 import calib
+from calib.analyses.explain import adapters_for
 from calib.analyses.hypotheses_of_study import adapter_of
-from calib.api.explained import _adapters
-from calib.api.model_error import EXACT
 from calib.command import cli
 from calib.errors.errors import InputError
 from calib.hypotheses.joint import together
@@ -58,14 +57,14 @@ def both():
     """The right model, fitted to both tests."""
     frfs = WORLD.measured(3, share=0.1, floor=0.02)
     tests = [calib.FRFTest(frfs, name="shaken"), calib.ModalTest(WORLD.modes(5), name="tapped")]
-    return calib.Problem(WORLD.chain(), tests).calibrate(progress=False)
+    return calib.Problem(WORLD.chain(), tests).calibrate(starts=1, progress=False)
 
 
 def test_the_information_of_all_tests_is_the_sum_of_theirs(both):
     """By hand from the derivatives of each test at the joint fit, the prior counted once."""
     names, space = list(both.parameters.index), both.problem.space
     prior = np.diag([1 / space[n].prior_width ** 2 for n in names])
-    parts = {test: part.jacobian(both.values, names) for test, part in both.problem.posed.parts.items()}
+    parts = {test: part.jacobian(both.values, names) for test, part in both.problem.fit_problem.parts.items()}
     told = both.std_by_test.pivot(index="parameter", columns="test", values="std").loc[names]
     birge = both.statistics.birge
     whole = prior.copy()
@@ -79,7 +78,7 @@ def test_the_information_of_all_tests_is_the_sum_of_theirs(both):
 
 
 def test_labels_of_all_tests_keep_the_columns_that_each_brings(both):
-    joint, parts = both.problem.posed, both.problem.posed.parts
+    joint, parts = both.problem.fit_problem, both.problem.fit_problem.parts
     labels = joint.labels
     for test, own in {name: part.labels for name, part in parts.items()}.items():
         shown = labels[labels["test"] == test].reset_index(drop=True)
@@ -95,7 +94,7 @@ def test_labels_of_all_tests_keep_the_columns_that_each_brings(both):
 
 
 def test_lines_of_frfs_reach_the_pattern_of_an_effect_beside_modes(both):
-    adapter = together(_adapters(both.problem, {}, 1, EXACT))
+    adapter = together(adapters_for(both.problem.study()))
     base = adapter.hypotheses.fit_problem(())
     table = adapter.labels().astype(object).fillna("")
     assert len(table) == len(base.rows) and table["test"].tolist() == [row.test for row in base.rows]
@@ -151,7 +150,7 @@ def test_faults_of_channels_of_the_same_name_belong_to_their_tests(tmp_path):
     """In Python and as a study: another test has its own cables."""
     frfs = WORLD.measured(3, share=0.1, floor=0.02)
     problem = calib.Problem(WORLD.chain(), [calib.FRFTest(frfs, name=name) for name in ("before", "after")])
-    first, second = _adapters(problem, {}, 1, EXACT).values()
+    first, second = adapters_for(problem.study()).values()
     names = [{f.name for f in one.hypotheses.faults} for one in (first, second)]
     assert "gain_1x in test before" in names[0] and "cross_talk_3x_1x in test after" in names[1]
     assert not names[0] & names[1]

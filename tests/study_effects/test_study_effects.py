@@ -203,7 +203,7 @@ def test_scalar_responses_keep_their_held_out_targets(sums):
         file.write('[held_out]\nresponses = ["p"]\n')
     study = Study.load(sums)
     assert set(study.targets) == set(study.problem.targets) == {"s"} and study.whole_problem() is None
-    assert study.responses.targets == {"s": (3.0, 0.01), "p": (1.0, None)} and study.whole is None
+    assert study.experiment.measured.targets == {"s": (3.0, 0.01), "p": (1.0, None)} and study.whole is None
 
 
 def test_holding_everything_out_is_refused(mast, sums):

@@ -8,7 +8,7 @@ from typing import Any
 
 from calib.execution.evaluate import Evaluator
 from calib.execution.outcome import failure
-from calib.experiment import ForwardProblem
+from calib.experiment.test import ForwardProblem
 from calib.problem.effect import Effect
 from calib.study.study import EvaluationSource, Study
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
@@ -13,9 +14,10 @@ from calib.analyses.provenance.recorded import ModesEvaluator, reevaluated, unre
 from calib.errors.errors import InputError
 from calib.execution.evaluate import BatchEvaluator, Evaluator
 from calib.execution.executor import ExecutorEvaluator, Injected
+from calib.execution.outcome import Function
 from calib.execution.tasks import are_shared, shared_by
 from calib.execution.team import Team
-from calib.experiment import ForwardProblem
+from calib.experiment.test import ForwardProblem
 from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.results.written import LOG
@@ -144,6 +146,9 @@ def open_evaluator(
     """
     given = problem or study.problem
     bare = unrecorded(given)
+    if study.in_memory:
+        here = Here(bare)
+        return ExecutorEvaluator(here, workers) if isinstance(workers, Injected) else Evaluator(here)
     source = EvaluationSource.of(study, bare, basis)
     if isinstance(workers, Injected):
         return _opened_for(given, ExecutorEvaluator(source, workers, limit_asked(study)))
@@ -156,6 +161,22 @@ def open_evaluator(
     if chosen == 1 and isinstance(function, ChildFunction):
         return nullcontext(_answering(given, function.evaluator))
     return _opened_for(given, Evaluator(source, chosen, study.settings.calibration.time_limit))
+
+
+@dataclass(frozen=True, eq=False)
+class Here:
+    """Source of an evaluator: a forward problem of this process.
+
+    Attributes
+    ----------
+    problem : ForwardProblem
+    """
+
+    problem: ForwardProblem
+
+    def __call__(self) -> Function:
+        """From named values to named responses."""
+        return self.problem.evaluate
 
 
 @contextmanager

@@ -82,9 +82,9 @@ def write_record(
     tables = {
         "measured": {one.test: measured_table(one) for one in tests},
         "sensors": {
-            one.test: sensors_table(whole, one.settings.held_out.sensors)
+            one.test: sensors_table(whole, one.experiment.held_out_sensors)
             for one in tests
-            if (whole := one.given).sensors
+            if (whole := one.measurement()).sensors
         },
         "repeat_disagreements": {one.test: disagreements_table(one) for one in tests},
         "assumptions": {one.test: assumptions_table(one) for one in tests},
@@ -95,7 +95,7 @@ def write_record(
     limits = [one.sensitivity_space for one in tests]
     results.write_table("parameter_space", parameters_table(study.search_space, study.space, limits))
     given, measured = study.settings, [one.settings.measurement for one in tests]
-    notes = said({one.test: (*one.measurement_notes, *std_notes(one)) for one in tests})
+    notes = said({one.test: (*one.experiment.notes, *std_notes(one)) for one in tests})
     record = {
         "study": study.name,
         "title": given.title,
@@ -180,12 +180,12 @@ def made_with(analysis: str) -> dict[str, Any]:
 def measured_table(study: Study) -> pd.DataFrame:
     """All measured data with their standard deviations, held-out data included and marked.
 
-    Columns are those of `calib.experiment.modes.TestedModes.table`, and of the same for scalar responses and FRFs.
+    Columns are those of `calib.experiment.ModalTest.table`, and of the same for scalar responses and FRFs.
     Standard deviations are those of the mean over the repeats; for scalar responses they are pooled and include the
     claimed accuracy. Those ``used`` are the weights of calibration and explanation: pooled, with accuracy and floors,
     and assumed where nothing is known.
     """
-    return study.tested.table()
+    return study.experiment.table()
 
 
 def check_repeats(of: HasRepeats) -> list[str]:

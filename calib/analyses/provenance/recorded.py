@@ -10,7 +10,7 @@ from calib.analyses.provenance.user_function import outcome_of, with_library
 from calib.errors.errors import EvaluationError
 from calib.execution.evaluate import Arrived, BatchEvaluator
 from calib.execution.outcome import Outcome, attempt, failure, key_of
-from calib.experiment import ForwardProblem
+from calib.experiment.test import ForwardProblem
 from calib.results.ledger import Ledger
 from calib.study.study import Study
 

@@ -32,13 +32,15 @@ def confirmed(study: Study, ledger: Ledger) -> float | None:
     -------
     float or None
         Duration of the evaluation (s); None where nothing was evaluated: a model of matrices is identified by these,
-        and is checked only where that is cheap.
+        and is checked only where that is cheap; a study in memory is not checked.
 
     Raises
     ------
     InputError
         When the model returns other results than before.
     """
+    if study.in_memory:
+        return None
     problem = study.problem
     kept = problem.ledger_key
     stored = ledger.stored(kept)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from calib.execution.outcome import Outcome, attempt
-from calib.experiment import ForwardProblem
+from calib.experiment.test import ForwardProblem
 from calib.results.fingerprint import digest_of
 
 

@@ -1,0 +1,184 @@
+"""A study without a folder: models and tests in memory, with the settings that a study's file holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from calib.experiment import Test
+from calib.problem.effect import Effect
+from calib.structure.model import StructuralModel
+from calib.study.loading import Model
+from calib.study.settings import StudySettings
+from calib.study.several import AnyStudy, JointStudy
+from calib.study.study import Study, with_nuisances
+
+FILE = Path("problem")
+"""What errors name in place of a study's file."""
+
+
+@dataclass(frozen=True)
+class MemoryStudy(Study):
+    """One test of a problem in memory, as the analyses take it.
+
+    Attributes
+    ----------
+    key, label : str
+        Fingerprint of the model without the test's condition, and its name; see `Study.model_key`.
+    among : str
+        Name of the test where it is one of several; empty for the only one.
+    left_out : tuple of str
+        Parameters that a selection holds at their nominal values.
+    finer : StructuralModel, optional
+        The model on a finer mesh.
+    """
+
+    key: str = field(default="", kw_only=True)
+    label: str = field(default="", kw_only=True)
+    among: str = field(default="", kw_only=True)
+    left_out: tuple[str, ...] = field(default=(), kw_only=True)
+    finer: StructuralModel | None = field(default=None, kw_only=True)
+
+    in_memory = True
+
+    @property
+    def test(self) -> str:
+        """Name of the test, where it is one of several."""
+        return self.among
+
+    @property
+    def condition(self) -> dict[str, float]:
+        """Parameter values of this test only, each in its own unit; none of an only test, whose space lacks them."""
+        return dict(self.experiment.condition) if self.among else {}
+
+    @property
+    def synthetic(self) -> bool:
+        """Whether the measurement is synthetic."""
+        return self.experiment.synthetic
+
+    @property
+    def candidates(self) -> tuple[Effect, ...]:
+        """Effects that the model may lack."""
+        return self.library
+
+    @property
+    def model_key(self) -> str:
+        """Same for the tests of one model."""
+        return self.key
+
+    @property
+    def model_label(self) -> str:
+        """Name of the model."""
+        return self.label
+
+    @property
+    def unselected(self) -> tuple[str, ...]:
+        """Parameters that a selection leaves out."""
+        return tuple(name for name in self.left_out if name in self.model.space)
+
+    @property
+    def states_mesh(self) -> bool:
+        """Whether its model has a finer mesh: of several models some may have none."""
+        return self.finer is not None
+
+    def place(self, *keys: int | str, mark: Any = "value") -> Any:
+        """The argument that holds a setting, as an error names it."""
+        return ", ".join(str(key) for key in keys) or str(self.file)
+
+    def finer_model(self) -> StructuralModel | None:
+        """The model on a finer mesh, under the condition of the test; None where there is none."""
+        return self.finer
+
+
+@dataclass(frozen=True)
+class MemoryJointStudy(JointStudy):
+    """Several tests of a problem in memory."""
+
+    in_memory = True
+
+    @property
+    def test(self) -> str:
+        """Empty: these are all tests together."""
+        return ""
+
+    def place(self, *keys: int | str, mark: Any = "value") -> Any:
+        """The argument that holds a setting, as an error names it."""
+        return ", ".join(str(key) for key in keys) or str(self.file)
+
+
+@dataclass(frozen=True)
+class TestedModel:
+    """A model and one of its tests, as a problem in memory joins them.
+
+    Attributes
+    ----------
+    model : StructuralModel, ModalFunctionModel or FunctionModel
+        No condition applied.
+    held : the same
+        Its parameters fixed as the test's condition says.
+    base : the same
+        Before effects were added.
+    test : ModalTest, FRFTest or ResponseTest
+    """
+
+    __test__ = False  # no test of pytest's
+
+    model: Model
+    held: Model
+    base: Model
+    test: Test
+
+
+def study_in_memory(
+    tests: Sequence[TestedModel],
+    settings: StudySettings,
+    library: Mapping[str, tuple[Effect, ...]],
+    left_out: Sequence[str] = (),
+    held_sd: Mapping[str, float] | None = None,
+    finer: Callable[[TestedModel], StructuralModel | None] = lambda tested: None,
+) -> AnyStudy:
+    """Models and tests as a study of one test or of several.
+
+    Parameters
+    ----------
+    tests : sequence of TestedModel
+    settings : StudySettings
+        Of its analyses.
+    library : mapping from str to tuple of Effect
+        Effects that models may lack, by the name of the model.
+    left_out : sequence of str
+        Parameters that a selection holds at their nominal values.
+    held_sd : mapping from str to float, optional
+        Standard deviations of held parameters that an earlier study determined.
+    finer : callable
+        The model on a finer mesh, under the condition of a test; None where there is none.
+    """
+    parts = tuple(
+        _part(tested, settings, library, left_out, held_sd or {}, finer(tested), tested.test.name * (len(tests) > 1))
+        for tested in tests
+    )
+    return parts[0] if len(parts) == 1 else MemoryJointStudy("problem", FILE, settings, parts)
+
+
+def _part(
+    tested: TestedModel,
+    settings: StudySettings,
+    library: Mapping[str, tuple[Effect, ...]],
+    left_out: Sequence[str],
+    held_sd: Mapping[str, float],
+    finer: StructuralModel | None,
+    among: str,
+) -> MemoryStudy:
+    model, test = tested.held, tested.test
+    problem = test.problem(model, tested.base)
+    space = with_nuisances(model.space, problem)
+    space = space if among else space.without(dict(test.condition))
+    return MemoryStudy(
+        among or "problem", FILE, settings, model, test, problem, space, space, library.get(model.name, ()),
+        {name: model.space[name].value for name in held_sd if name in model.space},
+        {name: sd for name, sd in held_sd.items() if name in model.space},
+        space.values, key=tested.model.fingerprint, label=model.name, among=among, left_out=tuple(left_out),
+        finer=finer,
+    )  # fmt: skip

@@ -1,0 +1,100 @@
+"""A study in a folder and the same study as a problem in memory: one calculation, one result, nothing dropped."""
+
+import shutil
+from pathlib import Path
+from typing import get_type_hints
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import calib
+from calib.api.arguments import CalibrationKeys, ExplainKeys
+from calib.command.example import write_example
+from calib.hypotheses.library import faults_of
+from calib.study.settings import CalibrationSettings, ExplainSettings
+
+STUDIES = Path(__file__).resolve().parents[2] / "studies"
+QUICK = ["five_mass_chain"]
+LONGER = ["four_storey_rig", "four_storey_rig_wide", "four_storey_rig_masses", "hidden_two", "hidden_bogie_joint"]
+EVERY = [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in LONGER)]
+
+
+@pytest.fixture(scope="module", params=EVERY)
+def doors(request, tmp_path_factory):
+    """A study and its problem in memory."""
+    results = tmp_path_factory.mktemp("results")
+    study = calib.Study.load(STUDIES / request.param, results, workers=1, progress=False)
+    return study, study.problem
+
+
+def same(mine, own, numbers=1e-7):
+    pd.testing.assert_frame_equal(mine, own, check_exact=False, rtol=numbers, atol=1e-12)
+
+
+def test_a_comparison_is_the_same(doors):
+    study, problem = doors
+    own, mine = study.compare(), problem.compare()
+    same(mine.table.reset_index(drop=True), own.table.reset_index(drop=True))
+    assert [a.answer for a in mine.by_test.values()] == [a.answer for a in own.by_test.values()]
+
+
+def test_a_calibration_is_the_same(doors):
+    study, problem = doors
+    own, mine = study.calibrate().of, problem.calibrate(progress=False)
+    assert mine.answer == own.answer
+    same(mine.parameters.reset_index(), own.verdicts)
+    assert set(mine.calibration.tables) == set(own.tables)
+    for name, table in own.tables.items():
+        same(mine.calibration.tables[name], table, 1e-6)
+    assert mine.calibration.sentences == own.sentences
+    for one in study.loaded.studies:
+        same(mine.calibration.seen(one.test).errors, own.seen(one.test).errors, 1e-6)
+    for sentence in own.sentences:  # what the command prints can be printed in Python
+        assert sentence in mine.sentences
+
+
+@pytest.mark.slow
+def test_an_explanation_is_the_same(doors):
+    study, problem = doors
+    own = study.explain().of
+    library = {one.model.name: one.candidates for one in study.loaded.studies}
+    mine = problem.explain(library, progress=False)
+    assert (mine.verdict, mine.explanation.answer) == (own.verdict, own.answer)
+    same(mine.explanation.effects, own.effects, 1e-6)
+    assert mine.explanation.notes == own.notes
+    for name in ("pulls", "misfit_kinds", "candidate_fits", "next_measurement"):
+        same(mine.explanation.tables[name], own.tables[name], 1e-5)
+
+
+def test_set_ups_are_suspected_from_both_doors(tmp_path):
+    folder = shutil.copytree(STUDIES / "hidden_bogie", tmp_path / "bogie")
+    file = folder / "study.toml"
+    sensors = [sensor.name for sensor in calib.Study.load(folder, progress=False).loaded.measured.sensors]
+    first, second = (str(own).replace("'", '"') for own in (sensors[::2], sensors[1::2]))
+    text = file.read_text("utf-8").replace("[measurement]", f"[measurement]\nset_ups = {{ a = {first}, b = {second} }}")
+    file.write_text(text, "utf-8")
+    study = calib.Study.load(folder, progress=False)
+    own, mine = (
+        [fault.name for fault in faults_of(one) if "set-up" in fault.name]
+        for one in (study.loaded, study.problem.study())
+    )
+    assert own == mine and [name.split()[-1] for name in own] == ["a", "b"]
+
+
+def test_every_key_that_steers_an_analysis_is_an_argument():
+    calibration, explain = get_type_hints(CalibrationKeys).keys(), get_type_hints(ExplainKeys).keys()
+    assert set(CalibrationSettings.model_fields) == calibration - {"alpha"} | {"time_limit", "cases"}
+    assert set(ExplainSettings.model_fields) == explain | {"finer_options"}
+
+
+def test_a_key_of_a_study_holds_in_its_problem_until_an_argument_replaces_it(tmp_path):
+    write_example(tmp_path / "mast")
+    file = tmp_path / "mast/study.toml"
+    text = file.read_text("utf-8")
+    key = "[explain]\nalpha = 0.2\n"
+    file.write_text(text.replace("[explain]\n", key) if "[explain]\n" in text else f"{text}\n{key}", "utf-8")
+    problem = calib.Study.load(tmp_path / "mast", tmp_path / "results", progress=False).problem
+    assert problem.statistics_at({}).statistics.alpha == 0.2
+    fit = problem.calibrate(starts=1, alpha=0.05, progress=False)
+    assert fit.statistics.alpha == 0.05 and np.isfinite(fit.statistics.misfit)
