@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -197,6 +197,22 @@ class MeasuredModes:
         given = {"freq": self.freq_count, "damping": self.damping_count, "shape": self.shape_count}[kind]
         shape = self.shapes.shape if kind == "shape" else (self.n_modes,)
         return np.full(shape, self.n_repeats) if given is None else given
+
+    def __str__(self) -> str:
+        """A short table: frequencies with their standard deviations, and damping."""
+        sensors = f" at {len(self.sensors)} sensors" if self.has_shapes else ""
+        repeats = f", {self.n_repeats} repeats" if self.n_repeats > 1 else ""
+        head = f"{self.n_modes} modes{sensors}{repeats}{' (synthetic)' * self.synthetic}"
+        rows: list[tuple[str, ...]] = [("mode", "natural Hz", "std Hz", "damping %")]
+        for mode in zip(self.names, self.natural_freq, self.freq_std, 100 * self.damping_ratio, strict=True):
+            rows.append((mode[0], *("" if np.isnan(value) else f"{value:.4g}" for value in mode[1:])))
+        widths = [max(len(row[k]) for row in rows) for k in range(4)]
+        lines = ("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
+        return "\n".join([head, *(line.rstrip() for line in lines)])
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        """As notebooks show it."""
+        printer.text(str(self))
 
     @property
     def fingerprint(self) -> str:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -102,6 +103,26 @@ class ParameterSpace:
 
     def __getitem__(self, name: str) -> Parameter:
         return self._require(name, "parameter space")
+
+    def __iter__(self) -> Iterator[Parameter]:
+        return iter(self.parameters)
+
+    def __str__(self) -> str:
+        """A short table: values with their limits, and standard deviations of the priors."""
+        if not self.parameters:
+            return "no parameter"
+        rows: list[tuple[str, ...]] = [("parameter", "value", "unit", "lower", "upper", "prior std")]
+        for p in self.parameters:
+            limits = ("fixed", "", "") if p.distribution == "fixed" else (p.lower, p.upper, p.prior_width)
+            rows.append((p.name, *(x if isinstance(x, str) else f"{x:.4g}" for x in (p.value, p.unit, *limits))))
+        widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+        lines = ["  ".join(x.ljust(width) for x, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        lines += [f"{c.lower:g} <= {c.name} <= {c.upper:g} {c.unit}" for c in self.constraints]
+        return "\n".join(lines)
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        """As notebooks show it; ``repr`` holds everything, since digests are made of it."""
+        printer.text(str(self))
 
     def __contains__(self, name: object) -> bool:
         return name in self._by_name

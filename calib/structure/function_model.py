@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from calib.errors.arguments import objects
 from calib.errors.errors import InputError
@@ -59,6 +59,13 @@ class FunctionModel:
                 remedy="give a function of named values",
             )  # fmt: skip
         object.__setattr__(self, "parts", scaled_parts(self.parts, f"model {self.name}, parts"))
+
+    def __str__(self) -> str:
+        return f"{self.name}: a function of {len(self.space.parameters)} parameters"
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        """As notebooks show it."""
+        printer.text(str(self))
 
     @property
     def reducible(self) -> None:

@@ -142,6 +142,13 @@ class ModalFunctionModel:
         if not (isinstance(self.step, int | float) and 0 < self.step <= 0.1):
             raise InputError(f"its step is {self.step!r:.40}", place=place, remedy="give a part of the range, to 0.1")
 
+    def __str__(self) -> str:
+        return f"{self.name}: a function of {len(self.space.parameters)} parameters that returns {self.n_modes} modes"
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        """As notebooks show it."""
+        printer.text(str(self))
+
     @property
     def fingerprint(self) -> str:
         """Hash over the function, the objects it holds, and the requested modes and sensors."""

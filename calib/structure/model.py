@@ -114,6 +114,13 @@ class StructuralModel(Analytic):
     parts: tuple[Part, ...] = ()
     labels: tuple[int, ...] = ()
 
+    def __str__(self) -> str:
+        return f"{self.name}: matrices of {self.n_dof} degrees of freedom, {len(self.space.parameters)} parameters"
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        """As notebooks show it."""
+        printer.text(str(self))
+
     @staticmethod
     def from_matrices(
         stiffness: Terms,
