@@ -15,7 +15,6 @@ from calib.errors.place import excerpt
 from calib.execution.stage import Progress
 from calib.experiment import Test
 from calib.experiment.test import Model
-from calib.memory_study import TestedModel, study_in_memory
 from calib.problem.effect import Effect
 from calib.problem.joint import JointProblem
 from calib.problem.problem import Counts
@@ -23,6 +22,7 @@ from calib.problem.problem import Problem as OneTestProblem
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
 from calib.structure.model import StructuralModel
+from calib.study.in_memory import TestedModel, study_in_memory
 from calib.study.loading import extended
 from calib.study.settings import StudySettings
 from calib.study.several import AnyStudy

@@ -29,7 +29,6 @@ from calib.errors.arguments import values as values_of
 from calib.execution.executor import Injected
 from calib.experiment import TESTS, Test
 from calib.experiment.test import Model
-from calib.memory_study import TestedModel
 from calib.problem.effect import Effect
 from calib.problem.joint import JointProblem
 from calib.problem.problem import Problem as OneTestProblem
@@ -38,6 +37,7 @@ from calib.results.ledger import Ledger
 from calib.structure.function_model import FunctionModel
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
+from calib.study.in_memory import TestedModel
 from calib.study.settings import StudySettings
 from calib.study.several import AnyStudy
 

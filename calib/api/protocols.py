@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from calib.api.display import Compared
     from calib.experiment import Test
     from calib.experiment.test import Model
-    from calib.memory_study import TestedModel
     from calib.problem.space import ParameterSpace
+    from calib.study.in_memory import TestedModel
     from calib.study.settings import StudySettings
     from calib.study.several import AnyStudy
 

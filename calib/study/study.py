@@ -25,10 +25,10 @@ from calib.structure.effects.extend import extend
 from calib.structure.effects.perturbations import scaling_by_function
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.basis import Basis
+from calib.study.experiment import experiment_of, placed, problem_of
 from calib.study.limits import parameter_hints, search_space, sensitivity_space
 from calib.study.loading import Model, Sources, fingerprint_of, lacking, with_effects
 from calib.study.study_file import Measured, StudyFile
-from calib.study_experiment import experiment_of, placed, problem_of
 
 _NONE: Mapping[str, float] = MappingProxyType({})
 
@@ -78,7 +78,7 @@ class Study(StudyFile):
     base: Model | None = None
 
     in_memory: ClassVar[bool] = False
-    """Whether it has no folder; see `calib.memory_study`."""
+    """Whether it has no folder; see `calib.study.in_memory`."""
 
     @property
     def model_key(self) -> str:

@@ -12,8 +12,8 @@ import pytest
 
 import calib
 from calib.command import cli
+from calib.study.experiment import nuisances_of
 from calib.study.loading import module_of
-from calib.study_experiment import nuisances_of
 
 ROOT = Path(__file__).resolve().parents[2]
 WORLD = module_of(ROOT / "tests/template/frf_chain.py")
