@@ -44,12 +44,6 @@ FORBIDDEN = {
     "report": set(RANK) - {"errors", "execution", "results", "report"},
     "structure": {"correlation", "study", "inference", "sensitivity"},
 }
-# Arrows that still run up.
-PENDING = {
-    ("experiment", "hypotheses"),
-    ("experiment", "study"),
-    ("experiment", "analyses"),
-}
 # What models and libraries of effects may import, so that everything below may move.
 FACES = {"calib", "calib.structure"}
 ROOMS = 20
@@ -102,8 +96,6 @@ def test_imports_point_down():
     for part, file in parts():
         if part != "__init__":
             for other in used_parts(file) - {part}:
-                if (part, other) in PENDING:
-                    continue
                 assert RANK[other] < RANK[part], f"{file.name} ({part}) imports {other}"
 
 

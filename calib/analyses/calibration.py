@@ -17,7 +17,7 @@ from calib.inference.agreement import Agreement, agreement_sentences
 from calib.inference.cases import CaseResult
 from calib.inference.rules import RULES
 from calib.inference.verdicts import identified_sentence
-from calib.missing.suspect import sentence as suspect_sentence
+from calib.missing.suspect import suspect_sentence
 from calib.problem.joint import of_test
 from calib.problem.space import ParameterSpace
 from calib.results.answer import Answer

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, Unpack
 from calib.analyses.calibrate import CalibrationRun
 from calib.analyses.calibrate import calibrated as run_calibration
 from calib.analyses.calibration import Calibration, Fitted
+from calib.analyses.every_mode import errors_at
 from calib.analyses.fit_statistics import FitStatistics, Terms, fit_problem, statistics_at
 from calib.analyses.joint_responses import own_values
 from calib.analyses.provenance.places import tasks_shared
@@ -22,7 +23,6 @@ from calib.api.protocols import Effects, Finer, P
 from calib.api.search import Searched
 from calib.errors.arguments import path as path_of
 from calib.execution.executor import Injected
-from calib.hypotheses.verify import errors_at
 from calib.inference.agreement import Agreement
 from calib.results.answer import Answer
 

@@ -12,7 +12,7 @@ import pandas as pd
 
 from calib.correlation.modal.problem import ModalProblem, usual_mode_count
 from calib.correlation.modal.residual import ModalResidual
-from calib.correlation.standard_deviations import assumptions, std_for
+from calib.correlation.standard_deviations import assumed_deviations, std_for
 from calib.errors.arguments import by_name, integer, names, number, objects, values
 from calib.errors.errors import InputError
 from calib.experiment.test import UNNAMED, Claimed, Model, Test, TestError, band, place_of, require_named

@@ -12,9 +12,8 @@ import numpy as np
 import pandas as pd
 
 from calib.correlation.modal.responses import response_problem
-from calib.correlation.response.problem import FunctionProblem, Targets
+from calib.correlation.response.problem import FunctionProblem, Targets, assumed_responses
 from calib.correlation.response.residual import ResponseResidual, response_std
-from calib.correlation.response.values import assumed_responses
 from calib.errors.arguments import by_name, integer, number
 from calib.errors.errors import InputError
 from calib.experiment.held_out import HeldOutGroups, held_out_responses

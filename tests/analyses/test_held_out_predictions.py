@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.analyses.explain import adapter_for, decision
-from calib.api.explained import _adapters, library_of
+from calib.analyses.explain import adapter_for, adapters_for, decision
+from calib.api.explained import library_of
 from calib.correlation import basis as requirements
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import unheard

@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 import calib
-from calib.analyses.explain import decision
+from calib.analyses.explain import adapters_for, decision
 from calib.analyses.explanation_result import by_test
-from calib.api.explained import _adapters, library_of
+from calib.api.pairs import library_of
 from calib.hypotheses.joint import together
 from calib.missing.findings import findings
 from calib.missing.hypotheses import Altered
@@ -55,7 +55,7 @@ def measured(model, names, name, load=0.0, seed=2):
 
 
 def explained(problem, effects=EFFECTS):
-    adapter = together(_adapters(problem, library_of(problem, effects), 1))
+    adapter = together(adapters_for(problem.study(effects=library_of(problem, effects))))
     found = decision(adapter, ExplainSettings().model_copy(update={"seed": 1}), "explain")
     return SimpleNamespace(adapter=adapter, found=found, answer=findings(adapter, found, 0.0))
 

@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 
 import calib
+from calib.analyses.hypotheses_of_study import faults_of
 from calib.api.arguments import CalibrationKeys, ExplainKeys
 from calib.command.example import write_example
-from calib.hypotheses.library import faults_of
 from calib.study.settings import CalibrationSettings, ExplainSettings
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
