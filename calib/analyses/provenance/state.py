@@ -267,7 +267,7 @@ def rules_of(analysis: str) -> dict[str, Any]:
 _MODULES: Mapping[str, tuple[str, ...]] = {
     "compare": ("calib.analyses.compare",),
     "sensitivity": ("calib.analyses.sensitivity",),
-    "calibrate": ("calib.analyses.calibrate", "calib.analyses.joint_calibration"),
+    "calibrate": ("calib.analyses.calibrate",),
     "explain": ("calib.analyses.explain",),
     "propose": ("calib.analyses.propose",),
     "extend": ("calib.analyses.extend", "calib.analyses.added"),
