@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Protocol, TypeVar
 
-from calib.missing.pattern import BY_TEST
 from calib.problem.joint import TEST
-from calib.report.tables import read_results
 from calib.results.results import Results
 
 
@@ -23,6 +21,9 @@ T = TypeVar("T", bound=_OfTest)
 
 def first_test(folder: Results) -> str:
     """The test that `calib.missing.pattern.reduction_table` marks; empty where no effect is named, and without it."""
+    from calib.missing.pattern import BY_TEST
+    from calib.report.tables import read_results
+
     name = f"{BY_TEST}.csv"
     if not folder.has(name):
         return ""

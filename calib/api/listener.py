@@ -6,22 +6,25 @@ import warnings
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from calib.analyses.added import Added
-from calib.analyses.calibration import Fitted
-from calib.analyses.compare import ComparisonResult
-from calib.analyses.extend import Extension
-from calib.analyses.propose import ProposalResult
-from calib.analyses.sensitivity import Screening, Sensitivity
-from calib.analyses.versions import Versions
 from calib.api.progress import in_python
 from calib.execution.stage import Progress, unheard
-from calib.missing.explanation import Explanation
-from calib.missing.findings import ExplanationResult
-from calib.report.html.write import Page
-from calib.results.results import Results
-from calib.study.study import Study
-from calib.study.study_file import StudyFile
+
+if TYPE_CHECKING:
+    from calib.analyses.added import Added
+    from calib.analyses.calibration import Fitted
+    from calib.analyses.compare import ComparisonResult
+    from calib.analyses.extend import Extension
+    from calib.analyses.propose import ProposalResult
+    from calib.analyses.sensitivity import Screening, Sensitivity
+    from calib.analyses.versions import Versions
+    from calib.missing.explanation import Explanation
+    from calib.missing.findings import ExplanationResult
+    from calib.report.html.write import Page
+    from calib.results.results import Results
+    from calib.study.study import Study
+    from calib.study.study_file import StudyFile
 
 
 class Listener:

@@ -196,13 +196,7 @@ class Problem:
     # -- analyses ------------------------------------------------------------------------------------------------------
 
     def compare(self, values: Mapping[str, float] | None = None) -> Compared:
-        """Compare models and tests at given values, by default the nominal ones, without fitting.
-
-        Raises
-        ------
-        EvaluationError
-            Where a model cannot be solved.
-        """
+        """Compare models and tests at given values, by default the nominal ones; EvaluationError where one fails."""
         from calib.api.display import compared
 
         return compared(self, None if values is None else self._complete(values))
@@ -270,46 +264,19 @@ class Problem:
     ) -> Fit[Problem]:
         """Fit by genetic searches from several seeds, followed by least squares: `calibrate` by ``"genetic"``.
 
-        The search minimises the sum over all tests of relative frequency errors and MAC deficits, or of relative errors
-        of scalar responses (Ribeiro et al. 2013). Least squares then start from the end of every case and from the
-        nominal values; the solution of the latter is taken only where the data clearly prefer it. The fit's ``search``
-        holds the results of the searches alone; their agreement shows whether the solution is unique.
+        The search minimises the sum over all tests of relative errors of frequencies and scalar responses and of MAC
+        deficits (Ribeiro et al. 2013); least squares follow from the end of every case. The fit's ``search`` holds the
+        results of the searches alone; their agreement shows whether the solution is unique.
 
         Parameters
         ----------
         parameters, cases, seed, reduction, executor, progress, **keys
-            As in `calibrate`. Each case requests ``population * generations`` points.
+            As in `calibrate`.
 
         Raises
         ------
-        InputError
-            As `calibrate`, and for a model that cannot be sent to the executor's processes.
-        EvaluationError
-            When no point of an initial population can be evaluated.
-
-        Examples
-        --------
-        Two pairs of stiffnesses fit the two frequencies of a chain; its sag discriminates between them. Least squares
-        alone stay at the pair near which they start:
-
-        >>> import numpy as np
-        >>> import calib
-        >>> space = calib.ParameterSpace((
-        ...     calib.Parameter("k1", 12.0, 1.0, 20.0, "kN/m"), calib.Parameter("k2", 2.0, 1.0, 10.0, "kN/m"),
-        ... ))
-        >>> def chain(v):
-        ...     stiffness = 1e3 * np.array([[v["k1"] + v["k2"], -v["k2"]], [-v["k2"], v["k2"]]])
-        ...     low, high = np.sqrt(np.linalg.eigvalsh(stiffness / 10.0)) / (2 * np.pi)
-        ...     return {"f1": low, "f2": high, "sag": 98.1 / v["k1"]}
-        >>> measured = calib.ResponseTest({"f1": (2.06, 0.01), "f2": (6.02, 0.03), "sag": (24.5, 2.0)})
-        >>> problem = calib.Problem(calib.FunctionModel("chain", space, chain), measured)
-        >>> round(problem.calibrate(starts=1).values["k1"])
-        12
-        >>> fit = problem.search(cases=2, population=10, generations=20)
-        >>> round(fit.values["k1"]), round(fit.values["k2"])
-        (4, 6)
-        >>> fit.search.table["asked"].tolist()
-        [200, 200]
+        InputError, EvaluationError
+            As `calibrate`; InputError also for a model that cannot be sent to the executor's processes.
         """
         from calib.api.fit import calibrated
 
@@ -353,22 +320,6 @@ class Problem:
             For an unknown or a fixed parameter, and for constraints that hardly any point keeps.
         EvaluationError
             When no point can be evaluated.
-
-        Examples
-        --------
-        The frequency of a beam depends mostly on its thickness, and not on its colour:
-
-        >>> import calib
-        >>> space = calib.ParameterSpace((
-        ...     calib.Parameter("thickness", 10.0, 8.0, 12.0, "mm"), calib.Parameter("length", 1.0, 0.95, 1.05, "m"),
-        ...     calib.Parameter("colour", 0.5, 0.0, 1.0),
-        ... ))
-        >>> model = calib.FunctionModel("beam", space, lambda v: {"f": 0.8 * v["thickness"] / v["length"] ** 2})
-        >>> found = calib.Problem(model, calib.ResponseTest({"f": 8.1})).sensitivity(samples=200)
-        >>> found.selected
-        ('thickness', 'length')
-        >>> float(found.spearman["f"].round(1)["thickness"])
-        0.9
         """
         from calib.api.sensitivity import assessed
 

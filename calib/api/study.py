@@ -7,39 +7,32 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from calib.analyses import calibrate as calibration
-from calib.analyses import compare as comparison
-from calib.analyses import explain as explanation
-from calib.analyses import extend as extension
-from calib.analyses import propose as proposal
-from calib.analyses import sensitivity as sensitivity_analysis
-from calib.analyses import staged
-from calib.analyses.calibration import Fitted
 from calib.analyses.provenance import places
-from calib.analyses.provenance.stored import modes_kept
-from calib.analyses.reduction import fingerprints
-from calib.api.added_effects import with_named
 from calib.api.display import AnalysisResult, Compared
-from calib.api.figures import draw, draw_anew
 from calib.api.first_test import in_order
 from calib.api.listener import Listener, Showing
+from calib.api.pairs import problem_of
 from calib.api.problem import Problem
-from calib.api.staged import loaded_after
 from calib.errors.arguments import integer
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.execution.executor import Injected
-from calib.experiment.test import Model
-from calib.missing.findings import ExplanationResult
 from calib.problem.joint import said, stacked
-from calib.report.html.write import NAME as REPORT
-from calib.report.style import Format, Width
 from calib.results.results import RESULTS, Results
-from calib.study.several import AnyStudy
-from calib.study.study import Study as Loaded
 from calib.study.study_file import StudyFile, shell_argument
+
+if TYPE_CHECKING:
+    from calib.analyses.calibrate import Method
+    from calib.analyses.calibration import Fitted
+    from calib.analyses.compare import ComparisonResult
+    from calib.analyses.sensitivity import Screening, Sensitivity
+    from calib.analyses.staged import Found
+    from calib.missing.findings import ExplanationResult
+    from calib.report.style import Format, Width
+    from calib.study.several import AnyStudy
+    from calib.study.study import Study as Loaded
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,8 +89,8 @@ class Study:
     ) -> Study:
         """Read a study with everything it names; InputError for anything wrong in it.
 
-        If it adopts values of another study that is not calibrated yet, that one is calibrated first. A terminal or a
-        notebook shows how far its analyses are, unless ``progress`` is false or a listener receives it.
+        A study whose values it adopts is calibrated first, where it is not yet. A terminal or a notebook shows how far
+        its analyses are, unless ``progress`` is false or a listener receives it.
         """
         told = listener or (Showing() if progress else Listener())
         study = Study(path_of(path, "study"), path_of(results, "results"), workers, quick, told)
@@ -112,17 +105,21 @@ class Study:
         """Model, measurement and settings; a user's function runs in a child process."""
         if self.read is not None:
             return self.read
+        from calib.api.staged import loaded_after
+
         return loaded_after(self.path, self._calibrated)
 
-    def _calibrated(self, study: Loaded, file: Path) -> staged.Found | None:
+    def _calibrated(self, study: Loaded, file: Path) -> Found | None:
         """Values that a study whose values another one adopts has found; it is calibrated first where it has none."""
-        found = staged.values_found(study, self.results, self.quick)
+        from calib.analyses.staged import values_found
+
+        found = values_found(study, self.results, self.quick)
         if found is None:
             self.listener.first(study, self.path)
             own = replace(self, path=file, read=study)
             own._fit()
             own.draw()
-            found = staged.values_found(study, self.results, self.quick)
+            found = values_found(study, self.results, self.quick)
         return found
 
     @property
@@ -158,7 +155,7 @@ class Study:
     @property
     def problem(self) -> Problem:
         """The study as a `Problem` in memory, with its settings and the selected parameters free; nothing is stored."""
-        first, *others = (_in_memory(one) for one in self.loaded.studies)
+        first, *others = map(problem_of, self.loaded.studies)
         return replace(first, beside=tuple(others))
 
     # -- analyses ------------------------------------------------------------------------------------------------------
@@ -189,15 +186,15 @@ class Study:
             study.draw()
         if len(answers) == 1:
             return answer
-        words = said({test: one.words for test, one in answers.items()})
         table = stacked({test: one.rows for test, one in answers.items()})
+        words = said({test: one.words for test, one in answers.items()})
         return AnalysisResult(words, table, self.folder.path, {test: one.of for test, one in answers.items()})
 
     def calibrate(
         self,
         case: str | None = None,
         *,
-        method: calibration.Method | None = None,
+        method: Method | None = None,
         executor: Executor | Injected | None = None,
     ) -> AnalysisResult:
         """Fit the parameters in several independent cases, and assess how well each is identified.
@@ -218,12 +215,16 @@ class Study:
             self._draw_tests()
         return AnalysisResult((*found.sentences, *found.notes), found.effects, self.folder.path, found)
 
-    def propose(self, rank: int = proposal.RANKED) -> AnalysisResult:
+    def propose(self, rank: int | None = None) -> AnalysisResult:
         """Compose effects that explain what no effect of the library explains, after `explain`.
 
         The best ``rank`` are written as a library of effects, in a study of its own among the results.
         """
-        wanted, loaded, root = integer(rank, 1, "rank"), self.loaded, self.results
+        from calib.analyses import propose as proposal
+        from calib.analyses.provenance.stored import modes_kept
+
+        wanted = proposal.RANKED if rank is None else integer(rank, 1, "rank")
+        loaded, root = self.loaded, self.results
         self.listener.begins(loaded, "propose")
         with self.listener.progress() as step, modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as kept:
             homes = {one.test: places.results_of(one, root) for one in loaded.studies}
@@ -234,7 +235,9 @@ class Study:
 
     def extend(self, effects: Sequence[str], into: str | Path) -> Study:
         """Write a new study whose model also has the named effects; this one stays as it is."""
-        written = extension.extend(self.loaded, list(effects), path_of(into, "into"))
+        from calib.analyses.extend import extend
+
+        written = extend(self.loaded, list(effects), path_of(into, "into"))
         self.listener.extended(written)
         return replace(self, path=written.file, results=places.root_for(written.file, self.results), read=None)
 
@@ -262,6 +265,8 @@ class Study:
             study = self._by(executor)
             found = study.run()
             return self if found is study else replace(found, workers=self.workers)
+        from calib.api.added_effects import with_named
+
         for study in self.tests:
             study._compare()
             study._sensitivity()
@@ -284,6 +289,9 @@ class Study:
         width : {"page", "column"}
             Width of these figures: 190 mm, or 90 mm where a figure is legible in a journal's column.
         """
+        from calib.api.figures import draw_anew
+        from calib.report.html.write import NAME as REPORT
+
         study = StudyFile.read(self.path)
         home = Results(self.results / study.name)
         parts = [part for part in in_order(study.parts, home) if places.answers_of(part, self.results)]
@@ -296,38 +304,47 @@ class Study:
 
     # -- steps ---------------------------------------------------------------------------------------------------------
 
-    def _compare(self) -> comparison.ComparisonResult:
+    def _compare(self) -> ComparisonResult:
+        from calib.analyses.compare import compare
+
         loaded = self.one
         self.listener.begins(loaded, "compare")
         with self.listener.progress() as step:
             step("solving the model")
-            answer = comparison.compare(loaded, self.folder)
+            answer = compare(loaded, self.folder)
         self.listener.compared(loaded, answer, self.folder)
         return answer
 
-    def _sensitivity(self) -> sensitivity_analysis.Sensitivity:
+    def _sensitivity(self) -> Sensitivity:
+        from calib.analyses.reduction import fingerprints
+        from calib.analyses.sensitivity import sensitivity
+
         loaded, root = self.one, self.results
         self.listener.begins(loaded, "sensitivity")
         with places.ledger_of(loaded, root) as ledger, self.listener.progress() as step:
             self.listener.other_state(ledger.other_fingerprints(*fingerprints(loaded, places.results_of(loaded, root))))
-            answer = sensitivity_analysis.sensitivity(loaded, self.folder, ledger, self.workers, self.quick, step)
+            answer = sensitivity(loaded, self.folder, ledger, self.workers, self.quick, step)
         self.listener.sampled(loaded, answer, self.folder)
         return answer
 
-    def _screen(self, method: Literal["morris", "sobol"], ignore_constraints: bool) -> sensitivity_analysis.Screening:
+    def _screen(self, method: Literal["morris", "sobol"], ignore_constraints: bool) -> Screening:
+        from calib.analyses.sensitivity import screen
+
         loaded, workers, quick = self.one, self.workers, self.quick
         self.listener.begins(loaded, f"sensitivity, {method.capitalize()}")
         with places.ledger_of(loaded, self.results) as ledger, self.listener.progress() as step:
-            answer = sensitivity_analysis.screen(
-                loaded, self.folder, ledger, method, workers, quick, ignore_constraints, step
-            )
+            answer = screen(loaded, self.folder, ledger, method, workers, quick, ignore_constraints, step)
         self.listener.screened(answer, self.folder)
         return answer
 
-    def _calibrate(self, case: str | None = None, method: calibration.Method | None = None) -> Fitted:
+    def _calibrate(self, case: str | None = None, method: Method | None = None) -> Fitted:
+        from calib.analyses.calibrate import calibrate, chosen_cases
+        from calib.analyses.reduction import fingerprints
+        from calib.analyses.sensitivity import selected_by_measures
+
         root, quick = self.results, self.quick
-        calibration.chosen_cases(self.loaded, case)
-        chosen = [sensitivity_analysis.selected_by_measures(study.one, study.folder) for study in self.tests]
+        chosen_cases(self.loaded, case)
+        chosen = [selected_by_measures(study.one, study.folder) for study in self.tests]
         selected = tuple(dict.fromkeys(name for one in chosen for name in one.search_space.free_names))
         left = self.loaded.settings.selected_by_sensitivity
         loaded = self.loaded.each(lambda one: one.selecting(selected)) if left else self.loaded
@@ -338,9 +355,7 @@ class Study:
             known = [mark for one in loaded.studies for mark in fingerprints(one, homes[one.test])]
             self.listener.other_state(ledger.other_fingerprints(*known))
             folders = {one.test: places.results_of(one, root, quick, case, method) for one in loaded.studies}
-            found = calibration.calibrate(
-                loaded, folder, ledger, self.workers, case, quick, method, step, folders, homes
-            )
+            found: Fitted = calibrate(loaded, folder, ledger, self.workers, case, quick, method, step, folders, homes)
         self.listener.calibrated(loaded, found, folder)
         return found
 
@@ -352,6 +367,9 @@ class Study:
         return self._calibrate()
 
     def _explain(self) -> ExplanationResult:
+        from calib.analyses.explain import explain
+        from calib.analyses.provenance.stored import modes_kept
+
         loaded, root = self.loaded, self.results
         self.listener.begins(loaded, "explain")
         with (
@@ -360,7 +378,7 @@ class Study:
             modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as kept,
         ):
             homes = {one.test: places.results_of(one, root) for one in loaded.studies}
-            answer = explanation.explain(kept, self.folder, step, homes, {s.one.test: s.folder for s in self.tests})
+            answer = explain(kept, self.folder, step, homes, {s.one.test: s.folder for s in self.tests})
         self.listener.explained(loaded, answer, self.folder)
         return answer
 
@@ -368,12 +386,11 @@ class Study:
 
     def draw(self, folder: Results | None = None, report: bool = False) -> None:
         """Draw the figures of all tables; the report is written on request, and where an older one exists."""
-        into = self.folder if folder is None else folder
-        draw(self.loaded, into, self.results, self.listener, report, workers=self.workers)
+        from calib.api.figures import draw
 
-    def _draw_tests(
-        self, case: str | None = None, method: calibration.Method | None = None, report: bool = False
-    ) -> None:
+        draw(self.loaded, folder or self.folder, self.results, self.listener, report, workers=self.workers)
+
+    def _draw_tests(self, case: str | None = None, method: Method | None = None, report: bool = False) -> None:
         """Draw every test, the one shown first last, since a run tells what was drawn last first; then all together."""
         folder = places.results_of(self.loaded, self.results, self.quick, case, method)
         for part in reversed(in_order(self.loaded.studies, folder)):
@@ -381,15 +398,3 @@ class Study:
             replace(self, read=part).draw(own, report)
         if self.loaded.settings.several:
             self.draw(folder)
-
-
-def _in_memory(study: Loaded) -> Problem:
-    """One test of a study as a problem in memory; parameters of its nuisances belong to the test."""
-    space = study.search_space
-    own = {name: value for name, value in space.values.items() if name not in study.model.space}
-    model: Model = replace(study.model, space=space.without(own))
-    finer = study.finer_model()
-    return Problem(
-        model, study.experiment, unselected=study.unselected, settings=study.settings, base=study.base,
-        held_sd=study.held_sd, finer={} if finer is None else {model.name: finer},
-    )  # fmt: skip

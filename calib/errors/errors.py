@@ -33,11 +33,10 @@ class InputError(ValueError):
     Examples
     --------
     >>> import calib
-    >>> calib.Parameter("t", 3.0, 5.0, 1.0, "mm")
+    >>> calib.Parameter("t", 3.0, 5.0, 1.0, "mm")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
         ...
-    calib.errors.errors.InputError: parameter t: lower limit 5 is not below upper limit 1 mm; write limits as [lower,
-    upper].
+    calib.errors.errors.InputError: parameter t: lower limit 5 is not below upper limit 1 mm; write limits as ...
     """
 
     def __init__(

@@ -40,8 +40,6 @@ class Rules:
         Combinations of integer parameters that least squares fits from each start.
     refits_after_search : int
         The same after a genetic search: its own and the nearest neighbours.
-    refits_in_notebook : int
-        The same as `refits` where a problem is calibrated in a notebook.
     """
 
     identified: float = 0.025
@@ -57,7 +55,6 @@ class Rules:
     most_starts: int = 20
     refits: int = 25
     refits_after_search: int = 12
-    refits_in_notebook: int = 40
 
 
 RULES = Rules()
