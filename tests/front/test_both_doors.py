@@ -98,3 +98,16 @@ def test_a_key_of_a_study_holds_in_its_problem_until_an_argument_replaces_it(tmp
     assert problem.statistics_at({}).statistics.alpha == 0.2
     fit = problem.calibrate(starts=1, alpha=0.05, progress=False)
     assert fit.statistics.alpha == 0.05 and np.isfinite(fit.statistics.misfit)
+
+
+def test_held_out_data_that_contradict_are_printed_in_python_too():
+    """Two stiffnesses fit two frequencies of a chain exactly; the third, which no fit saw, is far off."""
+    parameters = [calib.Parameter(name, 10.0, 1.0, 90.0, "kN/m") for name in ("k1", "k2")]
+    space = calib.ParameterSpace(parameters)
+    model = calib.FunctionModel("two springs", space, lambda v: {"a": v["k1"], "b": v["k2"], "c": v["k1"] + v["k2"]})
+    test = calib.ResponseTest({"a": (20.0, 0.1), "b": (30.0, 0.1), "c": (52.0, 0.1)}, held_out=["c"])
+    fit = calib.Problem(model, test).calibrate(progress=False)
+    (told,) = fit.contradictions
+    assert told in str(fit) and told in fit._repr_html_() and told in fit.sentences
+    right = calib.ResponseTest({"a": (20.0, 0.1), "b": (30.0, 0.1), "c": (50.0, 0.1)}, held_out=["c"])
+    assert calib.Problem(model, right).calibrate(progress=False).contradictions == ()
