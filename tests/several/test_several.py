@@ -302,7 +302,6 @@ def test_selection_and_cases_are_needed_by_no_study(own):
         ("[sensitivity]", "[held_out]\nmodes = ['M1']\n\n[sensitivity]", None),
         ("[sensitivity]", "[measurement]\nfiles = ['empty.csv']\n\n[sensitivity]", None),
         ("[sensitivity]", "[parameters]\nk9 = { value = 1.0 }\n\n[sensitivity]", "k9"),
-        ("starts = 2", 'method = "genetic"', None),
         ("title", 'base = "../frame"\ntitle', "base"),
         ("title", 'base = "../gone"\ntitle', "base"),
         ('selection = ["k"]', 'extended_from = "../gone"', "extended_from"),
