@@ -18,9 +18,9 @@ from calib.errors.errors import EvaluationError
 from calib.hypotheses.own_modes import COLUMNS as OWN_COLUMNS
 from calib.hypotheses.own_modes import own_modes, own_modes_sentence
 from calib.hypotheses.rules import RULES
+from calib.missing.adequacy import UNSEEN, contradicting
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import NAMED, Explanation
-from calib.missing.held_out import UNSEEN, contradicting
 from calib.missing.local import WIDE
 from calib.missing.partial import is_simpler_form
 from calib.missing.verdict import GROUPS

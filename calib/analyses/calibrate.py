@@ -17,15 +17,13 @@ from calib.analyses.calibration import Calibration, Fitted, JointCalibration, be
 from calib.analyses.calibration_tables import noise_errors, tables_of, write_calibration, write_jointly
 from calib.analyses.case import CaseFinder, CaseFound
 from calib.analyses.compare import ComparisonResult, compare, nominal_comparison
-from calib.analyses.contradiction import every_response
-from calib.analyses.every_mode import all_stages, errors_at, every_mode
+from calib.analyses.every_mode import all_stages, errors_at, every_mode, every_response
 from calib.analyses.failures import reasons_sentence, stored_reasons
 from calib.analyses.joint_responses import Responses, own_values
 from calib.analyses.provenance.places import Workers
 from calib.analyses.provenance.record import write_record
-from calib.analyses.provenance.recorded import recorded
+from calib.analyses.provenance.recorded import ledger_keys_of_modes, recorded
 from calib.analyses.provenance.stored import confirmed
-from calib.analyses.provenance.user_function import ledger_keys_of_modes
 from calib.analyses.reduction import fingerprints
 from calib.correlation.modal.comparison import Comparison
 from calib.errors.errors import EvaluationError, InputError

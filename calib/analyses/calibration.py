@@ -11,7 +11,7 @@ import pandas as pd
 from calib.analyses.answers import UNTRIED, of_fit
 from calib.analyses.case import CaseFound
 from calib.analyses.compare import ComparisonResult
-from calib.analyses.contradiction import contradictions
+from calib.analyses.every_mode import contradictions
 from calib.correlation.modal.comparison import Comparison
 from calib.inference.agreement import Agreement, agreement_sentences
 from calib.inference.cases import CaseResult

@@ -22,11 +22,10 @@ from calib.inference.cases import CaseResult
 from calib.inference.gauss_newton import FitResult, Prior
 from calib.inference.identify import Identifiability, identify, prediction_interval
 from calib.inference.integers import MixedResult, fit_mixed
-from calib.inference.joint_part import JointPart, joint_parts
+from calib.inference.joint_part import COLUMNS, JointPart, joint_parts, std_by_test
 from calib.inference.region import InfeasibleError, active_limits
 from calib.inference.rules import RULES
 from calib.inference.starts import Enough, never
-from calib.inference.std_by_test import COLUMNS, std_by_test
 from calib.inference.verdicts import integer_std, parameter_verdicts
 from calib.missing.goodness import goodness, misfit_factor, overall
 from calib.missing.rules import RULES as MISSING
@@ -129,7 +128,7 @@ class FitStatistics:
     assumed : str
         Assumed standard deviations that this rests on; see `calib.analyses.uncertainty.assumed_words`.
     by_test : DataFrame
-        What each of several tests alone would determine, see `calib.inference.std_by_test.std_by_test`; empty for one.
+        What each of several tests alone would determine, see `calib.inference.joint_part.std_by_test`; empty for one.
     parts : mapping from str to JointPart
         What the fit says about the parameters of each of several tests, by its name; empty for one.
     active : frozenset of str

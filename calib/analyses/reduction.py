@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.analyses.provenance.user_function import ledger_keys_of_modes
+from calib.analyses.provenance.recorded import ledger_keys_of_modes
 from calib.correlation.basis import BasisRequirements, Reducible, is_large
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.modal.problem import ModalProblem

@@ -106,7 +106,7 @@ class Fit(Shown, Generic[P]):
 
     @property
     def std_by_test(self) -> Any:
-        """What each of several tests alone would determine; see `calib.inference.std_by_test.std_by_test`.
+        """What each of several tests alone would determine; see `calib.inference.joint_part.std_by_test`.
 
         ``parameter, unit, test, std, prior_sd``, with rows of ``all tests``; empty for one test.
         """
@@ -135,7 +135,7 @@ class Fit(Shown, Generic[P]):
 
     @property
     def contradictions(self) -> tuple[str, ...]:
-        """Sentences on held-out data that contradict the fitted model; see `calib.analyses.contradiction`."""
+        """Sentences on held-out data that contradict the fitted model; see `calib.analyses.every_mode`."""
         return () if self.calibration is None else self.calibration.contradictions
 
     @property

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from calib.analyses.sensitivity import Screening, Sensitivity
     from calib.analyses.staged import Found
     from calib.missing.findings import ExplanationResult
+    from calib.problem.effect import Effect
     from calib.report.style import Format, Width
     from calib.study.several import AnyStudy
     from calib.study.study import Study as Loaded
@@ -157,6 +158,11 @@ class Study:
         """The study as a `Problem` in memory, with its settings and the selected parameters free; nothing is stored."""
         first, *others = map(problem_of, self.loaded.studies)
         return replace(first, beside=tuple(others))
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects of the study's library: what `explain` tests; empty where it names none."""
+        return self.loaded.candidates
 
     # -- analyses ------------------------------------------------------------------------------------------------------
 

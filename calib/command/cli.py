@@ -37,7 +37,7 @@ app = typer.Typer(
 
 
 def _possible(path: Path) -> Path:
-    from calib.study.section import possible_path
+    from calib.study.measurement_settings import possible_path
 
     try:
         return Path(possible_path(str(path)))
@@ -342,8 +342,7 @@ def _study(
 ) -> Iterator[Study]:
     """The study of a command, which prints its answer at the end; ``load`` reads its model and data at once."""
     from calib.api.study import Study
-    from calib.command.cached import tell_cache
-    from calib.command.printing import printing
+    from calib.command.printing import printing, tell_cache
     from calib.execution.tasks import one_thread
     from calib.structure.reduction.cache import using
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -26,6 +26,7 @@ from calib.missing.findings import ExplanationResult
 from calib.report.html.write import Page
 from calib.results.answer import Answer
 from calib.results.results import Results
+from calib.structure.reduction.cache import basis_cache
 from calib.study.study import Study
 from calib.study.study_file import StudyFile, shell_argument
 
@@ -185,3 +186,16 @@ def printing(verb: str, verbose: bool = False) -> _Printing:
 
 def _label(study: StudyFile) -> str:
     return "  [synthetic measurement]" if study.synthetic else ""
+
+
+@contextmanager
+def tell_cache(notes: Sequence[str], verbose: bool) -> Iterator[None]:
+    """Tell at the end what was noted on the cache; with ``verbose`` also its place and size, where it is not empty."""
+    try:
+        yield
+    finally:
+        for note in notes:
+            say(f"\n{note}")
+        cache = basis_cache()
+        if verbose and cache is not None and (files := cache.files):
+            say(f"\nReduced bases in the cache: {len(files)}, {cache.size / 1e6:.1f} MB: {cache.folder}")

@@ -9,8 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from calib.measurement.alignment import aligned_repeats, median_of_repeats
-from calib.measurement.average import mean_and_std, scaled
+from calib.measurement.alignment import aligned_repeats, mean_and_std, median_of_repeats, scaled
 from calib.measurement.mac import mac
 from calib.measurement.outliers import emptied, far_values, find_outlying
 from calib.measurement.rules import RULES

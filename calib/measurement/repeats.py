@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from calib.errors.errors import InputError
-from calib.measurement.average import mean_and_std, scaled
+from calib.measurement.alignment import mean_and_std, scaled
 from calib.measurement.disagreements import Disagreement, Pooling, bad_shape, disagreeing, leave_out
 from calib.measurement.mac import mac
 from calib.measurement.matching import Matching, match_modes

@@ -12,7 +12,7 @@ import numpy as np
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.measurement.accuracy import widened
-from calib.measurement.average import mean_and_std
+from calib.measurement.alignment import mean_and_std
 from calib.measurement.disagreements import Disagreement, Pooling, value_disagreements
 from calib.measurement.files.csv_format import ONE, read_responses_csv
 from calib.measurement.modal import Sensor

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.goodness import by_sensor, common_scale, goodness, overall
 from calib.missing.refits import Refits
+from calib.missing.rules import RULES
 from calib.missing.score import Scores, family_p
 from calib.problem.candidate import Candidate
 
@@ -69,3 +71,27 @@ def predicted_scale(fits: Refits, candidate_fit: CandidateFit, others: Scores) -
     k = int(np.argmax(others.magnitude))
     remainder = candidate_fit.fit.residual - others.unit[: len(candidate_fit.fit.residual), k] * others.z[k]
     return measured_scale(fits, replace(candidate_fit, fit=replace(candidate_fit.fit, residual=remainder)))
+
+
+UNSEEN: Mapping[str, str] = {
+    "held_out_sensors": "held-out sensors",
+    "held_out_modes": "held-out modes",
+    "held_out_responses": "held-out responses",
+    "held_out_references": "held-out references",
+    "held_out_bands": "held-out bands",
+}
+"""Groups of held-out data, in words."""
+
+
+def contradicting(errors: pd.DataFrame, stage: str) -> tuple[str, ...]:
+    """Groups of held-out data that contradict a model: a correctly specified one would rarely predict them as badly.
+
+    Parameters
+    ----------
+    errors : DataFrame
+        ``group, stage, p``.
+    stage : str
+        Of the model, such as ``after``.
+    """
+    own = errors[(errors["stage"] == stage) & errors["group"].isin(list(UNSEEN))]
+    return tuple(own.loc[own["p"] < RULES.contradicted, "group"].astype(str))

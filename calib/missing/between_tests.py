@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from calib.missing.goodness import p_words
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.local import WIDE, interval_words
 from calib.missing.score import family_p, scored
-from calib.missing.worst_misfit import p_words
 from calib.problem.joint import JointRows
 
 BETWEEN = "test_differences"

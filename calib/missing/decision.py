@@ -22,8 +22,7 @@ from calib.missing.rules import RULES
 from calib.missing.score import Scores
 from calib.missing.settings import DEFAULT, Settings, require_modes, require_responses
 from calib.missing.stepwise import Stepwise, further_price
-from calib.missing.suspect import suspects_table
-from calib.missing.wrong_datum import wrong_datum
+from calib.missing.suspect import suspects_table, wrong_datum
 from calib.problem.candidate import Candidate
 
 

@@ -13,17 +13,16 @@ import numpy as np
 import pandas as pd
 
 from calib.execution.stage import Progress, unheard
-from calib.missing.adequacy import adequacy_of, beside
+from calib.missing.adequacy import UNSEEN, adequacy_of, beside, contradicting
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
-from calib.missing.held_out import UNSEEN, contradicting
+from calib.missing.goodness import p_words
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.local import WIDE, magnitude_words
 from calib.missing.partial import is_far_ahead
 from calib.missing.profile import profile_interval
 from calib.missing.refits import Refits
 from calib.missing.settings import Settings
-from calib.missing.worst_misfit import p_words
 from calib.problem.candidate import Candidate
 
 RICHER, RICHER_ERRORS = "richer", "richer_errors"

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 import pandas as pd
 
@@ -11,15 +15,19 @@ from calib.missing.candidate_fit import CandidateFit
 from calib.missing.detailed import DetailedFit, fitted_in_detail, leading_fit, tested_in_detail
 from calib.missing.discrepancy import TABLE as PARAMETERS
 from calib.missing.discrepancy import discrepancy_of, parameter_intervals, parameters_sentence
+from calib.missing.evidence import ln_evidence
 from calib.missing.explanation import Explanation
-from calib.missing.hypotheses import Altered, Hypotheses
+from calib.missing.hypotheses import Altered, FitProblem, Hypotheses
+from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
 from calib.missing.predictions import ERRORS, predictions_sentence
 from calib.missing.predictions import TABLE as PREDICTIONS
+from calib.missing.recommendation import as_ratio
 from calib.missing.rules import RULES
+from calib.missing.score import Scores
 from calib.missing.settings import Settings
 from calib.missing.test import Adapter
-from calib.missing.visible import smallest_visible, visible_within_limits
 from calib.problem.candidate import Candidate
+from calib.problem.effect import Effect
 
 STAGE = "richer"
 """Stage of the errors of a richer member."""
@@ -108,3 +116,143 @@ def unexplained(adapter: Adapter, found: Explanation) -> tuple[dict[str, pd.Data
     tables = {PARAMETERS: parameters, PREDICTIONS: predicted, ERRORS: errors}
     words = (parameters_sentence(parameters), predictions_sentence(predicted, errors))
     return {name: table for name, table in tables.items() if len(table)}, words
+
+
+FOUND_PLACES = "found_places"
+"""Name of the table."""
+COLUMNS = ("effect", "place", "name", "magnitude", "sum_of_squares", "ln_bayes", "credible", "error")
+
+
+def found_places(found: Explanation) -> pd.DataFrame:
+    """Fits of the best model with each place of its effects held in turn; columns `COLUMNS`.
+
+    Credible are those whose log evidence is within `Rules.credible` of the best, as effects are. A place with which the
+    model cannot be solved has an error, and no numbers.
+    """
+    rows: list[tuple[object, ...]] = []
+    chosen = found.chosen
+    if chosen is not None:
+        for effect in (e for e in chosen.effects if isinstance(e, Effect) and e.places):
+            rows += _rows(found, chosen, effect)
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def _rows(found: Explanation, chosen: CandidateFit, effect: Effect) -> list[tuple[object, ...]]:
+    fit, rows = chosen.fit, []
+    for number, name in enumerate(effect.places, 1):
+        held = {effect.place_name: float(number)}
+        try:
+            there = least_squares_fit(Altered(fit.fit_problem, held=held), fit.effects, {**fit.values, **held})
+        except EvaluationError as fault:
+            rows.append((number, name, math.nan, math.nan, math.nan, str(fault)))
+            continue
+        if number == round(fit.values[effect.place_name]) and fit.misfit < there.misfit:
+            there = fit
+        gain = ln_evidence(there, chosen.effects) - found.base.ln_evidence
+        rows.append((number, name, there.values[effect.name], there.misfit, gain, ""))
+    best = max((gain for *_, gain, error in rows if not error), default=math.nan)
+    return [(effect.name, *row[:-1], row[-2] > best - RULES.credible, row[-1]) for row in rows]
+
+
+def places_sentence(table: pd.DataFrame) -> str:
+    """The places in words; empty where no effect has any."""
+    out = []
+    for effect, own in table.groupby("effect", sort=False):
+        ranked = own[own["error"] == ""].sort_values("ln_bayes", ascending=False, kind="stable")
+        failed = [str(name) for name in own.loc[own["error"] != "", "name"]]
+        if ranked.empty:
+            continue
+        best, others = ranked.iloc[0], ranked.iloc[1:]
+        near = [str(name) for name in others.loc[others["credible"].astype(bool), "name"]]
+        words = f"{effect} acts at {best['name']}, one of {len(own)} places"
+        if near:
+            words += f"; {' and '.join(near)} explain{'s' * (len(near) == 1)} about as well"
+        elif len(others):
+            second = others.iloc[0]
+            odds = as_ratio(float(best["ln_bayes"] - second["ln_bayes"]))
+            words += f"; the odds against the next one, {second['name']}, are {odds}"
+        if failed:
+            words += f"; the model cannot be solved with it at {' or '.join(failed)}"
+        out.append(f"{words}.")
+    return " ".join(out)
+
+
+_ASKED = 12
+"""Residuals evaluated for one sign of a magnitude."""
+_CLOSE = 1.1
+"""Ratio of the ends of the bracket at which the search stops."""
+_INWARD = (1.0, 0.99, 0.95, 0.9, 0.8, 0.65, 0.5, 0.3, 0.1)
+"""Parts of the limit tried in turn until the model can be evaluated."""
+_LEAST = 1e-4
+"""Part of the limit below which the search stops."""
+
+
+def smallest_visible(found: Scores, name: str) -> float:
+    """Magnitude of an effect from which it is found with about 90 % power; infinite where the parameters absorb it.
+
+    To first order; see `visible_within_limits` for effects that grow faster than that.
+    """
+    own = [k for k in found.of(name) if found.size[k] > 0]
+    return min((max(RULES.detectable / float(found.size[k]), float(found.onset[k])) for k in own), default=math.inf)
+
+
+def visible_within_limits(
+    fit_problem: FitProblem, fit: LinearisedFit, effect: Candidate, nuisance: Mapping[str, float] = MappingProxyType({})
+) -> float:
+    """The same by evaluating the model, up to the limits of the magnitude; infinite when even these do not show.
+
+    A loss of stiffness, for instance, changes the data far more near its limit than its derivative predicts. The other
+    parameters are updated to first order. The magnitude is bracketed to 10 %. Where the model fails at a limit, the
+    largest magnitude that can be evaluated takes its place; if the effect does not show there either, the result is
+    NaN, since it might show beyond.
+
+    Parameters
+    ----------
+    fit_problem : FitProblem
+        The fit problem with the effect added.
+    fit : LinearisedFit
+        Fit without it.
+    effect : Candidate
+    nuisance : mapping
+        Values of its nuisance parameters.
+    """
+    ends = {effect.magnitude.lower, effect.magnitude.upper} - {effect.magnitude.value}
+    found = [_onset(fit_problem, fit, effect, end, nuisance) for end in ends]
+    shows = min((size for size in found if not math.isnan(size)), default=math.inf)
+    return math.nan if math.isinf(shows) and any(map(math.isnan, found)) else shows
+
+
+def _onset(
+    fit_problem: FitProblem, fit: LinearisedFit, effect: Candidate, end: float, nuisance: Mapping[str, float]
+) -> float:
+    start = effect.magnitude.value
+
+    def shown(part: float) -> float | None:
+        """Length of the projected change over the detectable one; None where the model fails."""
+        try:
+            there = fit_problem.residual({**fit.values, **nuisance, effect.name: start + part * (end - start)})
+        except EvaluationError:
+            return None
+        return float(np.linalg.norm(fit.project_out((fit.residual - there)[:, None]))) / RULES.detectable
+
+    # Where the model fails at the limit, the largest magnitude that can be evaluated takes its place.
+    reached = ((part, size) for part in _INWARD if (size := shown(part)) is not None)
+    high, above = next(reached, (0.0, 0.0))
+    if above < 1:
+        return math.inf if high == 1.0 else math.nan
+    low, below = 0.0, 0.0
+    for _ in range(_ASKED - 1):
+        if high < _LEAST or (low and high / low < _CLOSE):
+            break
+        if below > 0:  # interpolated by a power law, well inside the bracket
+            share = math.log(1 / below) / math.log(above / below)
+            part = low * (high / low) ** min(max(share, 0.15), 0.85)
+        else:
+            part = low + (high - low) / 2 if low else high * min(max(0.7 / above, 0.1), 0.7)
+        inside = [part + k / 4 * (high - part) for k in range(4)]
+        # Where the model fails inside the bracket, a point nearer to its upper end is tried.
+        part, size = next(((p, s) for p in inside if (s := shown(p)) is not None), (high, above))
+        if part == high:
+            break
+        low, below, high, above = (low, below, part, size) if size >= 1 else (part, size, high, above)
+    return high * abs(end - start)

@@ -11,13 +11,22 @@ import pandas as pd
 
 from calib.execution.stage import Progress, unheard
 from calib.missing.accuracy import accuracy_sentence, changing, less_accurate
+from calib.missing.adequacy import contradicting
 from calib.missing.between_tests import BETWEEN
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.detailed import DetailedFit, detailed_next, detailed_sentence, detailed_tables
-from calib.missing.effect_facts import detailed_fits, detectable, gains, unexplained, untested
+from calib.missing.effect_facts import (
+    FOUND_PLACES,
+    detailed_fits,
+    detectable,
+    found_places,
+    gains,
+    places_sentence,
+    unexplained,
+    untested,
+)
 from calib.missing.explanation import Explanation
-from calib.missing.found_place import FOUND_PLACES, found_places, places_sentence
-from calib.missing.held_out import contradicting
+from calib.missing.goodness import misfit_at
 from calib.missing.partial import remainder_of
 from calib.missing.pattern import BY_TEST, parameter_table, pattern_table, place_table, reduction_table
 from calib.missing.profile import profile_interval
@@ -37,7 +46,6 @@ from calib.missing.tables import (
 from calib.missing.test import Adapter
 from calib.missing.verdict import verdict_of
 from calib.missing.verdict_words import elsewhere, limits_sentence
-from calib.missing.worst_misfit import misfit_at
 from calib.problem.joint import TEST
 from calib.results.answer import Answer
 

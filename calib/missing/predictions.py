@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import scipy.linalg as la
 
+from calib.missing.adequacy import UNSEEN
 from calib.missing.discrepancy import Discrepancy
-from calib.missing.held_out import UNSEEN
 from calib.missing.local import WIDE
 from calib.problem.degrees_of_freedom import KNOWN, p_value
 from calib.problem.problem import Label, label_table

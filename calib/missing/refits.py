@@ -13,7 +13,6 @@ import numpy as np
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import Progress
 from calib.inference.gauss_newton import FitSettings
-from calib.missing.allowance import Allowance
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.collinear import Group
 from calib.missing.evidence import ln_bayes_linear, ln_evidence
@@ -31,7 +30,7 @@ from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, scores
-from calib.missing.settings import Settings
+from calib.missing.settings import Allowance, Settings
 from calib.problem.candidate import Candidate
 
 

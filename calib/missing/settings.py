@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from calib.errors.errors import InputError
+from calib.missing.hypotheses import Hypotheses
 from calib.missing.rules import RULES
 
 
@@ -55,3 +58,66 @@ def require_responses(count: int, free: int) -> None:
             place="explain",
             remedy=f"measure at least {least}, hold out fewer or fit fewer parameters",
         )
+
+
+class Allowance:
+    """Evaluation budget of one decision.
+
+    Counting starts when the object is made, so that a decision depends neither on earlier evaluations nor on those
+    within `uncharged`.
+
+    Parameters
+    ----------
+    hypotheses : Hypotheses
+        Counts the evaluations.
+    most : float
+        Evaluations that may be spent.
+    beyond : float
+        Evaluations that may be spent within `continuing` beside them.
+    """
+
+    def __init__(self, hypotheses: Hypotheses, most: float, beyond: float = 0.0) -> None:
+        self._hypotheses, self._begun = hypotheses, hypotheses.evaluations
+        self.most = most
+        self._beyond = beyond
+        self._entered: int | None = None
+
+    @property
+    def used(self) -> int:
+        """Evaluations charged so far."""
+        return self._hypotheses.evaluations - self._begun
+
+    @property
+    def remaining(self) -> float:
+        """Evaluations left, within `continuing` of those beyond the budget; negative when more were needed."""
+        if self._entered is None:
+            return self.most - self.used
+        return self._beyond - (self._hypotheses.evaluations - self._entered)
+
+    def spent(self, part: float = 1.0) -> bool:
+        """Whether that part of the budget is used up."""
+        return self.used > part * self.most
+
+    def ensure(self, least: float) -> None:
+        """Raise the budget, if need be, so that at least so many evaluations are left."""
+        self.most = max(self.most, self.used + least)
+
+    @contextmanager
+    def continuing(self) -> Iterator[None]:
+        """Evaluations within this context are charged to those beyond the budget, which alone limit fits within it."""
+        self._entered = self._hypotheses.evaluations
+        try:
+            with self.uncharged():
+                yield
+        finally:
+            self._beyond -= self._hypotheses.evaluations - self._entered
+            self._entered = None
+
+    @contextmanager
+    def uncharged(self) -> Iterator[None]:
+        """Evaluations within this context are not charged."""
+        before = self.used
+        try:
+            yield
+        finally:
+            self._begun += self.used - before

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from calib.missing.adequacy import UNSEEN, contradicting
 from calib.missing.explanation import UNEXPLAINED, Explanation
-from calib.missing.held_out import UNSEEN, contradicting
+from calib.missing.goodness import p_words, where, worst_repeats
 from calib.missing.local import fault_words, local_perturbation, meaning_of, range_words, unit_words
 from calib.missing.partial import is_simpler_form, magnitude_range
 from calib.missing.recommendation import Recommendation, as_ratio, rounded
@@ -33,7 +34,6 @@ from calib.missing.verdict_words import (
     with_in_short,
     with_words,
 )
-from calib.missing.worst_misfit import p_words, where, worst_repeats
 from calib.problem.candidate import Candidate
 from calib.results.answer import Answer
 

@@ -12,10 +12,10 @@ import pandas as pd
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.facts import Places
+from calib.missing.goodness import p_words
 from calib.missing.local import WIDE, fault_words, magnitude_words
 from calib.missing.plausible import limit_of
 from calib.missing.recommendation import as_ratio
-from calib.missing.worst_misfit import p_words
 from calib.problem.candidate import Candidate
 from calib.problem.effect import Effect
 from calib.results.answer import in_words

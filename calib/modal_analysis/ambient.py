@@ -10,7 +10,7 @@ import pandas as pd
 from scipy import signal
 
 from calib.errors.errors import InputError
-from calib.measurement.average import scaled
+from calib.measurement.alignment import scaled
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.mac import mac, most_real
 from calib.measurement.modal import MeasuredModes

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from calib.errors.errors import InputError
-from calib.measurement.average import scaled
+from calib.measurement.alignment import scaled
 from calib.measurement.files.csv_format import FINEST
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.mac import most_real

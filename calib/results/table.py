@@ -21,8 +21,7 @@ from pandas.api.extensions import ExtensionArray
 
 from calib.errors.errors import InputError
 from calib.errors.place import Place
-from calib.results.cell import COMMA_NUMBER, number_of, shortened, unguarded
-from calib.results.csv_entries import SEPARATORS, place_of_entry, separator_of
+from calib.results.cell import COMMA_NUMBER, SEPARATORS, number_of, place_of_entry, separator_of, shortened, unguarded
 from calib.results.former_names import old_column
 
 FLAGS: Mapping[str, bool] = {

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
-from calib.correlation.frf.nuisance import Nuisance, belonging_to, of_every_channel
-from calib.correlation.frf.places import of_every_place
+from calib.correlation.frf.nuisance import Nuisance, belonging_to, channel_nuisances
+from calib.correlation.frf.places import place_nuisances
 from calib.correlation.frf.resonances import of_every_resonance
 from calib.errors.errors import InputError
 from calib.experiment import FRFTest, ModalTest, ResponseTest
@@ -83,11 +83,11 @@ def _frf(study: StudyFile, frfs: MeasuredFRFs, model: StructuralModel) -> FRFTes
 def nuisances_of(study: StudyFile, test: FRFTest, model: StructuralModel) -> tuple[Nuisance, ...]:
     """Those that the study names, of all channels and transducers of the test, held-out ones included."""
     settings = study.settings.measurement.nuisances
-    found: tuple[Nuisance, ...] = of_every_channel(test.frfs, **settings.model_dump(exclude={"place", "resonance"}))
+    found: tuple[Nuisance, ...] = channel_nuisances(test.frfs, **settings.model_dump(exclude={"place", "resonance"}))
     if settings.resonance is not None:
         found += of_every_resonance(test.used, settings.resonance)  # what is held out enters no fit
     if settings.place is not None:
-        found += of_every_place(test.frfs, settings.place, model)
+        found += place_nuisances(test.frfs, settings.place, model)
     return belonging_to(study.test, found)
 
 

@@ -12,8 +12,21 @@ from pydantic import (
 
 from calib.errors.errors import InputError
 from calib.measurement.accuracy import Claim
-from calib.study.measurement_settings import HeldOutSettings, MeasurementSettings, PairingSettings, TestSettings
-from calib.study.section import FUNCTION, NAME, FunctionText, Pair, PathText, Section, Seed, Share, WrongBelow
+from calib.study.measurement_settings import (
+    FUNCTION,
+    NAME,
+    FunctionText,
+    HeldOutSettings,
+    MeasurementSettings,
+    Pair,
+    PairingSettings,
+    PathText,
+    Section,
+    Seed,
+    Share,
+    TestSettings,
+    WrongBelow,
+)
 
 
 class ParameterSettings(Section):

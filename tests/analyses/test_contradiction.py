@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from calib.analyses.calibrate import calibrate
-from calib.analyses.contradiction import contradictions
+from calib.analyses.every_mode import contradictions
 from calib.analyses.provenance.places import ledger_of, results_of
 from calib.command import cli
 from calib.errors.errors import InputError

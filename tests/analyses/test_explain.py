@@ -11,8 +11,7 @@ import pandas as pd
 import pytest
 
 from calib.analyses import explain as asked
-from calib.analyses.explain import explain
-from calib.analyses.explanation_result import GROUPS, explanation_summary
+from calib.analyses.explain import GROUPS, explain, explanation_summary
 from calib.missing.local import interval_words, local_perturbation
 from calib.missing.profile import profile_interval
 from calib.results.results import Results

@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.analyses.explain import explain
-from calib.analyses.explanation_result import GROUPS
+from calib.analyses.explain import GROUPS, explain
 from calib.inference.leave_one_out import leave_one_out
 from calib.missing.score import noise_limit
 from calib.missing.tables import EFFECT_COLUMNS

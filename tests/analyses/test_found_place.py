@@ -8,8 +8,8 @@ import pytest
 import calib
 from calib.errors.errors import InputError
 from calib.measurement.modal import Sensor
+from calib.missing.effect_facts import places_sentence
 from calib.missing.evidence import ln_evidence
-from calib.missing.found_place import places_sentence
 from calib.structure.affine import parameter
 from calib.structure.anywhere import at_one_of, sliding_mass
 from calib.structure.effects.attach import outer_term

@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 
 import calib
-from calib.analyses.explain import adapters_for, decision
-from calib.analyses.explanation_result import by_test
+from calib.analyses.explain import adapters_for, by_test, decision
 from calib.api.pairs import library_of
 from calib.hypotheses.joint import together
 from calib.missing.findings import findings

@@ -7,7 +7,7 @@ import pytest
 
 from calib.analyses.added import conclusion, to_add, write_nothing_added
 from calib.analyses.explain import explain
-from calib.missing.held_out import contradicting
+from calib.missing.adequacy import contradicting
 from calib.missing.rules import RULES
 from calib.results.results import Results
 from calib.study.study import Study

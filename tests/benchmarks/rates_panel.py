@@ -23,7 +23,7 @@ from rates_scenarios import MAGNITUDES, Scenario
 from rates_subject import ROOT, Subject
 
 from calib import read_frfs
-from calib.correlation.frf.nuisance import of_every_channel
+from calib.correlation.frf.nuisance import channel_nuisances
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.modal.residual import ModalResidual
@@ -46,7 +46,7 @@ from calib.study.study import Study, with_nuisances
 ERRORS = {"gain": 0.01, "phase": 0.5, "accelerometer": 0.005}
 """Standard deviations of the channels' gains (relative) and phases (degrees); kg at every sensor."""
 FREED = {"gain": 1.0, "phase": 0.5, "accelerometer": 0.005}
-"""The same as priors of `of_every_channel`, in %, degrees and kg."""
+"""The same as priors of `channel_nuisances`, in %, degrees and kg."""
 BESIDE = 0.07
 """Half of the band held out around the fifth mode, over its frequency: to the outermost of its lines and beyond."""
 
@@ -221,7 +221,7 @@ class PanelWorld:
 
     def _pair(self, measured: MeasuredFRFs, way: str) -> FRFResidual:
         channels = FREED if way == "freed" else {}
-        nuisances = of_every_channel(measured, **channels, resonance=self.by_frfs.nuisances.resonance)
+        nuisances = channel_nuisances(measured, **channels, resonance=self.by_frfs.nuisances.resonance)
         return FRFResidual(FRFProblem(self.maker.base(), measured, nuisances))
 
     def _space(self, pair: Any) -> ParameterSpace:

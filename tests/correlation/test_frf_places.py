@@ -8,7 +8,7 @@ import pytest
 
 import calib
 from calib.correlation.frf.nuisance import ChannelError, concerned
-from calib.correlation.frf.places import PlaceError, of_every_place
+from calib.correlation.frf.places import PlaceError, place_nuisances
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
 from calib.errors.errors import InputError
@@ -51,7 +51,7 @@ def elsewhere(model, responses, references, values=None):
 
 def test_every_axis_that_matters_has_a_parameter(bogie):
     """Beams: a vertical sensor on a girder along x feels its slope; across it, the arm to its axis turns with it."""
-    found = of_every_place(empty(), SD, bogie)
+    found = place_nuisances(empty(), SD, bogie)
     assert len({e.parameter.name for e in found}) == len(found)
     names = {e.parameter.name for e in found}
     assert {"place_x_1y", "place_z_1y", "place_y_2x", "place_z_2x", "place_x_3y", "place_z_3y"} <= names
@@ -62,7 +62,7 @@ def test_every_axis_that_matters_has_a_parameter(bogie):
 @pytest.mark.parametrize("name", ["place_x_1y", "place_z_2x", "place_y_4x", "place_x_3y"])
 def test_a_place_is_that_of_a_transducer_there(bogie, name):
     """Force and sensor of one name move together; what is left is of second order."""
-    problem = FRFProblem(bogie, empty(), of_every_place(empty(), SD, bogie))
+    problem = FRFProblem(bogie, empty(), place_nuisances(empty(), SD, bogie))
     nominal = problem.functions({})
     left = []
     for distance in (1.0, 2.0):
@@ -79,7 +79,7 @@ def test_a_place_is_that_of_a_transducer_there(bogie, name):
 
 def test_derivatives_are_those_of_differences(bogie):
     """Beside those of the model and of a channel, in any order."""
-    nuisances = (ChannelError("gain", "2x"), *of_every_place(empty(), SD, bogie))
+    nuisances = (ChannelError("gain", "2x"), *place_nuisances(empty(), SD, bogie))
     residual = FRFResidual(FRFProblem(bogie, empty(), nuisances))
     names = ("place_z_1y", "K_primary", "place_y_4x", "gain_2x", "place_x_1y", "place_z_2x")
     at = {
@@ -99,7 +99,7 @@ def test_derivatives_are_those_of_differences(bogie):
 
 def test_stated_places_change_nothing(bogie):
     plain = FRFResidual(FRFProblem(bogie, empty()))
-    freed = FRFResidual(FRFProblem(bogie, empty(), of_every_place(empty(), SD, bogie)))
+    freed = FRFResidual(FRFProblem(bogie, empty(), place_nuisances(empty(), SD, bogie)))
     np.testing.assert_array_equal(freed.residual({}), plain.residual({}))
     assert freed.fingerprint != plain.fingerprint and freed.rows == plain.rows
 
@@ -115,7 +115,7 @@ def test_distances_are_found_and_a_parameter_is_no_longer_pulled(bogie):
     noise = std * (rng.standard_normal(exact.shape) + 1j * rng.standard_normal(exact.shape))
     data = replace(empty(), values=exact + noise, std=std)
     misfit = {}
-    for label, nuisances in (("places", of_every_place(data, SD, bogie)), ("none", ())):
+    for label, nuisances in (("places", place_nuisances(data, SD, bogie)), ("none", ())):
         residual = FRFResidual(FRFProblem(bogie, data, nuisances))
         space = residual.space.keep([*(n.parameter.name for n in nuisances), "K_primary"])
         found = fit(Problem(residual, space), space)
@@ -130,7 +130,7 @@ def test_distances_are_found_and_a_parameter_is_no_longer_pulled(bogie):
 def test_a_basis_serves_displaced_transducers(bogie):
     """It holds the moments of displaced forces: the drive point is as accurate as it is at its stated place."""
     data = empty(std=2e-6)
-    problem = FRFProblem(bogie, data, of_every_place(data, SD, bogie))
+    problem = FRFProblem(bogie, data, place_nuisances(data, SD, bogie))
     space = bogie.space.keep(["K_primary"])
     reduced = ReducedModel(bogie, train(bogie, space, problem.basis_target(1e-5), seed=1))
     small = FRFResidual(problem.reduced(reduced.basis))
@@ -139,7 +139,7 @@ def test_a_basis_serves_displaced_transducers(bogie):
 
 
 def test_places_of_held_out_transducers_are_not_fitted_but_blur_their_prediction(bogie):
-    every = of_every_place(empty(), SD, bogie)
+    every = place_nuisances(empty(), SD, bogie)
     test = calib.FRFTest(empty(), held_out=["3y"], nuisances=every)
     assert not any("3y" in name for name in calib.Problem(bogie, test).space.names)
     unfitted = test.unseen["held_out_sensors"].unfitted({})
@@ -168,7 +168,7 @@ def test_places_that_were_not_measured_or_have_no_effect_are_refused(bogie):
     ones = np.ones((len(FREQ), 1, 1))
     data = MeasuredFRFs(FREQ, (sensor,), (sensor,), "receptance", ones + 0j, ones)
     with pytest.raises(InputError, match="table of sensors"):
-        of_every_place(data, 1.0, chain)
+        place_nuisances(data, 1.0, chain)
 
 
 @pytest.mark.parametrize("spacing", [0.05, 0.19, 0.3])

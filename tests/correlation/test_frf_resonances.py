@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.correlation.fault_rules import RULES
-from calib.correlation.frf.nuisance import ChannelError, concerned, of_every_channel
+from calib.correlation.frf.nuisance import ChannelError, channel_nuisances, concerned
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.frf.resonances import ResonanceError
@@ -55,7 +55,7 @@ def pair():
 
 
 def test_every_measured_resonance_has_two_with_priors(pair):
-    errors = of_every_channel(measured(truth(), 1), resonance=SHARE)
+    errors = channel_nuisances(measured(truth(), 1), resonance=SHARE)
     assert [e.kind for e in errors] == ["frequency", "damping"] * 2
     np.testing.assert_allclose([e.freq for e in errors[::2]], np.sqrt(MODES[0]) / (2 * np.pi), rtol=1e-3)
     np.testing.assert_allclose([e.ratio for e in errors], RATIO, rtol=0.1)
@@ -85,7 +85,9 @@ def test_they_move_a_resonance_and_change_its_damping(pair):
 
 def test_derivatives_are_those_of_differences(pair):
     data = measured(truth(), 1)
-    residual = FRFResidual(FRFProblem(pair, data, (ChannelError("gain", "1x"), *of_every_channel(data, resonance=2.0))))
+    residual = FRFResidual(
+        FRFProblem(pair, data, (ChannelError("gain", "1x"), *channel_nuisances(data, resonance=2.0)))
+    )
     at = {p.name: p.value + 0.3 * p.prior_width for p in residual.space.parameters}
     names = tuple(reversed(at))
     for column, name in zip(residual.jacobian(at, names).T, names, strict=True):
@@ -102,7 +104,7 @@ def test_an_interval_holds_the_truth_where_resonances_are_off(pair):
         shifts = SHARE / 100 * RATIO * rng.standard_normal(2)
         data = measured(truth(shifts), seed)
         for freed in pulls:
-            errors = of_every_channel(data, resonance=SHARE) if freed else ()
+            errors = channel_nuisances(data, resonance=SHARE) if freed else ()
             residual = FRFResidual(FRFProblem(pair, data, errors))
             found = fit(Problem(residual, residual.space), residual.space)
             names = residual.space.names
@@ -116,7 +118,7 @@ def test_an_interval_holds_the_truth_where_resonances_are_off(pair):
 
 def test_each_makes_another_problem_and_concerns_its_lines(pair):
     data = measured(truth(), 1)
-    errors = of_every_channel(data, resonance=SHARE)
+    errors = channel_nuisances(data, resonance=SHARE)
     prints = {FRFProblem(pair, data, some).fingerprint for some in ((), *((e,) for e in errors))}
     assert len(prints) == 5
     low = data.in_band(0.0, 1.1 * errors[0].freq)

@@ -7,7 +7,7 @@ import pytest
 
 from calib.correlation.standard_deviations import Floors, assumed_deviations, dof_behind, std_for
 from calib.measurement.accuracy import Accuracy
-from calib.measurement.average import mean_and_std
+from calib.measurement.alignment import mean_and_std
 from calib.measurement.files.read import read_modes
 from calib.problem.degrees_of_freedom import p_value
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from calib.execution.outcome import Outcome, key_of
 from calib.results.ledger import Individual, Ledger
-from calib.results.ledger.blobs import packed_array
+from calib.results.ledger.rows import packed_array
 
 pytestmark = pytest.mark.skipif(sqlite3.sqlite_version_info < (3, 38), reason="the views need SQLite 3.38")
 

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from calib.missing.decision import decide
+from calib.missing.effect_facts import smallest_visible
 from calib.missing.evidence import ln_evidence
 from calib.missing.linearised_fit import least_squares_fit
 from calib.missing.plausible import parameter_pulls
@@ -23,7 +24,6 @@ from calib.missing.tables import (
     misfit_table,
     pull_table,
 )
-from calib.missing.visible import smallest_visible
 
 
 def found_in(toy, truth, seed=1):

@@ -7,11 +7,10 @@ import pandas as pd
 import pytest
 
 from calib.missing.decision import decide
-from calib.missing.goodness import by_sensor
+from calib.missing.goodness import by_sensor, misfit_at
 from calib.missing.recommendation import Recommendation
 from calib.missing.tables import effects_table
 from calib.missing.verdict import verdict_of
-from calib.missing.worst_misfit import misfit_at
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 

@@ -9,10 +9,9 @@ import pytest
 
 from calib.errors.errors import EvaluationError
 from calib.missing.decision import decide
-from calib.missing.effect_facts import detectable
+from calib.missing.effect_facts import detectable, smallest_visible, visible_within_limits
 from calib.missing.score import scores
 from calib.missing.tables import effects_table
-from calib.missing.visible import smallest_visible, visible_within_limits
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,9 @@ from calib.missing.decision import Settings, decide
 from calib.missing.evidence import ln_wrong
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
-from calib.missing.suspect import suspects_table
+from calib.missing.suspect import suspects_table, wrong_datum
 from calib.missing.tables import effects_table
 from calib.missing.verdict import verdict_of
-from calib.missing.wrong_datum import wrong_datum
 
 PLACE = ("M3", "frequency")
 

@@ -6,13 +6,34 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from calib.analyses.provenance.isolation import evaluator_of
-from calib.analyses.provenance.user_function import outcome_of, with_library
 from calib.errors.errors import EvaluationError
 from calib.execution.evaluate import Arrived, BatchEvaluator
 from calib.execution.outcome import Outcome, attempt, failure, key_of
 from calib.experiment.test import ForwardProblem
+from calib.results.fingerprint import digest_of
 from calib.results.ledger import Ledger
 from calib.study.study import Study
+
+
+def with_library(fingerprint: str, library: str) -> str:
+    """Fingerprint of numbers that also depend on parameters of a library's effects."""
+    return digest_of(fingerprint, library)[:16]
+
+
+def ledger_keys_of_modes(problem: ForwardProblem, library: str) -> tuple[str, ...]:
+    """All fingerprints of the numbers of a function of modes; empty for any other problem."""
+    if problem.numbers_function is None:
+        return ()
+    own = problem.ledger_key
+    return own, with_library(own, library)
+
+
+def outcome_of(problem: ForwardProblem, numbers: Outcome) -> Outcome:
+    """Outcome of a problem from that of its function: its responses, or the failure."""
+    if problem.numbers_function is None or numbers.status == "failed":
+        return numbers
+    found = attempt(problem.with_function(lambda values: numbers.responses).evaluate, numbers.values)
+    return replace(found, seconds=numbers.seconds)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 
-from calib.analyses.provenance.recorded import recorded, reevaluated, reevaluated_numbers
-from calib.analyses.provenance.user_function import outcome_of
+from calib.analyses.provenance.recorded import outcome_of, recorded, reevaluated, reevaluated_numbers
 from calib.errors.errors import InputError
 from calib.execution.outcome import Outcome
 from calib.problem.space import ParameterSpace

@@ -262,7 +262,7 @@ NUISANCES = get_args(Nuisance)
 """All kinds."""
 
 
-def of_every_channel(
+def channel_nuisances(
     measured: MeasuredFRFs,
     gain: float | None = None,
     phase: float | None = None,

@@ -17,9 +17,9 @@ from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.problem.space import Parameter
-from calib.structure.along_mesh import along_mesh
 from calib.structure.geometry import Mesh, at_nodes
 from calib.structure.model import StructuralModel
+from calib.structure.places import along_mesh
 from calib.structure.reduction.reduced import ReducedModel
 
 _ROUNDING = 1e-9
@@ -123,7 +123,7 @@ class PlaceError(RowError):
         return replace(self.sensor, point=(x, y, z))
 
 
-def of_every_place(
+def place_nuisances(
     measured: MeasuredFRFs, prior_sd: float, model: StructuralModel | ReducedModel
 ) -> tuple[PlaceError, ...]:
     """Errors of the places of all transducers, along each axis that changes what they measure on a model.

@@ -15,9 +15,9 @@ from calib.measurement.mac import is_real
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
 from calib.problem.candidate import NOWHERE
 from calib.problem.space import Parameter
-from calib.structure.along_mesh import along_mesh
 from calib.structure.geometry import Mesh
 from calib.structure.modal_model import ModalModel
+from calib.structure.places import along_mesh
 
 At = tuple[str, tuple[float, float, float]]
 """Name of a sensor and its place."""

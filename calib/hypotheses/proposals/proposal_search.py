@@ -20,8 +20,7 @@ from calib.missing.linearised_fit import LinearisedFit, nearest_whole
 from calib.missing.refits import Refits, near_to
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, family_p, scored, scores
-from calib.missing.suspect import suspects_table
-from calib.missing.wrong_datum import wrong_datum
+from calib.missing.suspect import suspects_table, wrong_datum
 from calib.problem.candidate import Candidate
 
 _DAMPED = 0.1

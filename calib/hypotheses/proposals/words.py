@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import pandas as pd
 
 from calib.hypotheses.proposals.proposal import Proposal, Proposals, composition_words
+from calib.missing.goodness import p_words
 from calib.missing.local import fault_words, interval_words
-from calib.missing.worst_misfit import p_words
 from calib.problem.candidate import Candidate
 from calib.results.answer import Answer
 

@@ -11,9 +11,8 @@ import sqlite3
 from datetime import datetime
 
 from calib.execution.outcome import Outcome
-from calib.results.ledger.blobs import array
 from calib.results.ledger.database import Database
-from calib.results.ledger.rows import Identifiers, RowWriter
+from calib.results.ledger.rows import Identifiers, RowWriter, array
 from calib.results.ledger.schema import create
 
 

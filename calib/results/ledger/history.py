@@ -8,9 +8,8 @@ from collections.abc import Iterable, Sequence
 import pandas as pd
 
 from calib.execution.outcome import Individual
-from calib.results.ledger.blobs import blob_of_key, key_of_blob
 from calib.results.ledger.database import Database
-from calib.results.ledger.rows import RowWriter
+from calib.results.ledger.rows import RowWriter, blob_of_key, key_of_blob
 from calib.results.ledger.schema import STATE
 
 _RUN = "(SELECT id FROM run WHERE name = ?)"

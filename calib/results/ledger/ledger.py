@@ -19,11 +19,10 @@ import pandas as pd
 
 from calib.execution.evaluate import BatchEvaluator
 from calib.execution.outcome import Individual, Outcome, key_of
-from calib.results.ledger.blobs import array, blob_of_key, key_of_blob, named
 from calib.results.ledger.conversion import convert
 from calib.results.ledger.database import Database, connected, marks
 from calib.results.ledger.history import History
-from calib.results.ledger.rows import Identifiers, RowWriter
+from calib.results.ledger.rows import Identifiers, RowWriter, array, blob_of_key, key_of_blob, named
 from calib.results.ledger.schema import STATE, VERSION, create, version_of
 
 _BUSY_SECONDS = 30.0
