@@ -100,17 +100,13 @@ class ModalProblem:
     def __post_init__(self) -> None:
         check_clusters(self.mode_clusters, self.measured.names, self.model.clusters, self.model.name)
         if self.mode_count < max(1, self.measured.n_modes):
-            raise InputError(
-                f"mode_count is {self.mode_count}",
-                place="pairing",
-                remedy=f"solve at least as many model modes as were measured ({self.measured.n_modes})",
-            )
+            remedy = f"solve at least as many model modes as were measured ({self.measured.n_modes})"
+            raise InputError(f"mode_count is {self.mode_count}", place="pairing", remedy=remedy)
         if not 0 <= self.threshold <= 1:
             raise InputError(f"threshold is {self.threshold}", place="pairing", remedy="choose between 0 and 1")
         if self.freq_window is not None and not 0 <= self.freq_window[0] < self.freq_window[1]:
-            raise InputError(
-                f"freq_window is {tuple(self.freq_window)}", place="pairing", remedy="give [low, high] in Hz, low first"
-            )
+            remedy = "give [low, high] in Hz, low first"
+            raise InputError(f"freq_window is {tuple(self.freq_window)}", place="pairing", remedy=remedy)
         check_override(self.override, self.measured.names, self.mode_count)
         object.__setattr__(self, "sensor_rows", self.model.sensor_rows(self.measured.sensors))
 
