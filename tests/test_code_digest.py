@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from calib.analyses.provenance.state import WRITES, code_of
 from calib.errors.own_code import CALIB
 from calib.results import code_digest as digests
 from calib.results.code_digest import code_digest, imports_of
@@ -122,6 +123,11 @@ def tokens(text: str) -> list[str]:
             out.append(token.string)
         first = False
     return out
+
+
+@pytest.mark.parametrize("analysis", WRITES)
+def test_every_analysis_names_files_that_are_there(analysis):
+    assert len(code_of(analysis)) == 16
 
 
 def test_of_every_file_all_code_counts_and_nothing_else():
