@@ -20,6 +20,7 @@ from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.mesh_error import geometry_tables
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.expansion import ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
+from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.rigid import unpaired_sentence, unpaired_table
 from calib.correlation.modal.sensors import suspicious_sensors
 from calib.correlation.response.problem import FunctionProblem
@@ -178,15 +179,16 @@ def comparison_of(
 ) -> ComparisonResult:
     """Compare model and measurement at named values; EvaluationError when the model cannot be solved there.
 
-    ``hints`` and ``std_notes`` are passed on to the result.
+    Modes are paired, FRFs compared function by function, any other kind of data value by value. ``hints`` and
+    ``std_notes`` are passed on to the result.
     """
-    if isinstance(problem, FunctionProblem):
-        return _scalar_answer(problem, values, hints, std_notes)
     if isinstance(problem, FRFProblem):
         found = FRFResidual(problem).compared(values)
         table = found.functions_table()
         error, frac = _mean(table["error"]), _mean(table["frac"])
         return ComparisonResult(table, error, frac, np.nan, None, found, (), {}, tuple(hints), tuple(std_notes))
+    if not isinstance(problem, ModalProblem):
+        return _scalar_answer(problem, values, hints, std_notes)
     comparison = problem.compare(values)
     table = comparison.comparison_table()
     sensor_findings = suspicious_sensors(problem, comparison)

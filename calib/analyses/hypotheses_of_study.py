@@ -17,7 +17,7 @@ from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.errors.errors import ToleranceError
 from calib.execution.stage import Progress, unheard
-from calib.experiment import FRFTest, ModalTest, ResponseTest
+from calib.experiment import FRFTest, ModalTest
 from calib.hypotheses.function_perturbations import model_hypotheses
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.library import effects_basis, local_perturbations
@@ -38,17 +38,18 @@ Local = tuple[Perturbation, ...]
 def adapter_of(
     study: Study, home: Results | None, progress: Progress, local: Local, held_sd: Mapping[str, float] | None = None
 ) -> Adapter:
-    """The adapter of a study's test.
+    """The adapter of a study's test: that of its kind, else that of data that are compared value by value.
 
     ``local`` are the perturbations that the tests of its model share; ``held_sd`` are the standard deviations of the
     held parameters of all tests, by default of this one.
     """
     facts = facts_of(study)
     facts = facts if held_sd is None else replace(facts, held_sd=held_sd)
-    return _OF_TEST[type(study.experiment)](study, home, progress, local, facts)
+    made = next((made for kind, made in _OF_TEST.items() if isinstance(study.experiment, kind)), _of_values)
+    return made(study, home, progress, local, facts)
 
 
-def _of_responses(
+def _of_values(
     study: Study, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts
 ) -> ScalarAdapter:
     pair: Any = study.pair
@@ -76,7 +77,6 @@ def _of_modes(
 
 
 _OF_TEST: Mapping[type, Callable[..., Adapter]] = {
-    ResponseTest: _of_responses,
     FRFTest: _of_frfs,
     ModalTest: _of_modes,
 }

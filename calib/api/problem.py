@@ -114,7 +114,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         objects([self.model], (StructuralModel, ModalFunctionModel, FunctionModel), "problem, model")
-        tests = objects(self.tests, TESTS, "problem, tests")
+        tests = objects(self.tests, Test, "problem, tests", such_as=TESTS)
         object.__setattr__(self, "tests", tests[0] if len(tests) == 1 else tests)
         object.__setattr__(self, "beside", objects(self.beside, Problem, "problem, beside"))
         object.__setattr__(self, "ledger", opened(self.ledger))

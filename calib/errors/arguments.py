@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
@@ -91,11 +91,19 @@ def values(given: Any, place: str) -> dict[str, float]:
     return {name: number(value, f"{place}, {name}") for name, value in by_name(given, place).items()}
 
 
-def objects(given: Any, kinds: type[_Kind] | tuple[type[_Kind], ...], place: str) -> tuple[_Kind, ...]:
-    """One object or several of the given types, as a tuple; InputError for anything else."""
+def objects(
+    given: Any,
+    kinds: type[_Kind] | tuple[type[_Kind], ...],
+    place: str,
+    such_as: Sequence[type[_Kind]] = (),
+) -> tuple[_Kind, ...]:
+    """One object or several of the given types, as a tuple; InputError for anything else.
+
+    ``such_as`` are the types that the error names; by default the same.
+    """
     if isinstance(given, kinds):
         return (given,)
-    wanted = " or ".join(k.__name__ for k in (kinds if isinstance(kinds, tuple) else (kinds,)))
+    wanted = " or ".join(k.__name__ for k in such_as or (kinds if isinstance(kinds, tuple) else (kinds,)))
     if isinstance(given, str | Mapping) or not isinstance(given, Iterable):
         raise InputError(f"it is {_told(given)}", place=place, remedy=f"give {wanted}, or a list of them")
     found = tuple(given)

@@ -6,6 +6,6 @@ from calib.experiment.response import ResponseTest
 from calib.experiment.test import Test
 
 TESTS = (ModalTest, ResponseTest, FRFTest)
-"""Every kind of test."""
+"""The kinds that the messages name; any other subclass of `Test` serves as well."""
 
 __all__ = ["TESTS", "FRFTest", "ModalTest", "ResponseTest", "Test"]

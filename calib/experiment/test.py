@@ -57,7 +57,18 @@ class TestError(InputError):
 
 
 class Test(ABC):
-    """A test under one condition; subclasses say what was measured, and how a model is compared with it."""
+    """A test under one condition; subclasses say what was measured, and how a model is compared with it.
+
+    Analyses in memory take any subclass. Data that are neither modes nor FRFs are compared value by value; they then
+    ask the following of what `problem` and `residual` return.
+
+    - The problem: ``space``, ``fingerprint``, ``targets`` (value and standard deviation by name), ``evaluate``
+      (responses by the same names), ``with_model``, ``search_targets``, ``sensitivity_responses``, ``relative_std``,
+      ``std_dof``, ``assumed_std``; ``reducible``, ``user_function`` and ``numbers_function`` may be None. See
+      `calib.correlation.response.problem.FunctionProblem`.
+    - The residual: what `calib.problem.problem.Pair` lists, ``within``, ``with_model``, ``unpaired``, ``faults``,
+      ``measured_values`` and ``std``. See `calib.correlation.response.residual.ResponseResidual`.
+    """
 
     __test__ = False  # no test of pytest's
     name: str
