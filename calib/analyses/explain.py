@@ -23,6 +23,7 @@ from calib.hypotheses.discretisation_error import mesh_words, with_mesh_error
 from calib.hypotheses.joint import JointAdapter, together
 from calib.measurement.corrections import correctable
 from calib.missing import decision as engine
+from calib.missing.adapter import Adapter
 from calib.missing.between_tests import BETWEEN
 from calib.missing.candidate_fit import CandidateFit, WrongDatum
 from calib.missing.explanation import Explanation
@@ -31,7 +32,6 @@ from calib.missing.local import local_perturbation
 from calib.missing.partial import is_simpler_form
 from calib.missing.pattern import BY_TEST
 from calib.missing.settings import Settings, require_modes
-from calib.missing.test import Adapter
 from calib.missing.verdict import GROUPS as UNSEEN_GROUPS
 from calib.problem.effect import Effect
 from calib.problem.joint import TEST

@@ -23,8 +23,8 @@ from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.library import effects_basis, local_perturbations
 from calib.hypotheses.modal import ModalAdapter
 from calib.hypotheses.scalar import FRFAdapter, ScalarAdapter
+from calib.missing.adapter import Adapter
 from calib.missing.facts import MeasurementFacts
-from calib.missing.test import Adapter
 from calib.results.results import Results
 from calib.structure.effects.perturbations import Perturbation
 from calib.structure.model import StructuralModel

@@ -36,12 +36,12 @@ from calib.hypotheses.proposals.words import (
     proposals_table,
     proposed_places_table,
 )
+from calib.missing.adapter import Adapter
 from calib.missing.collinear import Group
 from calib.missing.explanation import OPEN, Explanation
 from calib.missing.recommendation import recommend, recommendation
 from calib.missing.refits import Refits
 from calib.missing.settings import Settings
-from calib.missing.test import Adapter
 from calib.results.answer import Answer
 from calib.results.json_file import read_json
 from calib.results.results import Results

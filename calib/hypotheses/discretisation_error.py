@@ -19,10 +19,10 @@ from calib.hypotheses.hypotheses import ModelHypotheses, VariantPair
 from calib.hypotheses.rules import RULES
 from calib.measurement.accuracy import NOTHING
 from calib.measurement.mac import mac
+from calib.missing.adapter import Adapter
 from calib.missing.facts import DiscretisationError
 from calib.missing.linearised_fit import LinearisedFit, least_squares_fit, nearest_whole
 from calib.missing.score import scores
-from calib.missing.test import Adapter
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 

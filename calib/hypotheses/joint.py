@@ -10,6 +10,7 @@ import pandas as pd
 
 from calib.execution.outcome import Outcome
 from calib.execution.stage import Progress, unheard
+from calib.missing.adapter import Adapter
 from calib.missing.between_tests import Differences, differences
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.discrepancy import Discrepancy
@@ -17,7 +18,6 @@ from calib.missing.explanation import Explanation
 from calib.missing.facts import DiscretisationError, MeasurementFacts, Places
 from calib.missing.joint import JointHypotheses
 from calib.missing.recommendation import ExperimentalDesign
-from calib.missing.test import Adapter
 from calib.problem.degrees_of_freedom import behind, matched, p_value
 from calib.problem.effect import Effect
 from calib.problem.joint import of_test, said, stacked

@@ -40,7 +40,7 @@ LABELS = ("kind", "mode", "sensor", "part")
 
 @dataclass(frozen=True, eq=False)
 class OneTest(ABC):
-    """One test against one model; see `calib.missing.test.Adapter`.
+    """One test against one model; see `calib.missing.adapter.Adapter`.
 
     Attributes
     ----------

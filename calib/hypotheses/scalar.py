@@ -1,4 +1,4 @@
-"""Adapters of a test of scalar responses and of a test of FRFs to the explanation."""
+"""Adapters of tests whose data are compared value by value, scalar responses and FRFs, to the explanation."""
 
 from __future__ import annotations
 

@@ -11,6 +11,7 @@ import pandas as pd
 
 from calib.errors.errors import EvaluationError, ToleranceError
 from calib.execution.stage import Progress, unheard
+from calib.missing.adapter import Adapter
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.detailed import DetailedFit, fitted_in_detail, leading_fit, tested_in_detail
 from calib.missing.discrepancy import TABLE as PARAMETERS
@@ -25,7 +26,6 @@ from calib.missing.recommendation import as_ratio
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
 from calib.missing.settings import Settings
-from calib.missing.test import Adapter
 from calib.problem.candidate import Candidate
 from calib.problem.effect import Effect
 

@@ -11,6 +11,7 @@ import pandas as pd
 
 from calib.execution.stage import Progress, unheard
 from calib.missing.accuracy import accuracy_sentence, changing, less_accurate
+from calib.missing.adapter import Adapter
 from calib.missing.adequacy import contradicting
 from calib.missing.between_tests import BETWEEN
 from calib.missing.candidate_fit import CandidateFit
@@ -43,7 +44,6 @@ from calib.missing.tables import (
     perturbations_table,
     pull_table,
 )
-from calib.missing.test import Adapter
 from calib.missing.verdict import verdict_of
 from calib.missing.verdict_words import elsewhere, limits_sentence
 from calib.problem.joint import TEST

@@ -1,4 +1,4 @@
-"""Protocol of a test as an explanation uses it: hypotheses, errors, notes, tables."""
+"""Protocol of the adapter of a test to an explanation: hypotheses, errors, notes, tables."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from calib.problem.effect import Effect
 class Adapter(Protocol):
     """Properties and methods in which kinds of tests differ.
 
-    Implemented by `ModalAdapter`, by `ScalarAdapter` and, for several tests, by `JointAdapter`.
+    Implemented by `ModalAdapter`, `FRFAdapter`, `ScalarAdapter` (data compared value by value) and, for several tests,
+    `JointAdapter`; see `calib.hypotheses`.
     """
 
     @property
