@@ -87,7 +87,9 @@ def test_a_wheel_holds_calib_alone(wheel):
     assert {name.split("/")[0] for name in names} == {"calib", f"calib-{FALLBACK}.dist-info"}
     modules = {str(file.relative_to(ROOT)) for file in (ROOT / "calib").rglob("*.py")}
     assert modules <= set(names)
-    assert {"calib/py.typed", "calib/template/study.toml", "calib/report/html/template/report.html"} <= set(names)
+    assert {"calib/py.typed", "calib/template/study.toml", "calib/report/html/template/section/verdict.html.j2"} <= set(
+        names
+    )
 
 
 def test_a_wheel_knows_its_version_and_its_example_needs_nothing_else(wheel, tmp_path):

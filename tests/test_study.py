@@ -180,7 +180,7 @@ def test_a_failing_model_is_the_users_own_fault(example):
 def test_non_finite_matrices_are_told(example):
     text = (example / "model.py").read_text()
     (example / "model.py").write_text(
-        text.replace('PointMass(("mast", TOP), 1.0)', "PointMass((\"mast\", TOP), float('nan'))")
+        text.replace('Term("antenna", diagonal(', "Term(\"antenna\", float('nan') * diagonal(")
     )
     assert "not finite" in complaint(example)
 

@@ -167,7 +167,10 @@ class Fit(Shown, Generic[P]):
 
     def compare(self) -> Compared:
         """Models against tests at the fitted values."""
-        return self.problem.compare(self.values)
+        if self.calibration is None:
+            return self.problem.compare(self.values)
+        tests = self.problem.study().studies
+        return Compared({one.experiment.name: self.calibration.seen(one.test).best.answer for one in tests})
 
     def explain(
         self,

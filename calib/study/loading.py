@@ -190,8 +190,8 @@ class Sources:
             if (fault.name or "").partition(".")[0] == "calib":
                 raise InputError(
                     f"{where!r} imports what calib does not have: {fault}", place=place,
-                    remedy="import public names from calib and calib.structure; docs/import_paths.md lists them with "
-                    "their former places", at=raised_at(fault),
+                    remedy="import public names from calib and calib.structure; the page on import paths lists them "
+                    "with their former places", at=raised_at(fault),
                 ) from None  # fmt: skip
             if not isinstance(fault, ModuleNotFoundError):
                 raise InputError(f"{where!r} failed with {told(fault)}", place=place, at=raised_at(fault)) from fault

@@ -131,7 +131,7 @@ def test_frfs_of_a_coarse_mesh_likewise(shaken):
 
 def test_a_finer_mesh_alone_tells_its_scores_and_changes_nothing_else(mast, tmp_path):
     study = Study.load(mast.write_study(tmp_path / "mast", {"guy": 12000.0}))
-    problem = calib.Problem(study.model, calib.ModalTest(study.given)).keep(["E", "m_top", "K_base"])
+    problem = calib.Problem(study.model, calib.ModalTest(study.experiment.modes)).keep(["E", "m_top", "K_base"])
     alone = problem.explain(mast.library(), progress=False)
     told = problem.explain(mast.library(), progress=False, finer=mast.mast(0.25))
     assert "discretisation" in told.explanation.tables and "discretisation" not in alone.explanation.tables
@@ -142,14 +142,14 @@ def test_a_finer_mesh_alone_tells_its_scores_and_changes_nothing_else(mast, tmp_
     ("given", "words"),
     [
         ({"mesh_sd": 1.0}, "no finer mesh is given"),
-        ({"mesh_sd": 0.0, "finer": True}, "mesh_sd is 0"),
-        ({"fixed_sd": "30 %"}, "fixed_sd is '30 %'"),
+        ({"mesh_sd": 0.0, "finer": True}, "mesh_sd: it is 0"),
+        ({"fixed_sd": "30 %"}, "fixed_sd: it is '30 %'"),
         ({"finer": "other"}, "no model is named 'other'"),
     ],
 )
 def test_a_stated_error_that_is_none_is_refused(mast, tmp_path, given, words):
     study = Study.load(mast.write_study(tmp_path / "mast"))
-    problem, fine = calib.Problem(study.model, calib.ModalTest(study.given)), mast.mast(0.25)
+    problem, fine = calib.Problem(study.model, calib.ModalTest(study.experiment.modes)), mast.mast(0.25)
     finer = {True: fine, "other": {"other": fine}}.get(given.get("finer"))
     with pytest.raises(InputError, match=words):
         problem.explain((), progress=False, **{**given, "finer": finer})
@@ -163,7 +163,7 @@ def test_parameters_left_out_of_a_selection_are_uncertain_as_in_a_study(mast, ed
     asked = explain(study, Results.at(tmp_path / "r", "mast"))
     space = study.search_space.replace("m_top", distribution="uniform")
     model = replace(study.model, space=space)
-    test = calib.ModalTest(study.given, **_pairing(study))
+    test = calib.ModalTest(study.experiment.modes, **_pairing(study))
     held = calib.Problem(model, test).keep(["E", "K_base"])
     assert held.unselected == ("m_top",)
     told = held.explain(study.candidates, progress=False, fixed_sd="15 %").explanation

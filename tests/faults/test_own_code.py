@@ -217,5 +217,5 @@ def test_a_former_place_of_a_public_name(edited, line):
     folder = edited("import numpy as np", f"import numpy as np\n{line}")
     with pytest.raises(InputError, match="calib does not have") as caught:
         Study.load(folder)
-    assert "docs/import_paths.md" in caught.value.remedy
+    assert "page on import paths" in caught.value.remedy
     assert caught.value.at is not None and line in caught.value.at.text

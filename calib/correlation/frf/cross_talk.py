@@ -38,6 +38,12 @@ class CrossTalkError(RowError):
     ------
     InputError
         When both are the same sensor, or for a standard deviation that is not positive.
+
+    Examples
+    --------
+    >>> import calib
+    >>> calib.CrossTalkError(calib.Sensor(12, "z"), calib.Sensor(11, "z"), 0.02).parameter.name
+    'cross_talk_11z_12z'
     """
 
     sensor: Sensor

@@ -271,7 +271,7 @@ def channel_nuisances(
     stinger: float | None = None,
     resonance: float | None = None,
 ) -> tuple[Nuisance, ...]:
-    """The same nuisances for all channels, and at all resonances; without a number there is none of that kind.
+    r"""The same nuisances for all channels, and at all resonances; without a number there is none of that kind.
 
     Parameters
     ----------
@@ -285,6 +285,18 @@ def channel_nuisances(
     resonance : float, optional
         Standard deviation of what the model is off by at the peak of every resonance, % of the modulus; see
         `calib.correlation.frf.resonances.ResonanceError`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import calib
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     table = Path(folder, "hammer.csv")
+    ...     _ = table.write_text("freq,response,reference,re,im\n10,12z,3z,0.2,-0.01\n11,12z,3z,0.3,-0.02")
+    ...     frfs = calib.read_frfs(table, unit="m/s2/N")
+    >>> [error.parameter.name for error in calib.channel_nuisances(frfs, gain=1.0)]
+    ['gain_12z', 'gain_force_3z']
     """
     out: list[Nuisance] = []
     sds: dict[ChannelKind, float | None] = {"gain": gain, "phase": phase, "delay": delay}

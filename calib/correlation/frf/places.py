@@ -139,6 +139,19 @@ def place_nuisances(
     ------
     InputError
         When a transducer has no place, or no place has an effect.
+
+    Examples
+    --------
+    A beam turns about its own axis: below or above it a vertical sensor reads the same.
+
+    >>> import numpy as np
+    >>> import calib
+    >>> from calib.measurement.frf import MeasuredFRFs
+    >>> from models.railway import bogie_on_rig
+    >>> own = (calib.Sensor(1, "y", (-1.3, 0.62, 1.05), "frame"),)
+    >>> frfs = MeasuredFRFs(np.array([8.0, 9.0]), own, own, "accelerance", np.ones((2, 1, 1)) + 0j, np.ones((2, 1, 1)))
+    >>> [error.parameter.name for error in calib.place_nuisances(frfs, 3.0, bogie_on_rig())]
+    ['place_x_1y', 'place_z_1y']
     """
     each = {sensor.name: sensor for sensor in measured.sensors}
     every = [PlaceError(sensor, along, prior_sd) for sensor in each.values() for along in DIRECTIONS[:3]]

@@ -42,6 +42,12 @@ class RotationError(RowError):
     ------
     InputError
         For a sensor of a rotation, its own axis, an unknown side, or a standard deviation that is not positive.
+
+    Examples
+    --------
+    >>> import calib
+    >>> calib.RotationError(calib.Sensor(12, "z"), "x", 3.0).parameter.name
+    'rotation_12z_x'
     """
 
     sensor: Sensor

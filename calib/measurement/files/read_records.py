@@ -44,7 +44,7 @@ def _holds_uff(path: Path) -> bool:
 def read_records(
     files: Named, *, unit: str | None = None, sensors: str | Path | None = None, synthetic: bool = False
 ) -> tuple[MeasuredRecord, ...]:
-    """Read measured time records; each file is one record.
+    r"""Read measured time records; each file is one record.
 
     Parameters
     ----------
@@ -68,6 +68,19 @@ def read_records(
     ------
     InputError
         For files that cannot be read, and records whose sensors, motions or rates differ.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import calib
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     table = Path(folder, "ambient.csv")
+    ...     lines = (f"{0.01 * k:.2f},{(-1) ** k},{0.5 * (-1) ** k}" for k in range(1000))
+    ...     _ = table.write_text("\n".join(["time,1z,2z", *lines]))
+    ...     (record,) = calib.read_records(table, unit="m/s2")
+    >>> round(record.rate), [sensor.name for sensor in record.sensors]
+    (100, ['1z', '2z'])
     """
     paths = found_files(files)
     is_uff = require_files(paths)
