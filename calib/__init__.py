@@ -8,4 +8,3 @@ import lazy_loader as lazy
 from calib.results.version import __version__ as __version__
 
 __getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
-__all__ = ["__version__", *__all__]

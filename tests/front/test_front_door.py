@@ -262,7 +262,7 @@ def test_without_a_named_effect_none_is_added(explained, library):
 
 
 def test_every_public_name_is_there_and_documented():
-    assert len(calib.__all__) <= 33 and len(set(calib.__all__)) == len(calib.__all__)
+    assert len(calib.__all__) <= 32 and len(set(calib.__all__)) == len(calib.__all__)
     for name in calib.__all__:
         assert getattr(calib, name) is not None
         assert name == "__version__" or getattr(calib, name).__doc__
