@@ -16,7 +16,7 @@ from calib.results.results import Results
 from calib.study.loading import module_of
 from calib.study.several import load
 from calib.study.study import Study
-from tests.several.conftest import write_study
+from tests.study.conftest import write_study
 
 FRFS = module_of(__file__.rsplit("/", 2)[0] + "/template/frf_chain.py")
 SOFT = 0.1 * FRFS.HIDDEN

@@ -23,7 +23,7 @@ def test_each_test_holds_out_what_its_own_study_holds_out():
         assert one.problem.measured.fingerprint == alone.problem.measured.fingerprint
 
 
-@pytest.mark.whole  # seven minutes; tests/several/test_modes_and_frfs.py covers the same with a chain
+@pytest.mark.whole  # seven minutes; tests/study/test_modes_and_frfs.py covers the same with a chain
 def test_both_tests_together_determine_more_than_each_alone_and_held_out_errors_fall(undrawn, tmp_path):
     study = str(ROOT / "studies/hidden_bogie_joint")
     assert cli.execute(["run", study, "--results", str(tmp_path), "--workers", "1"]) == 0

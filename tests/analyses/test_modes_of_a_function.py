@@ -23,7 +23,7 @@ from calib.report.figures import Figures
 from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.study.study import Study
-from tests.front.cantilever import ADOPTED, FEW, write_study
+from tests.api.cantilever import ADOPTED, FEW, write_study
 
 PROP = 2500.0
 FREE = tuple(ADOPTED)

@@ -13,7 +13,7 @@ from calib.hypotheses.proposals.compositions import compositions
 from calib.hypotheses.proposals.point_compositions import hung_at
 from calib.hypotheses.proposals.proposal import Proposal
 from calib.structure.effects.extend import addition_of, extend
-from tests.front.storeys import DAMPING, FLOORS, MASS, STIFF, chain, measured, posed
+from tests.api.storeys import DAMPING, FLOORS, MASS, STIFF, chain, measured, posed
 
 CASES = {
     "mass": ({"mass": [(4, 300.0)]}, ("added mass", "mass"), "floor 4", {"added mass": 300.0, "mass": 15.0}, 12.0),

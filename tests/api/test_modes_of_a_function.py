@@ -10,7 +10,7 @@ import calib
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.structure.modal_result import modes_from, modes_from_result, numbers_of
-from tests.front.cantilever import (
+from tests.api.cantilever import (
     ADOPTED,
     BEAM,
     SENSORS,

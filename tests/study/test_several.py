@@ -16,8 +16,8 @@ from calib.study.several import JointStudy, load
 from calib.study.study import Study
 from calib.study.study_file import StudyFile
 from calib.study.study_text import read_settings
-from tests.front import cantilever
-from tests.several.conftest import GROUND, STIFF, STUDY, told, write_study
+from tests.api import cantilever
+from tests.study.conftest import GROUND, STIFF, STUDY, told, write_study
 
 BENCH = '\n[[tests]]\nname = "bench"\nmodel = "model.py:bench"\nresponses = "bench.csv"\n'
 

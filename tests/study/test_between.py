@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from calib.command import cli
-from tests.several.conftest import STIFF, write_study, write_test
+from tests.study.conftest import STIFF, write_study, write_test
 
 
 def explained(folder, results):

@@ -8,7 +8,7 @@ from calib.errors.errors import EvaluationError
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.structure import rules as model_rules
-from tests.front.storeys import chain, frfs, measured, posed
+from tests.api.storeys import chain, frfs, measured, posed
 
 
 @pytest.fixture(scope="module")

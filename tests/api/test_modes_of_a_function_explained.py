@@ -8,7 +8,7 @@ import pytest
 import calib
 from calib.hypotheses.function_perturbations import modal_function_perturbations
 from calib.hypotheses.function_variants import FunctionVariants
-from tests.front.cantilever import (
+from tests.api.cantilever import (
     ADOPTED,
     SENSORS,
     as_function,
