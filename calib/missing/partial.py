@@ -21,7 +21,7 @@ def is_simpler_form(found: Explanation) -> bool:
     """Whether a partial explanation is that of an effect which the library lists in a simpler form than the real one.
 
     It is far ahead (`is_far_ahead`), and nothing further is predicted to lower the sum of squares by more than
-    `Rules.little` of what it did.
+    `DecisionRules.little` of what it did.
     """
     best, adequacy = found.chosen, found.chosen_adequacy
     if found.verdict != "partial" or best is None or adequacy is None or not is_far_ahead(found):
@@ -35,8 +35,8 @@ def is_simpler_form(found: Explanation) -> bool:
 def is_far_ahead(found: Explanation) -> bool:
     """Whether the best attempt explains far more than anything else.
 
-    Every other effect, local perturbation or fault gains less than `Rules.by_far` of the log evidence that it gains, or
-    leaves more than `Rules.leaves` times the sum of squares that it leaves.
+    Every other effect, local perturbation or fault gains less than `DecisionRules.by_far` of the log evidence that it gains, or
+    leaves more than `DecisionRules.leaves` times the sum of squares that it leaves.
     """
     best = found.chosen
     if best is None:

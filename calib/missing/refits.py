@@ -288,7 +288,7 @@ class Refits:
     def faults(self, base: CandidateFit, found: Scores, best: CandidateFit) -> tuple[CandidateFit, ...]:
         """Fits of the faults of the measurement with the largest scores, best first.
 
-        Like `fault`, only those that come near the best effect, and at most `Rules.blamed` that are predicted to
+        Like `fault`, only those that come near the best effect, and at most `DecisionRules.blamed` that are predicted to
         explain about equally well. Fits of faults are not charged: they need no further model.
         """
         order = np.argsort(-found.magnitude, kind="stable")[: RULES.blamed]
@@ -359,7 +359,7 @@ class Refits:
         return best
 
     def beside_whole(self, candidate_fit: CandidateFit) -> CandidateFit:
-        """The best of the fits with integers nearby, each at most one off, until none is better by `Rules.worth`.
+        """The best of the fits with integers nearby, each at most one off, until none is better by `DecisionRules.worth`.
 
         They are fitted: where residuals turn sharply, such as near resonances, one step predicts the integers badly.
         As the answer depends on them, they are charged to what may be spent beyond the budget.

@@ -201,7 +201,7 @@ def _reached(score: float, count: int, std_dof: np.ndarray) -> float:
 
 
 def noise_limit(scores: np.ndarray) -> float:
-    """Absolute score that noise alone exceeds anywhere with a probability of `Rules.noise_level`.
+    """Absolute score that noise alone exceeds anywhere with a probability of `DecisionRules.noise_level`.
 
     Standard normal scores, Bonferroni over those that are known; as they are correlated, the limit is on the safe side.
 

@@ -19,7 +19,7 @@ fault of the measurement."""
 Stopped: TypeAlias = Literal["adequate", "implausible", "doubtful", "rejected", "most", "returned", "budget"]
 """Why a search stopped: nothing systematic is left; the same, but a value is implausible; the same, but something else
 explains as well as one of the effects, or data left out are predicted worse; every further effect was rejected;
-`Rules.most_effects` are in; a model came up again; the evaluations are used up."""
+`DecisionRules.most_effects` are in; a model came up again; the evaluations are used up."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -133,7 +133,7 @@ def _untested(e: Candidate) -> dict[str, object]:
 
 
 def confounded_with(found: Explanation, name: str) -> list[str]:
-    """Effects collinear beyond `Rules.confounded`, or not told apart by 20:1 at its fitted magnitude."""
+    """Effects collinear beyond `DecisionRules.confounded`, or not told apart by 20:1 at its fitted magnitude."""
     named = found.base_adequacy.named
     names = _names(found)
     columns = [named.best(n) for n in names]
