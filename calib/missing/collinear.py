@@ -43,11 +43,11 @@ def grouped(effects: Sequence[Candidate], found: Scores, threshold: float) -> tu
     """Group effects whose signatures are collinear beyond a threshold and that these data do not tell apart.
 
     With the larger score ``z`` of two effects and the correlation ``rho`` of their signatures, the expected log Bayes
-    factor between them is ``z^2 (1 - rho^2)/2``; below `DecisionRules.credible` (20:1) they are grouped. However collinear
-    two effects are, a strong enough signal tells them apart. A negative correlation groups only effects whose magnitude
-    may have either sign: otherwise the sign tells them apart. Effects with nuisance parameters are never grouped, since
-    their signature is not a single direction. Nor is an effect whose score has an impossible sign grouped with one that
-    the data support.
+    factor between them is ``z^2 (1 - rho^2)/2``; below `DecisionRules.credible` (20:1) they are grouped. However
+    collinear two effects are, a strong enough signal tells them apart. A negative correlation groups only effects whose
+    magnitude may have either sign: otherwise the sign tells them apart. Effects with nuisance parameters are never
+    grouped, since their signature is not a single direction. Nor is an effect whose score has an impossible sign
+    grouped with one that the data support.
 
     The effect with the largest score of a possible sign leads its group; ties go to the first by name, so that the
     order of the library does not change the groups. Groups are returned in the order of the library.

@@ -126,8 +126,8 @@ COLUMNS = ("effect", "place", "name", "magnitude", "sum_of_squares", "ln_bayes",
 def found_places(found: Explanation) -> pd.DataFrame:
     """Fits of the best model with each place of its effects held in turn; columns `COLUMNS`.
 
-    Credible are those whose log evidence is within `DecisionRules.credible` of the best, as effects are. A place with which the
-    model cannot be solved has an error, and no numbers.
+    Credible are those whose log evidence is within `DecisionRules.credible` of the best, as effects are. A place
+    with which the model cannot be solved has an error, and no numbers.
     """
     rows: list[tuple[object, ...]] = []
     chosen = found.chosen

@@ -35,8 +35,8 @@ def is_simpler_form(found: Explanation) -> bool:
 def is_far_ahead(found: Explanation) -> bool:
     """Whether the best attempt explains far more than anything else.
 
-    Every other effect, local perturbation or fault gains less than `DecisionRules.by_far` of the log evidence that it gains, or
-    leaves more than `DecisionRules.leaves` times the sum of squares that it leaves.
+    Every other effect, local perturbation or fault gains less than `DecisionRules.by_far` of the log evidence that it
+    gains, or leaves more than `DecisionRules.leaves` times the sum of squares that it leaves.
     """
     best = found.chosen
     if best is None:

@@ -126,8 +126,8 @@ def recommend(design: ExperimentalDesign) -> pd.DataFrame:
     DataFrame
         ``measurement, kind, effect``; ``gain``: factor on the expected score of the effect, the mean over the
         linearisations, between ``gain_low`` and ``gain_high`` in 8 of 10; ``magnitude_min``: magnitude whose mean score
-        then is `DecisionRules.detectable`; ``ln_bayes``: expected log Bayes factor for the true one of two competing models,
-        with its range, and the ``chance`` that it is beyond 20:1 (NaN without competing models); ``words``.
+        then is `DecisionRules.detectable`; ``ln_bayes``: expected log Bayes factor for the true one of two competing
+        models, with its range, and the ``chance`` that it is beyond 20:1 (NaN without competing models); ``words``.
     """
     now, competing = design.sizes(None), design.competing
     rows = []

@@ -288,8 +288,8 @@ class Refits:
     def faults(self, base: CandidateFit, found: Scores, best: CandidateFit) -> tuple[CandidateFit, ...]:
         """Fits of the faults of the measurement with the largest scores, best first.
 
-        Like `fault`, only those that come near the best effect, and at most `DecisionRules.blamed` that are predicted to
-        explain about equally well. Fits of faults are not charged: they need no further model.
+        Like `fault`, only those that come near the best effect, and at most `DecisionRules.blamed` that are predicted
+        to explain about equally well. Fits of faults are not charged: they need no further model.
         """
         order = np.argsort(-found.magnitude, kind="stable")[: RULES.blamed]
         reached = best.ln_evidence - base.ln_evidence
@@ -359,10 +359,11 @@ class Refits:
         return best
 
     def beside_whole(self, candidate_fit: CandidateFit) -> CandidateFit:
-        """The best of the fits with integers nearby, each at most one off, until none is better by `DecisionRules.worth`.
+        """The best of the fits with integers nearby, each at most one off, until none is better.
 
-        They are fitted: where residuals turn sharply, such as near resonances, one step predicts the integers badly.
-        As the answer depends on them, they are charged to what may be spent beyond the budget.
+        Better is by more than `DecisionRules.worth`. They are fitted: where residuals turn sharply, such as near
+        resonances, one step predicts the integers badly. As the answer depends on them, they
+        are charged to what may be spent beyond the budget.
         """
         best = candidate_fit
         with self.allowance.continuing():
