@@ -15,7 +15,7 @@ def main() -> None:
 
         command()
     except KeyboardInterrupt:  # before the command handles it
-        interrupt.answered()
+        interrupt.command_over()
         sys.stderr.write(f"calib: {interrupt.WORDS}\n")
         sys.exit(interrupt.CODE)
 

@@ -17,7 +17,7 @@ from calib.measurement.accuracy import Claim
 from calib.measurement.frf import MeasuredFRFs
 from calib.results.results import Results
 from calib.study.loading import module_of
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parent.parent
 MODES, FRFS = (ROOT / "studies" / name for name in ("hidden_panel", "hidden_panel_frf"))
@@ -54,7 +54,7 @@ def noise_free(structure, values):
     test = make_twin.frf_test(structure)
     values = make_twin.frf_twin.functions(structure, values, test)
     std = np.hypot(test.share * np.abs(values), test.floor) / np.sqrt(test.repeats)
-    claimed = Claim.of(Study.load(FRFS).settings.measurement.accuracy)
+    claimed = Claim.of(LoadedStudy.load(FRFS).settings.measurement.accuracy)
     return MeasuredFRFs(
         test.freq, test.responses, test.references, test.quantity, values, std, test.repeats, True, accuracy=claimed
     )

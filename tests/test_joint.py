@@ -12,7 +12,7 @@ from calib.inference.gauss_newton import Prior, fit
 from calib.inference.identify import posterior
 from calib.inference.integers import fit_mixed
 from calib.problem.joint import JointProblem, joined
-from calib.problem.problem import Problem
+from calib.problem.problem import PairProblem
 from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 
 TRUTH = {"k": 40.0, "m": 10.0}
@@ -32,7 +32,7 @@ def linear(names, rows, seed, **options):
         return {f"r_{i}": float(row @ [values[n] for n in names]) for i, row in enumerate(matrix)}
 
     targets = {f"r_{i}": (float(t), 1.0) for i, t in enumerate(target)}
-    return matrix, target, Problem(ResponseResidual(FunctionProblem(space, function, targets, "")), space)
+    return matrix, target, PairProblem(ResponseResidual(FunctionProblem(space, function, targets, "")), space)
 
 
 def resonance(load=0.0):
@@ -50,7 +50,7 @@ def resonance(load=0.0):
 
     told = function({**TRUTH, "load": load})
     held = FunctionProblem(space.freeze({"load": load}), function, {"f": (told["f"], 1e-3 * told["f"])}, "")
-    return Problem(ResponseResidual(held), space.without({"load": load}))
+    return PairProblem(ResponseResidual(held), space.without({"load": load}))
 
 
 # -- closed forms ------------------------------------------------------------------------------------------------------

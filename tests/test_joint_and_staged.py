@@ -16,8 +16,8 @@ from calib.correlation.modal.residual import ModalResidual
 from calib.inference.gauss_newton import fit
 from calib.inference.identify import posterior
 from calib.problem.joint import JointProblem
-from calib.problem.problem import Problem
-from calib.study.study import Study
+from calib.problem.problem import PairProblem
+from calib.study.study import LoadedStudy
 from calib.study.study_text import read_settings
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.slow
 
 
 def posed(study):
-    return Problem(ModalResidual(study.problem), study.search_space)
+    return PairProblem(ModalResidual(study.problem), study.search_space)
 
 
 def known(problem, names, values, held=None):
@@ -46,13 +46,13 @@ def known(problem, names, values, held=None):
 @pytest.fixture(scope="module")
 def both_ways():
     """Fitted values and standard deviations: of the bogie alone, of the vehicle on it, and of both together."""
-    bogie = posed(Study.load(BOGIE))
+    bogie = posed(LoadedStudy.load(BOGIE))
     bogie = replace(bogie, space=bogie.space.freeze({p.name: TRUTH[p.name] for p in bogie.space.free if p.integer}))
     first = fit(bogie, bogie.space, {})
     std = known(bogie, first.names, first.values)
     held = {name: float(std[name]) for name in ADOPTED if name in std}
     adopted = {name: first.values[name] for name in ADOPTED}
-    car = posed(Study.load(VEHICLE, adopted=adopted, adopted_sd=held))
+    car = posed(LoadedStudy.load(VEHICLE, adopted=adopted, adopted_sd=held))
     second = fit(car, car.space, {})
     staged = pd.concat([std, known(car, second.names, second.values, held)])
     joint = JointProblem({"bogie": bogie, "vehicle": car})

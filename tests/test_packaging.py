@@ -12,7 +12,7 @@ import pytest
 
 from calib.errors.errors import InputError
 from calib.results.version import FALLBACK
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILD = (
@@ -144,10 +144,10 @@ def test_code_above_a_study_that_belongs_to_no_project_is_not_run(tmp_path):
     write_package(tmp_path)
     study = write_study(tmp_path / "jack")
     with pytest.raises(InputError) as caught:
-        Study.load(study)
+        LoadedStudy.load(study)
     assert PACKAGE in caught.value.problem and "project" in (caught.value.remedy or "")
     write_package(study)
-    assert Study.load(study).model.name == "jack"
+    assert LoadedStudy.load(study).model.name == "jack"
 
 
 def test_a_studys_own_package_goes_before_that_of_its_project(tmp_path):
@@ -157,7 +157,7 @@ def test_a_studys_own_package_goes_before_that_of_its_project(tmp_path):
     write_package(study)
     file = study / PACKAGE / "models.py"
     file.write_text(file.read_text().replace('"jack",', '"nearer",'))
-    assert Study.load(study).model.name == "nearer"
+    assert LoadedStudy.load(study).model.name == "nearer"
 
 
 def test_equal_names_in_two_projects_are_two_packages(tmp_path):
@@ -170,7 +170,7 @@ def test_equal_names_in_two_projects_are_two_packages(tmp_path):
             file = project / PACKAGE / "models.py"
             file.write_text(file.read_text().replace('"jack",', f'"{name}",'))
             write_study(project / "jack")
-        assert Study.load(project / "jack").model.name == name
+        assert LoadedStudy.load(project / "jack").model.name == name
         assert [p for p in sys.path if p not in path] == [str(project)]
 
 
@@ -181,11 +181,11 @@ def test_a_module_belongs_to_the_project_of_the_file_that_names_it(tmp_path):
     write_study(project / "jack")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/study.toml").write_text('base = "../project/jack"\n')
-    assert Study.load(tmp_path / "mine").model.name == "jack"
+    assert LoadedStudy.load(tmp_path / "mine").model.name == "jack"
 
 
 def test_a_package_that_is_found_in_place_of_the_named_one_is_told(tmp_path):
     study = write_study(tmp_path / "jack", "email")
     with pytest.raises(InputError) as caught:
-        Study.load(study)
+        LoadedStudy.load(study)
     assert "email.models" in caught.value.problem and str(Path(os.__file__).parent / "email") in caught.value.problem

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from calib.command.example import write_example
 from calib.errors.errors import InputError
 from calib.study.settings import schema
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_text import read_settings
 
 
@@ -53,7 +53,7 @@ def test_a_damaged_study_is_read_or_refused_in_one_sentence(example, data):
     shutil.copytree(example, copy)
     (copy / "study.toml").write_text(damaged(data, original), "utf-8")
     try:
-        Study.load(copy)
+        LoadedStudy.load(copy)
     except InputError as fault:
         assert str(copy) in str(fault)
 
@@ -104,4 +104,4 @@ def test_the_schema_knows_every_key_of_every_shipped_study_and_no_other():
 def test_a_folder_instead_of_a_file_is_told(tmp_path):
     (tmp_path / "study.toml").mkdir()
     with pytest.raises(InputError, match="cannot be read"):
-        Study.load(Path(tmp_path))
+        LoadedStudy.load(Path(tmp_path))

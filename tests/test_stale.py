@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from calib.command import cli
 from calib.errors.errors import InputError
 from calib.results.fingerprint import digest_of
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from models.railway import bogie_on_rig
 
 MODEL = """
@@ -83,8 +83,8 @@ def changed(file: Path, old: str, new: str) -> None:
 
 
 def fingerprint(folder: Path) -> str:
-    found = Study.load(folder).problem.fingerprint
-    assert Study.load(folder).problem.fingerprint == found
+    found = LoadedStudy.load(folder).problem.fingerprint
+    assert LoadedStudy.load(folder).problem.fingerprint == found
     return found
 
 
@@ -132,7 +132,7 @@ def test_a_file_that_a_study_depends_on_must_exist(powers):
     folder = powers()
     (folder / "deck.inp").unlink()
     with pytest.raises(InputError, match=r"there is no file 'deck\.inp'") as caught:
-        Study.load(folder)
+        LoadedStudy.load(folder)
     assert caught.value.place.endswith("study.toml, line 5")
 
 

@@ -14,7 +14,7 @@ import pytest
 from calib.analyses.compare import comparison_at
 from calib.command import cli
 from calib.correlation.modal.expansion import expanded_shapes, orthogonality
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -54,7 +54,7 @@ def test_wide_limits_let_several_solutions_appear_and_the_tool_says_so(tmp_path,
 
 @pytest.mark.slow
 def test_the_bogies_initial_error_is_near_that_of_the_case_study():
-    study = Study.load(ROOT / "studies/bogie")
+    study = LoadedStudy.load(ROOT / "studies/bogie")
     comparison = study.problem.compare(study.model.space.values)
     assert len(comparison.pairing.paired) == 8
     assert (
@@ -76,7 +76,7 @@ def test_the_bogies_initial_error_is_near_that_of_the_case_study():
 @pytest.mark.slow
 def test_the_twin_varies_as_stated():
     """Five repeats of eight modes against the noise-free twin: their means lie within the stated deviations."""
-    measured = Study.load(ROOT / "studies/bogie").measured
+    measured = LoadedStudy.load(ROOT / "studies/bogie").measured
     freq = np.array([TRUTH["natural_freq"][m] for m in measured.names])
     damping = np.array([TRUTH["damping_ratio"][m] for m in measured.names])
     z_freq = np.log(measured.natural_freq / freq) / 0.005
@@ -197,7 +197,7 @@ def test_least_squares_alone_find_the_bogie_from_several_starts(tmp_path):
 
 def test_the_solar_array_starts_far_from_its_measured_functions():
     """Of 200 lines and 12 functions a band of 33 and one response are held out."""
-    study = Study.load(ROOT / "studies/solar_panel")
+    study = LoadedStudy.load(ROOT / "studies/solar_panel")
     found = comparison_at(study, study.model.space.values)
     assert len(found.table) == 11 and (found.table["lines"] == 167).all()
     assert set(study.unseen) == {"held_out_sensors", "held_out_bands"}
@@ -214,7 +214,7 @@ def test_the_calibrated_solar_array_is_nearer_its_truth_and_told_to_be_misspecif
     assert after["frac"].min() > 0.5 > before["frac"].max() and after["error"].mean() < 0.3 * before["error"].mean()
     truth = json.loads((ROOT / "tests/truth/solar_panel.json").read_text("utf-8"))["parameters"]
     found = pd.read_csv(folder / "parameters.csv").set_index("parameter")["value"]
-    nominal = Study.load(ROOT / "studies/solar_panel").model.space.values
+    nominal = LoadedStudy.load(ROOT / "studies/solar_panel").model.space.values
     for name, true in truth.items():
         assert abs(found[name] / true - 1) < 0.15 and abs(found[name] - true) < abs(nominal[name] - true)
     errors = pd.read_csv(folder / "data_errors.csv").set_index("group")

@@ -6,7 +6,7 @@ import pytest
 
 from calib.command.example import write_example
 from calib.errors.errors import InputError
-from calib.study.study import EvaluationSource, Study
+from calib.study.study import EvaluationSource, LoadedStudy
 
 ROOT = Path(__file__).resolve().parent.parent
 BOGIE, RIG = ROOT / "studies/bogie", ROOT / "studies/four_storey_rig"
@@ -30,12 +30,12 @@ def edited(folder: Path, *changes: tuple[str, str]) -> Path:
 
 def complaint(folder: Path) -> str:
     with pytest.raises(InputError) as caught:
-        Study.load(folder)
+        LoadedStudy.load(folder)
     return str(caught.value)
 
 
 def test_the_studies_of_the_repository_load():
-    bogie, rig = Study.load(BOGIE), Study.load(RIG)
+    bogie, rig = LoadedStudy.load(BOGIE), LoadedStudy.load(RIG)
     assert bogie.measured.names == tuple(f"{k}BT" for k in range(1, 9))
     assert len(bogie.measured.sensors) == 30 and bogie.measured.n_repeats == 5 and bogie.synthetic
     assert not rig.synthetic and not rig.measured.has_shapes and rig.measured.n_repeats == 100
@@ -43,7 +43,7 @@ def test_the_studies_of_the_repository_load():
 
 
 def test_limits_of_sensitivity_and_search_differ_as_in_the_case_study():
-    study = Study.load(BOGIE)
+    study = LoadedStudy.load(BOGIE)
     assert (study.sensitivity_space["K_rod_lower"].lower, study.sensitivity_space["K_rod_lower"].upper) == (20.0, 30.0)
     assert (study.search_space["K_rod_lower"].lower, study.search_space["K_rod_lower"].upper) == (10.0, 40.0)
 
@@ -52,15 +52,15 @@ def test_limits_of_sensitivity_and_search_differ_as_in_the_case_study():
 def test_a_copied_folder_works_anywhere(tmp_path, monkeypatch):
     shutil.copytree(BOGIE, tmp_path / "elsewhere")
     monkeypatch.chdir(tmp_path)
-    copy = Study.load(Path("elsewhere"))
+    copy = LoadedStudy.load(Path("elsewhere"))
     assert copy.name == "elsewhere"
-    assert copy.problem.fingerprint == Study.load(BOGIE).problem.fingerprint
+    assert copy.problem.fingerprint == LoadedStudy.load(BOGIE).problem.fingerprint
 
 
 def test_held_out_modes_and_sensors_never_reach_the_problem(example):
-    whole = Study.load(example)
+    whole = LoadedStudy.load(example)
     edited(example, ("modes = []\nsensors = []  ", 'modes = ["B2x"]\nsensors = ["4x"]  '))
-    part = Study.load(example)
+    part = LoadedStudy.load(example)
     assert part.measured.names == ("B1x", "B1z", "B2z")
     assert [s.name for s in part.measured.sensors] == [s.name for s in whole.measured.sensors if s.name != "4x"]
     assert set(part.problem.evaluate({})) < set(whole.problem.evaluate({}))
@@ -68,7 +68,7 @@ def test_held_out_modes_and_sensors_never_reach_the_problem(example):
 
 
 def test_a_study_edited_while_it_runs_is_refused(example):
-    study = Study.load(example)
+    study = LoadedStudy.load(example)
     source = EvaluationSource(str(study.file), study.problem.fingerprint)
     assert source()({}) == study.problem.evaluate({})
     edited(example, ("mode_count = 6", "mode_count = 7"))
@@ -210,7 +210,7 @@ def test_functions_are_models_too(tmp_path):
         'title = "sums"\nmodel = "model.py:build"\nselection = ["a", "b"]\n[measurement]\nresponses = "measured.csv"\n'
         '[calibration]\ncases = [{ name = "F1", seed = 1 }]\n'
     )
-    study = Study.load(tmp_path)
+    study = LoadedStudy.load(tmp_path)
     assert study.problem.evaluate({"a": 2.0}) == {"s": 3.0, "p": 1.0}
     assert study.targets == {"s": (3.0, 0.01), "p": (1.0, None)}
     (tmp_path / "measured.csv").write_text("response,value,std\ns,x,0.01\n")

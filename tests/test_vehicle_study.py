@@ -22,7 +22,7 @@ from calib.measurement.mac import mac
 from calib.problem.sampling import sample
 from calib.results.ledger import Ledger
 from calib.structure.reduction.training import train_basis
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from models.railway import vehicle
 from models.railway.parameters import BOGIE, CAR
 
@@ -39,7 +39,7 @@ GENETIC = GeneticSettings(population=8, generations=3)
 @pytest.fixture(scope="module")
 def study():
     """The study with the true values adopted from the first stage."""
-    return Study.load(ROOT / "studies/vehicle", {name: BOGIE_TRUTH[name] for name in ADOPTED})
+    return LoadedStudy.load(ROOT / "studies/vehicle", {name: BOGIE_TRUTH[name] for name in ADOPTED})
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ from calib.missing.partial import is_simpler_form
 from calib.missing.verdict import GROUPS
 from calib.problem.candidate import Candidate
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 WORDS = {"fit": "used data", **GROUPS}
 COLUMNS = ("group", "stage", "rows", "rms", "expected", "p", "unpaired")
@@ -108,7 +108,7 @@ def nothing_added(found: Explanation) -> str:
     return reasons[found.verdict]
 
 
-def write_nothing_added(study: Study, found: Explanation, results: Results, quick: bool = False) -> Added:
+def write_nothing_added(study: LoadedStudy, found: Explanation, results: Results, quick: bool = False) -> Added:
     """Report why no effect is added, and write ``added.json``."""
     nothing = pd.DataFrame()
     begin_analysis(results, "extend")
@@ -118,10 +118,10 @@ def write_nothing_added(study: Study, found: Explanation, results: Results, quic
 
 
 def write_added(
-    study: Study,
+    study: LoadedStudy,
     before: Calibration,
     found: CandidateFit,
-    extended: Study,
+    extended: LoadedStudy,
     after: Calibration,
     results: Results,
     quick: bool = False,
@@ -189,7 +189,9 @@ def _errors(before: Calibration, after: Calibration) -> pd.DataFrame:
     return pd.concat(known, ignore_index=True)[list(COLUMNS)] if len(known) == 2 else pd.DataFrame(columns=COLUMNS)
 
 
-def _parameters(study: Study, effects: Sequence[Candidate], before: Calibration, after: Calibration) -> pd.DataFrame:
+def _parameters(
+    study: LoadedStudy, effects: Sequence[Candidate], before: Calibration, after: Calibration
+) -> pd.DataFrame:
     """Fitted values without and with the added effects; NaN where a parameter was not fitted."""
     own = {name for effect in effects for name in effect.names}
     was, now = (
@@ -221,7 +223,9 @@ def _modes(before: Calibration, after: Calibration) -> pd.DataFrame:
     return table
 
 
-def _own_modes(study: Study, effects: Sequence[Candidate], extended: Study, after: Calibration) -> pd.DataFrame:
+def _own_modes(
+    study: LoadedStudy, effects: Sequence[Candidate], extended: LoadedStudy, after: Calibration
+) -> pd.DataFrame:
     """Modes of the effects' own in the calibrated extended model; empty where it has none or cannot be solved."""
     used = after.best.answer.comparison
     if used is None:
@@ -234,7 +238,7 @@ def _own_modes(study: Study, effects: Sequence[Candidate], extended: Study, afte
     return pd.DataFrame(columns=list(OWN_COLUMNS))
 
 
-def _magnitude(effect: Candidate, study: Study, after: Calibration) -> dict[str, object]:
+def _magnitude(effect: Candidate, study: LoadedStudy, after: Calibration) -> dict[str, object]:
     """Name, title, fitted magnitude and its 95 % interval, clipped to the limits of the search."""
     name, limits = effect.magnitude.name, study.search_space[effect.magnitude.name]
     known = dict(zip(after.verdicts["parameter"], after.verdicts["std"], strict=True))

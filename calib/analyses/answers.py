@@ -110,7 +110,7 @@ def of_sensitivity(table: pd.DataFrame, tested: str) -> Answer:
     return Answer(words, tested, then)
 
 
-def of_screening(method: str, table: pd.DataFrame, tested: str) -> Answer:
+def screening_answer(method: str, table: pd.DataFrame, tested: str) -> Answer:
     """Answer of a sensitivity analysis by Morris or Sobol; ``tested`` tells how sure."""
     size = "mu_star" if method == "morris" else "ST"
     known = table.dropna(subset=[size])

@@ -27,7 +27,7 @@ from calib.analyses.provenance.stored import confirmed
 from calib.analyses.reduction import fingerprints
 from calib.correlation.modal.comparison import Comparison
 from calib.errors.errors import EvaluationError, InputError
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.experiment import ResponseTest
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import Case
@@ -35,7 +35,7 @@ from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.study.several import AnyStudy
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile
 
 CHECKING = "leave-one-out and held-out errors"
@@ -43,7 +43,7 @@ CHECKING = "leave-one-out and held-out errors"
 Method: TypeAlias = Literal["auto", "genetic", "gauss-newton", "cmcf"]
 
 
-def fingerprint(study: Study) -> str:
+def fingerprint(study: LoadedStudy) -> str:
     """Digest of everything a calibration depends on: model, measurement, limits, settings."""
     given = study.settings
     parts = (
@@ -92,7 +92,7 @@ class CalibrationRun:
     only: str | None = None
     quick: bool = False
     method: Method | None = None
-    progress: Progress = unheard
+    progress: Progress = silent
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -103,7 +103,7 @@ class CalibrationRun:
 def calibrated(
     study: AnyStudy,
     run: CalibrationRun,
-    compared: Callable[[Study], ComparisonResult] = nominal_comparison,
+    compared: Callable[[LoadedStudy], ComparisonResult] = nominal_comparison,
 ) -> Fitted:
     """Run every case, assess its parameters, compare before and after, for one test or several; nothing is written.
 
@@ -145,7 +145,7 @@ def calibrate(
     only: str | None = None,
     quick: bool = False,
     method: Method | None = None,
-    progress: Progress = unheard,
+    progress: Progress = silent,
     folders: Mapping[str, Results] = MappingProxyType({}),
     homes: Mapping[str, Results] = MappingProxyType({}),
 ) -> Fitted:
@@ -172,7 +172,7 @@ def calibrate(
     return answer
 
 
-def notes_on(study: Study, ledger: Ledger, home: Results | None, first: Sequence[str]) -> list[str]:
+def notes_on(study: LoadedStudy, ledger: Ledger, home: Results | None, first: Sequence[str]) -> list[str]:
     """The given notes, then the commonest reasons why points of a study failed."""
     # Failures of a function of modes are counted once, at its responses: a point without modes has none either.
     modes = set(ledger_keys_of_modes(study.problem, study.library_digest))
@@ -182,7 +182,7 @@ def notes_on(study: Study, ledger: Ledger, home: Results | None, first: Sequence
 
 
 def _assembled(
-    study: Study,
+    study: LoadedStudy,
     space: ParameterSpace,
     found: Sequence[CaseFound],
     number: int,
@@ -218,7 +218,7 @@ def _assembled(
     )
 
 
-def expected_misfit(study: Study, answer: ComparisonResult) -> float:
+def expected_misfit(study: LoadedStudy, answer: ComparisonResult) -> float:
     """Mean misfit of a perfect model, due to the measurement's standard deviation alone; 0 where unknown."""
     settings = study.settings.calibration
     errors = float(np.nan_to_num(noise_errors(study)).sum())

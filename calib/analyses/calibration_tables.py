@@ -18,7 +18,7 @@ from calib.problem.joint import stacked
 from calib.problem.space import ParameterSpace
 from calib.results.results import Results
 from calib.study.several import AnyStudy
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 if TYPE_CHECKING:
     from calib.analyses.calibration import Calibration, JointCalibration
@@ -84,7 +84,7 @@ def _without_whole(table: pd.DataFrame, space: ParameterSpace) -> pd.DataFrame:
 
 
 def write_calibration(
-    study: Study, results: Results, answer: Calibration, method: str, mark: str, seconds: float
+    study: LoadedStudy, results: Results, answer: Calibration, method: str, mark: str, seconds: float
 ) -> None:
     """Write all tables on one test and ``summary.json``; ``mark`` is the digest of what the calibration depends on."""
     begin_analysis(results, "calibrate")
@@ -126,7 +126,7 @@ def write_jointly(study: AnyStudy, results: Results, answer: JointCalibration, m
     })  # fmt: skip
 
 
-def _summary(study: Study, method: str, answer: Calibration, mark: str, seconds: float) -> dict[str, object]:
+def _summary(study: LoadedStudy, method: str, answer: Calibration, mark: str, seconds: float) -> dict[str, object]:
     found, best, before = answer.cases, answer.best, answer.before
     counts = {"evaluations": "asked", **{name: name for name in ("solved", "reused", "infeasible", "failed")}}
 
@@ -163,7 +163,7 @@ _MEAN_ABSOLUTE = float(np.sqrt(2 / np.pi))
 """Mean absolute value of a standard normal variate."""
 
 
-def noise_errors(study: Study) -> np.ndarray:
+def noise_errors(study: LoadedStudy) -> np.ndarray:
     """Mean relative error of each frequency or scalar response of a perfect model, due to the standard deviation alone.
 
     The standard deviation is the one that calibration weights by, accuracy and floors included; NaN where it would be

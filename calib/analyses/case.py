@@ -24,7 +24,7 @@ from calib.analyses.fit_statistics import (
     criteria,
     ended,
     fit_problem,
-    refined,
+    fitted_at_full_order,
     statistics_at,
 )
 from calib.analyses.joint_responses import Responses, objective_for, own_values
@@ -33,8 +33,8 @@ from calib.analyses.provenance.stored import confirm
 from calib.analyses.reduction import Reduction, reduction_of
 from calib.errors.errors import EvaluationError, InputError, ToleranceError
 from calib.execution.evaluate import BatchEvaluator
-from calib.execution.outcome import Outcome, answered, key_of
-from calib.execution.stage import Progress, named, unheard
+from calib.execution.outcome import Outcome, named_responses, point_key
+from calib.execution.stage import Progress, silent, with_prefix
 from calib.experiment.test import ForwardProblem
 from calib.hypotheses.linear_start import linear_starts
 from calib.inference.cases import Case, CaseResult, run_case
@@ -48,7 +48,7 @@ from calib.problem.sampling import sample
 from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.study.several import AnyStudy
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 SEARCH, FITTED = "search", "least squares"
 """Names of the points of a case."""
@@ -147,7 +147,7 @@ class CaseFinder:
     homes: Homes = field(default_factory=dict)
     workers: Workers = None
     quick: bool = False
-    progress: Progress = unheard
+    progress: Progress = silent
     seconds: float | None = None
     reduction_notes: dict[str, list[str]] = field(init=False, repr=False, default_factory=dict)
     agreeing: list[str] = field(init=False, repr=False, default_factory=list)
@@ -162,7 +162,7 @@ class CaseFinder:
         yield from by[method](cases)
 
     @property
-    def _only(self) -> Study | None:
+    def _only(self) -> LoadedStudy | None:
         """The only test; None for several."""
         return self.study.studies[0] if len(self.study.studies) == 1 else None
 
@@ -203,7 +203,7 @@ class CaseFinder:
         reductions = self._reductions()
         for case in cases:
             until, found = UntilAgreed(len(self.known) + 1), None
-            fit = partial(self.refined, reductions, told=named(self.progress, case.name), enough=until)
+            fit = partial(self.refined, reductions, told=with_prefix(self.progress, case.name), enough=until)
             copes = suppress(EvaluationError) if only else evaluable(self.study)  # a search copes with failed points
             with copes:
                 found = self.reported(*until_agreed(case, self.study, self.known, self.quick, fit))
@@ -231,7 +231,7 @@ class CaseFinder:
             with self._evaluator(responses, reductions, count) as evaluator, evaluable(study):
                 while remaining:
                     case = remaining.pop(0)
-                    told = named(self.progress, case.name)
+                    told = with_prefix(self.progress, case.name)
                     initial = sample(space, settings.population, case.seed).points
                     search = run_case(
                         case, space, objective, settings, evaluator, self.ledger, responses.fingerprint, initial,
@@ -279,7 +279,7 @@ class CaseFinder:
         """Least squares from several starting points of each case."""
         reductions = self._reductions()
         for case in cases:
-            fit = partial(self.refined, reductions, told=named(self.progress, case.name))
+            fit = partial(self.refined, reductions, told=with_prefix(self.progress, case.name))
             yield self.reported(*least_squares(case, self.study, self.known, self.quick, fit))
 
     def by_equations(self, cases: Sequence[Case]) -> Iterator[tuple[CaseFound, ...]]:
@@ -312,10 +312,10 @@ class CaseFinder:
         progress: FitProgress = lambda start, fits, misfit: None,
         counts: Counts | None = None,
         shared: bool = False,
-        told: Progress = unheard,
+        told: Progress = silent,
         enough: Enough = never,
     ) -> FitStatistics:
-        """See `calib.analyses.fit_statistics.refined`.
+        """See `calib.analyses.fit_statistics.fitted_at_full_order`.
 
         ``shared`` adds the starting points that all cases share. ``counts`` counts every requested point. ``enough``
         tells after every start whether the others may be left out.
@@ -325,7 +325,9 @@ class CaseFinder:
         reduced: dict[str, ForwardProblem] = {test: one.problem for test, one in reductions.items()}
         near = fit_problem(study, self.ledger, reduced, counts) if reduced else None
         common = self._in_common(exact if near is None else near, refits, told) if shared else None
-        return refined(exact, near, Terms.of(study), starts, refits, progress, self.known, common, told, enough)
+        return fitted_at_full_order(
+            exact, near, Terms.of(study), starts, refits, progress, self.known, common, told, enough
+        )
 
     def _in_common(self, problem: FitProblem, refits: int, told: Progress) -> Shared:
         """Fits from the starting points that all cases share, run once per basis."""
@@ -339,14 +341,14 @@ class CaseFinder:
     def _searched(self, objective: Objective, search: CaseResult, statistics: FitStatistics) -> tuple[CaseFound, ...]:
         """A case that a search began, with both criteria at its end, at full order."""
         if (only := self._only) is None:
-            full = objective(answered(Responses.of(self.study).at, search.values))
+            full = objective(named_responses(Responses.of(self.study).at, search.values))
             return self.reported(search, statistics, search, (full, *criteria(self.exact, search.values)))
         problem, exact = only.problem, self.exact
         if problem.user_function is not None and not only.in_memory:
-            key = key_of(search.values)
+            key = point_key(search.values)
             confirm(only, self.ledger, self.ledger.lookup(problem.ledger_key, [key])[key])
         known = not isinstance(exact, JointProblem) and exact.pair.told_by_responses
-        full = objective(search.responses if known else answered(problem.evaluate, search.values))
+        full = objective(search.responses if known else named_responses(problem.evaluate, search.values))
         return self.reported(search, statistics, search, (full, *criteria(exact, search.values)))
 
     def reported(
@@ -361,7 +363,7 @@ class CaseFinder:
 
 
 def reported(
-    study: Study,
+    study: LoadedStudy,
     result: CaseResult,
     statistics: FitStatistics,
     search: CaseResult | None = None,
@@ -372,7 +374,7 @@ def reported(
     ``before`` holds the objective and the sums of squares of data and priors at the end of a search.
     """
     values = own_values(study, statistics.values)
-    responses = answered(study.problem.evaluate, values)
+    responses = named_responses(study.problem.evaluate, values)
     objective = objective_for(study.problem, study.settings.calibration)
     final = replace(result, values=statistics.values, misfit=objective(responses), responses=responses)
     points = [] if search is None else [(final.name, SEARCH, *before)]
@@ -384,7 +386,7 @@ def reported(
 
 
 def reduction_noted(
-    study: Study, home: Results | None, notes: list[str], progress: Progress = unheard
+    study: LoadedStudy, home: Results | None, notes: list[str], progress: Progress = silent
 ) -> Reduction | None:
     """The reduced basis of a study's search; None where it misses its tolerance, which is added to the notes."""
     try:

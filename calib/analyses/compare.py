@@ -27,13 +27,13 @@ from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.rules import RULES
 from calib.correlation.units import frequency_hint, response_hints
 from calib.errors.errors import EvaluationError, InputError
-from calib.execution.outcome import answered, as_cause
+from calib.execution.outcome import as_cause, named_responses
 from calib.experiment.test import ForwardProblem
 from calib.measurement.check import SensorFinding
 from calib.measurement.modal import MeasuredModes
 from calib.results.answer import Answer
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
 @dataclass(frozen=True)
@@ -162,12 +162,12 @@ class ComparisonResult:
         return tuple(out)
 
 
-def comparison_at(study: Study, values: Mapping[str, float]) -> ComparisonResult:
+def comparison_at(study: LoadedStudy, values: Mapping[str, float]) -> ComparisonResult:
     """Compare a study's model and measurement at named values; raises as `comparison_of`."""
     return comparison_of(study.problem, values, (*study.hints, *_undrawn(study)), std_notes(study))
 
 
-def _undrawn(study: Study) -> tuple[str, ...]:
+def _undrawn(study: LoadedStudy) -> tuple[str, ...]:
     """A note where no node or sensor has a location, so that modes cannot be drawn."""
     if study.whole is None or study.asked.mesh.placed.any():
         return ()
@@ -228,7 +228,7 @@ def _frequency_hints(comparison: Comparison) -> tuple[str, ...]:
 def _scalar_answer(
     problem: FunctionProblem, values: Mapping[str, float], hints: Sequence[str], std_notes: Sequence[str]
 ) -> ComparisonResult:
-    responses = answered(problem.evaluate, values)
+    responses = named_responses(problem.evaluate, values)
     rows = []
     for name, (value, std) in problem.targets.items():
         error = (responses[name] - value) / abs(value) if value else np.nan
@@ -242,7 +242,7 @@ def _scalar_answer(
     )
 
 
-def nominal_comparison(study: Study) -> ComparisonResult:
+def nominal_comparison(study: LoadedStudy) -> ComparisonResult:
     """Compare the model at its nominal values with the measurement.
 
     Raises
@@ -266,7 +266,7 @@ def nominal_comparison(study: Study) -> ComparisonResult:
         ) from as_cause(again)
 
 
-def compare(study: Study, results: Results) -> ComparisonResult:
+def compare(study: LoadedStudy, results: Results) -> ComparisonResult:
     """Compare the model at its nominal values with the measurement; writes the ``*_before`` tables."""
     answer = nominal_comparison(study)
     begin_analysis(results, "compare")

@@ -9,15 +9,15 @@ from typing import Any
 import pandas as pd
 
 from calib.correlation.modal.comparison import Comparison
-from calib.execution.outcome import answered
+from calib.execution.outcome import named_responses
 from calib.hypotheses.verify import errors_of
 from calib.inference.joint_part import JointPart
 from calib.missing.adequacy import contradicting
 from calib.missing.verdict import GROUPS
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
-def all_stages(study: Study, before: Comparison, after: Comparison) -> dict[str, Comparison]:
+def all_stages(study: LoadedStudy, before: Comparison, after: Comparison) -> dict[str, Comparison]:
     """Compare all measured modes, held-out ones included, at every stage of the calibration.
 
     Parameters
@@ -47,7 +47,7 @@ def all_stages(study: Study, before: Comparison, after: Comparison) -> dict[str,
     return {stage: with_held_out(study, used) for stage, used in stages.items()}
 
 
-def every_mode(study: Study, stages: Mapping[str, Comparison]) -> pd.DataFrame:
+def every_mode(study: LoadedStudy, stages: Mapping[str, Comparison]) -> pd.DataFrame:
     """Damped frequencies of all measured modes at every stage.
 
     Parameters
@@ -76,7 +76,7 @@ def every_mode(study: Study, stages: Mapping[str, Comparison]) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def with_held_out(study: Study, used: Comparison) -> Comparison:
+def with_held_out(study: LoadedStudy, used: Comparison) -> Comparison:
     """A comparison of the used data, with held-out modes paired with the remaining model modes; see `all_stages`."""
     whole = study.whole_problem()
     if whole is None or not study.settings.held_out.modes:
@@ -91,7 +91,7 @@ def _partners(used: Comparison) -> Mapping[str, int]:
 
 
 def errors_at(
-    study: Study, values: Mapping[str, float], joint: JointPart | None = None, active: Collection[str] = ()
+    study: LoadedStudy, values: Mapping[str, float], joint: JointPart | None = None, active: Collection[str] = ()
 ) -> pd.DataFrame:
     """Errors of a study's model by group of data, at fitted values of the selected parameters; see `errors_of`."""
     space, held_sd = study.search_space, study.held_sd
@@ -143,7 +143,7 @@ def _no_better(each: pd.DataFrame, name: str) -> list[str]:
     return unseen.loc[unseen["error_after"].abs() >= unseen["error_before"].abs(), name].astype(str).tolist()
 
 
-def every_response(study: Study, before: Mapping[str, float], after: Mapping[str, float]) -> pd.DataFrame:
+def every_response(study: LoadedStudy, before: Mapping[str, float], after: Mapping[str, float]) -> pd.DataFrame:
     """All measured scalar responses before and after a calibration, held-out ones included.
 
     Returns
@@ -162,7 +162,7 @@ def every_response(study: Study, before: Mapping[str, float], after: Mapping[str
     measured = pd.Series({name: value for name, (value, _) in targets.items()})
     table = pd.DataFrame({"held_out": measured.index.isin(experiment.held_out), "measured": measured})
     for stage, values in {"before": before, "after": after}.items():
-        table[stage] = pd.Series(answered(whole.evaluate, values))
+        table[stage] = pd.Series(named_responses(whole.evaluate, values))
     for stage in ("before", "after"):
         table[f"error_{stage}"] = (table[stage] - measured) / measured.abs().where(measured != 0)
     return table.rename_axis("response").reset_index()

@@ -18,7 +18,7 @@ from calib.analyses.provenance.state import ADDED, EXPLAINED, PROPOSED
 from calib.analyses.uncertain import uncertain_note, with_uncertain
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.outcome import as_cause, failure
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.hypotheses.discretisation_error import mesh_words, with_mesh_error
 from calib.hypotheses.joint import JointAdapter, together
 from calib.measurement.corrections import correctable
@@ -39,13 +39,13 @@ from calib.results.results import Results
 from calib.study.loading import Model, with_effects
 from calib.study.settings import ExplainSettings
 from calib.study.several import AnyStudy
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
 def explain(
     study: AnyStudy,
     results: Results,
-    progress: Progress = unheard,
+    progress: Progress = silent,
     homes: Mapping[str, Results] = MappingProxyType({}),
     folders: Mapping[str, Results] = MappingProxyType({}),
 ) -> ExplanationResult:
@@ -83,7 +83,7 @@ def explain(
 
 
 def explanation_of(
-    study: AnyStudy, progress: Progress = unheard, homes: Mapping[str, Results] = MappingProxyType({})
+    study: AnyStudy, progress: Progress = silent, homes: Mapping[str, Results] = MappingProxyType({})
 ) -> tuple[Adapter, ExplanationResult]:
     """The same without writing anything, with the adapter that it rests on; a study in memory has no ``homes``."""
     tests = study.studies
@@ -108,7 +108,7 @@ def adapter_for(study: AnyStudy, results: Results | None, progress: Progress, ho
 def adapters_for(
     study: AnyStudy,
     results: Results | None = None,
-    progress: Progress = unheard,
+    progress: Progress = silent,
     homes: Mapping[str, Results] = MappingProxyType({}),
 ) -> dict[str, Adapter]:
     """The same test by test."""
@@ -123,7 +123,7 @@ def adapters_for(
     return adapters
 
 
-def _with_mesh(adapter: Adapter, study: Study, sd: float) -> Adapter:
+def _with_mesh(adapter: Adapter, study: LoadedStudy, sd: float) -> Adapter:
     try:
         return with_mesh_error(adapter, study.finer_model(), sd, study.test)
     except InputError as fault:
@@ -151,7 +151,7 @@ def explain_tests(
     place: str | Path,
     started: float,
     supposed: Sequence[str] = (),
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> ExplanationResult:
     """The decision about tests with its findings, whoever asks; arguments as in `decision` and `findings`."""
     decided = decision(adapter, settings, place, progress)
@@ -161,7 +161,7 @@ def explain_tests(
 
 
 def decision(
-    adapter: Adapter, requested: ExplainSettings, place: str | Path, progress: Progress = unheard
+    adapter: Adapter, requested: ExplainSettings, place: str | Path, progress: Progress = silent
 ) -> Explanation:
     """The decision with the settings of a study; InputError, with the study's place, where no model can be fitted."""
     settings = Settings(

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from calib.analyses.provenance.stored import point_words
+from calib.analyses.provenance.stored import point_label
 from calib.execution.outcome import Outcome
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
@@ -49,7 +49,7 @@ def reasons_sentence(space: ParameterSpace, found: Sequence[Reason], requested: 
     """How many of the requested points failed, and why; empty when none did."""
     if not found:
         return ""
-    listed = [f"{r.points} × {r.error} (first at {point_words(space, r.first.values)})" for r in found[:SHOWN]]
+    listed = [f"{r.points} × {r.error} (first at {point_label(space, r.first.values)})" for r in found[:SHOWN]]
     more = len(found) - SHOWN
     rest = f"; {more} less frequent reason{'s' * (more > 1)}" if more > 0 else ""
     return f"{sum(r.points for r in found)} of {requested} points failed: {'; '.join(listed)}{rest}."

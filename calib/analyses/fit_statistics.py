@@ -15,7 +15,7 @@ import pandas as pd
 
 from calib.analyses.uncertainty import assumed_words, in_one
 from calib.errors.errors import EvaluationError
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.experiment.test import ForwardProblem
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import CaseResult
@@ -32,14 +32,14 @@ from calib.missing.rules import RULES as MISSING
 from calib.missing.suspect import suspects_table
 from calib.problem.degrees_of_freedom import effective_dof
 from calib.problem.joint import JointProblem
-from calib.problem.problem import Counts, Problem
+from calib.problem.problem import Counts, PairProblem
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
 from calib.study.several import AnyStudy
 
 FitProgress = Callable[[int, int, float], None]
 Profiles: TypeAlias = Mapping[str, tuple[np.ndarray, np.ndarray]]
-FitProblem: TypeAlias = Problem[Any] | JointProblem
+FitProblem: TypeAlias = PairProblem[Any] | JointProblem
 
 LEAST_SQUARES = "least squares"
 """Name of the stage of a fit."""
@@ -61,7 +61,7 @@ def fit_problem(
     for one in study.studies:
         pair = one.experiment.residual(instead.get(one.test, one.problem))
         space = one.search_space.without(one.condition) if several else one.search_space
-        parts[one.test] = Problem(pair, space, ledger, counts=counts)
+        parts[one.test] = PairProblem(pair, space, ledger, counts=counts)
     return JointProblem(parts) if several else next(iter(parts.values()))
 
 
@@ -250,7 +250,7 @@ class Shared:
 
 
 def ended(
-    problem: FitProblem, starts: Sequence[Mapping[str, float]], refits: int, told: Progress = unheard
+    problem: FitProblem, starts: Sequence[Mapping[str, float]], refits: int, told: Progress = silent
 ) -> MixedResult | None:
     """Best least-squares fit from some starts; None without one, or where none can be evaluated or is feasible."""
     with suppress(EvaluationError, InfeasibleError):
@@ -267,7 +267,7 @@ def fitted(
     progress: FitProgress = lambda start, fits, misfit: None,
     before: FitStatistics | None = None,
     shared: Shared | None = None,
-    told: Progress = unheard,
+    told: Progress = silent,
     stage: str = LEAST_SQUARES,
     enough: Enough = never,
 ) -> FitStatistics:
@@ -295,7 +295,7 @@ def fitted(
     return _statistics(problem, terms, found.best.values, found.best, profiles, complete, found.by_start)
 
 
-def refined(
+def fitted_at_full_order(
     exact: FitProblem,
     near: FitProblem | None,
     terms: Terms,
@@ -304,7 +304,7 @@ def refined(
     progress: FitProgress = lambda start, fits, misfit: None,
     known: Sequence[Mapping[str, float]] = (),
     shared: Shared | None = None,
-    told: Progress = unheard,
+    told: Progress = silent,
     enough: Enough = never,
 ) -> FitStatistics:
     """Least squares as in `fitted`, first on a reduced problem if there is one, then at full order.

@@ -16,7 +16,7 @@ from calib.correlation.modal.faults import ModalFault
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.errors.errors import ToleranceError
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.experiment import FRFTest, ModalTest
 from calib.hypotheses.function_perturbations import model_hypotheses
 from calib.hypotheses.hypotheses import ModelHypotheses
@@ -30,13 +30,17 @@ from calib.structure.effects.perturbations import Perturbation
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.basis import Basis
 from calib.study.several import AnyStudy
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 Local = tuple[Perturbation, ...]
 
 
 def adapter_of(
-    study: Study, home: Results | None, progress: Progress, local: Local, held_sd: Mapping[str, float] | None = None
+    study: LoadedStudy,
+    home: Results | None,
+    progress: Progress,
+    local: Local,
+    held_sd: Mapping[str, float] | None = None,
 ) -> Adapter:
     """The adapter of a study's test: that of its kind, else that of data that are compared value by value.
 
@@ -50,7 +54,7 @@ def adapter_of(
 
 
 def _of_values(
-    study: Study, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts
+    study: LoadedStudy, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts
 ) -> ScalarAdapter:
     pair: Any = study.pair
     space = study.search_space.without(study.condition)
@@ -59,7 +63,7 @@ def _of_values(
 
 
 def _of_frfs(
-    study: Study, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts
+    study: LoadedStudy, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts
 ) -> FRFAdapter:
     pair: Any = study.pair
     basis, space = basis_of(study, home, local, progress), study.search_space.without(study.condition)
@@ -70,7 +74,7 @@ def _of_frfs(
 
 
 def _of_modes(
-    study: Study, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts
+    study: LoadedStudy, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts
 ) -> ModalAdapter:
     found, own = modal_hypotheses(study, home, progress, local)
     return ModalAdapter(found, own, facts, study.whole_problem(), study.finer_model, reduced=worthwhile(study))
@@ -87,7 +91,7 @@ def perturbations_of(study: AnyStudy) -> dict[str, Local]:
 
     A function shares none.
     """
-    groups: dict[str, list[Study]] = {}
+    groups: dict[str, list[LoadedStudy]] = {}
     for one in study.studies:
         if isinstance(one.model, StructuralModel):
             groups.setdefault(one.model_key, []).append(one)
@@ -101,9 +105,9 @@ def perturbations_of(study: AnyStudy) -> dict[str, Local]:
 
 
 def modal_hypotheses(
-    study: Study,
+    study: LoadedStudy,
     results: Results | None,
-    progress: Progress = unheard,
+    progress: Progress = silent,
     local: tuple[Perturbation, ...] | None = None,
 ) -> tuple[ModelHypotheses[ModalResidual], tuple[Perturbation, ...]]:
     """Hypotheses of a study with modes, and its local perturbations; those of matrices are by default of its own test.
@@ -121,7 +125,7 @@ def modal_hypotheses(
     )  # perhaps behind a ledger
 
 
-def faults_of(study: Study) -> tuple[ModalFault, ...]:
+def faults_of(study: LoadedStudy) -> tuple[ModalFault, ...]:
     """Faults that the measured modes of a study may have."""
     problem, experiment = study.problem, study.experiment
     assert isinstance(experiment, ModalTest)
@@ -130,7 +134,7 @@ def faults_of(study: Study) -> tuple[ModalFault, ...]:
 
 
 def basis_of(
-    study: Study, results: Results | None, local: Sequence[Perturbation], progress: Progress = unheard
+    study: LoadedStudy, results: Results | None, local: Sequence[Perturbation], progress: Progress = silent
 ) -> Basis | None:
     """A basis for a study with its effects and local perturbations.
 
@@ -157,7 +161,7 @@ def basis_of(
     return None
 
 
-def facts_of(study: Study) -> MeasurementFacts:
+def facts_of(study: LoadedStudy) -> MeasurementFacts:
     """The facts about a study's measurement."""
     own = study.settings.explain
     return MeasurementFacts(
@@ -167,7 +171,7 @@ def facts_of(study: Study) -> MeasurementFacts:
     )  # fmt: skip
 
 
-def corrections(study: Study) -> tuple[str, ...]:
+def corrections(study: LoadedStudy) -> tuple[str, ...]:
     """Notes on the faults that are taken out of the measurement on reading."""
     faults = study.settings.measurement.corrected
     return tuple(f"The measurement is corrected for {name} = {by:g}." for name, by in faults.items())

@@ -18,10 +18,10 @@ from calib.problem.joint import of_test
 from calib.results.fingerprint import digest_of
 from calib.study.settings import CalibrationSettings
 from calib.study.several import AnyStudy
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
-def own_values(study: Study, values: Mapping[str, float]) -> dict[str, float]:
+def own_values(study: LoadedStudy, values: Mapping[str, float]) -> dict[str, float]:
     """The values that belong to a test and its model, except those that its condition sets."""
     return {name: v for name, v in values.items() if name in study.problem.space and name not in study.condition}
 

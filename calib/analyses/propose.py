@@ -22,7 +22,7 @@ from calib.analyses.extend import NAME, anywhere, draft_of, put_among, require_v
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.stale import stale_answers
 from calib.errors.errors import EvaluationError, InputError
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.hypotheses.proposals.code import FUNCTION, library_text
 from calib.hypotheses.proposals.compositions import Measured, compositions
 from calib.hypotheses.proposals.proposal import Proposals
@@ -127,7 +127,7 @@ def propose(
     study: AnyStudy,
     results: Results,
     count: int = RANKED,
-    progress: Progress = unheard,
+    progress: Progress = silent,
     homes: Mapping[str, Results] = MappingProxyType({}),
 ) -> ProposalResult:
     """Compose effects that explain what no effect of the library explains; write them as a study and a table.
@@ -175,7 +175,7 @@ def compose_for(
     results: Results | None,
     explained: ProposalStart,
     count: int = RANKED,
-    progress: Progress = unheard,
+    progress: Progress = silent,
     homes: Mapping[str, Results] = MappingProxyType({}),
 ) -> ProposalResult:
     """The same without writing anything; arguments as in `propose`, a study in memory has no ``results``."""
@@ -194,7 +194,7 @@ def composed(
     given: ExplainSettings,
     explained: ProposalStart,
     count: int = RANKED,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> ProposalResult:
     """Compose, fit and rank; ``taken`` are names that are used otherwise. Nothing is written."""
     started = time.perf_counter()

@@ -19,7 +19,7 @@ from calib.correlation.modal.problem import ModalProblem
 from calib.errors.errors import EvaluationError, InputError, ToleranceError
 from calib.execution.evaluate import Evaluator
 from calib.execution.outcome import Outcome
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.structure.model import StructuralModel
@@ -29,7 +29,7 @@ from calib.structure.reduction.growth import Target
 from calib.structure.reduction.reduced import ReducedModel
 from calib.structure.reduction.refinement import modes_near
 from calib.structure.reduction.training import enrich_basis
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 FIRST_ORDER = 10.0
 """Factor on the tolerance: the error of MAC is of first order, that of frequencies of second."""
@@ -168,7 +168,7 @@ class FRFReduction(Reduction):
 _OF_PROBLEM: Mapping[type, type[Reduction]] = {ModalProblem: ModalReduction, FRFProblem: FRFReduction}
 
 
-def reduction_of(study: Study, home: Results | None, progress: Progress = unheard) -> Reduction | None:
+def reduction_of(study: LoadedStudy, home: Results | None, progress: Progress = silent) -> Reduction | None:
     """The basis of a study's search, kept or trained; None where full order is fast enough.
 
     A study in memory has no ``home``; its basis is kept in the cache alone.
@@ -215,7 +215,7 @@ def _raise_known(home: Results, digest: str) -> None:
 
 
 @contextlib.contextmanager
-def training(study: Study) -> Iterator[None]:
+def training(study: LoadedStudy) -> Iterator[None]:
     """Turn a failed training into an InputError with a remedy."""
     try:
         yield
@@ -226,13 +226,13 @@ def training(study: Study) -> Iterator[None]:
         ) from None  # fmt: skip
 
 
-def worthwhile(study: Study) -> bool:
+def worthwhile(study: LoadedStudy) -> bool:
     """Whether a study is solved on a reduced basis: requested, and the model is large enough."""
     model = study.problem.reducible
     return study.settings.reduction.use and model is not None and is_large(model)
 
 
-def fingerprints(study: Study, home: Results | None) -> tuple[str, ...]:
+def fingerprints(study: LoadedStudy, home: Results | None) -> tuple[str, ...]:
     """Fingerprints under which a ledger stores valid points of a study.
 
     For responses its own, and those of its reduced problems on the stored bases; for a function of modes also those of

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from calib.analyses.answers import of_screening, of_sensitivity
+from calib.analyses.answers import of_sensitivity, screening_answer
 from calib.analyses.failures import reasons, reasons_sentence
 from calib.analyses.joint_responses import Responses
 from calib.analyses.provenance.places import (
@@ -25,12 +25,12 @@ from calib.analyses.provenance.places import (
 )
 from calib.analyses.provenance.record import analyses_of, begin_analysis, write_record
 from calib.analyses.provenance.recorded import recorded
-from calib.analyses.provenance.state import changed, made_from
+from calib.analyses.provenance.state import made_from, state_differences
 from calib.analyses.provenance.stored import confirmed
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.evaluate import BatchEvaluator
 from calib.execution.outcome import Outcome
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.problem.sampling import Sample, sample
 from calib.problem.space import ParameterSpace
 from calib.results.answer import Answer
@@ -42,7 +42,7 @@ from calib.sensitivity.selection import Assessment, assess
 from calib.sensitivity.spearman import noise_floor
 from calib.sensitivity.variance import Design, morris_design, morris_effects, sobol_design, sobol_shares
 from calib.study.several import AnyStudy
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_file import shell_argument
 
 _BATCH = 50
@@ -109,12 +109,12 @@ class Sensitivity:
 
 
 def sensitivity(
-    study: Study,
+    study: LoadedStudy,
     results: Results,
     ledger: Ledger,
     workers: Workers = None,
     quick: bool = False,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> Sensitivity:
     """Assess a study's parameters and write all tables; see `sampled`."""
     answer = sampled(study, ledger, workers, quick, progress)
@@ -133,7 +133,7 @@ def sensitivity(
 
 
 def sampled(
-    study: AnyStudy, ledger: Ledger, workers: Workers = None, quick: bool = False, progress: Progress = unheard
+    study: AnyStudy, ledger: Ledger, workers: Workers = None, quick: bool = False, progress: Progress = silent
 ) -> Sensitivity:
     """Sample all free parameters by a constrained Latin hypercube; rank correlations, variance shares, selection."""
     settings, space, names = study.settings.sensitivity, _space(study), Responses.of(study).measured
@@ -178,7 +178,7 @@ def measured(
     return Sensitivity(assessment, len(x), failed, len(x) - known - failed, drawn.acceptance, floor, samples, why)
 
 
-def selected_by_measures(study: Study, home: Results) -> Study:
+def selected_by_measures(study: LoadedStudy, home: Results) -> LoadedStudy:
     """The study with the parameters that its sensitivity analysis selected, if the study leaves the selection to it.
 
     InputError where there is no selection, or an outdated one.
@@ -193,18 +193,18 @@ def selected_by_measures(study: Study, home: Results) -> Study:
     return selecting(study, home)
 
 
-def outdated_selection(study: Study, home: Results) -> str:
+def outdated_selection(study: LoadedStudy, home: Results) -> str:
     """Why a selection by the sensitivity analysis is outdated; empty where it is valid, or made by the user."""
     if not study.settings.selected_by_sensitivity:
         return ""
     entry = analyses_of(home).get("sensitivity")
     if entry is None:  # `begin_analysis` removed it from the record, and the analysis did not end
         return "by an interrupted analysis" if is_own(home.path / "selection.csv") else ""
-    found = changed(entry.get("made_from", {}), made_from(study, "sensitivity"))
+    found = state_differences(entry.get("made_from", {}), made_from(study, "sensitivity"))
     return f"at an earlier state of {', '.join(found)}" if found else ""
 
 
-def selecting(study: Study, home: Results) -> Study:
+def selecting(study: LoadedStudy, home: Results) -> LoadedStudy:
     """As `selected_by_measures`, even with an outdated selection."""
     if not study.settings.selected_by_sensitivity:
         return study
@@ -261,7 +261,7 @@ class Screening:
     @property
     def answer(self) -> Answer:
         """What was found, how sure that is, and what to do next."""
-        return of_screening(self.method, self.table, self.sentences[0])
+        return screening_answer(self.method, self.table, self.sentences[0])
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -271,14 +271,14 @@ class Screening:
 
 
 def screen(
-    study: Study,
+    study: LoadedStudy,
     results: Results,
     ledger: Ledger,
     method: Literal["morris", "sobol"],
     workers: Workers = None,
     quick: bool = False,
     ignore_constraints: bool = False,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> Screening:
     """Morris' elementary effects or Sobol's variance shares; writes their table, see `screened`."""
     answer = screened(study, ledger, method, workers, quick, ignore_constraints, progress)
@@ -297,7 +297,7 @@ def screened(
     workers: Workers = None,
     quick: bool = False,
     ignore_constraints: bool = False,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> Screening:
     """Morris' elementary effects or Sobol's variance shares, for independent inputs between their limits."""
     space, seed = _space(study), study.settings.sensitivity.seed

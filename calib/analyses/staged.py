@@ -13,7 +13,7 @@ from calib.problem.space import ParameterSpace
 from calib.results.json_file import read_json
 from calib.results.results import Results
 from calib.results.table import read_table
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_file import shell_argument, study_file
 from calib.study.study_text import read_settings
 
@@ -21,7 +21,7 @@ _ROUNDING = 1e-9
 """Relative tolerance at a limit, since tables keep ten digits."""
 
 
-def in_order(path: Path) -> tuple[Path, ...]:
+def earliest_first(path: Path) -> tuple[Path, ...]:
     """Files of a study and of all earlier ones whose values it adopts, the earliest first."""
     files = [study_file(path)]
     while (earlier := _earlier(files[0])) is not None:
@@ -54,7 +54,7 @@ class Found(NamedTuple):
     std: dict[str, float]
 
 
-def values_found(study: Study, root: Path, quick: bool = False) -> Found | None:
+def values_found(study: LoadedStudy, root: Path, quick: bool = False) -> Found | None:
     """The best case of a calibration; None when there is none for the present state of the study.
 
     ``root`` is the root folder of all results; a quick run also accepts a quick calibration.
@@ -64,7 +64,7 @@ def values_found(study: Study, root: Path, quick: bool = False) -> Found | None:
     return _values(study, Results(home.path / QUICK)) if found is None and quick else found
 
 
-def require_same_units(study: Study, earlier: Study) -> None:
+def require_same_units(study: LoadedStudy, earlier: LoadedStudy) -> None:
     """InputError where an adopted parameter has another unit than in the earlier study."""
     adopted = study.settings.adopted
     for name in () if adopted is None else adopted.parameters:
@@ -78,7 +78,7 @@ def require_same_units(study: Study, earlier: Study) -> None:
             )
 
 
-def _values(study: Study, folder: Results) -> Found | None:
+def _values(study: LoadedStudy, folder: Results) -> Found | None:
     """The calibration in a folder; None where it is missing or of another state, InputError where it is damaged.
 
     A selection by the sensitivity analysis is read from the same folder.

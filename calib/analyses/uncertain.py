@@ -8,10 +8,10 @@ from dataclasses import replace
 from calib.hypotheses.rules import RULES
 from calib.measurement.accuracy import Claim
 from calib.problem.space import Parameter, ParameterSpace
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
-def with_uncertain(study: Study) -> Study:
+def with_uncertain(study: LoadedStudy) -> LoadedStudy:
     """The study with its unselected parameters free about their nominal values; unchanged without ``fixed_sd``.
 
     Their prior standard deviation is a share of the nominal value. Fitted along and projected out of every score, they
@@ -36,13 +36,13 @@ def freed(space: ParameterSpace, parameters: Iterable[Parameter], given: str) ->
     return space
 
 
-def uncertain(study: Study) -> tuple[Parameter, ...]:
+def uncertain(study: LoadedStudy) -> tuple[Parameter, ...]:
     """Unselected parameters to which a share of their value applies: no integers, none of value 0, none held."""
     own = (study.sensitivity_space[name] for name in study.unselected)
     return tuple(p for p in own if not p.integer and p.value != 0)
 
 
-def uncertain_note(study: Study) -> tuple[str, ...]:
+def uncertain_note(study: LoadedStudy) -> tuple[str, ...]:
     """Which parameters are uncertain and by how much, in words; empty without ``fixed_sd``."""
     given = study.settings.explain.fixed_sd
     if given is None:

@@ -7,30 +7,30 @@ from collections.abc import Callable, Iterable
 from calib.problem.joint import said
 from calib.structure.model import Assumption
 from calib.study.several import AnyStudy
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
-def assumed_std(study: Study) -> tuple[Assumption, ...]:
+def assumed_std(study: LoadedStudy) -> tuple[Assumption, ...]:
     """Standard deviations that calibration and explanation assume; empty when all are stated."""
     return study.problem.assumed_std
 
 
-def assumed_words(study: Study) -> str:
+def assumed_words(study: LoadedStudy) -> str:
     """The same in a few words, such as ``standard deviation of natural frequencies 0.5 % of each``; empty for none."""
-    return in_words(assumed_std(study))
+    return assumptions_in_words(assumed_std(study))
 
 
-def in_one(study: AnyStudy, words: Callable[[Study], str]) -> str:
+def in_one(study: AnyStudy, words: Callable[[LoadedStudy], str]) -> str:
     """A few words on every test, in one line."""
     return "; ".join(filter(None, said({one.test: [words(one)] for one in study.studies})))
 
 
-def in_words(assumed: Iterable[Assumption]) -> str:
+def assumptions_in_words(assumed: Iterable[Assumption]) -> str:
     """Assumptions in one line; empty for none."""
     return "; ".join(f"{a.item} {a.value} {a.unit} ({a.reason})" for a in assumed)
 
 
-def std_notes(study: Study) -> tuple[str, ...]:
+def std_notes(study: LoadedStudy) -> tuple[str, ...]:
     """Notes on the standard deviations of a study; see `notes_on`."""
     return notes_on(accuracy_words(study), assumed_words(study))
 
@@ -43,6 +43,6 @@ def notes_on(claimed: str, assumed: str) -> tuple[str, ...]:
     return tuple(out)
 
 
-def accuracy_words(study: Study) -> str:
+def accuracy_words(study: LoadedStudy) -> str:
     """The claimed accuracy of a study in words; empty without."""
     return study.experiment.claimed

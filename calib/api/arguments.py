@@ -55,7 +55,7 @@ class ExplainKeys(TypedDict, total=False):
     mesh_sd: float
 
 
-def changed(settings: _Section, verb: str, keys: Mapping[str, Any]) -> _Section:
+def with_keys(settings: _Section, verb: str, keys: Mapping[str, Any]) -> _Section:
     """Settings with other values of some keys; InputError for an unknown key or a value that it cannot have.
 
     None leaves a key as it is.
@@ -98,14 +98,14 @@ def calibration_settings(
         Whether large models are reduced, or keys of ``[reduction]``.
     """
     keys = dict(keys)
-    explain = changed(settings.explain, verb, {"alpha": keys.pop("alpha", None)})
+    explain = with_keys(settings.explain, verb, {"alpha": keys.pop("alpha", None)})
     if keys.get("starts") is not None:
         keys.setdefault("method", "gauss-newton")
     if keys.get("begin_at") is not None:
         keys["begin_at"] = values(keys["begin_at"], f"{verb}, begin_at")
     if cases is not None or seed is not None:
         keys["cases"] = _cases(settings.calibration, cases, seed, verb)
-    calibration = changed(settings.calibration, verb, keys)
+    calibration = with_keys(settings.calibration, verb, keys)
     if not calibration.weight_freq + calibration.weight_mac > 0:
         raise InputError("both weights are zero", place=f"{verb}, weight_freq", remedy="give one of them weight")
     update = {"calibration": calibration, "explain": explain, "reduction": _reduction(settings, reduction, verb)}
@@ -116,13 +116,13 @@ def explain_settings(
     settings: StudySettings, keys: Mapping[str, Any], reduction: bool | Mapping[str, Any] | None
 ) -> StudySettings:
     """Settings of an explanation; as `calibration_settings`."""
-    explain: ExplainSettings = changed(settings.explain, "explain", keys)
+    explain: ExplainSettings = with_keys(settings.explain, "explain", keys)
     return settings.model_copy(update={"explain": explain, "reduction": _reduction(settings, reduction, "explain")})
 
 
 def _reduction(settings: StudySettings, given: bool | Mapping[str, Any] | None, verb: str) -> Any:
     keys = {"use": given} if isinstance(given, bool) else given or {}
-    return changed(settings.reduction, f"{verb}, reduction", keys)
+    return with_keys(settings.reduction, f"{verb}, reduction", keys)
 
 
 def _cases(

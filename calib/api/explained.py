@@ -13,7 +13,7 @@ from calib.analyses.explain import explanation_of
 from calib.analyses.propose import RANKED
 from calib.api.arguments import explain_settings
 from calib.api.display import Shown
-from calib.api.finer_mesh import finer_of, require_mesh
+from calib.api.finer_mesh import finer_of, require_finer_mesh
 from calib.api.pairs import library_of, reporting
 from calib.api.proposed import Proposed, proposed
 from calib.api.protocols import Effects, Finer, P
@@ -176,7 +176,7 @@ def explained(
         require_distinct(library.get(model.name, ()), model, "effects")
     settings = explain_settings(problem.settings, keys, reduction)
     meshes = finer_of(models, finer) or dict(getattr(problem, "finer", {}))
-    require_mesh(settings.explain, meshes, problem.pairs)
+    require_finer_mesh(settings.explain, meshes, problem.pairs)
     study = problem.study(settings, library, meshes)
     with reporting("explain", progress) as step:
         _, answer = explanation_of(study, step)

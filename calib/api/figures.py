@@ -10,7 +10,7 @@ from calib.analyses.provenance import places
 from calib.analyses.provenance.stale import stale_answers
 from calib.analyses.versions import write_versions
 from calib.api.figures_made import make_all
-from calib.api.first_test import in_order
+from calib.api.first_test import first_test_first
 from calib.api.listener import Listener
 from calib.errors.errors import InputError
 from calib.report.figures import FigureRequest
@@ -82,7 +82,7 @@ def draw(
 
 def draw_anew(study: StudyFile, root: Path, listener: Listener, formats: Sequence[Format], width: Width) -> None:
     """Redraw every figure and report of a study, and of the extended studies among its results; see `draw`."""
-    for part in in_order(study.parts, Results(root / study.name)):
+    for part in first_test_first(study.parts, Results(root / study.name)):
         folders = places.answers_of(part, root)
         if Results(root / part.name) in folders:  # versions compare full results only
             listener.versions(write_versions(part, root))

@@ -12,7 +12,7 @@ from calib.structure.model import StructuralModel
 from calib.study.settings import ExplainSettings
 
 
-def require_mesh(
+def require_finer_mesh(
     settings: ExplainSettings, finer: Mapping[str, StructuralModel], pairs: Collection[tuple[Any, Any]]
 ) -> None:
     """InputError where an error of the mesh is stated without any finer mesh, or one is given for scalar responses.

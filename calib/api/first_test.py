@@ -31,7 +31,7 @@ def first_test(folder: Results) -> str:
     return next(iter(table.loc[table["shown_first"].astype(bool), TEST].astype(str)), "")
 
 
-def in_order(parts: Iterable[T], folder: Results) -> tuple[T, ...]:
+def first_test_first(parts: Iterable[T], folder: Results) -> tuple[T, ...]:
     """The parts of a study, of which `first_test` comes first; all others in the order of the study."""
     first = first_test(folder)
     return tuple(sorted(parts, key=lambda part: part.test != first))

@@ -204,9 +204,9 @@ class Fit(Shown, Generic[P]):
         InputError
             For an unknown figure or test, and where the data for it were not measured.
         """
-        from calib.api.page import draw
+        from calib.api.page import draw_figure
 
-        return draw(self, name, test, ax)
+        return draw_figure(self, name, test, ax)
 
     def report(self, path: str | Path) -> tuple[Path, ...]:
         """Write an HTML report of the fit that opens offline; for several tests one file each, with the test's name.
@@ -221,7 +221,7 @@ class Fit(Shown, Generic[P]):
         return write_pages(self, path_of(path, "report"))
 
 
-def calibrated(
+def calibrated_fit(
     problem: P,
     verb: str,
     keys: Mapping[str, Any],

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calib.api.progress import in_python
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 
 if TYPE_CHECKING:
     from calib.analyses.added import Added
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from calib.missing.findings import ExplanationResult
     from calib.report.html.write import Page
     from calib.results.results import Results
-    from calib.study.study import Study
+    from calib.study.study import LoadedStudy
     from calib.study.study_file import StudyFile
 
 
@@ -32,7 +32,7 @@ class Listener:
 
     def progress(self) -> AbstractContextManager[Progress]:
         """Callback for the present stage of an analysis."""
-        return nullcontext(unheard)
+        return nullcontext(silent)
 
     def first(self, earlier: StudyFile, path: Path) -> None:
         """An earlier study is calibrated first, since this one adopts its values."""
@@ -43,10 +43,10 @@ class Listener:
     def other_state(self, rows: int) -> None:
         """Number of stored evaluations that belong to another state of the study."""
 
-    def compared(self, study: Study, answer: ComparisonResult, folder: Results) -> None:
+    def compared(self, study: LoadedStudy, answer: ComparisonResult, folder: Results) -> None:
         """Model and measurement were compared."""
 
-    def sampled(self, study: Study, answer: Sensitivity, folder: Results) -> None:
+    def sampled(self, study: LoadedStudy, answer: Sensitivity, folder: Results) -> None:
         """A sensitivity analysis by rank correlations is done."""
 
     def screened(self, answer: Screening, folder: Results) -> None:

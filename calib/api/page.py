@@ -13,17 +13,17 @@ from calib.analyses.answers import of_fit
 from calib.analyses.calibration_tables import tables_of, write_calibration
 from calib.analyses.compare import ComparisonResult, before_and_after, comparison_at, write_comparison
 from calib.analyses.joint_responses import own_values
-from calib.analyses.provenance.record import assumptions_of, made_with, parameters_table, sensors_table
+from calib.analyses.provenance.record import assumptions_of, limits_table, made_with, sensors_table
 from calib.api.protocols import Solved
 from calib.correlation.modal.expansion import orthogonality
 from calib.errors.errors import InputError
 from calib.experiment import ModalTest, Test
-from calib.experiment.test import Model, place_of
+from calib.experiment.test import Model, test_place
 from calib.inference.cases import CaseResult
 from calib.problem.problem import Counts
 from calib.results.results import Results
 from calib.results.written import whole
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,7 +39,7 @@ FIGURES = (
 """Figures of a fit."""
 
 
-def compared(fit: Solved, test: Test) -> tuple[ComparisonResult, ComparisonResult]:
+def compared_stages(fit: Solved, test: Test) -> tuple[ComparisonResult, ComparisonResult]:
     """One test before the fit, at the nominal values, and after it."""
     one = _part(fit, test)
     if fit.calibration is not None:
@@ -48,7 +48,7 @@ def compared(fit: Solved, test: Test) -> tuple[ComparisonResult, ComparisonResul
     return comparison_at(one, one.model.space.values), comparison_at(one, own_values(one, fit.values))
 
 
-def _part(fit: Solved, test: Test) -> Study:
+def _part(fit: Solved, test: Test) -> LoadedStudy:
     """A test with its model, as the analyses take them."""
     return next(one for one in fit.problem.study().studies if one.experiment.name == test.name)
 
@@ -72,7 +72,7 @@ def chosen(fit: Solved, name: str) -> tuple[Model, Test]:
     return pairs[name]
 
 
-def draw(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
+def draw_figure(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
     """See `calib.api.fit.Fit.figure`."""
     from calib.report.comparison import draw_comac, draw_frequency_error, draw_mac, draw_mac_matrix
     from calib.report.orthogonality import draw_cross_orthogonality, draw_self_orthogonality
@@ -84,10 +84,10 @@ def draw(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
     if name == "parameters":
         return draw_parameters(_tables(fit)["parameters"], ax, prior=fit.problem.space.frame())
     if not isinstance(selected, ModalTest):
-        raise InputError("it has no modes", place=place_of(selected), remedy="draw its parameters")
+        raise InputError("it has no modes", place=test_place(selected), remedy="draw its parameters")
     if name != "frequency_errors" and not selected.used.has_shapes:
-        raise InputError("no shapes were measured", place=place_of(selected), remedy="draw the frequency errors")
-    before, after = compared(fit, selected)
+        raise InputError("no shapes were measured", place=test_place(selected), remedy="draw the frequency errors")
+    before, after = compared_stages(fit, selected)
     if name == "frequency_errors":
         return draw_frequency_error(before.table, after.table, ax)
     if name == "mac":
@@ -127,7 +127,7 @@ def write_pages(fit: Solved, path: Path) -> tuple[Path, ...]:
 
 def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
     """Write the tables that the report reads."""
-    before, after = compared(fit, test)
+    before, after = compared_stages(fit, test)
     write_comparison(folder, before, "before")
     if fit.calibration is None:
         write_comparison(folder, after, "after")
@@ -142,7 +142,7 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
     errors = fit.errors
     folder.write_table("data_errors", errors[errors["test"] == test.name].drop(columns="test"))
     space = fit.problem.space
-    folder.write_table("parameter_space", parameters_table(space, space))
+    folder.write_table("parameter_space", limits_table(space, space))
     folder.write_table("assumptions", assumptions_of(model, test.assumed))
     if isinstance(test, ModalTest) and test.modes.has_shapes:
         folder.write_table("sensors", sensors_table(test.modes, test.held_out_sensors))

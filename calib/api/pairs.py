@@ -18,7 +18,7 @@ from calib.experiment.test import Model
 from calib.problem.effect import Effect
 from calib.problem.joint import JointProblem
 from calib.problem.problem import Counts
-from calib.problem.problem import Problem as OneTestProblem
+from calib.problem.problem import PairProblem as OneTestProblem
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
 from calib.structure.model import StructuralModel
@@ -26,14 +26,14 @@ from calib.study.in_memory import TestedModel, study_in_memory
 from calib.study.loading import extended
 from calib.study.settings import StudySettings
 from calib.study.several import AnyStudy
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 if TYPE_CHECKING:
     from calib.api.problem import Problem
     from calib.api.protocols import Effects, ProblemLike
 
 
-def opened(given: Any) -> Ledger | None:
+def ledger_at(given: Any) -> Ledger | None:
     """A ledger from a path, or as it is; InputError where the file cannot be written or is none."""
     if given is None or isinstance(given, Ledger):
         return given
@@ -177,7 +177,7 @@ def reporting(verb: str, progress: bool) -> Iterator[Progress]:
         raise
 
 
-def problem_of(study: Study) -> Problem:
+def test_problem(study: LoadedStudy) -> Problem:
     """One test of a study as a problem in memory; parameters of its nuisances belong to the test."""
     from calib.api.problem import Problem
 

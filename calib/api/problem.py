@@ -15,8 +15,8 @@ from calib.api.pairs import (
     fit_problem_of,
     holding,
     including,
+    ledger_at,
     library_of,
-    opened,
     require_names,
     require_within,
     studied,
@@ -31,7 +31,7 @@ from calib.experiment import TESTS, Test
 from calib.experiment.test import Model
 from calib.problem.effect import Effect
 from calib.problem.joint import JointProblem
-from calib.problem.problem import Problem as OneTestProblem
+from calib.problem.problem import PairProblem as OneTestProblem
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
 from calib.structure.function_model import FunctionModel
@@ -117,7 +117,7 @@ class Problem:
         tests = objects(self.tests, Test, "problem, tests", such_as=TESTS)
         object.__setattr__(self, "tests", tests[0] if len(tests) == 1 else tests)
         object.__setattr__(self, "beside", objects(self.beside, Problem, "problem, beside"))
-        object.__setattr__(self, "ledger", opened(self.ledger))
+        object.__setattr__(self, "ledger", ledger_at(self.ledger))
         require_names([test for _, test in self._given])
         require_within(self.space)  # building the space raises any other inconsistency
 
@@ -247,9 +247,9 @@ class Problem:
         EvaluationError
             Where no start can be evaluated.
         """
-        from calib.api.fit import calibrated
+        from calib.api.fit import calibrated_fit
 
-        return calibrated(self._of(parameters), "calibrate", keys, cases, seed, reduction, executor, progress)
+        return calibrated_fit(self._of(parameters), "calibrate", keys, cases, seed, reduction, executor, progress)
 
     def search(
         self,
@@ -278,10 +278,10 @@ class Problem:
         InputError, EvaluationError
             As `calibrate`; InputError also for a model that cannot be sent to the executor's processes.
         """
-        from calib.api.fit import calibrated
+        from calib.api.fit import calibrated_fit
 
         genetic = {**keys, "method": "genetic"}
-        return calibrated(self._of(parameters), "search", genetic, cases, seed, reduction, executor, progress)
+        return calibrated_fit(self._of(parameters), "search", genetic, cases, seed, reduction, executor, progress)
 
     def sensitivity(
         self,

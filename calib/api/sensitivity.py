@@ -10,7 +10,7 @@ from typing import Any, Literal
 import pandas as pd
 
 from calib.analyses.sensitivity import Sensitivity, sampled, screened
-from calib.api.arguments import changed
+from calib.api.arguments import with_keys
 from calib.api.display import Shown
 from calib.api.pairs import kept_in, reporting
 from calib.api.protocols import ProblemLike
@@ -113,7 +113,7 @@ def assessed(
     progress: bool,
 ) -> Assessed:
     """See `calib.api.problem.Problem.sensitivity`."""
-    settings = changed(problem.settings.sensitivity, "sensitivity", keys)
+    settings = with_keys(problem.settings.sensitivity, "sensitivity", keys)
     study = problem.study(problem.settings.model_copy(update={"sensitivity": settings}))
     workers = None if executor is None else Injected.of(executor)
     with reporting("sensitivity", progress) as step, kept_in(problem.ledger) as ledger:

@@ -9,10 +9,10 @@ from calib.analyses import staged
 from calib.analyses.provenance.isolation import isolated
 from calib.errors.errors import InputError
 from calib.study.several import AnyStudy, load
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
-def loaded_after(path: Path, calibrated: Callable[[Study, Path], staged.Found | None]) -> AnyStudy:
+def loaded_after(path: Path, calibrated: Callable[[LoadedStudy, Path], staged.Found | None]) -> AnyStudy:
     """A study with the values that it adopts; a user's function runs in a child process.
 
     Parameters
@@ -26,9 +26,9 @@ def loaded_after(path: Path, calibrated: Callable[[Study, Path], staged.Found | 
     InputError
         For anything wrong in one of the studies, and where an earlier one has several tests.
     """
-    *earlier, last = staged.in_order(path)
+    *earlier, last = staged.earliest_first(path)
     taken: staged.Found = staged.Found({}, {})
-    before: Study | None = None
+    before: LoadedStudy | None = None
     for file in earlier:
         study = _taking_over(file, taken, before)
         if study.settings.several:
@@ -41,7 +41,7 @@ def loaded_after(path: Path, calibrated: Callable[[Study, Path], staged.Found | 
     return _taking_over(last, taken, before)
 
 
-def _taking_over(file: Path, taken: staged.Found, before: Study | None) -> AnyStudy:
+def _taking_over(file: Path, taken: staged.Found, before: LoadedStudy | None) -> AnyStudy:
     study = load(file, *taken)
     if before is not None:
         for one in study.studies:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Literal
 
 from calib.analyses.provenance import places
 from calib.api.display import AnalysisResult, Compared
-from calib.api.first_test import in_order
+from calib.api.first_test import first_test_first
 from calib.api.listener import Listener, Showing
-from calib.api.pairs import problem_of
+from calib.api.pairs import test_problem
 from calib.api.problem import Problem
 from calib.errors.arguments import integer
 from calib.errors.arguments import path as path_of
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from calib.problem.effect import Effect
     from calib.report.style import Format, Width
     from calib.study.several import AnyStudy
-    from calib.study.study import Study as Loaded
+    from calib.study.study import LoadedStudy as Loaded
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -156,7 +156,7 @@ class Study:
     @property
     def problem(self) -> Problem:
         """The study as a `Problem` in memory, with its settings and the selected parameters free; nothing is stored."""
-        first, *others = map(problem_of, self.loaded.studies)
+        first, *others = map(test_problem, self.loaded.studies)
         return replace(first, beside=tuple(others))
 
     @property
@@ -300,7 +300,7 @@ class Study:
 
         study = StudyFile.read(self.path)
         home = Results(self.results / study.name)
-        parts = [part for part in in_order(study.parts, home) if places.answers_of(part, self.results)]
+        parts = [part for part in first_test_first(study.parts, home) if places.answers_of(part, self.results)]
         if not parts:
             remedy = f"run the study first: calib run {shell_argument(self.path)}"
             raise InputError("there are no results to draw", place=self.results / study.name, remedy=remedy)
@@ -399,7 +399,7 @@ class Study:
     def _draw_tests(self, case: str | None = None, method: Method | None = None, report: bool = False) -> None:
         """Draw every test, the one shown first last, since a run tells what was drawn last first; then all together."""
         folder = places.results_of(self.loaded, self.results, self.quick, case, method)
-        for part in reversed(in_order(self.loaded.studies, folder)):
+        for part in reversed(first_test_first(self.loaded.studies, folder)):
             own = places.results_of(part, self.results, self.quick, case, method)
             replace(self, read=part).draw(own, report)
         if self.loaded.settings.several:

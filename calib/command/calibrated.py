@@ -9,9 +9,9 @@ import pandas as pd
 
 from calib.analyses.added import WORDS
 from calib.analyses.calibration import Calibration, Fitted, JointCalibration
-from calib.command.compared import held_out, more_on_pairs, pairs
+from calib.command.compared import held_out, more_on_pairs, pair_entries
 from calib.command.entries import Entry, Rows, Warned, Words
-from calib.command.terminal import count, number
+from calib.command.terminal import count, decimals
 from calib.missing.local import unit_words
 from calib.study.study_file import StudyFile
 
@@ -27,7 +27,7 @@ _WHY = {
 _COUNTS = ("asked", "solved", "reused", "infeasible", "failed")
 
 
-def entries(study: StudyFile, result: Fitted) -> list[Entry]:
+def calibrated_entries(study: StudyFile, result: Fitted) -> list[Entry]:
     """A calibration against one test or several."""
     if isinstance(result, JointCalibration):
         return [
@@ -54,7 +54,7 @@ def entries(study: StudyFile, result: Fitted) -> list[Entry]:
         *map(Words, held_out(study)),
         _cases(result),
         *_points(result),
-        pairs(best.answer, f"After calibration (case {best.name}):", when="verbose"),
+        pair_entries(best.answer, f"After calibration (case {best.name}):", when="verbose"),
         *more_on_pairs(best.answer),
     ]
     return out
@@ -62,14 +62,14 @@ def entries(study: StudyFile, result: Fitted) -> list[Entry]:
 
 def errors_row(row: Mapping[Any, Any]) -> tuple[str, ...]:
     """One row of `ERRORS`."""
-    return str(row["rows"]), number(row["rms"], 2), number(row["expected"], 2), f"{row['p']:.2g}"
+    return str(row["rows"]), decimals(row["rms"], 2), decimals(row["expected"], 2), f"{row['p']:.2g}"
 
 
 def suspects(table: pd.DataFrame) -> Iterator[Rows]:
     """Single data whose removal would make the model fit."""
     guilty = table[table["explains"].astype(bool)]
     rows = [
-        (r["what"], str(r["rows"]), number(r["chi2"], 1), f"{r['p']:.2g}", f"{r['p_fit_without']:.2g}")
+        (r["what"], str(r["rows"]), decimals(r["chi2"], 1), f"{r['p']:.2g}", f"{r['p_fit_without']:.2g}")
         for r in guilty.to_dict("records")
     ]
     heads = ("left out", "rows", "lowers the sum of squares by", "p", "p of the fit without")
@@ -124,9 +124,9 @@ def _changes(result: Calibration) -> Iterator[Rows]:
         rows = [
             (
                 _named(r, "mode"),
-                *(number(r[f"damped_freq_{stage}"], 3) for stage in ("measured", *stages)),
+                *(decimals(r[f"damped_freq_{stage}"], 3) for stage in ("measured", *stages)),
                 *("" if pd.isna(r[f"error_{s}"]) else f"{100 * r[f'error_{s}']:+.2f} %" for s in stages),
-                *(number(r[f"mac_{stage}"], 3) for stage in stages),
+                *(decimals(r[f"mac_{stage}"], 3) for stage in stages),
             )
             for r in result.modes.to_dict("records")
         ]
@@ -144,7 +144,7 @@ def _changes(result: Calibration) -> Iterator[Rows]:
         heads = ["response", "measured", "before", "after", "error before", "error after"]
         yield Rows.of("Every measured response:", heads, rows)
     else:
-        yield pairs(result.best.answer, "After calibration:")
+        yield pair_entries(result.best.answer, "After calibration:")
 
 
 def _named(row: Mapping[Any, Any], what: str) -> str:

@@ -146,7 +146,7 @@ def modes(
     """
     from calib.api.modes import identify_modes
     from calib.command.entries import tell_entries
-    from calib.command.identified import entries
+    from calib.command.identified import identified_entries
     from calib.execution.tasks import one_thread
 
     with one_thread():
@@ -154,7 +154,7 @@ def modes(
             files, into, sensors=sensors, quantity=None if quantity is None else quantity.value, unit=unit,
             averages=averages, band=band, synthetic=synthetic,
         )  # fmt: skip
-    tell_entries(entries(written), verbose)
+    tell_entries(identified_entries(written), verbose)
 
 
 @app.command(short_help="Compare model and measurement without fitting.")
@@ -373,7 +373,7 @@ def execute(arguments: list[str]) -> int:
             try:
                 app(args=arguments, prog_name="calib")
             finally:
-                interrupt.answered()
+                interrupt.command_over()
                 terminal.tell_kept(kept)
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)

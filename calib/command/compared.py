@@ -10,10 +10,10 @@ from calib.analyses.compare import ComparisonResult
 from calib.analyses.provenance.record import assumptions_table, check_repeats
 from calib.analyses.sensitivity import Screening, Sensitivity
 from calib.command.entries import Entry, Rows, Warned, When, Words
-from calib.command.terminal import count, number
+from calib.command.terminal import count, decimals
 from calib.missing.local import unit_words
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile
 
 _FUNCTIONS = 24
@@ -22,7 +22,7 @@ WORST = 6
 """Rows of the largest deviations; the table in the results folder has all."""
 
 
-def entries(study: Study, result: ComparisonResult, folder: Results) -> list[Entry]:
+def compared_entries(study: LoadedStudy, result: ComparisonResult, folder: Results) -> list[Entry]:
     """A comparison without a fit."""
     out: list[Entry] = [
         *map(Words, held_out(study)),
@@ -30,13 +30,13 @@ def entries(study: Study, result: ComparisonResult, folder: Results) -> list[Ent
         *map(Warned, check_repeats(study)),
         *map(Warned, result.hints),
         *(Warned(f"Check this sensor: {finding.sentence}") for finding in result.sensor_findings),
-        pairs(result),
+        pair_entries(result),
         *more_on_pairs(result),
         *(Words(sentence) for sentence in result.sentences if sentence not in result.hints),
     ]
     if result.comparison is not None:
         rows = [
-            (r["kind"], r["what"], number(r["value"], 3), number(r["in_std"], 1), r["verdict"])
+            (r["kind"], r["what"], decimals(r["value"], 3), decimals(r["in_std"], 1), r["verdict"])
             for r in result.comparison.where_it_fails().to_dict("records")
         ]
         heads = ("kind", "what", "value", "in standard deviations", "verdict")
@@ -52,7 +52,7 @@ def entries(study: Study, result: ComparisonResult, folder: Results) -> list[Ent
     return out
 
 
-def pairs(result: ComparisonResult, title: str = "", when: When = "always") -> Rows:
+def pair_entries(result: ComparisonResult, title: str = "", when: When = "always") -> Rows:
     """Every measured mode or response with that of the model."""
     table = result.table.to_dict("records")
     if result.frfs is not None:
@@ -72,8 +72,8 @@ def pairs(result: ComparisonResult, title: str = "", when: When = "always") -> R
                 f"{r['natural_freq_measured']:.3f}",
                 f"{r['natural_freq_model']:.3f}" if paired else "not paired",
                 f"{100 * r['freq_error']:+.2f} %" if paired else "",
-                *(number(100 * r[name], 2) for name in ("damping_ratio_measured", "damping_ratio_model")),
-                number(r["mac"], 3),
+                *(decimals(100 * r[name], 2) for name in ("damping_ratio_measured", "damping_ratio_model")),
+                decimals(r["mac"], 3),
             )
         )
     heads = ("mode", "model mode", "measured Hz", "model Hz", "error", "damping %", "model %", "MAC")
@@ -85,8 +85,8 @@ def _functions(table: Iterable[Mapping[Hashable, Any]], title: str, when: When) 
     rows = []
     for r in table:
         name = f"{r['response']}/{r['reference']}"
-        criteria = (number(r["frac"], 3), number(r["amplitude"], 3), f"{100 * r['error']:.1f} %")
-        rows.append((name, str(r["lines"]), *criteria, number(r["in_std"], 2)))
+        criteria = (decimals(r["frac"], 3), decimals(r["amplitude"], 3), f"{100 * r['error']:.1f} %")
+        rows.append((name, str(r["lines"]), *criteria, decimals(r["in_std"], 2)))
     heads = ("FRF", "lines", "FRAC", "amplitude", "error", "in standard deviations")
     return Rows.of(title, heads, rows, when=when, most=_FUNCTIONS)
 
@@ -95,7 +95,7 @@ def more_on_pairs(result: ComparisonResult) -> Iterator[Rows]:
     """EMAC and margin of every pair."""
     if result.comparison is not None and result.table["emac"].notna().any():
         rows = [
-            (str(r["mode"]), *(number(r[name], 3) for name in ("mac", "emac", "margin")))
+            (str(r["mode"]), *(decimals(r[name], 3) for name in ("mac", "emac", "margin")))
             for r in result.table.to_dict("records")
         ]
         yield Rows.of("How certain the pairs are:", ("mode", "MAC", "EMAC", "margin"), rows, when="verbose")
@@ -115,12 +115,12 @@ def held_out(study: StudyFile) -> Iterator[str]:
             yield f"Held out{of}, never fitted: {', '.join(held.responses)}."
 
 
-def of_samples(study: Study, result: Sensitivity) -> list[Entry]:
+def of_samples(study: LoadedStudy, result: Sensitivity) -> list[Entry]:
     """A sensitivity analysis by rank correlations."""
     measures = ("max_spearman", "max_partial", "max_variance_share")
     table = result.assessment.selection.sort_values("selected", ascending=False, kind="stable").to_dict("records")
     rows = [
-        (r["parameter"], *(number(r[name], 2) for name in measures), "yes" if r["selected"] else "no") for r in table
+        (r["parameter"], *(decimals(r[name], 2) for name in measures), "yes" if r["selected"] else "no") for r in table
     ]
     reasons = [(r["parameter"], r["why"]) for r in table]
     out: list[Entry] = [Warned(result.why_failed)] if result.why_failed else []
@@ -134,7 +134,7 @@ def of_samples(study: Study, result: Sensitivity) -> list[Entry]:
     return out
 
 
-def of_screening(result: Screening) -> list[Entry]:
+def screening_entries(result: Screening) -> list[Entry]:
     """A sensitivity analysis by Morris or Sobol."""
     size = "mu_star" if result.method == "morris" else "ST"
     names = result.table["parameter"].drop_duplicates()

@@ -12,7 +12,7 @@ from calib.analyses.versions import Versions
 from calib.command.calibrated import ERRORS, errors_row, suspects
 from calib.command.compared import held_out
 from calib.command.entries import Entry, Rows, Warned, Words
-from calib.command.terminal import count, number
+from calib.command.terminal import count, decimals
 from calib.missing.findings import ExplanationResult
 from calib.missing.local import unit_words
 from calib.missing.pattern import BY_TEST
@@ -30,7 +30,7 @@ _MORE = ("z", "unabsorbed", "smallest visible")
 """Columns that are shown on request only."""
 
 
-def entries(study: StudyFile, result: ExplanationResult, followed: bool = False) -> list[Entry]:
+def explained_entries(study: StudyFile, result: ExplanationResult, followed: bool = False) -> list[Entry]:
     """An explanation; ``followed`` by errors before and after, if its effects are added."""
     found, answer = result.explanation, result.answer
     told = {answer.found, answer.sure}
@@ -68,12 +68,12 @@ def _effect(r: Mapping[Any, Any]) -> tuple[str, ...]:
     interval = f"{r['magnitude']:.3g} [{r['magnitude_low']:.3g}, {r['magnitude_high']:.3g}]{unit}"
     least = f"{rounded(r['magnitude_min'])}{unit}" if math.isfinite(r["magnitude_min"]) else ""
     least = ", ".join([*([least] if least else []), *([] if r["visible"] else ["not visible"])])
-    ln_bayes = number(r["ln_bayes"], 1)
+    ln_bayes = decimals(r["ln_bayes"], 1)
     if not r["refitted"] and ln_bayes:
         ln_bayes = f"{ln_bayes} (linear)"
     remark = "credible" if r["credible"] else r["implausible"]
     magnitude = interval if r["refitted"] else ""
-    return r["name"], number(r["z"], 1), ln_bayes, number(r["unabsorbed"], 2), magnitude, least, remark
+    return r["name"], decimals(r["z"], 1), ln_bayes, decimals(r["unabsorbed"], 2), magnitude, least, remark
 
 
 def _errors(result: ExplanationResult, followed: bool) -> list[Rows]:
@@ -91,9 +91,9 @@ def _errors(result: ExplanationResult, followed: bool) -> list[Rows]:
     short = [
         (
             WORDS[group],
-            *(number(table.loc[group, ("rms", stage)], 2) for stage in stages),
-            number(table.loc[group, ("expected", stages[-1])], 2),
-            *(p_words(table.loc[group, ("p", stage)]) for stage in stages),
+            *(decimals(table.loc[group, ("rms", stage)], 2) for stage in stages),
+            decimals(table.loc[group, ("expected", stages[-1])], 2),
+            *(p_cell(table.loc[group, ("p", stage)]) for stage in stages),
         )
         for group in dict.fromkeys(result.errors["group"])
     ]
@@ -113,9 +113,9 @@ def _predictions(result: ExplanationResult) -> list[Rows]:
     for r in result.tables[ERRORS_WITH].to_dict("records"):
         own = table[(table["group"] == r["group"]) & ((table[TEST] == r[TEST]) if several else True)]
         inside = [f"{int(own[name].sum())} of {len(own)}" for name in ("inside", "inside_unexplained")]
-        numbers = [number(r[name], 2) for name in ("rms", "expected", "expected_unexplained")]
+        numbers = [decimals(r[name], 2) for name in ("rms", "expected", "expected_unexplained")]
         data = of_test(r[TEST], WORDS[r["group"]]) if several else WORDS[r["group"]]
-        rows.append((data, *inside, *numbers, p_words(r["p_unexplained"])))
+        rows.append((data, *inside, *numbers, p_cell(r["p_unexplained"])))
     title = "Held-out data inside the 95 % intervals of their predictions, of the fit alone and with the misfit:"
     heads = ("data", "alone", "with it", "rms error", "expected alone", "expected with it", "p with it")
     return [Rows.of(title, heads, rows)]
@@ -132,8 +132,8 @@ def _steps(result: ExplanationResult) -> list[Rows]:
         (
             str(r["step"]),
             str(r["effects"]),
-            number(r["ln_bayes"], 1),
-            *(number(rms.loc[r["step"], g], 2) for g in groups),
+            decimals(r["ln_bayes"], 1),
+            *(decimals(rms.loc[r["step"], g], 2) for g in groups),
         )
         for r in result.tables[STEPS].to_dict("records")
     ]
@@ -157,8 +157,8 @@ def _by_test(result: ExplanationResult) -> list[Entry]:
         (
             str(r[TEST]),
             str(r["rows"]),
-            *(number(r[name], 1) for name in ("before", "after")),
-            number(100 * r["share"], 0),
+            *(decimals(r[name], 1) for name in ("before", "after")),
+            decimals(100 * r["share"], 0),
         )
         for r in own
     ]
@@ -171,7 +171,7 @@ def _by_test(result: ExplanationResult) -> list[Entry]:
     return out
 
 
-def p_words(p: float) -> str:
+def p_cell(p: float) -> str:
     """A p-value; empty where there is none."""
     return "" if math.isnan(p) else f"{p:.2g}"
 
@@ -197,8 +197,8 @@ def of_extension(written: Extension, brief: bool) -> list[Entry]:
 def of_added(result: Added, written: Extension, folder: Results) -> list[Entry]:
     """Errors before and after adding the named effects."""
     rows = [
-        (WORDS[r["group"]], str(r["rows_after"]), *(number(r[f"rms_{stage}"], 2) for stage in ("before", "after")),
-         number(r["expected_after"], 2), *(f"{r[f'p_{stage}']:.2g}" for stage in ("before", "after")))
+        (WORDS[r["group"]], str(r["rows_after"]), *(decimals(r[f"rms_{stage}"], 2) for stage in ("before", "after")),
+         decimals(r["expected_after"], 2), *(f"{r[f'p_{stage}']:.2g}" for stage in ("before", "after")))
         for r in by_group(result.errors).to_dict("records")
     ]  # fmt: skip
     heads = ("data", "rows", "before", "after", "of a correctly specified model", "p before", "p after")
@@ -214,7 +214,13 @@ def of_added(result: Added, written: Extension, folder: Results) -> list[Entry]:
 def of_versions(found: Versions) -> list[Entry]:
     """Errors over the versions of a model."""
     rows = [
-        (str(r["study"]), str(r["effects"]) or "none", str(r["group"]), number(r["rms"], 2), number(r["expected"], 2))
+        (
+            str(r["study"]),
+            str(r["effects"]) or "none",
+            str(r["group"]),
+            decimals(r["rms"], 2),
+            decimals(r["expected"], 2),
+        )
         for r in found.table.to_dict("records")
     ]
     heads = ("study", "effects", "data", "rms", "of a correctly specified model")

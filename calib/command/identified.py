@@ -7,10 +7,10 @@ from typing import Any
 
 from calib.api.modes import Written
 from calib.command.entries import Entry, Rows, Warned, Words
-from calib.command.terminal import count, number
+from calib.command.terminal import count, decimals
 
 
-def entries(written: Written) -> list[Entry]:
+def identified_entries(written: Written) -> list[Entry]:
     """Verdict, modes that count, those refused with the reason, and how a study names the files."""
     found = written.found
     rows = found.fit.to_dict("records")
@@ -19,7 +19,7 @@ def entries(written: Written) -> list[Entry]:
     out: list[Entry] = [Words(found.verdict, "always") if good else Warned(found.verdict)]
     out.append(Rows.of(f"{count(len(kept), 'mode')}:", _HEADS, map(_row, kept), most=len(kept)))
     out.append(Rows.of("Refused:", ("Hz", "damping %", "why"),
-                       [(number(r["freq"], 3), number(100 * r["damping"], 2), r["refused"]) for r in refused],
+                       [(decimals(r["freq"], 3), decimals(100 * r["damping"], 2), r["refused"]) for r in refused],
                        left=("why",), most=len(refused)))  # fmt: skip
     out += [Words(f"\nNote: {note}.", "always") for note in found.modes.notes]
     out += [Words(f"\nIn study.toml, beside these files:\n{written.keys}", "always")]
@@ -31,7 +31,7 @@ _HEADS = ("mode", "Hz", "std Hz", "damping %", "std %", "orders", "FRAC", "resid
 
 def _row(row: Mapping[Hashable, Any]) -> tuple[str, ...]:
     return (
-        str(row["mode"]), number(row["freq"], 4), f"{row['freq_std']:.2g}", number(100 * row["damping"], 3),
-        f"{100 * row['damping_std']:.2g}", str(row["orders"]), number(row["frac"], 4), number(row["residual_std"], 2),
-        number(row["rank_one"], 4),
+        str(row["mode"]), decimals(row["freq"], 4), f"{row['freq_std']:.2g}", decimals(100 * row["damping"], 3),
+        f"{100 * row['damping_std']:.2g}", str(row["orders"]), decimals(row["frac"], 4),
+        decimals(row["residual_std"], 2), decimals(row["rank_one"], 4),
     )  # fmt: skip

@@ -27,7 +27,7 @@ from calib.report.html.write import Page
 from calib.results.answer import Answer
 from calib.results.results import Results
 from calib.structure.reduction.cache import basis_cache
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile, shell_argument
 
 _OF_RUN = ("explain", "before and after")
@@ -78,21 +78,23 @@ class _Printing(Listener):
 
     # -- results -------------------------------------------------------------------------------------------------------
 
-    def compared(self, study: Study, answer: ComparisonResult, folder: Results) -> None:
+    def compared(self, study: LoadedStudy, answer: ComparisonResult, folder: Results) -> None:
         place = folder.path / "comparison_before.csv"
-        self._answered(answer.answer, place, compared.entries(study, answer, folder))
+        self._answered(answer.answer, place, compared.compared_entries(study, answer, folder))
 
-    def sampled(self, study: Study, answer: Sensitivity, folder: Results) -> None:
+    def sampled(self, study: LoadedStudy, answer: Sensitivity, folder: Results) -> None:
         self._answered(answer.answer, folder.path / "selection.csv", compared.of_samples(study, answer))
 
     def screened(self, answer: Screening, folder: Results) -> None:
-        self._answered(answer.answer, folder.path / f"{answer.method}.csv", compared.of_screening(answer))
+        self._answered(answer.answer, folder.path / f"{answer.method}.csv", compared.screening_entries(answer))
 
     def calibrated(self, study: StudyFile, answer: Fitted, folder: Results) -> None:
-        self._answered(answer.answer, folder.path / "verdicts.csv", calibrated.entries(study, answer))
+        self._answered(answer.answer, folder.path / "verdicts.csv", calibrated.calibrated_entries(study, answer))
 
     def explained(self, study: StudyFile, answer: ExplanationResult, folder: Results) -> None:
-        self._answered(answer.answer, folder.path / "effects.csv", explained.entries(study, answer, self.verb == "run"))
+        self._answered(
+            answer.answer, folder.path / "effects.csv", explained.explained_entries(study, answer, self.verb == "run")
+        )
         self._traces = (f"explain {study.file}", answer.traces)
 
     def may_add(self, study: StudyFile, found: Explanation) -> None:
@@ -103,7 +105,7 @@ class _Printing(Listener):
         self._add(*proposed.may_propose(study, found))
 
     def proposed(self, study: StudyFile, result: ProposalResult, folder: Results, root: Path) -> None:
-        self._answered(result.answer, folder.path / "proposals.csv", proposed.entries(result, root))
+        self._answered(result.answer, folder.path / "proposals.csv", proposed.proposed_entries(result, root))
 
     def extended(self, written: Extension) -> None:
         self._add(*explained.of_extension(written, self.verb == "run"))

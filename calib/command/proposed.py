@@ -8,14 +8,14 @@ from typing import Any
 
 from calib.analyses.propose import FILE, ProposalResult
 from calib.command.entries import Entry, Rows, Warned, Words
-from calib.command.terminal import count, number
+from calib.command.terminal import count, decimals
 from calib.missing.explanation import OPEN, Explanation
 from calib.missing.local import unit_words
 from calib.results.results import RESULTS
 from calib.study.study_file import StudyFile, shell_argument
 
 
-def entries(result: ProposalResult, root: Path) -> list[Entry]:
+def proposed_entries(result: ProposalResult, root: Path) -> list[Entry]:
     """Proposals and where their code is; ``root`` is the root folder of all results."""
     rows = [_row(r) for r in result.table.to_dict("records")]
     heads = ("", "effect", "kind", "at", "magnitude, 95 %", "ln Bayes", "of", "remark")
@@ -48,7 +48,7 @@ def _row(r: Mapping[Any, Any]) -> tuple[str, ...]:
     alike = f"{count(len(others), 'other')} alike" if others else ""
     told = ["as good" if r["close"] and r["rank"] > 1 else "", "implausible" if r["implausible"] else "", alike]
     return (
-        str(r["rank"]), r["name"], r["kind"], r["at"], size, number(r["ln_bayes"], 1), str(r["choices"]),
+        str(r["rank"]), r["name"], r["kind"], r["at"], size, decimals(r["ln_bayes"], 1), str(r["choices"]),
         "; ".join(filter(None, told)),
     )  # fmt: skip
 

@@ -135,7 +135,7 @@ def count(number: int, thing: str) -> str:
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
-def number(value: float, digits: int) -> str:
+def decimals(value: float, digits: int) -> str:
     """A number with the given number of decimals, never -0; empty for NaN."""
     return "" if math.isnan(value) else f"{value:z.{digits}f}"
 

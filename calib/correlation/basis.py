@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.modal.problem import ModalProblem
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.problem.effect import Effect
 from calib.problem.parameter import Parameter
 from calib.problem.space import ParameterSpace
 from calib.structure.effects.perturbations import Perturbation
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.basis import Basis
-from calib.structure.reduction.cache import key_of
+from calib.structure.reduction.cache import basis_key
 from calib.structure.reduction.effect_basis import effect_basis, frf_effect_basis
 from calib.structure.reduction.frf_target import FRFTarget
 from calib.structure.reduction.growth import Target
@@ -60,14 +60,14 @@ class BasisRequirements:
         """
         one, own = self.target, self.within(space)
         wanted = one.count, one.freq_max, one.damping_max, one.tolerance, one.request, self.seed
-        return key_of(model, wanted, [parameter_key(p) for p in own.parameters], own.constraints)
+        return basis_key(model, wanted, [parameter_key(p) for p in own.parameters], own.constraints)
 
     def within(self, space: ParameterSpace) -> ParameterSpace:
         """Those parameters of a search over which the basis is trained: gains of channels, say, are not."""
         own = tuple(p for p in space.parameters if p.name in self.names)
         return ParameterSpace(own, space.constraints) if len(own) < len(space.parameters) else space
 
-    def trained(self, model: StructuralModel, space: ParameterSpace, progress: Progress = unheard) -> Basis:
+    def trained(self, model: StructuralModel, space: ParameterSpace, progress: Progress = silent) -> Basis:
         """A basis of the model alone; EvaluationError when it cannot be solved at some training point."""
         return train(model, self.within(space), self.target, seed=self.seed, progress=progress)
 
@@ -78,7 +78,7 @@ class BasisRequirements:
         space: ParameterSpace,
         effects: Sequence[Effect],
         local: Sequence[Perturbation],
-        progress: Progress = unheard,
+        progress: Progress = silent,
     ) -> Basis:
         """The next version of a basis, for effects and local perturbations; see `effect_basis`."""
         if isinstance(self.target, FRFTarget):

@@ -25,7 +25,7 @@ Arrived = Callable[[Outcome], None]
 """Callback for every outcome as soon as it is available, in any order."""
 
 
-def unheard(outcome: Outcome) -> None:
+def ignored(outcome: Outcome) -> None:
     """Callback that ignores outcomes."""
 
 
@@ -37,7 +37,7 @@ class BatchEvaluator(Protocol):
         """Whether points are evaluated in other processes, so that a crash stays confined to its point."""
         ...
 
-    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = unheard) -> list[Outcome]:
+    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = ignored) -> list[Outcome]:
         """Outcomes in the order of the points; ``arrived`` is called with each as soon as it is available."""
         ...
 
@@ -117,7 +117,7 @@ class Evaluator:
         """End the worker processes."""
         self._stop(at_once=False)
 
-    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = unheard) -> list[Outcome]:
+    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = ignored) -> list[Outcome]:
         """Evaluate a batch.
 
         Parameters
@@ -192,7 +192,7 @@ class Evaluator:
                 done, waiting = done | waiting, set()
             for future in sorted(done, key=numbers.__getitem__):
                 with contextlib.suppress(BrokenProcessPool, CancelledError):
-                    known(numbers[future], opened(future.result()))
+                    known(numbers[future], unwrapped(future.result()))
         for k in [k for k in late if outcomes[k] is None]:
             known(k, failed(points[k], f"{TOOK_TOO_LONG} {self.time_limit:g} s", late[k]))
         if not late and any(outcome is None for outcome in outcomes):
@@ -227,7 +227,7 @@ class Evaluator:
                 known(k, failed(points[k], WORKER_DIED, seconds))
         else:
             for k in seen:
-                known(k, self._alone(points[k], unheard))
+                known(k, self._alone(points[k], ignored))
         return seen
 
     def _patience(self) -> float | None:
@@ -289,7 +289,7 @@ def failed(values: Mapping[str, float], error: str, seconds: float = 0.0, trace:
     return Outcome({str(name): float(value) for name, value in values.items()}, "failed", {}, error, seconds, trace)
 
 
-def opened(answer: Outcome | Exception) -> Outcome:
+def unwrapped(answer: Outcome | Exception) -> Outcome:
     """The outcome that a task returned; raises the exception that a wrong set-up returned instead."""
     if isinstance(answer, Exception):
         raise answer

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from calib.errors.errors import InputError
 from calib.execution import worker
-from calib.execution.evaluate import Arrived, failed, opened, unheard
+from calib.execution.evaluate import Arrived, failed, ignored, unwrapped
 from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED, Outcome, directory_kept, told
 from calib.execution.tasks import one_thread
 from calib.execution.worker import Source
@@ -122,7 +122,7 @@ class ExecutorEvaluator:
         """Release the function; the executor stays open."""
         self._sent.forget()
 
-    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = unheard) -> list[Outcome]:
+    def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = ignored) -> list[Outcome]:
         """As `calib.execution.evaluate.Evaluator.evaluate`; ``arrived`` is called in this thread.
 
         A point whose worker died, or that the executor refused, cancelled or lost, has failed. InputError also for a
@@ -156,7 +156,7 @@ class ExecutorEvaluator:
                     except Exception as fault:  # whatever ended the task, of the executor's own classes too
                         known(k, self._lost(points[k], fault))
                     else:
-                        known(k, opened(answer))
+                        known(k, unwrapped(answer))
         except BaseException:  # KeyboardInterrupt too
             for future in numbers:
                 with contextlib.suppress(Exception):

@@ -70,7 +70,7 @@ _press = _Press()
 
 
 def once() -> None:
-    """From here to `answered` the first interrupt raises KeyboardInterrupt, and later ones are ignored.
+    """From here to `command_over` the first interrupt raises KeyboardInterrupt, and later ones are ignored.
 
     It is raised again where something has swallowed it, that is, where neither it nor an exception raised because of it
     is being handled. If the shutdown takes longer than `PATIENCE`, the next interrupt ends the process; worker
@@ -98,7 +98,7 @@ def held() -> Iterator[None]:
             signal.raise_signal(signal.SIGINT)
 
 
-def answered() -> None:
+def command_over() -> None:
     """The command is over: no interrupt is raised any more while the process ends."""
     _press.answer()
 

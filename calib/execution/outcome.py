@@ -100,13 +100,13 @@ def attempt(function: Function, values: Mapping[str, float]) -> Outcome:
     return Outcome(given, "ok", responses, "", seconds)
 
 
-def key_of(values: Mapping[str, float]) -> str:
+def point_key(values: Mapping[str, float]) -> str:
     """Key of a point: a 128-bit hash over all names, sorted, with their exact values."""
     text = "\n".join(f"{name}={float(values[name])!r}" for name in sorted(values))
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def answered(function: Function, values: Mapping[str, float]) -> dict[str, float]:
+def named_responses(function: Function, values: Mapping[str, float]) -> dict[str, float]:
     """Named responses of a function that may be the user's own; EvaluationError for any failure in it."""
     outcome = attempt(function, values)
     if outcome.status == "failed":
@@ -165,7 +165,7 @@ class Individual:
     Attributes
     ----------
     key : str
-        From `key_of`.
+        From `point_key`.
     status : {"ok", "failed", "infeasible"}
     misfit : float
         NaN unless ``ok``.

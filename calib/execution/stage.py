@@ -28,7 +28,7 @@ class Progress(Protocol):
         ...
 
 
-def named(progress: Progress, name: str) -> Progress:
+def with_prefix(progress: Progress, name: str) -> Progress:
     """Tells the stages of a part with its name in front."""
 
     def tell(stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
@@ -37,5 +37,5 @@ def named(progress: Progress, name: str) -> Progress:
     return tell
 
 
-def unheard(stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
+def silent(stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
     """Nobody listens."""

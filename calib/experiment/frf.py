@@ -15,7 +15,7 @@ from calib.correlation.frf.residual import FRFResidual
 from calib.errors.arguments import names, objects
 from calib.errors.errors import InputError
 from calib.experiment.held_out import HeldOutGroups, held_out_frfs
-from calib.experiment.test import UNNAMED, Claimed, Test, TestError, band, place_of, require_named
+from calib.experiment.test import UNNAMED, Claimed, Test, TestError, band, require_named, test_place
 from calib.measurement.accuracy import frf_claim
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_parts import HeldOutFRFs
@@ -135,7 +135,7 @@ class FRFTest(Test):
         if not isinstance(model, StructuralModel):
             raise TestError.at_keys(
                 f"the model {model.name} has no matrices, so it has no FRFs",
-                "give a StructuralModel; matrices of other codes make one too", place_of(self), "measurement", "kind",
+                "give a StructuralModel; matrices of other codes make one too", test_place(self), "measurement", "kind",
             )  # fmt: skip
         return FRFProblem(model, self.used, concerned(self.nuisances, self.used))
 

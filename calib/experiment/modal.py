@@ -15,7 +15,7 @@ from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import assumed_deviations, std_for
 from calib.errors.arguments import by_name, integer, names, number, objects, values
 from calib.errors.errors import InputError
-from calib.experiment.test import UNNAMED, Claimed, Model, Test, TestError, band, place_of, require_named
+from calib.experiment.test import UNNAMED, Claimed, Model, Test, TestError, band, require_named, test_place
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.corrections import corrected
 from calib.measurement.modal import MeasuredModes
@@ -170,19 +170,19 @@ class ModalTest(Test):
         """
         if isinstance(model, FunctionModel):
             raise TestError.at_keys(
-                f"the model {model.name} has no modes", "give a ResponseTest, or a ModalFunctionModel", place_of(self),
-                "measurement",
+                f"the model {model.name} has no modes", "give a ResponseTest, or a ModalFunctionModel",
+                test_place(self), "measurement",
             )  # fmt: skip
         used, n_base = self.used, _n_modes(model if base is None else base)
         count = self.mode_count if self.mode_count is not None else usual_mode_count(used, n_base)
         if count < used.n_modes:
             raise TestError.at_keys(
                 f"mode_count is {count}, but {used.n_modes} modes were measured",
-                "solve at least as many, better a few more", place_of(self), "pairing", "mode_count",
+                "solve at least as many, better a few more", test_place(self), "pairing", "mode_count",
             )  # fmt: skip
         for key, mode in self._unmeasured():
             raise TestError.at_keys(
-                f"mode {mode!r} was not measured", f"the measured modes are {', '.join(used.names)}", place_of(self),
+                f"mode {mode!r} was not measured", f"the measured modes are {', '.join(used.names)}", test_place(self),
                 "pairing", key, mode, mark="key",
             )  # fmt: skip
         held_out = set(self.held_out) & set(self.modes.names)

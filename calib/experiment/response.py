@@ -17,7 +17,7 @@ from calib.correlation.response.residual import ResponseResidual, response_std
 from calib.errors.arguments import by_name, integer, number
 from calib.errors.errors import InputError
 from calib.experiment.held_out import HeldOutGroups, held_out_responses
-from calib.experiment.test import UNNAMED, Claimed, Model, Test, TestError, place_of, require_named
+from calib.experiment.test import UNNAMED, Claimed, Model, Test, TestError, require_named, test_place
 from calib.measurement.responses import MeasuredResponses
 from calib.structure.model import Assumption
 
@@ -91,7 +91,7 @@ class ResponseTest(Test):
     @cached_property
     def measured(self) -> MeasuredResponses:
         """All measured responses, with few repeats pooled and the claimed accuracy added."""
-        place, given = place_of(self), self.responses
+        place, given = test_place(self), self.responses
         if not isinstance(given, MeasuredResponses):
             read = by_name(given, f"{place}, responses")
             given = MeasuredResponses({n: _value(v, f"{place}, response {n}") for n, v in read.items()}, {})
@@ -118,7 +118,7 @@ class ResponseTest(Test):
         """The forward problem of a model, without held-out responses."""
         pooled, measured = self.measured.pooled_repeats, self.measured
         repeats = self.stated_repeats if pooled is None else pooled
-        return response_problem(model, measured, self.used, repeats, place_of(self))
+        return response_problem(model, measured, self.used, repeats, test_place(self))
 
     def residual(self, problem: Any) -> ResponseResidual:
         """The whitened residual of a forward problem over such data."""

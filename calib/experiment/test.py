@@ -184,13 +184,13 @@ def require_named(test: Any) -> str:
     """Check the fields that all kinds of test share; returns the test as errors name it."""
     if not isinstance(test.name, str) or not test.name:
         raise InputError(f"its name is {test.name!r}", place="test", remedy='give one, such as name="loaded"')
-    place = place_of(test)
+    place = test_place(test)
     object.__setattr__(test, "held_out", names(test.held_out, f"{place}, held_out"))
     object.__setattr__(test, "condition", values(test.condition, f"{place}, condition"))
     return place
 
 
-def place_of(test: Any) -> str:
+def test_place(test: Any) -> str:
     """The test as an error names it; one that was given no name is "the test"."""
     return f"test {test.name}" if test.name != UNNAMED else "the test"
 

@@ -11,12 +11,12 @@ import numpy as np
 
 from calib.errors.errors import EvaluationError, InputError
 from calib.errors.own_code import defined_at
-from calib.execution.outcome import Outcome, key_of
+from calib.execution.outcome import Outcome, point_key
 from calib.hypotheses.linear_start import linear_starts
 from calib.problem.candidate import Candidate, Fault
 from calib.problem.differences import STEP
 from calib.problem.effect import Effect
-from calib.problem.problem import Counts, Label, Pair, Problem
+from calib.problem.problem import Counts, Label, Pair, PairProblem
 from calib.problem.space import ParameterSpace
 from calib.structure.reduction.basis import Basis
 
@@ -132,7 +132,7 @@ class Failure(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class VariantProblem(Problem[P]):
+class VariantProblem(PairProblem[P]):
     """A problem whose pair has effects that its space lacks; derivatives by them are available.
 
     Attributes
@@ -326,4 +326,4 @@ class ModelHypotheses(Generic[P]):
         point = {name: value for name, value in values.items() if name in own}
         trace = "\n".join(getattr(fault, "__notes__", ()))
         outcome = Outcome(point, "failed", {}, str(fault), trace=trace, at=fault.at)
-        self._failures.setdefault(key_of(point), Failure(effects, outcome))
+        self._failures.setdefault(point_key(point), Failure(effects, outcome))

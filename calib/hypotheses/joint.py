@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from calib.execution.outcome import Outcome
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.missing.adapter import Adapter
 from calib.missing.between_tests import Differences, differences
 from calib.missing.candidate_fit import CandidateFit
@@ -129,7 +129,7 @@ class JointAdapter:
         found = fit.left_out(groups)
         return found.p(factors, np.array([std[str(name)] for name in found.names]))
 
-    def richer(self, name: str, progress: Progress = unheard) -> JointAdapter | None:
+    def richer(self, name: str, progress: Progress = silent) -> JointAdapter | None:
         """The same with the next richer member in the place of an effect, in every test whose library has it."""
         found = {test: adapter.richer(name, progress) for test, adapter in self.adapters.items()}
         if not any(found.values()):
@@ -158,7 +158,7 @@ class JointAdapter:
         """Points at which the user's code failed, test by test."""
         return [outcome for adapter in self.adapters.values() for outcome in adapter.failed()]
 
-    def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:
+    def design(self, found: Explanation, progress: Progress = silent) -> ExperimentalDesign | None:
         """None: candidate measurements are proposed for single tests only."""
         return None
 

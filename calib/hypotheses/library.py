@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from calib.correlation.basis import BasisRequirements, parameter_key
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.problem.effect import Effect
@@ -16,7 +16,7 @@ from calib.structure.effects.extend import extend
 from calib.structure.effects.perturbations import Perturbation, accelerometers, perturbations
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.basis import Basis
-from calib.structure.reduction.cache import kept_basis, key_of
+from calib.structure.reduction.cache import basis_key, kept_basis
 from calib.structure.reduction.effect_basis import weight_key
 from calib.study.loading import Model
 
@@ -59,7 +59,7 @@ def effects_basis(
     wanted: BasisRequirements,
     folder: Path | None = None,
     base: Callable[[], Basis] | None = None,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> Basis:
     """A basis for the effects and local perturbations of a model, kept in a folder and in the cache, or trained.
 
@@ -69,7 +69,7 @@ def effects_basis(
     own = wanted.key(model, space)
     whole = extend(model, [*effects, *(one.effect for one in local)])
     sampled = [(e.name, [parameter_key(p) for p in e.parameters], e.plausible, e.grid) for e in effects]
-    key = key_of(whole, own, sampled, [weight_key(one) for one in local])
+    key = basis_key(whole, own, sampled, [weight_key(one) for one in local])
     path = None if folder is None else folder / f"basis_effects_{key}.npz"
 
     def trained() -> Basis:

@@ -19,7 +19,7 @@ from calib.inference.cmcf import cmcf
 from calib.inference.cmcf_equations import Change, CmcfSettings, InitialModel, Kind, MeasuredReceptance
 from calib.measurement.frf import MeasuredFRFs
 from calib.problem.joint import JointProblem
-from calib.problem.problem import Problem
+from calib.problem.problem import PairProblem
 from calib.problem.space import ParameterSpace
 from calib.structure.frf import motion_factor
 from calib.structure.model import StructuralModel
@@ -84,7 +84,9 @@ def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[s
     return {**values, **point}
 
 
-def linear_starts(problem: Problem[Any] | JointProblem, values: Mapping[str, float]) -> tuple[dict[str, float], ...]:
+def linear_starts(
+    problem: PairProblem[Any] | JointProblem, values: Mapping[str, float]
+) -> tuple[dict[str, float], ...]:
     """Further starts of a least-squares fit: the linear one of tests of FRFs; none for other tests.
 
     Each test is solved alone; a parameter of several starts from the last of them.

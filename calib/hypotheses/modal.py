@@ -16,7 +16,7 @@ from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.modal.rigid import COLUMNS as UNPAIRED_COLUMNS
 from calib.correlation.modal.rigid import both_meshes, unpaired_sentence, unpaired_table
 from calib.errors.errors import InputError
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.execution.tasks import each
 from calib.hypotheses.design.modal import modal_design
 from calib.hypotheses.discretisation_error import discretisation_error
@@ -160,7 +160,7 @@ class ModalAdapter(OneTest):
             return None
         return self.whole.with_model(self.problem.model).with_model(model, self.hypotheses.variants.added(names))
 
-    def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:
+    def design(self, found: Explanation, progress: Progress = silent) -> ExperimentalDesign | None:
         """Candidate measurements, from the credible models."""
         whole = self.problem.measured if self.whole is None else self.whole.measured
         every = zip(whole.names, whole.natural_freq.tolist(), strict=True)

@@ -15,7 +15,7 @@ from calib.correlation.basis import BasisRequirements
 from calib.correlation.mesh_error import MeshError
 from calib.errors.errors import EvaluationError
 from calib.execution.outcome import Outcome
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.hypotheses.hypotheses import Failure, ModelHypotheses
 from calib.hypotheses.rules import RULES
 from calib.missing.between_tests import Differences
@@ -222,7 +222,7 @@ class OneTest(ABC):
             rows = [(e.name, *place) for e in self.hypotheses.effects for place in effect_places(model, e)]
         return pd.DataFrame(rows, columns=["effect", "x", "y", "z"])
 
-    def richer(self, name: str, progress: Progress = unheard) -> Self | None:
+    def richer(self, name: str, progress: Progress = silent) -> Self | None:
         """The same with the next richer member in the place of an effect; None without one.
 
         EvaluationError where the model cannot be solved with it, ToleranceError where no reduced basis represents it.
@@ -246,7 +246,7 @@ class OneTest(ABC):
         """All points at which a function failed."""
         return [failure.outcome for failure in self.hypotheses.failures]
 
-    def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:
+    def design(self, found: Explanation, progress: Progress = silent) -> ExperimentalDesign | None:
         """None: further responses of a function are unknown."""
         return None
 

@@ -12,7 +12,7 @@ import pandas as pd
 from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.mesh_error import geometry_tables
 from calib.correlation.response.residual import ResponseResidual
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.experiment.held_out import HeldOutGroups
 from calib.hypotheses.design.frf import frf_design
 from calib.hypotheses.discretisation_error import frf_discretisation_error
@@ -164,7 +164,7 @@ class FRFAdapter(GroupAdapter):
     def _measuring(self, names: tuple[str, ...]) -> Pair:
         return super()._measuring(names) if self.hypotheses.variants.basis is None else self.at_full_order(names)
 
-    def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:
+    def design(self, found: Explanation, progress: Progress = silent) -> ExperimentalDesign | None:
         """Candidate measurements, from the credible models."""
         if (doubted := self.doubted(found)) is None:
             return None

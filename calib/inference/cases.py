@@ -15,7 +15,7 @@ import pandas as pd
 
 from calib.errors.errors import EvaluationError, again
 from calib.execution.evaluate import BatchEvaluator, Recorder
-from calib.execution.outcome import Individual, Outcome, failure, key_of
+from calib.execution.outcome import Individual, Outcome, failure, point_key
 from calib.inference.genetic import GeneticSearch, GeneticSettings
 from calib.inference.objective import Objective
 from calib.inference.rules import RULES
@@ -155,7 +155,7 @@ def run_case(
         told = partial(_within, progress, generation, settings.generations, best_misfit, len(feasible))
         outcomes = ledger.evaluate(fingerprint, [values[k] for k in feasible], evaluator, told)
         misfit = np.full(len(points), np.nan)
-        keys = [key_of(v) for v in values]
+        keys = [point_key(v) for v in values]
         known = {k: certified.get(keys[k], o) for k, o in zip(feasible.tolist(), outcomes, strict=True)}
         for k, outcome in known.items():
             misfit[k] = _misfit(objective, outcome)

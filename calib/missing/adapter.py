@@ -8,7 +8,7 @@ from typing import Protocol, Self
 import pandas as pd
 
 from calib.execution.outcome import Outcome
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.missing.between_tests import Differences
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.discrepancy import Discrepancy
@@ -75,7 +75,7 @@ class Adapter(Protocol):
         """Predictions and errors of held-out data, with a discrepancy too; empty without such data."""
         ...
 
-    def richer(self, name: str, progress: Progress = unheard) -> Self | None:
+    def richer(self, name: str, progress: Progress = silent) -> Self | None:
         """The same with the next richer member in the place of an effect; None where it has none."""
         ...
 
@@ -87,7 +87,7 @@ class Adapter(Protocol):
         """Points at which the user's code failed."""
         ...
 
-    def design(self, found: Explanation, progress: Progress = unheard) -> ExperimentalDesign | None:
+    def design(self, found: Explanation, progress: Progress = silent) -> ExperimentalDesign | None:
         """Candidate measurements; None where none can be proposed."""
         ...
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from calib.errors.errors import EvaluationError
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.missing.adequacy import adequacy_of, adequate, beside, measured_scale, predicted_scale, predicts
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group, grouped
@@ -26,7 +26,7 @@ from calib.missing.suspect import suspects_table, wrong_datum
 from calib.problem.candidate import Candidate
 
 
-def decide(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Progress = unheard) -> Explanation:
+def decide(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Progress = silent) -> Explanation:
     """Decide which effect, if any, the base model lacks.
 
     The base model is calibrated. Tests decide whether the largest score among named effects and among unnamed local

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.missing.adequacy import UNSEEN, adequacy_of, beside, contradicting
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
@@ -85,7 +85,7 @@ def fitted_in_detail(
     simpler: CandidateFit,
     name: str,
     settings: Settings,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> tuple[CandidateFit, AdequacyTests] | None:
     """The fit of a richer member with its tests; None where the model cannot be fitted with it.
 

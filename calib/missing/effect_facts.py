@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calib.errors.errors import EvaluationError, ToleranceError
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.missing.adapter import Adapter
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.detailed import DetailedFit, fitted_in_detail, leading_fit, tested_in_detail
@@ -75,7 +75,7 @@ def gains(hypotheses: Hypotheses, found: Explanation) -> dict[str, float]:
     return {t.names[0]: density(t) - base for t in found.singles}
 
 
-def detailed_fits(adapter: Adapter, found: Explanation, progress: Progress = unheard) -> tuple[DetailedFit, ...]:
+def detailed_fits(adapter: Adapter, found: Explanation, progress: Progress = silent) -> tuple[DetailedFit, ...]:
     """The family of the effect that nearly explains the data, from simple to rich, up to the first adequate member.
 
     Empty where no effect does, or where it has no richer member.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import pandas as pd
 
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.missing.accuracy import accuracy_sentence, changing, less_accurate
 from calib.missing.adapter import Adapter
 from calib.missing.adequacy import contradicting
@@ -107,7 +107,7 @@ def findings(
     started: float,
     supposed: Sequence[str] = (),
     correctable: Callable[[str], bool] = lambda name: False,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> ExplanationResult:
     """Everything that a decision tells, tested on held-out data.
 

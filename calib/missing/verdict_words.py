@@ -18,7 +18,7 @@ from calib.missing.plausible import limit_of
 from calib.missing.recommendation import as_ratio
 from calib.problem.candidate import Candidate
 from calib.problem.effect import Effect
-from calib.results.answer import in_words
+from calib.results.answer import names_in_words
 
 _QUESTIONS = ("Whether", "Where", "How", "Which", "What")
 """First words of a text to look for that is a question."""
@@ -80,7 +80,7 @@ def family(found: Explanation) -> str:
     local = f"{perturbations} local perturbations"
     parts = [*([f"{tested} effect{'s' * (tested != 1)}"] if tested else []), local]
     parts += [] if adequacy.faults is None else [counted_faults(found)]
-    largest = f"{p_words(adequacy.p_family)} for the largest score of {in_words(parts)}"
+    largest = f"{p_words(adequacy.p_family)} for the largest score of {names_in_words(parts)}"
     return f"{largest}, {p_words(adequacy.p_fit)} for {WORST}"
 
 
@@ -112,7 +112,7 @@ def limits_sentence(found: Explanation) -> str:
         return ""
     if len(held) == 1:
         return f"{held[0]} ends at its limit: unless that is a physical one, widen it and explain again."
-    return f"{in_words(held)} end at their limits: unless these are physical ones, widen them and explain again."
+    return f"{names_in_words(held)} end at their limits: unless these are physical ones, widen them and explain again."
 
 
 def row_of(effects: pd.DataFrame, name: str) -> pd.Series:

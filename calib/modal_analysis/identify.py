@@ -15,7 +15,7 @@ from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.mac import most_real
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.modal_analysis.adequacy import Adequacy, adequacy, resonances_without_mode
-from calib.modal_analysis.model import ModalFRFModel, fit_residues, rank_one, refined
+from calib.modal_analysis.model import ModalFRFModel, fit_residues, most_likely_model, rank_one
 from calib.modal_analysis.poles import poles_by_order
 from calib.modal_analysis.spread import Spread, aligned, both_parts, jackknife
 from calib.modal_analysis.stabilisation import Chain, pole_chains, pole_table, stable
@@ -80,8 +80,8 @@ def modes_from_frfs(frfs: MeasuredFRFs, repeats: Sequence[MeasuredFRFs] = ()) ->
     """Identify modes by stable poles, refine them by least squares, and check them against the FRFs.
 
     The poles come from the least-squares complex frequency method at ascending orders (`poles_by_order`); those count
-    that stay (`stable`). All poles are then refined together (`refined`), which removes the bias by noise. A mode is
-    refused where the fit misses the FRFs, where a further pole would move it (`adequacy`), or where it does not appear
+    that stay (`stable`). All poles are then refined together (`most_likely_model`), which removes the bias by noise. A
+    mode is refused where the fit misses the FRFs, where a further pole would move it (`adequacy`), or where it does not appear
     whichever repeat is left out.
 
     Standard deviations come from the jackknife over the repeats (Efron and Stein 1981): everything is identified again
@@ -176,7 +176,7 @@ def _identified(frfs: MeasuredFRFs) -> _Identified:
     chains = stable(every, len(poles))
     if not chains:
         return _Identified(every, chains, fit_residues(frfs, np.zeros(0, complex)), np.zeros((0, 0)), np.zeros(0))
-    model = refined(frfs, np.array([chain.pole for chain in chains]))
+    model = most_likely_model(frfs, np.array([chain.pole for chain in chains]))
     residues = model.residues[: len(chains)]
     shapes = np.stack([_unit(_shape(frfs, own)) for own in residues], axis=1)
     order = np.argsort(np.abs(model.poles[: len(chains)]))

@@ -15,9 +15,9 @@ from calib.structure.frf import motion_factor
 ROUNDS = 50
 """Alternations of `rank_one`; two agree to 1e-6 after about ten where one mode dominates its residues."""
 EVALUATIONS = 30
-"""Most evaluations of `refined`; from stable poles it takes five to ten."""
+"""Most evaluations of `most_likely_model`; from stable poles it takes five to ten."""
 SMALLEST_STEP = 1e-8
-"""Relative change of poles and of the sum of squares at which `refined` ends."""
+"""Relative change of poles and of the sum of squares at which `most_likely_model` ends."""
 
 
 BEYOND, BEYOND_DAMPING = 1.1, 0.05
@@ -79,7 +79,7 @@ def fit_residues(frfs: MeasuredFRFs, poles: np.ndarray) -> ModalFRFModel:
     return ModalFRFModel(poles, residues, synthesised)
 
 
-def refined(frfs: MeasuredFRFs, poles: np.ndarray) -> ModalFRFModel:
+def most_likely_model(frfs: MeasuredFRFs, poles: np.ndarray) -> ModalFRFModel:
     """Modal model of largest likelihood near stable poles: all lines and functions, weighed as in `fit_residues`.
 
     Residues are eliminated (variable projection, Golub and Pereyra 1973, with the derivative of Kaufman 1975). Stable

@@ -46,7 +46,7 @@ class JointRows:
     Attributes
     ----------
     parts : mapping from str to object with rows
-        By name of the test; such as `calib.problem.problem.Problem` or `calib.missing.hypotheses.Hypotheses`.
+        By name of the test; such as `calib.problem.problem.PairProblem` or `calib.missing.hypotheses.Hypotheses`.
     """
 
     parts: Mapping[str, Any]

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from calib.errors.errors import EvaluationError, again
-from calib.execution.outcome import Outcome, failure, key_of
+from calib.execution.outcome import Outcome, failure, point_key
 from calib.problem.space import ParameterSpace
 
 REMEMBERED = 8
@@ -209,7 +209,7 @@ class Counts:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem(Generic[P]):
+class PairProblem(Generic[P]):
     """A pair of a model and a test over a parameter space: responses, residual, Jacobian and row labels.
 
     A point is solved once while it is cached, and a failed point is not tried again. With a store this also holds
@@ -284,7 +284,7 @@ class Problem(Generic[P]):
         complete = self.pair.space.complete(dict(values))
         if self.store is None or self.pair.told_by_responses:
             return self.pair.of(self.at(complete))
-        key = key_of(complete)
+        key = point_key(complete)
         known = self.store.vectors(self._identity, key, [""])
         if "" in known:
             self.counts.reused += 1
@@ -298,7 +298,7 @@ class Problem(Generic[P]):
         complete = self.pair.space.complete(dict(values))
         if self.store is None or self.pair.told_by_responses:
             return self.pair.slope(complete, names, self.at)
-        key = key_of(complete)
+        key = point_key(complete)
         known = self.store.vectors(self._identity, key, names)
         new = [name for name in names if name not in known]
         if new:
@@ -321,7 +321,7 @@ class Problem(Generic[P]):
     def at(self, values: Mapping[str, float]) -> Any:
         """The pair's solution at named values; EvaluationError where the model fails."""
         complete = self.pair.space.complete(dict(values))
-        key = key_of(complete)
+        key = point_key(complete)
         if key in self._solved:
             self.counts.reused += 1
             return self._solved[key]

@@ -28,7 +28,7 @@ def most_alike(places: pd.DataFrame, effect: str) -> pd.Series | None:
         Columns ``effect, perturbation, kind, x, y, z, correlation``; perturbations without coordinates do not count.
     effect : str
     """
-    own = placed(places, effect)
+    own = located_rows(places, effect)
     if own.empty or not own["correlation"].abs().max() >= ALIKE:
         return None
     return own.iloc[int(np.argmax(own["correlation"].abs()))]
@@ -63,7 +63,7 @@ def draw_alike(
         Stars with the gid ``acts``.
     """
     ax = new_axes(ax)
-    rows = placed(places, effect)
+    rows = located_rows(places, effect)
     rows = rows.iloc[np.argsort(-rows["correlation"].abs().to_numpy(dtype=float), kind="stable")]
     place, best = rows[PLACE].to_numpy(dtype=float), most_alike(places, effect)
     plot_lines(ax, rest, color=REST, linewidth=0.8, gid="structure", zorder=1)
@@ -81,11 +81,11 @@ def alike_words(places: pd.DataFrame, effect: str) -> str:
     best = most_alike(places, effect)
     if best is None:
         none = "no local perturbation changes the data as it does"
-        return "" if placed(places, effect).empty else none
+        return "" if located_rows(places, effect).empty else none
     return f"{best['perturbation']} ({best['kind']}, ρ = {fixed(best['correlation'], 2, sign=True)})"
 
 
-def placed(places: pd.DataFrame, effect: str) -> pd.DataFrame:
+def located_rows(places: pd.DataFrame, effect: str) -> pd.DataFrame:
     """Rows of an effect whose perturbations have coordinates and a correlation."""
     return places[(places["effect"] == effect) & places[[*PLACE, "correlation"]].notna().all(axis=1)]
 

@@ -16,7 +16,7 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
 from calib.errors.errors import InputError
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.report.draw import plan
 from calib.report.drawing import Drawing
 from calib.report.style import COLUMN, Format, Width, add_heading, content, style, take_dollars_literally, write
@@ -118,7 +118,7 @@ class Figures:
         return self._rendered.get(name)
 
     def save(
-        self, formats: Sequence[Format] = ("png",), progress: Progress = unheard, width: Width = "page"
+        self, formats: Sequence[Format] = ("png",), progress: Progress = silent, width: Width = "page"
     ) -> list[Path]:
         """Write every figure beside its tables, in every format; nothing is computed anew.
 

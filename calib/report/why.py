@@ -16,7 +16,7 @@ from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from calib.report.alike import CORRELATION, STAR, TICKS, acting, alike_words, draw_alike, most_alike, placed
+from calib.report.alike import CORRELATION, STAR, TICKS, acting, alike_words, draw_alike, located_rows, most_alike
 from calib.report.numbers import counted, fixed, percent, significant, with_unit
 from calib.report.numbers import places as listed
 from calib.report.scene import FOOT, colour_bar, new_scene, show_axes
@@ -224,7 +224,7 @@ def why_figure(
     names = list(dict.fromkeys(table["effect"]))
     shapes = bool(_of_shapes(table).any())
     bars = table[~_of_shapes(table) & (table["kind"] != PRIOR)]
-    if places is not None and (rest is None or all(placed(places, name).empty for name in names)):
+    if places is not None and (rest is None or all(located_rows(places, name).empty for name in names)):
         places = None
     stars = {name: acting(acts if places is not None else None, name) for name in names}
     headings = [

@@ -38,6 +38,6 @@ class Answer:
         return asdict(self)
 
 
-def in_words(names: Sequence[str]) -> str:
+def names_in_words(names: Sequence[str]) -> str:
     """Names in a sentence."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

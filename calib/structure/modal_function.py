@@ -13,7 +13,7 @@ import numpy as np
 from calib.errors.arguments import integer, objects
 from calib.errors.errors import EvaluationError, InputError, again
 from calib.errors.own_code import defined_at
-from calib.execution.outcome import answered
+from calib.execution.outcome import named_responses
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.problem.differences import STEP
 from calib.problem.space import ParameterSpace
@@ -198,7 +198,7 @@ class ModalFunctionModel:
                 raise EvaluationError(*fault.args, at=defined_at(self.function, point)) from None
             return {}
 
-        answered(ask, values)
+        named_responses(ask, values)
         return found[0]
 
     # -- protocol of `calib.structure.modal_model.ModalModel` ----------------------------------------------------------

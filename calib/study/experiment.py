@@ -51,7 +51,7 @@ def experiment_of(study: StudyFile, model: Model) -> Test:
         )  # fmt: skip
     data = study.measured_data()
     _require_own(study, _KINDS[type(data)][0])
-    with placed(study, model):
+    with with_place(study, model):
         return _KINDS[type(data)][1](study, data, model)
 
 
@@ -119,13 +119,13 @@ def _require_own(study: StudyFile, kind: type[Test]) -> None:
 
 def problem_of(study: StudyFile, test: Test, model: Model, base: Any) -> ForwardProblem:
     """The forward problem of a study's model, whose errors name the place in its file."""
-    with placed(study, model):
+    with with_place(study, model):
         found: ForwardProblem = test.problem(model, base)
         return found
 
 
 @contextmanager
-def placed(study: StudyFile, model: Any) -> Iterator[None]:
+def with_place(study: StudyFile, model: Any) -> Iterator[None]:
     """Give errors of a test, and mismatches of it and a model, their place in the study or its table of sensors."""
     try:
         yield

@@ -13,20 +13,20 @@ from calib.structure.model import StructuralModel
 from calib.study.loading import Model
 from calib.study.settings import StudySettings
 from calib.study.several import AnyStudy, JointStudy
-from calib.study.study import Study, with_nuisances
+from calib.study.study import LoadedStudy, with_nuisances
 
 FILE = Path("problem")
 """What errors name in place of a study's file."""
 
 
 @dataclass(frozen=True)
-class MemoryStudy(Study):
+class MemoryStudy(LoadedStudy):
     """One test of a problem in memory, as the analyses take it.
 
     Attributes
     ----------
     key, label : str
-        Fingerprint of the model without the test's condition, and its name; see `Study.model_key`.
+        Fingerprint of the model without the test's condition, and its name; see `LoadedStudy.model_key`.
     among : str
         Name of the test where it is one of several; empty for the only one.
     left_out : tuple of str

@@ -16,7 +16,7 @@ from calib.problem.effect import Effect
 from calib.problem.joint import joined
 from calib.problem.space import ParameterSpace
 from calib.study.loading import lacking
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile
 
 _NONE: Mapping[str, float] = MappingProxyType({})
@@ -32,18 +32,18 @@ class JointStudy(StudyFile):
         Each test as a study of its own, in the order of the file.
     """
 
-    studies: tuple[Study, ...]
+    studies: tuple[LoadedStudy, ...]
 
     in_memory: ClassVar[bool] = False
-    """See `Study.in_memory`."""
+    """See `LoadedStudy.in_memory`."""
 
     @staticmethod
     def load(
         path: str | Path, adopted: Mapping[str, float] = _NONE, adopted_sd: Mapping[str, float] = _NONE
     ) -> JointStudy:
-        """Read a study folder (or its TOML file) with everything it names; see `calib.study.study.Study.load`."""
+        """Read a study folder (or its TOML file) with everything it names; see `calib.study.study.LoadedStudy.load`."""
         file = StudyFile.read(path_of(path, "study"))
-        studies = tuple(Study.load(file.file, adopted, adopted_sd, test.name) for test in file.settings.tests)
+        studies = tuple(LoadedStudy.load(file.file, adopted, adopted_sd, test.name) for test in file.settings.tests)
         for study in studies:
             for name in study.condition:
                 if name not in study.model.space:
@@ -66,7 +66,7 @@ class JointStudy(StudyFile):
                 )  # fmt: skip
         return JointStudy(file.name, file.file, file.settings, studies)
 
-    def each(self, change: Callable[[Study], Study]) -> JointStudy:
+    def each(self, change: Callable[[LoadedStudy], LoadedStudy]) -> JointStudy:
         """A copy with ``change`` applied to the study of every test."""
         return replace(self, studies=tuple(map(change, self.studies)))
 
@@ -111,10 +111,10 @@ class JointStudy(StudyFile):
         return tuple({e.name: e for study in self.studies for e in study.included}.values())
 
 
-AnyStudy = Study | JointStudy
+AnyStudy = LoadedStudy | JointStudy
 
 
 def load(path: str | Path, adopted: Mapping[str, float] = _NONE, adopted_sd: Mapping[str, float] = _NONE) -> AnyStudy:
-    """A study with one test or with several; see `calib.study.study.Study.load`."""
+    """A study with one test or with several; see `calib.study.study.LoadedStudy.load`."""
     several = StudyFile.read(path_of(path, "study")).settings.several
-    return (JointStudy if several else Study).load(path, adopted, adopted_sd)
+    return (JointStudy if several else LoadedStudy).load(path, adopted, adopted_sd)

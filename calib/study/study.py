@@ -25,7 +25,7 @@ from calib.structure.effects.extend import extend
 from calib.structure.effects.perturbations import scaling_by_function
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.basis import Basis
-from calib.study.experiment import experiment_of, placed, problem_of
+from calib.study.experiment import experiment_of, problem_of, with_place
 from calib.study.limits import parameter_hints, search_space, sensitivity_space
 from calib.study.loading import Model, Sources, fingerprint_of, lacking, with_effects
 from calib.study.study_file import Measured, StudyFile
@@ -34,7 +34,7 @@ _NONE: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
-class Study(StudyFile):
+class LoadedStudy(StudyFile):
     """Model and measurement of one study, checked, with held-out data removed.
 
     Attributes
@@ -102,11 +102,11 @@ class Study(StudyFile):
         return tuple(name for name in self.sensitivity_space.free_names if name not in held)
 
     @property
-    def studies(self) -> tuple[Study, ...]:
+    def studies(self) -> tuple[LoadedStudy, ...]:
         """The study itself, its only test; see `calib.study.several.JointStudy`."""
         return (self,)
 
-    def each(self, change: Callable[[Study], Study]) -> Study:
+    def each(self, change: Callable[[LoadedStudy], LoadedStudy]) -> LoadedStudy:
         """A copy with ``change`` applied, as for every test of a `calib.study.several.JointStudy`."""
         return change(self)
 
@@ -183,7 +183,7 @@ class Study(StudyFile):
 
     def whole_problem(self) -> ModalProblem | None:
         """The modal problem over everything measured; None where no mode and no sensor is held out."""
-        with placed(self, self.model):
+        with with_place(self, self.model):
             return self.experiment.whole_problem(self.problem)
 
     def finer_model(self) -> StructuralModel | None:
@@ -191,7 +191,7 @@ class Study(StudyFile):
         finer = Sources(self.settings, self.folder, self.place).finer()
         return None if finer is None else extend(finer, self.included)
 
-    def selecting(self, names: tuple[str, ...]) -> Study:
+    def selecting(self, names: tuple[str, ...]) -> LoadedStudy:
         """The same study with the named parameters selected, for a selection left to the sensitivity analysis."""
         elsewhere = names if self.test else ()
         space = search_space(self.sensitivity_space, self.settings, self.place, names, elsewhere)
@@ -201,7 +201,7 @@ class Study(StudyFile):
     @staticmethod
     def load(
         path: str | Path, adopted: Mapping[str, float] = _NONE, adopted_sd: Mapping[str, float] = _NONE, test: str = ""
-    ) -> Study:
+    ) -> LoadedStudy:
         """Read a study folder (or its TOML file) with everything it names; InputError for anything wrong in it.
 
         ``adopted`` are fitted values of an earlier study, where this one adopts some, and ``adopted_sd`` their standard
@@ -218,8 +218,8 @@ class Study(StudyFile):
 
 def _study(
     file: StudyFile, read: Mapping[str, str], adopted: Mapping[str, float], adopted_sd: Mapping[str, float]
-) -> Study:
-    """Load and check everything that a study's file names; see `Study.load`."""
+) -> LoadedStudy:
+    """Load and check everything that a study's file names; see `LoadedStudy.load`."""
     sources = Sources(file.settings, file.folder, file.place)
     base = sources.model()
     library = sources.library(base)
@@ -249,7 +249,7 @@ def _study(
         place = file.place("calibration", "weight_freq")
         raise InputError("both weights are zero", place=place, remedy="give one of them weight")
     sd = {n: adopted_sd[n] for n in taken if n in adopted_sd}
-    return Study(
+    return LoadedStudy(
         file.name, file.file, file.settings, model, experiment, problem, space, selected, library, dict(adopted), sd,
         initial, hints, read, digest, base if included else None, part=file.part,
     )  # fmt: skip
@@ -298,14 +298,14 @@ class EvaluationSource:
     test: str = ""
 
     @classmethod
-    def of(cls, study: Study, problem: ForwardProblem, basis: Path | None = None) -> EvaluationSource:
+    def of(cls, study: LoadedStudy, problem: ForwardProblem, basis: Path | None = None) -> EvaluationSource:
         """The source of a problem of the study, which may be reduced to a basis in a file."""
         file = "" if basis is None else str(basis.resolve())
         return cls(str(study.file.resolve()), problem.fingerprint, file, tuple(study.adopted.items()), study.test)
 
     def __call__(self) -> Callable[[Mapping[str, float]], Mapping[str, float]]:
         """The function from named values to named responses."""
-        study = Study.load(Path(self.path), dict(self.adopted), test=self.test)
+        study = LoadedStudy.load(Path(self.path), dict(self.adopted), test=self.test)
         problem: Any = study.problem
         if self.basis:
             problem = problem.reduced(Basis.load(Path(self.basis)))
@@ -327,7 +327,7 @@ class _Extendable:
     A function of modes returns them as numbers, see `calib.structure.modal_result.numbers_of`.
     """
 
-    study: Study
+    study: LoadedStudy
     _made: dict[tuple[str, ...], Callable[[Mapping[str, float]], dict[str, float]]] = field(
         init=False, repr=False, default_factory=dict
     )

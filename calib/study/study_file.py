@@ -31,7 +31,7 @@ _KEPT = 8
 
 
 @dataclass(frozen=True)
-class Part:
+class StudyPart:
     """One of the tests of a study.
 
     Attributes
@@ -68,7 +68,7 @@ class StudyFile:
     name: str
     file: Path
     settings: StudySettings
-    part: Part | None = field(default=None, kw_only=True)
+    part: StudyPart | None = field(default=None, kw_only=True)
 
     @staticmethod
     def read(path: Path, test: str = "") -> StudyFile:
@@ -81,7 +81,7 @@ class StudyFile:
         if not test and len(settings.tests) != 1:
             return StudyFile(name, file, settings)
         index = next((k for k, one in enumerate(settings.tests) if one.name == test), 0)
-        part = Part(index, settings.tests[index], settings.several) if settings.tests else None
+        part = StudyPart(index, settings.tests[index], settings.several) if settings.tests else None
         own = settings.of_test(test or settings.tests[0].name)
         return StudyFile(f"{name}.{test}" if settings.several else name, file, own, part=part)
 

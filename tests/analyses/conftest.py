@@ -13,7 +13,7 @@ from calib.analyses.hypotheses_of_study import modal_hypotheses
 from calib.missing.findings import ExplanationResult
 from calib.results.results import Results
 from calib.study.loading import module_of
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAIN = ROOT / "studies/five_mass_chain"
@@ -42,27 +42,27 @@ def edited() -> Callable[[Path, str, str], Path]:
 @pytest.fixture(scope="session")
 def guyed(
     mast: ModuleType, edited: Callable[[Path, str, str], Path], tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Study, Results, ExplanationResult, list[str]]:
+) -> tuple[LoadedStudy, Results, ExplanationResult, list[str]]:
     """A mast with a guy rope that its model lacks, one mode and two sensors held out; last the reported progress."""
     folder = tmp_path_factory.mktemp("guyed")
-    study = Study.load(edited(mast.write_study(folder / "mast", {"guy": 12000.0}), *HELD))
+    study = LoadedStudy.load(edited(mast.write_study(folder / "mast", {"guy": 12000.0}), *HELD))
     results, progress = Results.at(folder / "results", study.name), []
     return study, results, explain(study, results, lambda stage, *more: progress.append(stage)), progress
 
 
 @pytest.fixture(scope="session")
-def bare(mast: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Results, ExplanationResult]:
+def bare(mast: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> tuple[LoadedStudy, Results, ExplanationResult]:
     """A mast without a missing effect."""
     folder = tmp_path_factory.mktemp("bare")
-    study = Study.load(mast.write_study(folder / "mast"))
+    study = LoadedStudy.load(mast.write_study(folder / "mast"))
     results = Results.at(folder / "results", study.name)
     return study, results, explain(study, results)
 
 
 @pytest.fixture(scope="session")
-def chain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Results, ExplanationResult]:
+def chain(tmp_path_factory: pytest.TempPathFactory) -> tuple[LoadedStudy, Results, ExplanationResult]:
     """The five-mass chain, a function of scalar responses."""
-    study = Study.load(CHAIN)
+    study = LoadedStudy.load(CHAIN)
     results = Results.at(tmp_path_factory.mktemp("chain"), study.name)
     return study, results, explain(study, results)
 
@@ -117,7 +117,7 @@ def twin_maker() -> ModuleType:
 def blind_basis(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The effect basis of the blind studies, which share one model: its training takes longest."""
     kept = Results.at(tmp_path_factory.mktemp("basis"), "hidden_bogie")
-    modal_hypotheses(Study.load(ROOT / "studies/hidden_bogie"), kept)
+    modal_hypotheses(LoadedStudy.load(ROOT / "studies/hidden_bogie"), kept)
     (path,) = kept.path.glob("basis_effects_*.npz")
     return path
 
@@ -147,7 +147,7 @@ def blindly() -> Callable[[str, Results], Path]:
     def answer(name: str, results: Results) -> Path:
         opened.append("watching")
         try:
-            explain(Study.load(ROOT / "studies" / name), results)
+            explain(LoadedStudy.load(ROOT / "studies" / name), results)
             assert opened == ["watching"]
         finally:
             opened.clear()

@@ -15,7 +15,7 @@ from calib.missing.evidence import ln_evidence
 from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
 from calib.missing.score import scores
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 EXACT = 1e-3
 CLOSE = 0.02
@@ -25,7 +25,7 @@ HELD = ("1x", "1z", "3x", "3z", "5x", "5z")
 
 def measured_mast(mast, folder):
     """A mast without a missing effect, measured with half of the sensors and without the third bending along x."""
-    study = Study.load(mast.write_study(folder / "mast"))
+    study = LoadedStudy.load(mast.write_study(folder / "mast"))
     hypotheses, _ = modal_hypotheses(study, Results.at(folder / "results", "mast"))
     used = study.measured.without(("B3x",), HELD)
     clusters = {m: c for m, c in hypotheses.pair.problem.mode_clusters.items() if m in used.names}

@@ -22,7 +22,7 @@ from calib.report.html.summary import page_summary
 from calib.report.numbers import percent
 from calib.results.ledger import Ledger
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
 def bare_std(folder):
@@ -67,14 +67,14 @@ def test_a_claim_is_relative_or_absolute():
 
 
 def test_a_claim_is_added_in_quadrature_and_replaces_unknown_standard_deviations(mast, edited, tmp_path):
-    study = Study.load(mast.write_study(tmp_path / "mast"))
+    study = LoadedStudy.load(mast.write_study(tmp_path / "mast"))
     claim = '{ freq = "1 %", shape = 0.02 }'
-    claimed = Study.load(claiming(edited, mast.write_study(tmp_path / "claimed"), claim))
+    claimed = LoadedStudy.load(claiming(edited, mast.write_study(tmp_path / "claimed"), claim))
     before, after = std_for(study.measured), std_for(claimed.measured)
     np.testing.assert_allclose(after.freq, np.hypot(before.freq, 0.01))
     np.testing.assert_allclose(after.shape, np.hypot(before.shape, 0.02))
     np.testing.assert_allclose(after.damping, before.damping)
-    alone = Study.load(claiming(edited, bare_std(mast.write_study(tmp_path / "alone")), '{ freq = "1 %" }'))
+    alone = LoadedStudy.load(claiming(edited, bare_std(mast.write_study(tmp_path / "alone")), '{ freq = "1 %" }'))
     np.testing.assert_allclose(std_for(alone.measured).freq, np.hypot(0.01, 2e-4))
     assert [a.item for a in assumed_std(alone)] == ["standard deviation of shapes"]
     assert study.problem.fingerprint != claimed.problem.fingerprint
@@ -95,7 +95,7 @@ def test_scalar_responses_by_name_and_by_kind():
 @pytest.mark.parametrize("claim", ["0.01", '"much"', '{ mass = "1 %" }', '{ freq = "-1 %" }'])
 def test_an_invalid_claim_is_refused(mast, edited, tmp_path, claim):
     with pytest.raises(InputError, match="accuracy"):
-        Study.load(claiming(edited, mast.write_study(tmp_path / "mast"), claim))
+        LoadedStudy.load(claiming(edited, mast.write_study(tmp_path / "mast"), claim))
 
 
 # -- use ---------------------------------------------------------------------------------------------------------------
@@ -104,8 +104,8 @@ def test_an_invalid_claim_is_refused(mast, edited, tmp_path, claim):
 @pytest.mark.slow
 def test_compare_calibrate_and_explain_weight_by_the_same_standard_deviation(mast, edited, tmp_path):
     """A hidden guy rope shifts frequencies by a few per cent: with a claimed accuracy of 10 % nothing is detectable."""
-    stated = Study.load(mast.write_study(tmp_path / "stated", {"guy": 9000.0}))
-    rough = Study.load(claiming(edited, mast.write_study(tmp_path / "rough", {"guy": 9000.0}), '"10 %"'))
+    stated = LoadedStudy.load(mast.write_study(tmp_path / "stated", {"guy": 9000.0}))
+    rough = LoadedStudy.load(claiming(edited, mast.write_study(tmp_path / "rough", {"guy": 9000.0}), '"10 %"'))
     first, last = (calibrated(s, tmp_path)[0].best.statistics for s in (stated, rough))
     assert first.fits is False and last.fits is True
     results = Results.at(tmp_path / "results", "rough")
@@ -126,7 +126,7 @@ def test_compare_calibrate_and_explain_weight_by_the_same_standard_deviation(mas
 
 @pytest.mark.slow
 def test_an_assumed_standard_deviation_is_reported_wherever_it_is_used(mast, tmp_path):
-    study = Study.load(bare_std(mast.write_study(tmp_path / "mast")))
+    study = LoadedStudy.load(bare_std(mast.write_study(tmp_path / "mast")))
     assert {(a.item, a.value) for a in assumed_std(study)} == {
         ("standard deviation of natural frequencies", "0.5"), ("standard deviation of shapes", "3")
     }  # fmt: skip
@@ -147,7 +147,7 @@ def test_an_assumed_standard_deviation_is_reported_wherever_it_is_used(mast, tmp
 
 def test_the_measured_table_has_the_standard_deviations_that_fits_weight_by(mast, tmp_path):
     """Held-out modes with another standard deviation do not influence the weights of the others."""
-    study = Study.load(mast.write_study(tmp_path / "mast"))
+    study = LoadedStudy.load(mast.write_study(tmp_path / "mast"))
     whole = study.whole
     freq_std = whole.freq_std * np.where(np.arange(whole.n_modes) == whole.n_modes - 1, 9.0, 1.0)
     whole = replace(whole, freq_std=freq_std, n_repeats=5)

@@ -13,7 +13,7 @@ from calib.analyses.provenance.record import analyses_of, write_record
 from calib.analyses.provenance.stale import stale_answers
 from calib.analyses.provenance.state import ADDED
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 BETTER = "the model fits better and predicts held-out data better"
 NO_BETTER = "the model fits better, predicts no better"
@@ -78,7 +78,7 @@ def test_groups_are_in_order_with_both_stages():
 
 @pytest.fixture(scope="module")
 def study(mast, tmp_path_factory):
-    return Study.load(mast.write_study(tmp_path_factory.mktemp("added") / "mast"))
+    return LoadedStudy.load(mast.write_study(tmp_path_factory.mktemp("added") / "mast"))
 
 
 def found(verdict, *names, equally_good=()):
@@ -133,7 +133,7 @@ def test_something_like_an_effect_is_added_on_request_only(monkeypatch):
 
 def test_the_result_that_nothing_is_added_belongs_to_one_state_of_the_study(study, mast, edited, tmp_path):
     results = Results(tmp_path)
-    other = Study.load(edited(mast.write_study(tmp_path / "mast"), '"E", "m_top", ', '"E", '))
+    other = LoadedStudy.load(edited(mast.write_study(tmp_path / "mast"), '"E", "m_top", ', '"E", '))
     write_nothing_added(study, found("none_explains"), results)
     assert list(stale_answers(other, results).sentences) == ["extend"]
     write_nothing_added(other, found("none_explains"), results)

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.analyses.answers import NAMED, UNTRIED, listed, of_comparison, of_fit, of_screening, of_sensitivity
+from calib.analyses.answers import NAMED, UNTRIED, listed, of_comparison, of_fit, of_sensitivity, screening_answer
 
 
 def compared(error, mac=np.nan, noise=np.nan):
@@ -87,7 +87,7 @@ def test_a_screening_ranks_by_the_largest_effect():
         [("a", "x", 0.1), ("b", "x", 0.3), ("a", "y", 0.7), ("c", "x", np.nan)],
         columns=["parameter", "response", "mu_star"],
     )
-    answer = of_screening("morris", table, "12 points.")
+    answer = screening_answer("morris", table, "12 points.")
     assert answer.found.index("a (0.7)") < answer.found.index("b (0.3)") and "c (" not in answer.found
 
 

@@ -7,7 +7,7 @@ import pytest
 from calib.analyses.calibrate import calibrate
 from calib.results.ledger import Ledger
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 MODEL = """
 import math
@@ -47,7 +47,7 @@ def answer(tmp_path):
         (tmp_path / "model.py").write_text(MODEL)
         (tmp_path / "measured.csv").write_text("response,value,std\ny,2.0,0.01\nz,2.0,0.5\n")
         (tmp_path / "study.toml").write_text(STUDY.format(options=options, more=more))
-        study = Study.load(tmp_path)
+        study = LoadedStudy.load(tmp_path)
         results = Results.at(Path(tmp_path) / folder, study.name)
         with Ledger.open(results.path / "ledger.sqlite") as ledger:
             return calibrate(study, results, ledger, 1, quick=quick)

@@ -18,9 +18,9 @@ from calib.hypotheses.library import local_perturbations
 from calib.results.results import Results
 from calib.structure.reduction import cache as cached
 from calib.structure.reduction.basis import Basis
-from calib.structure.reduction.cache import BasisCache, basis_cache, kept_basis, key_of, using
+from calib.structure.reduction.cache import BasisCache, basis_cache, basis_key, kept_basis, using
 from calib.structure.reduction.effect_basis import weight_key
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 KEY = "0123456789abcdef"
 
@@ -59,7 +59,7 @@ def faster(measured, factor):
 def test_siblings_train_once_and_get_the_same_basis_to_the_last_bit(mast, tmp_path, trainings):
     found = []
     for number, seed in enumerate((1, 7)):
-        study = Study.load(mast.write_study(tmp_path / f"mast_{number}", seed=seed))
+        study = LoadedStudy.load(mast.write_study(tmp_path / f"mast_{number}", seed=seed))
         measured = faster(study.problem.measured, 1.0 + 0.07 * number)
         study = replace(study, problem=replace(study.problem, measured=measured))
         home = Results.at(tmp_path / "results", study.name)
@@ -74,7 +74,7 @@ def test_siblings_train_once_and_get_the_same_basis_to_the_last_bit(mast, tmp_pa
 
 
 def test_no_measured_frequency_enters_the_weights_of_local_perturbations(mast, tmp_path):
-    study = Study.load(mast.write_study(tmp_path / "mast"))
+    study = LoadedStudy.load(mast.write_study(tmp_path / "mast"))
     values, measured = study.search_space.values, study.problem.measured
     one, other = (local_perturbations(study.model, [faster(measured, f)], values) for f in (1.0, 3.0))
     assert [p.effect.plausible for p in one] != [p.effect.plausible for p in other]
@@ -83,7 +83,7 @@ def test_no_measured_frequency_enters_the_weights_of_local_perturbations(mast, t
 
 @pytest.mark.parametrize("change", ["value", "limit", "constraint", "seed", "count", "sensor", "model"])
 def test_everything_a_basis_depends_on_is_in_its_key(mast, tmp_path, change):
-    study = Study.load(mast.write_study(tmp_path / "mast"))
+    study = LoadedStudy.load(mast.write_study(tmp_path / "mast"))
     model, space = study.model, study.search_space
     wanted = BasisRequirements.of(study.problem, 1e-5, 1)
     before = wanted.key(model, space)
@@ -193,12 +193,12 @@ def test_the_folder_is_that_named_last(tmp_path, monkeypatch):
 
 
 def test_another_code_or_library_asks_for_another_key(mast, tmp_path, monkeypatch):
-    model = Study.load(mast.write_study(tmp_path / "mast")).model
-    before = key_of(model, 1)
-    assert key_of(model, 1) == before != key_of(model, 2)
+    model = LoadedStudy.load(mast.write_study(tmp_path / "mast")).model
+    before = basis_key(model, 1)
+    assert basis_key(model, 1) == before != basis_key(model, 2)
     cached._code.cache_clear()
     monkeypatch.setattr(cached.np, "__version__", "0")
-    assert key_of(model, 1) != before
+    assert basis_key(model, 1) != before
     cached._code.cache_clear()
 
 

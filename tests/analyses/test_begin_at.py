@@ -17,7 +17,7 @@ from calib.report.html.study_results import StudyResults
 from calib.report.html.write import sections
 from calib.results.ledger import Ledger
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from tests.report.html.page_blocks import Picture, Table, Words, section_blocks
 
 MODEL = """
@@ -50,7 +50,7 @@ def study(tmp_path):
         (tmp_path / "model.py").write_text(MODEL)
         (tmp_path / "measured.csv").write_text("response,value,std\ny,2.0,0.01\nz,0.02,0.01\n")
         (tmp_path / "study.toml").write_text(STUDY.format(more=more))
-        return Study.load(tmp_path)
+        return LoadedStudy.load(tmp_path)
 
     return load
 
@@ -100,7 +100,7 @@ def test_both_points_are_reported_where_least_squares_minimise_another_criterion
     loaded = study("population = 12\ngenerations = 12")
     (tmp_path / "model.py").write_text(BETWEEN.replace("between()", "wave()"))
     (tmp_path / "measured.csv").write_text("response,value,std\ny,1.0,10.0\nz,2.0,0.01\n")
-    found = answer(Study.load(loaded.file), tmp_path, "genetic")
+    found = answer(LoadedStudy.load(loaded.file), tmp_path, "genetic")
     table = pd.read_csv(tmp_path / "results" / tmp_path.name / "points.csv").set_index("point")
     assert table["objective"]["search"] == pytest.approx(0.5, abs=0.05)
     assert table["objective"]["least squares"] == pytest.approx(1.0, abs=1e-3)
@@ -137,7 +137,7 @@ def test_least_squares_start_from_the_nominal_values_too(study, tmp_path):
     study("population = 4\ngenerations = 2")
     with (tmp_path / "study.toml").open("a") as stream:
         stream.write("[parameters]\na = { value = 1.7, search = [-3.0, 3.0] }\n")
-    found = answer(Study.load(tmp_path), tmp_path, "genetic")
+    found = answer(LoadedStudy.load(tmp_path), tmp_path, "genetic")
     assert found.best.result.values["a"] == pytest.approx(VALLEYS[1], abs=0.01)
 
 
@@ -146,7 +146,7 @@ def test_the_reported_case_has_the_lowest_sum_of_squares(study, tmp_path):
     text = (tmp_path / "study.toml").read_text().replace('{ name = "A", seed = 1 }', ", ".join(
         f'{{ name = "{name}", seed = {k} }}' for k, name in enumerate("ABC")))  # fmt: skip
     (tmp_path / "study.toml").write_text(text)
-    found = answer(Study.load(loaded.file), tmp_path, "genetic")
+    found = answer(LoadedStudy.load(loaded.file), tmp_path, "genetic")
     assert len(found.cases) == 3
     assert found.best.statistics.criterion <= min(c.statistics.criterion for c in found.cases) + 0.1
 
@@ -163,7 +163,7 @@ def test_a_calibration_begins_where_an_explanation_ended_and_never_ends_above(gu
     base, chosen = told.explanation.base.fit, told.explanation.chosen.fit
     start = explained_fit(study, results)
     assert start == pytest.approx({name: base.values[name] for name in study.search_space.free_names})
-    for one, state in ((study, base), (Study.load(extend(study, ["guy"], tmp_path / "mast_guy").file), chosen)):
+    for one, state in ((study, base), (LoadedStudy.load(extend(study, ["guy"], tmp_path / "mast_guy").file), chosen)):
         own = Results.at(tmp_path / "results", one.name)
         assert explained_fit(one, own) == pytest.approx({n: state.values[n] for n in one.search_space.free_names})
         with Ledger.open(own.path / "ledger.sqlite") as ledger:
@@ -178,16 +178,16 @@ def test_a_fit_by_an_explanation_of_another_state_is_not_a_start(guyed, tmp_path
     """Neither for its own study nor for the one that was extended from it."""
     study, _, told, _ = guyed
     shutil.copytree(study.file.resolve().parent, tmp_path / "mast")
-    own = Study.load(tmp_path / "mast")
+    own = LoadedStudy.load(tmp_path / "mast")
     results = Results.at(tmp_path / "results", "mast")
     results.write_table("explained_fits", explained_fits(own, told.explanation))
     write_record(own, results, "explain", {})
-    wider = Study.load(extend(own, ["guy"], tmp_path / "mast_guy").file)
+    wider = LoadedStudy.load(extend(own, ["guy"], tmp_path / "mast_guy").file)
     beside = Results.at(tmp_path / "results", "mast_guy")
     assert explained_fit(own, results) and explained_fit(wider, beside)
     modes = pd.read_csv(tmp_path / "mast" / "modes.csv", comment="#")
     modes.assign(freq=1.01 * modes["freq"]).to_csv(tmp_path / "mast" / "modes.csv", index=False)
-    assert explained_fit(Study.load(own.file), results) == {} == explained_fit(wider, beside)
+    assert explained_fit(LoadedStudy.load(own.file), results) == {} == explained_fit(wider, beside)
 
 
 def test_a_fit_of_another_model_is_not_a_start(guyed, tmp_path):
@@ -226,7 +226,7 @@ def test_a_case_leaves_its_own_solution_only_where_the_data_prefer_another(study
     text = (tmp_path / "study.toml").read_text()
     cases = ", ".join(f'{{ name = "{name}", seed = {k} }}' for k, name in enumerate("ABCDEF"))
     (tmp_path / "study.toml").write_text(text.replace('{ name = "A", seed = 1 }', cases))
-    found = answer(Study.load(loaded.file), tmp_path, "genetic")
+    found = answer(LoadedStudy.load(loaded.file), tmp_path, "genetic")
     sides = {np.sign(case.search.values["a"]) for case in found.cases}
     assert sides == {-1.0, 1.0}
     for case in found.cases:
@@ -236,7 +236,9 @@ def test_a_case_leaves_its_own_solution_only_where_the_data_prefer_another(study
     assert found.best.result.values["a"] == pytest.approx(1.0, abs=0.01)
     assert found.agreement.verdict == ("one solution" if discriminated else "several solutions")
     reason = "" if discriminated else "solutions"
-    starts = answer(Study.load(loaded.file), tmp_path, "gauss-newton")  # each case has both roots among its own starts
+    starts = answer(
+        LoadedStudy.load(loaded.file), tmp_path, "gauss-newton"
+    )  # each case has both roots among its own starts
     assert starts.agreement.verdict == found.agreement.verdict
     assert {case.result.values["a"] > 0 for case in starts.cases} == {True}
     assert starts.verdicts.loc[0, "identified"] == discriminated

@@ -14,7 +14,7 @@ import pytest
 from calib.analyses.explain import explain
 from calib.results.results import Results
 from calib.study.loading import module_of
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 VERDICTS = {
@@ -73,7 +73,7 @@ def unit_on_mounts(tmp_path_factory):
     assert names == specimen.modes
     twin.blind.twin.write_measurement(folder / "measured", names, modes, shapes, specimen.layout, rng, "vehicle test")
     shutil.copy(specimen.file, folder)
-    return Study.load(folder)
+    return LoadedStudy.load(folder)
 
 
 def summary_of(folder):

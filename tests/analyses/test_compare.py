@@ -7,12 +7,12 @@ import pytest
 
 from calib.analyses.compare import comparison_at, write_comparison
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
 def test_modes_paired_by_the_user_are_reported(here, mast, edited):
     def said(folder):
-        study = Study.load(folder)
+        study = LoadedStudy.load(folder)
         return [s for s in comparison_at(study, study.search_space.values).sentences if "Paired as the study says" in s]
 
     folder = mast.write_study(here / "mast")
@@ -22,7 +22,7 @@ def test_modes_paired_by_the_user_are_reported(here, mast, edited):
 
 
 def test_the_orthogonality_is_written_and_told(here, mast, tmp_path):
-    study = Study.load(mast.write_study(here / "mast"))
+    study = LoadedStudy.load(mast.write_study(here / "mast"))
     answer = comparison_at(study, study.search_space.values)
     results = Results.at(tmp_path / "results", "mast")
     write_comparison(results, answer, "before")
@@ -38,7 +38,7 @@ def test_the_orthogonality_is_written_and_told(here, mast, tmp_path):
 
 def test_shapes_that_cannot_be_expanded_have_a_reason_and_leave_no_tables(here, mast, tmp_path):
     """Two sensors at the same place and direction, of three modes: neither expansion exists."""
-    study = Study.load(mast.write_study(here / "mast"))
+    study = LoadedStudy.load(mast.write_study(here / "mast"))
     results = Results.at(tmp_path / "results", "mast")
     write_comparison(results, comparison_at(study, study.search_space.values), "before")
     problem = study.problem

@@ -15,7 +15,7 @@ from calib.errors.errors import InputError
 from calib.missing.rules import RULES
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import page_summary
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 MODEL = """
 from calib.structure.function_model import FunctionModel
@@ -56,7 +56,7 @@ def line(folder: Path, bend: float, seed: int = 5) -> Path:
 
 
 def calibrated(folder: Path):
-    study, root = Study.load(folder), folder.parent / "results"
+    study, root = LoadedStudy.load(folder), folder.parent / "results"
     results = results_of(study, root)
     with ledger_of(study, root) as ledger:
         return study, results, calibrate(study, results, ledger, workers=1)
@@ -121,4 +121,4 @@ def test_scalar_responses_are_held_out_by_their_own_key(tmp_path, key):
     folder = line(tmp_path / "line", 0.0)
     (folder / "study.toml").write_text(STUDY.replace("responses = [", f"{key} = ["))
     with pytest.raises(InputError, match="name responses under"):
-        Study.load(folder)
+        LoadedStudy.load(folder)

@@ -14,7 +14,7 @@ from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.missing.linearised_fit import least_squares_fit
 from calib.missing.score import scores
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from tests.analyses.mast_designs import candidates_of, measured_mast, pair_of
 
 
@@ -74,7 +74,7 @@ def test_the_bayes_factors_predicted_for_twice_the_repeats_are_realised(mast, tm
         tests = []
         for again in (0, 1000):
             folder = tmp_path / f"{number}_{again}" / "mast"
-            tests.append(Study.load(near_lamp(mast, folder, hidden, number + again)))
+            tests.append(LoadedStudy.load(near_lamp(mast, folder, hidden, number + again)))
         first, _ = modal_hypotheses(tests[0], Results.at(tmp_path / f"r{number}", "mast"))
         one, other = (t.measured for t in tests)
         both = replace(

@@ -13,7 +13,7 @@ from calib.command import cli
 from calib.missing.detailed import detailed_sentence, leading_fit
 from calib.missing.partial import is_far_ahead
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 LIBRARY = """\
 import calib
@@ -153,7 +153,7 @@ def test_a_study_keeps_the_member_and_extends_by_it(folder, capsys):
     sentences = json.loads((results / "explanation.json").read_text())["sentences"]
     assert any("'calib extend' adds bow." in s for s in sentences)
     assert cli.execute(["extend", "spring", "bow", "--into", "richer"]) == 0
-    extended = Study.load(folder.parent / "richer")
+    extended = LoadedStudy.load(folder.parent / "richer")
     assert [e.name for e in extended.included] == ["bow"] and "bend" in extended.settings.selection
     begun = explained_fit(extended, Results.at(folder.parent / "results", "richer"))
     assert begun["bow"] == pytest.approx(table.loc["bow", "value"])

@@ -27,7 +27,7 @@ from calib.results.results import Results
 from calib.structure.affine import AffineMatrix
 from calib.structure.effects.perturbations import perturbations
 from calib.structure.effects.variants import Variants
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -35,7 +35,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture(scope="module")
 def settled(mast, tmp_path_factory):
     folder = tmp_path_factory.mktemp("discretisation")
-    study = Study.load(mast.write_study(folder / "mast"))
+    study = LoadedStudy.load(mast.write_study(folder / "mast"))
     hypotheses, _ = modal_hypotheses(study, Results.at(folder / "results", "mast"))
     fit_problem = hypotheses.fit_problem(())
     return hypotheses, least_squares_fit(fit_problem, (), fit_problem.space.values)
@@ -202,7 +202,7 @@ def test_without_candidates_the_largest_score_is_zero():
 def test_the_noise_free_twin_gives_small_scores(twin_maker, with_basis, tmp_path):
     """Finer mesh, distributed masses and sensors off by up to 5 mm: all scores are at most 1."""
     truth = json.loads((ROOT / "tests/truth/hidden_bogie_none.json").read_text("utf-8"))["parameters"]
-    study = Study.load(ROOT / "studies/hidden_bogie_none")
+    study = LoadedStudy.load(ROOT / "studies/hidden_bogie_none")
     hypotheses, _ = modal_hypotheses(study, with_basis(Results.at(tmp_path, study.name)))
     twin, layout = twin_maker.specimen().fine, study.measured.sensors
     modes = twin.modes(truth, study.problem.mode_count)

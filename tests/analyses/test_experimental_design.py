@@ -17,7 +17,7 @@ from calib.missing.competing import at_effect
 from calib.missing.linearised_fit import least_squares_fit
 from calib.missing.recommendation import recommend
 from calib.missing.score import scores
-from calib.problem.problem import Problem
+from calib.problem.problem import PairProblem
 from calib.structure.effect_places import effect_places
 from tests.analyses.mast_designs import (
     CLOSE,
@@ -223,7 +223,7 @@ def test_nothing_is_recommended_where_the_model_cannot_be_solved(world, monkeypa
 
     _, hypotheses, fit = world
     found, candidate_fit = scores(fit, hypotheses.effects, {}), CandidateFit((), fit, 0.0, "")
-    monkeypatch.setattr(Problem, "jacobian", fails)
+    monkeypatch.setattr(PairProblem, "jacobian", fails)
     design = modal_design(hypotheses, [candidate_fit], hypotheses.effects, found, 1.0)
     assert design.linearisations == () and recommend(design).empty
 

@@ -15,7 +15,7 @@ from calib.analyses.explain import GROUPS, explain, explanation_summary
 from calib.missing.local import interval_words, local_perturbation
 from calib.missing.profile import profile_interval
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = {
@@ -45,7 +45,7 @@ def test_the_rope_is_named_with_its_magnitude(guyed):
     [pytest.param(one, marks=pytest.mark.slow) for one in ({"stuck_base": 0.8}, {"platform": 25.0}, {"lamp": 25.0})],
 )
 def test_other_effects_are_named_too(mast, tmp_path, hidden):
-    study = Study.load(mast.write_study(tmp_path / "mast", hidden))
+    study = LoadedStudy.load(mast.write_study(tmp_path / "mast", hidden))
     answer = explain(study, Results.at(tmp_path / "results", study.name))
     ((name, magnitude),) = hidden.items()
     assert answer.explanation.credible == (name,)
@@ -72,12 +72,12 @@ def test_the_mass_hung_on_the_chain_is_named(chain):
 @pytest.fixture
 def heavier(chain_folder, tmp_path):
     """The chain with the held mass 3 a sixth heavier, which is no effect of the library."""
-    study = Study.load(chain_folder)
+    study = LoadedStudy.load(chain_folder)
     table = pd.read_csv(chain_folder / "measured.csv", comment="#").set_index("response")
     values = study.model.space.values
     table["value"] = pd.Series(study.model.function(values | {"m3": values["m3"] * 7 / 6}))[table.index]
     table.to_csv(chain_folder / "measured.csv")
-    return explain(Study.load(chain_folder), Results.at(tmp_path / "results", "chain"))
+    return explain(LoadedStudy.load(chain_folder), Results.at(tmp_path / "results", "chain"))
 
 
 @pytest.mark.slow
@@ -96,7 +96,7 @@ def test_indistinguishable_effects_are_named_with_a_measurement_that_discriminat
     near = text.replace('"Lamp near the top", 4.5', '"Lamp near the platform", 3.4')
     assert near != text
     (folder / "effects.py").write_text(near)
-    study = Study.load(folder)
+    study = LoadedStudy.load(folder)
     answer = explain(study, Results.at(tmp_path / "results", "mast"))
     assert answer.verdict == "indistinguishable" and set(answer.explanation.credible) == {"platform", "lamp"}
     assert re.search(r"odds of [\d.,:]+ for the true one of (platform and lamp|lamp and platform) \(", answer.sentence)
@@ -123,7 +123,7 @@ def test_settings_of_the_study_reach_the_decision(mast, edited, tmp_path, monkey
     monkeypatch.setattr(asked.engine, "decide", lambda h, s, p: seen.append(s) or inner(h, s, p))
     own = "[explain]\nalpha = 0.02\nrefits = 3\nmerge = 0.9\nseed = 7\n\n[calibration]"
     folder = edited(mast.write_study(tmp_path / "mast"), "[calibration]", own)
-    explain(Study.load(folder), Results.at(tmp_path / "results", "mast"))
+    explain(LoadedStudy.load(folder), Results.at(tmp_path / "results", "mast"))
     assert (seen[0].alpha, seen[0].refits, seen[0].merge, seen[0].seed) == (0.02, 3, 0.9, 7)
 
 
@@ -194,7 +194,7 @@ def test_progress_is_reported_in_order(guyed):
 
 def test_where_the_rest_of_a_nearly_explained_misfit_sits_is_told_and_kept(mast, tmp_path, monkeypatch):
     monkeypatch.setattr("calib.missing.partial.is_simpler_form", lambda found: found.chosen is not None)
-    study = Study.load(mast.write_study(tmp_path / "mast", {"guy": 12000.0}))
+    study = LoadedStudy.load(mast.write_study(tmp_path / "mast", {"guy": 12000.0}))
     answer = explain(study, Results.at(tmp_path / "results", study.name))
     kept = json.loads((tmp_path / "results/mast/explanation.json").read_text("utf-8"))["left"]
     assert set(kept) == {"near", "distance", "modes", "modes_expected"}

@@ -11,7 +11,7 @@ from calib.analyses.explain import explain
 from calib.analyses.uncertainty import assumed_words
 from calib.errors.errors import EvaluationError, InputError
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 # -- standard deviations and mesh --------------------------------------------------------------------------------------
 
@@ -25,7 +25,7 @@ def test_a_standard_deviation_that_is_assumed_is_noted(mast, tmp_path):
     folder = mast.write_study(tmp_path / "mast")
     for name, drop in (("modes.csv", "freq_std"), ("shapes.csv", "std")):
         pd.read_csv(folder / name, comment="#").drop(columns=drop).to_csv(folder / name, index=False)
-    study = Study.load(folder)
+    study = LoadedStudy.load(folder)
     (note,) = explain(study, Results.at(tmp_path / "results", "mast")).notes
     assert assumed_words(study) in note
 
@@ -33,7 +33,7 @@ def test_a_standard_deviation_that_is_assumed_is_noted(mast, tmp_path):
 @pytest.mark.slow
 def test_repeats_need_no_note(mast, edited, tmp_path):
     folder = edited(mast.write_study(tmp_path / "mast"), 'std_of = "mean"', 'std_of = "mean"\nrepeats = 5')
-    assert explain(Study.load(folder), Results.at(tmp_path / "results", "mast")).notes == ()
+    assert explain(LoadedStudy.load(folder), Results.at(tmp_path / "results", "mast")).notes == ()
 
 
 @pytest.mark.slow
@@ -41,7 +41,7 @@ def test_the_discretisation_error_is_noted_first(mast, edited, tmp_path):
     finer = "[explain]\nfiner_options = { element_size = 0.1 }\n\n[calibration]"
     folder = edited(mast.write_study(tmp_path / "mast"), "[calibration]", finer)
     results = Results.at(tmp_path / "results", "mast")
-    answer = explain(Study.load(folder), results)
+    answer = explain(LoadedStudy.load(folder), results)
     assert answer.notes[0].startswith("A finer mesh of the same model gives scores of up to ")
     table = pd.read_csv(results.path / "discretisation.csv")
     content = json.loads((results.path / "explanation.json").read_text())
@@ -53,7 +53,7 @@ def test_an_assumed_std_of_scalar_responses_is_noted(chain_folder, tmp_path):
     table = pd.read_csv(chain_folder / "measured.csv", comment="#")
     table.loc[table["response"] == "freq_1", "std"] = np.nan
     table.to_csv(chain_folder / "measured.csv", index=False)
-    study = Study.load(chain_folder)
+    study = LoadedStudy.load(chain_folder)
     (note,) = explain(study, Results.at(tmp_path / "results", "chain")).notes
     assert assumed_words(study) in note and "freq_1" in assumed_words(study)
 
@@ -92,7 +92,7 @@ def refusing(chain_folder, tmp_path):
     def write(name, least):
         with (chain_folder / "effects.py").open("a") as file:
             file.write(REFUSING.replace("NAME", repr(name)).replace("LEAST", repr(least)))
-        return Study.load(chain_folder), Results.at(tmp_path / "results", "chain")
+        return LoadedStudy.load(chain_folder), Results.at(tmp_path / "results", "chain")
 
     return write
 
@@ -133,7 +133,7 @@ def refused(study, tmp_path, match):
 @pytest.mark.slow
 def test_a_study_without_effects_is_explained_by_local_perturbations(mast, edited, tmp_path):
     folder = edited(mast.write_study(tmp_path / "mast", {"guy": 12000.0}), 'effects = "effects.py:library"\n', "")
-    study = Study.load(folder)
+    study = LoadedStudy.load(folder)
     answer = explain(study, Results.at(tmp_path / "results", study.name))
     assert answer.verdict == "none_explains" and len(answer.effects) == 0
     perturbation = answer.explanation.perturbation
@@ -144,7 +144,7 @@ def test_a_study_without_effects_is_explained_by_local_perturbations(mast, edite
 def test_too_few_responses_are_refused(chain_folder, tmp_path):
     table = pd.read_csv(chain_folder / "measured.csv", comment="#").head(6)
     table.to_csv(chain_folder / "measured.csv", index=False)
-    refused(Study.load(chain_folder), tmp_path, "6 measured responses cannot tell")
+    refused(LoadedStudy.load(chain_folder), tmp_path, "6 measured responses cannot tell")
 
 
 def test_a_model_that_cannot_be_solved_is_refused(mast, tmp_path, monkeypatch):
@@ -152,14 +152,14 @@ def test_a_model_that_cannot_be_solved_is_refused(mast, tmp_path, monkeypatch):
         raise EvaluationError("the matrix is singular")
 
     monkeypatch.setattr(asked.engine, "decide", fails)
-    study = Study.load(mast.write_study(tmp_path / "mast"))
+    study = LoadedStudy.load(mast.write_study(tmp_path / "mast"))
     fault = refused(study, tmp_path, "the model cannot be fitted: the matrix is singular")
     assert fault.remedy
 
 
 def test_an_interrupted_explanation_leaves_no_summary(mast, tmp_path, monkeypatch):
     """Tables are written whole or not at all, and the summary last."""
-    study = Study.load(mast.write_study(tmp_path / "mast"))
+    study = LoadedStudy.load(mast.write_study(tmp_path / "mast"))
     results = Results.at(tmp_path / "results", study.name)
     write = Results.write_table
 

@@ -13,7 +13,7 @@ from calib.inference.leave_one_out import leave_one_out
 from calib.missing.score import noise_limit
 from calib.missing.tables import EFFECT_COLUMNS
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 ERRORS = ["group", "stage", "rows", "rms", "expected", "p", "unpaired", "std_from"]
@@ -58,7 +58,7 @@ def test_every_table_is_written_as_returned(guyed, bare, chain):
 def test_a_second_explanation_is_the_same(guyed, tmp_path):
     study, results, _, _ = guyed
     again = Results.at(tmp_path, study.name)
-    explain(Study.load(study.file), again)
+    explain(LoadedStudy.load(study.file), again)
     first, second = ({p.name: p.read_bytes() for p in r.path.glob("*.csv")} for r in (results, again))
     assert first and first == second
 
@@ -90,7 +90,7 @@ def test_held_out_responses_of_a_function_enter_no_fit_and_verify_it(chain_folde
     file = chain_folder / "study.toml"
     held = '[held_out]\nresponses = ["freq_2", "damping_2", "shape_1_3", "shape_2_4"]\n\n[calibration]'
     file.write_text(file.read_text().replace("[calibration]", held))
-    study = Study.load(chain_folder)
+    study = LoadedStudy.load(chain_folder)
     answer = explain(study, Results.at(tmp_path / "results", "chain"))
     assert answer.explanation.credible == ("hung_mass_5",)
     table = answer.errors.set_index(["group", "stage"])

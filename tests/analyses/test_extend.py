@@ -9,7 +9,7 @@ import pytest
 from calib.analyses.extend import extend
 from calib.command import cli
 from calib.errors.errors import InputError
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
 def settings(folder: str | Path) -> dict:
@@ -24,7 +24,7 @@ def refusal(tree):
         before = {p for p in Path().iterdir()}
         old = tree(study)
         with pytest.raises(InputError) as caught:
-            extend(Study.load(study), [effect], Path(folder))
+            extend(LoadedStudy.load(study), [effect], Path(folder))
         assert {p for p in Path().iterdir()} == before and tree(study) == old
         return str(caught.value)
 
@@ -33,8 +33,8 @@ def refusal(tree):
 
 def test_the_new_study_is_the_old_one_with_the_effect(rig, tree):
     before = tree(rig)
-    made = extend(Study.load(rig), ["top_cables"], Path("new"))
-    new, old = Study.load(Path("new")), Study.load(rig)
+    made = extend(LoadedStudy.load(rig), ["top_cables"], Path("new"))
+    new, old = LoadedStudy.load(Path("new")), LoadedStudy.load(rig)
     assert tree(rig) == before and made.file == Path("new/study.toml") and set(tree("new")) == {"study.toml"}
     assert settings("new") == {
         "title": "Four-storey laboratory rig + top_cables",
@@ -50,10 +50,10 @@ def test_the_new_study_is_the_old_one_with_the_effect(rig, tree):
 
 
 def test_an_extended_study_can_be_extended_again(rig):
-    extend(Study.load(rig), ["top_cables"], Path("once"))
+    extend(LoadedStudy.load(rig), ["top_cables"], Path("once"))
     Path("deeper/down").mkdir(parents=True)
-    extend(Study.load(Path("once")), ["low_cables"], Path("deeper/down/twice"))
-    twice = Study.load(Path("deeper/down/twice"))
+    extend(LoadedStudy.load(Path("once")), ["low_cables"], Path("deeper/down/twice"))
+    twice = LoadedStudy.load(Path("deeper/down/twice"))
     assert twice.settings.with_effects == ("top_cables", "low_cables") and twice.candidates == ()
     assert twice.settings.base == "../../../once"
     assert twice.settings.title.endswith("rig + top_cables + low_cables")
@@ -62,17 +62,17 @@ def test_an_extended_study_can_be_extended_again(rig):
 
 
 def test_a_change_in_the_base_study_changes_the_extended_one(rig, edited):
-    extend(Study.load(rig), ["top_cables"], Path("new"))
-    before = Study.load(Path("new")).measured.natural_freq[0]
+    extend(LoadedStudy.load(rig), ["top_cables"], Path("new"))
+    before = LoadedStudy.load(Path("new")).measured.natural_freq[0]
     text = (rig / "measured.csv").read_text()
     assert "15.545" in text
     (rig / "measured.csv").write_text(text.replace("15.545", "15.645"))
-    assert Study.load(Path("new")).measured.natural_freq[0] == pytest.approx(before + 0.1, abs=1e-3)
+    assert LoadedStudy.load(Path("new")).measured.natural_freq[0] == pytest.approx(before + 0.1, abs=1e-3)
 
 
 def test_several_effects_are_added_at_once(rig):
-    made = extend(Study.load(rig), ["top_cables", "low_cables"], Path("new"))
-    new = Study.load(Path("new"))
+    made = extend(LoadedStudy.load(rig), ["top_cables", "low_cables"], Path("new"))
+    new = LoadedStudy.load(Path("new"))
     assert new.settings.with_effects == ("top_cables", "low_cables") and new.settings.title.endswith(
         "rig + top_cables + low_cables"
     )
@@ -81,8 +81,8 @@ def test_several_effects_are_added_at_once(rig):
 
 
 def test_a_fixed_parameter_of_an_effect_is_not_selected(sums):
-    extend(Study.load(sums), ["bend"], Path("new"))
-    new = Study.load(Path("new"))
+    extend(LoadedStudy.load(sums), ["bend"], Path("new"))
+    new = LoadedStudy.load(Path("new"))
     assert new.search_space.free_names == ("a", "b", "bend", "bend_at")
     assert new.problem.evaluate({"bend": 0.5, "bend_at": 2.0}) == {"s": 4.0}
 
@@ -91,16 +91,16 @@ def test_a_selection_by_the_sensitivity_analysis_stays_so(sums, edited):
     text = Path(sums, "study.toml").read_text()
     selection = text[text.index("selection") : text.index("effects")]
     edited(sums, selection, 'selection = "from sensitivity"\n')
-    made = extend(Study.load(sums), ["bend"], Path("new"))
-    assert made.selected == () and Study.load(Path("new")).settings.selection == "from sensitivity"
-    assert "bend" in Study.load(Path("new")).search_space.free_names
+    made = extend(LoadedStudy.load(sums), ["bend"], Path("new"))
+    assert made.selected == () and LoadedStudy.load(Path("new")).settings.selection == "from sensitivity"
+    assert "bend" in LoadedStudy.load(Path("new")).search_space.free_names
 
 
 def test_a_study_file_of_another_name_can_be_extended(sums):
     Path("sums/study.toml").rename("sums/other.toml")
-    made = extend(Study.load(Path("sums/other.toml")), ["bend"], Path("new"))
+    made = extend(LoadedStudy.load(Path("sums/other.toml")), ["bend"], Path("new"))
     assert made.file == Path("new/study.toml") and settings("new")["base"] == "../sums/other.toml"
-    assert Study.load(made.file).targets == {"s": (3.0, 0.01)}
+    assert LoadedStudy.load(made.file).targets == {"s": (3.0, 0.01)}
 
 
 def test_paths_lead_to_the_same_files_from_every_study(rig, edited):
@@ -110,16 +110,16 @@ def test_paths_lead_to_the_same_files_from_every_study(rig, edited):
     edited(rig, '"measured.csv"', '"../shared/measured.csv"')
     edited(rig, '"effects.py:', '"../rig/../shared/code/effects.py:')
     Path("deep").mkdir()
-    extend(Study.load(rig), ["top_cables"], Path("deep/new"))
-    old, new = Study.load(rig), Study.load(Path("deep/new"))
+    extend(LoadedStudy.load(rig), ["top_cables"], Path("deep/new"))
+    old, new = LoadedStudy.load(rig), LoadedStudy.load(Path("deep/new"))
     assert new.settings.measurement.files == ("../../shared/measured.csv",)
     assert new.measured.fingerprint == old.measured.fingerprint
 
 
 def test_absolute_paths_are_kept(sums, here, edited):
     edited(sums, '"data/measured.csv"', f'"{here}/sums/data/measured.csv"')
-    extend(Study.load(sums), ["bend"], Path("new"))
-    assert Study.load(Path("new")).settings.measurement.responses == f"{here}/sums/data/measured.csv"
+    extend(LoadedStudy.load(sums), ["bend"], Path("new"))
+    assert LoadedStudy.load(Path("new")).settings.measurement.responses == f"{here}/sums/data/measured.csv"
 
 
 def test_impossible_extensions_are_refused_in_one_sentence(sums, rig, edited, refusal):
@@ -131,7 +131,7 @@ def test_impossible_extensions_are_refused_in_one_sentence(sums, rig, edited, re
     assert "inside the study" in refusal(rig, "top_cables", "rig/new")
     assert "no folder 'nowhere'" in refusal(rig, "top_cables", "nowhere/new")
     assert "taken for a study file" in refusal(rig, "top_cables", "new.toml")
-    extend(Study.load(rig), ["top_cables"], Path("new"))
+    extend(LoadedStudy.load(rig), ["top_cables"], Path("new"))
     said = refusal(Path("new"), "top_cables", "newer")
     assert "is in the model already; the effects it lacks are low_cables" in said
     edited(sums, 'effects = "model.py:library"\n', "")
@@ -139,7 +139,7 @@ def test_impossible_extensions_are_refused_in_one_sentence(sums, rig, edited, re
 
 
 def test_an_invalid_new_study_is_not_written(sums, monkeypatch):
-    study = Study.load(sums)
+    study = LoadedStudy.load(sums)
     text = Path("sums/model.py").read_text()
     Path("sums/model.py").write_text(text.replace("def build():", "def build(needed):"))
     with pytest.raises(InputError) as caught:
@@ -153,7 +153,7 @@ def test_an_invalid_new_study_is_not_written(sums, monkeypatch):
 @pytest.mark.parametrize("what", ["pathlib.Path.write_text", "pathlib.Path.rename"])
 @pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_nothing_half_written_remains(sums, monkeypatch, what, fault):
-    study = Study.load(sums)
+    study = LoadedStudy.load(sums)
 
     def fail(*arguments, **more):
         raise fault

@@ -7,7 +7,7 @@ import pytest
 
 from calib.analyses.extend import EARLIER, extend_among, found_among
 from calib.results.written import LOG
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
 def test_a_study_among_results_can_be_moved(rig, edited):
@@ -15,12 +15,12 @@ def test_a_study_among_results_can_be_moved(rig, edited):
     shutil.move("rig/measured.csv", "shared/measured.csv")
     edited(rig, '"measured.csv"', '"../shared/measured.csv"')
     Path("results/rig").mkdir(parents=True)
-    made = extend_among(Study.load(rig), ["top_cables"], Path("results/rig"))
+    made = extend_among(LoadedStudy.load(rig), ["top_cables"], Path("results/rig"))
     assert made.file == Path("results/rig/rig_extended/study.toml")
-    assert found_among(Study.load(rig), Path("results/rig")) == made.file
+    assert found_among(LoadedStudy.load(rig), Path("results/rig")) == made.file
     Path("far/away").mkdir(parents=True)
     shutil.move("results/rig/rig_extended", "far/away/mine")
-    new, old = Study.load(Path("far/away/mine")), Study.load(rig)
+    new, old = LoadedStudy.load(Path("far/away/mine")), LoadedStudy.load(rig)
     assert new.measured.fingerprint == old.measured.fingerprint
     assert [str(path) for path in new.settings.base] == ["../../../rig", str(rig.resolve())]
     assert found_among(old, Path("results/rig")) is None
@@ -28,16 +28,16 @@ def test_a_study_among_results_can_be_moved(rig, edited):
 
 def test_least_squares_of_a_study_among_results_start_from_known_values(rig):
     Path("results").mkdir()
-    study = Study.load(rig)
+    study = LoadedStudy.load(rig)
     space = study.search_space
     known = {space.free_names[0]: space.lower[0], "top_cables": 0.1}
     made = extend_among(study, ["top_cables"], Path("results"), known)
-    assert Study.load(made.file).settings.calibration.begin_at == known
+    assert LoadedStudy.load(made.file).settings.calibration.begin_at == known
 
 
 def test_an_identical_study_among_results_stays_and_a_changed_one_is_kept_aside(rig, tree):
     Path("results").mkdir()
-    study, written = Study.load(rig), Path("results/rig_extended")
+    study, written = LoadedStudy.load(rig), Path("results/rig_extended")
 
     def there():
         return {p.name for p in Path("results").iterdir() if p.is_dir()}
@@ -52,10 +52,10 @@ def test_an_identical_study_among_results_stays_and_a_changed_one_is_kept_aside(
     changed = tree(written)
     aside = Path(f"results/rig_extended{EARLIER}")
     assert extend_among(study, ["low_cables"], Path("results")).aside == aside
-    assert Study.load(written).settings.with_effects == ("low_cables",) and "notes.txt" not in tree(written)
+    assert LoadedStudy.load(written).settings.with_effects == ("low_cables",) and "notes.txt" not in tree(written)
     assert tree(f"results/rig_extended{EARLIER}") == changed and there() == {"rig_extended", f"rig_extended{EARLIER}"}
     assert extend_among(study, ["top_cables"], Path("results")).aside is None
-    assert Study.load(written).settings.with_effects == ("top_cables",)
+    assert LoadedStudy.load(written).settings.with_effects == ("top_cables",)
     assert tree(f"results/rig_extended{EARLIER}") == changed and there() == {"rig_extended", f"rig_extended{EARLIER}"}
     (written / "model_notes.txt").write_text("changed again")
     again = tree(written)
@@ -67,16 +67,16 @@ def test_an_identical_study_among_results_stays_and_a_changed_one_is_kept_aside(
 def test_results_within_the_study_are_not_part_of_the_new_one(sums, place, tree):
     Path(place).mkdir(parents=True)
     Path(place, "summary.json").write_text("{}")
-    made = extend_among(Study.load(sums), ["bend"], Path(place))
+    made = extend_among(LoadedStudy.load(sums), ["bend"], Path(place))
     assert set(tree(made.file.parent)) == {"study.toml"}
-    assert extend_among(Study.load(sums), ["bend"], Path(place)).file == made.file
+    assert extend_among(LoadedStudy.load(sums), ["bend"], Path(place)).file == made.file
     assert {p.name for p in Path(place).iterdir()} == {"summary.json", "sums_extended", LOG}
 
 
 @pytest.mark.parametrize("call", [1, 2])
 def test_an_interrupt_while_replacing_leaves_a_whole_study_or_none(sums, monkeypatch, call, edited):
     Path("results").mkdir()
-    extend_among(Study.load(sums), ["bend"], Path("results"))
+    extend_among(LoadedStudy.load(sums), ["bend"], Path("results"))
     edited(sums, "'sums'", "'other'")
     rename, calls = Path.rename, []
 
@@ -88,8 +88,8 @@ def test_an_interrupt_while_replacing_leaves_a_whole_study_or_none(sums, monkeyp
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(Path, "rename", stopped)
-        extend_among(Study.load(sums), ["bend"], Path("results"))
+        extend_among(LoadedStudy.load(sums), ["bend"], Path("results"))
     for folder in filter(Path.is_dir, Path("results").iterdir()):
-        assert not folder.name.startswith(".") and Study.load(folder).settings.with_effects == ("bend",)
-    extend_among(Study.load(sums), ["bend"], Path("results"))
-    assert Study.load(Path("results/sums_extended")).settings.title == "other + bend"
+        assert not folder.name.startswith(".") and LoadedStudy.load(folder).settings.with_effects == ("bend",)
+    extend_among(LoadedStudy.load(sums), ["bend"], Path("results"))
+    assert LoadedStudy.load(Path("results/sums_extended")).settings.title == "other + bend"

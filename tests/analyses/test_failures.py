@@ -12,7 +12,7 @@ from calib.errors.errors import ToleranceError
 from calib.execution.outcome import Outcome
 from calib.results.ledger import Ledger
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 RIG = Path(__file__).parents[2] / "studies/four_storey_rig"
 
@@ -46,7 +46,7 @@ def test_points_that_succeeded_later_have_no_reason(tmp_path):
 def test_the_commonest_reason_is_reported(sums, tmp_path):
     file = sums / "model.py"
     file.write_text(file.read_text().replace('v["a"] + v["b"]', 'v["b"] / (v["a"] < 2.0)'))
-    study = Study.load(sums)
+    study = LoadedStudy.load(sums)
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
         answer = sensitivity(study, Results.at(tmp_path / "results", "sums"), ledger, 1, quick=True)
         found, _ = stored_reasons(ledger, [study.problem.fingerprint])
@@ -66,7 +66,7 @@ def test_a_basis_that_misses_its_tolerance_is_not_used_and_not_tried_again(tmp_p
 
     monkeypatch.setattr(requirements, "WORTHWHILE_DOFS", 0)
     monkeypatch.setattr(requirements.BasisRequirements, "trained", missing)
-    study = Study.load(RIG)
+    study = LoadedStudy.load(RIG)
     small = study.settings.calibration.model_copy(update={"population": 6, "generations": 3, "starts": 1})
     study = type(study)(**{**vars(study), "settings": study.settings.model_copy(update={"calibration": small})})
     results = Results.at(tmp_path / "results", "rig")

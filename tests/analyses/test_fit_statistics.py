@@ -12,7 +12,7 @@ from calib.analyses.extend import extend
 from calib.analyses.fit_statistics import Terms, fit_problem, statistics_at
 from calib.results.ledger import Ledger
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 MODEL = """
 from calib.problem.effect import Effect
@@ -52,7 +52,7 @@ def line(tmp_path):
         rows = "\n".join(f"y_{x},{v},0.1" for x, v in enumerate(y))
         (folder / "measured.csv").write_text(f"response,value,std\n{rows}\n")
         (folder / "study.toml").write_text(STUDY.format(names=", ".join(f'"{n}"' for n in names), more=more))
-        study, results = Study.load(folder), Results.at(tmp_path / "results", "line")
+        study, results = LoadedStudy.load(folder), Results.at(tmp_path / "results", "line")
         with Ledger.open(results.path / "ledger.sqlite") as ledger:
             return calibrate(study, results, ledger, 1)
 
@@ -95,7 +95,7 @@ def test_calibration_and_explanation_agree_after_an_extension(guyed, tmp_path):
     """The explanation of the extended study finds nothing more."""
     study = guyed[0]
     file = extend(study, ["guy"], tmp_path / "mast_guy").file
-    extended = Study.load(file)
+    extended = LoadedStudy.load(file)
     results = Results.at(tmp_path / "results", extended.name)
     found = explain(extended, results).explanation
     with Ledger.open(results.path / "ledger.sqlite") as ledger:
@@ -143,7 +143,7 @@ def test_without_a_fit_no_datum_is_suspected(line, tmp_path):
     y[5] += 2.0
     found = line(y)
     assert found.best.statistics.suspects["what"][0] == "y_5"
-    study = Study.load(tmp_path / "line")
+    study = LoadedStudy.load(tmp_path / "line")
     with Ledger.open(tmp_path / "other.sqlite") as ledger:
         beside = statistics_at(fit_problem(study, ledger), Terms.of(study), found.best.statistics.values)
     assert beside.p_fit == pytest.approx(found.best.statistics.p_fit) and beside.fits is False

@@ -18,7 +18,7 @@ from calib.results.results import Results
 from calib.structure.reduction.frf_target import TOLERANCE
 from calib.structure.reduction.reduced import ReducedModel
 from calib.study.loading import module_of
-from calib.study.study import EvaluationSource, Study
+from calib.study.study import EvaluationSource, LoadedStudy
 
 WORLD = module_of(Path(__file__).resolve().parents[2] / "tests/template/frf_chain.py")
 
@@ -33,7 +33,7 @@ def study(tmp_path, monkeypatch):
     (folder / "study.toml").write_text(text.replace("held_out =", more))
     model = folder / "model.py"  # its effect bears the name of an accelerometer's mass
     model.write_text(model.read_text().replace('"mass_3"', '"heavier_3"'))
-    return Study.load(folder)
+    return LoadedStudy.load(folder)
 
 
 @pytest.fixture

@@ -10,12 +10,12 @@ from calib.analyses.explain import adapter_for, adapters_for, decision
 from calib.api.explained import library_of
 from calib.correlation import basis as requirements
 from calib.errors.errors import EvaluationError
-from calib.execution.stage import unheard
+from calib.execution.stage import silent
 from calib.missing.discrepancy import discrepancy
 from calib.results.results import Results
 from calib.study.loading import module_of
 from calib.study.several import load
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from tests.study.conftest import write_study
 
 FRFS = module_of(__file__.rsplit("/", 2)[0] + "/template/frf_chain.py")
@@ -59,7 +59,7 @@ def frfs():
 
 def test_most_measured_modes_lie_inside_where_those_of_the_fit_alone_do_not(guyed):
     study, results, answer, _ = guyed
-    table, errors = predicted(adapter_for(study, results, unheard, {}), answer.explanation)
+    table, errors = predicted(adapter_for(study, results, silent, {}), answer.explanation)
     alone, beside = inside(table)
     assert beside >= 0.93 > alone
     assert set(errors["group"]) == {"held_out_sensors", "held_out_modes"}
@@ -76,7 +76,7 @@ def test_most_measured_modes_lie_inside_where_those_of_the_fit_alone_do_not(guye
 def test_a_change_of_held_out_rows_is_the_difference_that_the_candidate_makes(guyed):
     """Frequencies exactly, as their rows have no factor; parts of shapes nearly."""
     study, results, answer, _ = guyed
-    adapter, found = adapter_for(study, results, unheard, {}), answer.explanation
+    adapter, found = adapter_for(study, results, silent, {}), answer.explanation
     wide, values = wide_of(found), found.base.fit.values
     changes = adapter._changed(found.base, wide, 2.0)
     here = adapter.residuals_held_out((), values, ())
@@ -92,7 +92,7 @@ def test_a_change_of_held_out_rows_is_the_difference_that_the_candidate_makes(gu
 
 def test_held_out_modes_above_the_reach_of_a_reduced_basis_are_predicted_at_full_order(mast, tmp_path, monkeypatch):
     """The basis is trained for the modes that are fitted, of which there are fewer."""
-    study = Study.load(mast.write_study(tmp_path / "mast", {"guy": 12000.0}))
+    study = LoadedStudy.load(mast.write_study(tmp_path / "mast", {"guy": 12000.0}))
     test = calib.ModalTest(study.problem.measured, clusters=study.problem.mode_clusters, held_out=["B3x", "B3z"])
     problem = calib.Problem(mast.mast(), test)
     plain = _adapter(problem, mast)
@@ -182,7 +182,7 @@ def test_scalar_responses_held_out_are_predicted_without_a_further_call():
 def test_each_of_several_tests_is_predicted_by_the_discrepancy_of_all(tmp_path):
     folder = write_study(tmp_path / "frame")
     study = load(folder)
-    adapter = adapter_for(study, Results.at(tmp_path / "r", "frame"), unheard, {})
+    adapter = adapter_for(study, Results.at(tmp_path / "r", "frame"), silent, {})
     found = decision(adapter, study.settings.explain, "frame")
     wide = wide_of(found)
     table, errors = adapter.predictions(found.base, wide, found.noise_scale)
@@ -196,6 +196,6 @@ def test_each_of_several_tests_is_predicted_by_the_discrepancy_of_all(tmp_path):
 
 def test_a_test_that_holds_nothing_out_has_no_predictions(bare):
     study, results, answer = bare
-    adapter = adapter_for(study, results, unheard, {})
+    adapter = adapter_for(study, results, silent, {})
     table, errors = adapter.predictions(answer.explanation.base, wide_of(answer.explanation), 1.0)
     assert table.empty and errors.empty

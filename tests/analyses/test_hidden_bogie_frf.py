@@ -7,14 +7,14 @@ import pytest
 
 from calib.analyses.explain import explain
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.slow  # one minute of training; test_frf_reduction.py covers the same with a chain
 def test_the_hidden_effect_is_named_and_held_out_errors_fall(tmp_path):
-    answer = explain(Study.load(ROOT / "studies/hidden_bogie_frf"), Results.at(tmp_path, "hidden_bogie_frf"))
+    answer = explain(LoadedStudy.load(ROOT / "studies/hidden_bogie_frf"), Results.at(tmp_path, "hidden_bogie_frf"))
     assert 0 < answer.figures["basis_error"] < 0.05
     best = answer.effects.iloc[0]
     errors = answer.errors.set_index(["group", "stage"])

@@ -13,11 +13,11 @@ from calib.execution.outcome import WORKER_DIED
 from calib.structure.effects.perturbations import scaling_by_function
 from calib.structure.function_model import extend_function
 from calib.study.loading import with_effects
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
 def test_effects_act_in_the_child_as_in_this_process(sums):
-    here = Study.load(sums)
+    here = LoadedStudy.load(sums)
     there = isolated(here)
     point = {"a": 2.0, "b": 0.5}
     assert there.problem.evaluate(point) == here.problem.evaluate(point)
@@ -37,7 +37,7 @@ def test_a_part_that_the_function_scales_acts_in_the_child_too(sums):
     )
     assert "parts" in text
     file.write_text("from calib.structure.function_parts import ScaledPart\n" + text)
-    study = isolated(Study.load(sums))
+    study = isolated(LoadedStudy.load(sums))
     extended = extend_function(study.model, [scaling_by_function(part) for part in study.model.parts])
     point = {"a": 2.0, "b": 0.5}
     assert extended.function(point | {"mass of a": 0.25}) == {"s": 3.0}
@@ -54,7 +54,7 @@ def test_a_function_and_its_effects_run_in_one_other_process(sums):
     text = file.read_text().replace('{"s": v["a"] + v["b"]}', '{"s": float(os.getpid())}')
     text = text.replace('model.function(v)["s"] + v["bend"] * v["bend_at"] * v["bend_scale"]', "float(os.getpid())")
     file.write_text("import os\n" + text)
-    study = isolated(Study.load(sums))
+    study = isolated(LoadedStudy.load(sums))
     point = {"a": 1.0, "b": 1.0, "bend": 0.1, "bend_at": 1.0, "bend_scale": 2.0}
     pids = {study.problem.evaluate({"a": 1.0, "b": 1.0})["s"]}
     pids.add(extend_function(study.model, study.candidates).function(point)["s"])
@@ -67,7 +67,7 @@ def test_a_function_and_its_effects_run_in_one_other_process(sums):
 def test_an_effect_that_ends_the_process_is_a_failed_point(sums):
     file = sums / "model.py"
     file.write_text("import os\n" + file.read_text().replace('model.function(v)["s"]', "os._exit(1)"))
-    study = isolated(Study.load(sums))
+    study = isolated(LoadedStudy.load(sums))
     extended = extend_function(study.model, study.candidates)
     with pytest.raises(EvaluationError, match=WORKER_DIED):
         extended.function({"a": 1.0, "b": 1.0, "bend": 0.1, "bend_at": 1.0, "bend_scale": 2.0})
@@ -75,7 +75,7 @@ def test_an_effect_that_ends_the_process_is_a_failed_point(sums):
 
 
 def test_an_invalid_effect_is_refused_before_any_evaluation(sums):
-    study = isolated(Study.load(sums))
+    study = isolated(LoadedStudy.load(sums))
     (effect,) = study.candidates
     wrong = replace(effect, build=KnownThere(lambda: None))  # it takes no model
     with pytest.raises(InputError, match="bend"):
@@ -86,12 +86,12 @@ def test_an_invalid_effect_is_refused_before_any_evaluation(sums):
 
 
 def test_models_of_matrices_stay_in_this_process():
-    study = Study.load(Path(__file__).parents[2] / "studies/four_storey_rig")
+    study = LoadedStudy.load(Path(__file__).parents[2] / "studies/four_storey_rig")
     assert isolated(study) is study
 
 
 def test_the_child_is_the_one_worker(sums):
-    study = isolated(Study.load(sums))
+    study = isolated(LoadedStudy.load(sums))
     assert isinstance(study.problem.function, ChildFunction)
     with open_evaluator(study, 1, 10) as evaluator:
         assert evaluator is study.problem.function.evaluator

@@ -13,12 +13,12 @@ from calib.correlation.modal.problem import ModalProblem
 from calib.errors.errors import EvaluationError, InputError
 from calib.results.results import Results
 from calib.structure.reduction.cache import BasisCache, using
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
 @pytest.fixture
 def study(mast, tmp_path):
-    return Study.load(mast.write_study(tmp_path / "mast", {"platform": 20.0}))
+    return LoadedStudy.load(mast.write_study(tmp_path / "mast", {"platform": 20.0}))
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def test_local_perturbations_are_at_every_part_and_every_used_sensor(study, resu
 def test_effects_in_the_model_are_not_candidates(study, results, mast):
     path = study.file
     path.write_text(path.read_text().replace("selection =", 'with_effects = ["lamp"]\nselection =', 1))
-    hypotheses, _ = modal_hypotheses(Study.load(path), results)
+    hypotheses, _ = modal_hypotheses(LoadedStudy.load(path), results)
     assert [e.name for e in hypotheses.effects] == ["platform", "guy", "stuck_base"]
     assert "lamp" in hypotheses.variants.model.space
 
@@ -77,7 +77,7 @@ def test_the_basis_is_trained_once_and_kept(study, results, small_pays):
     stages = ["reduced basis for the effects", "training the reduced basis", "training the basis for the effects"]
     assert [stage for stage in dict.fromkeys(progress) if stage in stages] == stages
     assert len(small_pays) == 1 and len(bases(results)) == 1
-    again, _ = modal_hypotheses(Study.load(study.file), results)
+    again, _ = modal_hypotheses(LoadedStudy.load(study.file), results)
     assert len(small_pays) == 1
     np.testing.assert_array_equal(first.variants.basis.vectors, again.variants.basis.vectors)
 
@@ -134,7 +134,7 @@ def test_changed_requirements_need_another_basis(study, results, small_pays, cha
 
 def test_the_basis_does_not_depend_on_the_measurement(study, results, small_pays, mast, tmp_path):
     modal_hypotheses(study, results)
-    again = Study.load(mast.write_study(tmp_path / "again", seed=7))
+    again = LoadedStudy.load(mast.write_study(tmp_path / "again", seed=7))
     other, _ = modal_hypotheses(again, results)
     assert other.pair.problem.measured is again.measured
     assert len(small_pays) == 1 and len(bases(results)) == 1

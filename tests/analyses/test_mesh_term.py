@@ -21,7 +21,7 @@ from calib.missing.linearised_fit import least_squares_fit
 from calib.problem.space import ParameterSpace
 from calib.results.results import Results
 from calib.study.loading import module_of
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 BAR = module_of(Path(__file__).parents[1] / "template/bar.py")
 COARSE, FINER = 2.0, 1.0
@@ -40,7 +40,10 @@ def asked(mast, edited, tmp_path):
         keys = "" if finer is None else f"finer_options = {{ element_size = {finer} }}\n"
         keys += "" if mesh_sd is None else f"mesh_sd = {mesh_sd}\n"
         edited(folder, "[calibration]", f"[explain]\n{keys}\n[calibration]")
-        study, results = Study.load(edited(folder, "modes = []", 'modes = ["B3x"]')), Results.at(tmp_path / "r", "mast")
+        study, results = (
+            LoadedStudy.load(edited(folder, "modes = []", 'modes = ["B3x"]')),
+            Results.at(tmp_path / "r", "mast"),
+        )
         return study, explain(study, results), results
 
     return ask
@@ -74,7 +77,7 @@ def test_an_effect_is_still_named_and_held_out_data_agree(asked):
 
 def test_the_fitted_multiple_counts_like_a_term_of_the_covariance(mast, tmp_path):
     """Sum of squares and covariance of generalised least squares with ``I + s^2 w w^T``, by hand at the same slope."""
-    study = Study.load(mast.write_study(tmp_path / "mast"))
+    study = LoadedStudy.load(mast.write_study(tmp_path / "mast"))
     hypotheses, _ = modal_hypotheses(study, Results.at(tmp_path / "r", "mast"))
     at = least_squares_fit(hypotheses.fit_problem(()), (), hypotheses.space.values).values
     mesh = MeshError(mast.mast(), mast.mast(2.0), at, 0.8)
@@ -130,7 +133,7 @@ def test_frfs_of_a_coarse_mesh_likewise(shaken):
 
 
 def test_a_finer_mesh_alone_tells_its_scores_and_changes_nothing_else(mast, tmp_path):
-    study = Study.load(mast.write_study(tmp_path / "mast", {"guy": 12000.0}))
+    study = LoadedStudy.load(mast.write_study(tmp_path / "mast", {"guy": 12000.0}))
     problem = calib.Problem(study.model, calib.ModalTest(study.experiment.modes)).keep(["E", "m_top", "K_base"])
     alone = problem.explain(mast.library(), progress=False)
     told = problem.explain(mast.library(), progress=False, finer=mast.mast(0.25))
@@ -148,7 +151,7 @@ def test_a_finer_mesh_alone_tells_its_scores_and_changes_nothing_else(mast, tmp_
     ],
 )
 def test_a_stated_error_that_is_none_is_refused(mast, tmp_path, given, words):
-    study = Study.load(mast.write_study(tmp_path / "mast"))
+    study = LoadedStudy.load(mast.write_study(tmp_path / "mast"))
     problem, fine = calib.Problem(study.model, calib.ModalTest(study.experiment.modes)), mast.mast(0.25)
     finer = {True: fine, "other": {"other": fine}}.get(given.get("finer"))
     with pytest.raises(InputError, match=words):
@@ -159,7 +162,7 @@ def test_parameters_left_out_of_a_selection_are_uncertain_as_in_a_study(mast, ed
     """The same probabilities as `fixed_sd` of a study, and the note that it has."""
     folder = mast.write_study(tmp_path / "mast")
     edited(folder, '"m_top", "K_base"]', '"K_base"]')
-    study = Study.load(edited(folder, "[calibration]", '[explain]\nfixed_sd = "15 %"\n\n[calibration]'))
+    study = LoadedStudy.load(edited(folder, "[calibration]", '[explain]\nfixed_sd = "15 %"\n\n[calibration]'))
     asked = explain(study, Results.at(tmp_path / "r", "mast"))
     space = study.search_space.replace("m_top", distribution="uniform")
     model = replace(study.model, space=space)

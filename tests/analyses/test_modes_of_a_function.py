@@ -22,7 +22,7 @@ from calib.execution.outcome import WORKER_DIED
 from calib.report.figures import Figures
 from calib.results.ledger import Ledger
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from tests.api.cantilever import ADOPTED, FEW, write_study
 
 PROP = 2500.0
@@ -60,7 +60,7 @@ def fitted(folders):
     """Calibrations by least squares."""
     found = {}
     for kind, folder in folders.items():
-        study = Study.load(folder)
+        study = LoadedStudy.load(folder)
         results = Results.at(folder / "results", study.name)
         with Ledger.open(folder / "ledger.sqlite") as ledger:
             found[kind] = calibrate(study, results, ledger), results.path
@@ -84,7 +84,7 @@ def test_the_study_is_compared_and_fitted_as_with_matrices(fitted):
 @pytest.mark.slow
 def test_the_explanation_is_that_of_the_matrices_and_evaluates_no_point_twice(own, folders, tmp_path):
     folder, calls = own
-    studies = {"function": isolated(Study.load(folder)), "matrices": Study.load(folders["matrices"])}
+    studies = {"function": isolated(LoadedStudy.load(folder)), "matrices": LoadedStudy.load(folders["matrices"])}
     own, theirs = (explain(study, Results.at(tmp_path / kind, study.name)) for kind, study in studies.items())
     assert set(calls().values()) == {1} and len(calls()) > 100
     assert own.verdict == theirs.verdict == "effect"
@@ -99,14 +99,14 @@ def test_the_explanation_is_that_of_the_matrices_and_evaluates_no_point_twice(ow
 @pytest.mark.slow
 def test_no_point_is_solved_twice_and_a_second_run_solves_none(few, tmp_path):
     folder, calls = few
-    study = Study.load(folder)
+    study = LoadedStudy.load(folder)
     tables, counted = [], []
     for _ in range(2):
         with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
             tables.append(calibrate(study, Results.at(tmp_path / "results", study.name), ledger).parameters)
             kept = ledger.count(study.problem.ledger_key)
         counted.append(calls())
-        study = Study.load(folder)
+        study = LoadedStudy.load(folder)
     assert tables[0].equals(tables[1])
     first, second = counted
     # The reproducibility check evaluates again: first the nominal values, then one stored point.
@@ -119,7 +119,7 @@ def test_an_explanation_behind_the_ledger_reuses_the_points_of_a_calibration(few
     folder, calls = few
     found, counted = [], []
     for ask in ("calibrate", "explain", "explain"):
-        study, results = Study.load(folder), Results.at(tmp_path / "results", "study")
+        study, results = LoadedStudy.load(folder), Results.at(tmp_path / "results", "study")
         with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
             if ask == "calibrate":
                 calibrate(study, results, ledger)
@@ -138,7 +138,7 @@ def test_an_explanation_behind_the_ledger_reuses_the_points_of_a_calibration(few
 @pytest.mark.slow
 def test_a_search_stores_modes_that_least_squares_reuse(few, tmp_path):
     folder, calls = few
-    study = Study.load(folder)
+    study = LoadedStudy.load(folder)
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
         found = calibrate(study, Results.at(tmp_path / "results", study.name), ledger, method="genetic")
         assert ledger.count(study.problem.ledger_key) == len(calls())
@@ -152,7 +152,7 @@ def test_any_number_of_workers_gives_the_same_samples(few, tmp_path):
     folder, _ = few
     tables = []
     for workers in (1, 2):
-        study = Study.load(folder)
+        study = LoadedStudy.load(folder)
         with Ledger.open(tmp_path / f"ledger_{workers}.sqlite") as ledger:
             results = Results.at(tmp_path / f"results_{workers}", study.name)
             sensitivity(study, results, ledger, workers, quick=True)
@@ -170,7 +170,7 @@ def test_its_results_in_another_process_are_those_in_this_one(own, tmp_path):
         "if v['m_tip'] > 3.0: import os; raise RuntimeError(f'process {os.getpid()}')\n    return cantilever.bends(v)"
     )
     edit(folder / "model.py", "return cantilever.bends(v)", told)
-    here = Study.load(folder)
+    here = LoadedStudy.load(folder)
     there = isolated(here)
     point = {**ADOPTED, "m_tip": 2.0}
     one, other = (s.problem.compare(point) for s in (here, there))
@@ -191,7 +191,7 @@ def test_a_point_that_ends_the_process_is_a_failed_row(own, tmp_path):
         "return cantilever.bends(v)",
         "if v['m_tip'] > 1.5: import os; os._exit(1)\n    return cantilever.bends(v)",
     )
-    study = isolated(Study.load(folder))
+    study = isolated(LoadedStudy.load(folder))
     points = [{**study.model.space.values, "m_tip": m} for m in (1.0, 2.0)]
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
         with open_evaluator(recorded(study, ledger), 1, 2) as evaluator:
@@ -205,7 +205,7 @@ def test_a_point_that_ends_the_process_is_a_failed_row(own, tmp_path):
 def test_a_function_that_fails_at_the_nominal_values_is_reported_without_a_traceback(own, tmp_path):
     folder, _ = own
     edit(folder / "model.py", "return cantilever.bends(v)", "return {'natural_freq': [2.0, 1.0]}")
-    study = isolated(Study.load(folder))
+    study = isolated(LoadedStudy.load(folder))
     with pytest.raises(InputError) as fault:
         compare(study, Results.at(tmp_path / "results", study.name))
     assert "shapes" in str(fault.value) and "\n" not in str(fault.value)
@@ -217,7 +217,7 @@ def test_a_nondeterministic_function_is_refused(own, tmp_path):
         folder / "model.py", "return cantilever.bends(v)",
         "import random; v['m_tip'] *= 1 + 0.01 * random.random()\n    return cantilever.bends(v)",
     )  # fmt: skip
-    study = Study.load(folder)
+    study = LoadedStudy.load(folder)
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger, pytest.raises(InputError, match="deterministic"):
         calibrate(study, Results.at(tmp_path / "results", study.name), ledger)
 
@@ -227,17 +227,17 @@ def test_a_nondeterministic_function_is_refused(own, tmp_path):
 
 def test_changed_code_is_another_model_and_a_changed_pairing_is_not(own):
     folder, _ = own
-    first = Study.load(folder)
+    first = LoadedStudy.load(folder)
     edit(folder / "study.toml", "mode_count = 14", "mode_count = 13")
-    paired = Study.load(folder)
+    paired = LoadedStudy.load(folder)
     edit(folder / "cantilever.py", "LENGTH, LINE, ELEMENTS, PROP_AT = 2.0", "LENGTH, LINE, ELEMENTS, PROP_AT = 2.1")
-    longer = Study.load(folder)
+    longer = LoadedStudy.load(folder)
     assert paired.problem.ledger_key == first.problem.ledger_key != longer.problem.ledger_key
     assert paired.problem.fingerprint != first.problem.fingerprint
 
 
 def test_models_of_matrices_have_no_user_function(folders):
-    study = Study.load(folders["matrices"])
+    study = LoadedStudy.load(folders["matrices"])
     assert study.problem.user_function is None and isolated(study) is study
 
 
@@ -248,7 +248,7 @@ def test_clusters_are_refused(own):
     folder, _ = own
     edit(folder / "study.toml", "mode_count = 14", "mode_count = 14\nclusters = { m1 = ['y'] }")
     with pytest.raises(InputError, match="cluster"):
-        Study.load(folder)
+        LoadedStudy.load(folder)
 
 
 def test_a_finer_mesh_is_refused(own):
@@ -256,14 +256,14 @@ def test_a_finer_mesh_is_refused(own):
     edit(folder / "study.toml", "[sensitivity]", "[explain]\nfiner_options = { elements = 16 }\n[sensitivity]")
     edit(folder / "model.py", "def function():", "def function(elements=8):")
     with pytest.raises(InputError, match="matrices"):
-        Study.load(folder)
+        LoadedStudy.load(folder)
 
 
 def test_more_modes_than_the_function_gives_are_refused(own, tmp_path):
     folder, _ = own
     edit(folder / "study.toml", "mode_count = 14", "mode_count = 15")
     with pytest.raises(InputError, match="14"):
-        compare(Study.load(folder), Results.at(tmp_path / "results", "study"))
+        compare(LoadedStudy.load(folder), Results.at(tmp_path / "results", "study"))
 
 
 def test_responses_cannot_be_compared_with_modes(own):
@@ -275,7 +275,7 @@ def test_responses_cannot_be_compared_with_modes(own):
     )
     (folder / "r.csv").write_text("response,value\na,1\n")
     with pytest.raises(InputError, match="modes"):
-        Study.load(folder)
+        LoadedStudy.load(folder)
 
 
 @pytest.mark.slow
@@ -283,7 +283,7 @@ def test_without_locations_the_model_is_not_drawn(own, tmp_path):
     folder, _ = own
     edit(folder / "study.toml", 'sensors = "sensors.csv"\n', "")
     edit(folder / "model.py", "model.sensors,", "[s.name for s in model.sensors],")
-    study, results = Study.load(folder), Results.at(tmp_path / "results", "study")
+    study, results = LoadedStudy.load(folder), Results.at(tmp_path / "results", "study")
     answer = compare(study, results)
     assert len(answer.hints) == 1 and answer.mean_mac > 0.9
     assert not (results.path / "mesh_points.csv").exists() and (results.path / "mac_before.csv").exists()
@@ -293,7 +293,7 @@ def test_without_locations_the_model_is_not_drawn(own, tmp_path):
 @pytest.mark.slow
 def test_with_locations_the_motion_of_its_sensors_is_drawn(own, tmp_path):
     folder, _ = own
-    study, results = Study.load(folder), Results.at(tmp_path / "results", "study")
+    study, results = LoadedStudy.load(folder), Results.at(tmp_path / "results", "study")
     found = compare(study, results).comparison
     assert len(pd.read_csv(results.path / "mesh_points.csv")) == 4
     moved = pd.read_csv(results.path / "deflection_before.csv")

@@ -8,12 +8,12 @@ from calib.analyses.extend import extend_among
 from calib.analyses.provenance.places import answers_of, results_of
 from calib.errors.errors import InputError
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile
 
 
 def test_only_folders_with_results_are_listed(mast, tmp_path):
-    study, home = Study.load(mast.write_study(tmp_path / "mast")), tmp_path / "results/mast"
+    study, home = LoadedStudy.load(mast.write_study(tmp_path / "mast")), tmp_path / "results/mast"
     assert answers_of(study, tmp_path / "results") == ()
     for part in ("quick", "case_A1", "empty", ".hidden"):
         if part in ("quick", "case_A1"):

@@ -10,7 +10,7 @@ import pytest
 
 from calib import __version__
 from calib.analyses.compare import compare
-from calib.analyses.provenance.record import measured_table, parameters_table, sensors_table, write_record
+from calib.analyses.provenance.record import limits_table, measured_table, sensors_table, write_record
 from calib.analyses.provenance.state import every_rule
 from calib.correlation import rules as comparison
 from calib.problem.parameter import Parameter
@@ -18,7 +18,7 @@ from calib.problem.space import ParameterSpace
 from calib.results.results import Results
 from calib.sensitivity import rules as sensitivity
 from calib.study.settings import AdoptedSettings
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -60,7 +60,7 @@ def test_scalar_responses_are_listed_with_their_standard_deviation(chain):
 def test_the_record_names_versions_and_seeds_and_keeps_earlier_analyses(guyed, tmp_path):
     study = guyed[0]
     results = Results.at(tmp_path, study.name)
-    answer = compare(Study.load(study.file), results)
+    answer = compare(LoadedStudy.load(study.file), results)
     write_record(study, results, "sensitivity", {"samples": 7}, ["Two matter."], quick=True)
     content = record(results)
     assert content["study"] == study.name and content["synthetic"] is study.synthetic
@@ -97,7 +97,7 @@ def test_the_limits_of_the_search_stand_beside_those_of_the_sensitivity():
     )
     search = space.widen({"k": (0.5, 9.0), "m": (2.0, 8.0)}).keep(("k", "m"))
     other = space.replace("k", lower=1.5)
-    table = parameters_table(search, search, (space, other)).set_index("parameter")
+    table = limits_table(search, search, (space, other)).set_index("parameter")
     assert table.loc["k", ["lower", "upper", "search_lower", "search_upper"]].tolist() == [1.5, 3.0, 0.5, 9.0]
     assert table.loc["m", ["lower", "upper", "search_lower", "search_upper"]].tolist() == [4.0, 6.0, 2.0, 8.0]
     assert table.loc["c", ["lower", "upper"]].tolist() == [0.5, 2.0]
@@ -106,7 +106,7 @@ def test_the_limits_of_the_search_stand_beside_those_of_the_sensitivity():
 
 def test_the_record_of_a_study_tells_both_limits(tmp_path):
     results = Results.at(tmp_path, "hidden_bogie")
-    write_record(Study.load(ROOT / "studies/hidden_bogie"), results, "compare", {})
+    write_record(LoadedStudy.load(ROOT / "studies/hidden_bogie"), results, "compare", {})
     table = pd.read_csv(results.path / "parameter_space.csv").set_index("parameter")
     limits = ["lower", "upper", "search_lower", "search_upper"]
     assert table.loc["K_contact", limits].tolist() == [15250.0, 35250.0, 5000.0, 60000.0]

@@ -14,12 +14,12 @@ from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
 from calib.errors.errors import EvaluationError
-from calib.execution.outcome import key_of
-from calib.problem.problem import Counts, Problem
+from calib.execution.outcome import point_key
+from calib.problem.problem import Counts, PairProblem
 from calib.problem.sampling import sample
 from calib.results.ledger import Ledger
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from tests.template import plain
 
 RIG = Path(__file__).parents[2] / "studies/four_storey_rig"
@@ -47,7 +47,7 @@ def solved(monkeypatch):
     counted, compare = Counter(), ModalProblem.compare
 
     def counting(self, values, modes=None):
-        counted[key_of(self.space.complete(values))] += modes is None
+        counted[point_key(self.space.complete(values))] += modes is None
         return compare(self, values, modes)
 
     monkeypatch.setattr(ModalProblem, "compare", counting)
@@ -57,11 +57,11 @@ def solved(monkeypatch):
 @pytest.fixture
 def logged(here):
     """A study of scalar responses whose function logs a line per call."""
-    return Study.load(plain.write(Path("plain"), LOGGED, ASKED, y=(5.0, 0.1), z=(4.0, 0.1), w=(6.0, 0.1)))
+    return LoadedStudy.load(plain.write(Path("plain"), LOGGED, ASKED, y=(5.0, 0.1), z=(4.0, 0.1), w=(6.0, 0.1)))
 
 
 def test_modes_are_solved_once_and_not_again_in_the_next_run(tmp_path, solved):
-    study = Study.load(RIG)
+    study = LoadedStudy.load(RIG)
     space = study.search_space
     starts = [space.complete(x) for x in sample(space, 3, 1).points]
     found = []
@@ -102,19 +102,19 @@ def test_least_squares_count_their_points(logged, tmp_path):
 
 
 def test_a_failed_point_is_not_solved_again(tmp_path, solved):
-    problem, counts = replace(Study.load(RIG).problem, mode_count=5), Counts()  # of a model with four
+    problem, counts = replace(LoadedStudy.load(RIG).problem, mode_count=5), Counts()  # of a model with four
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
         said = []
         for _ in range(2):
             with pytest.raises(EvaluationError) as fault:
-                Problem(ModalResidual(problem), problem.space, ledger, counts=counts).residual(problem.space.values)
+                PairProblem(ModalResidual(problem), problem.space, ledger, counts=counts).residual(problem.space.values)
             said.append(str(fault.value))
     assert said[0] == said[1] and sum(solved.values()) == 1
     assert (counts.asked, counts.failed) == (2, 2)
 
 
 def test_residuals_with_other_floors_have_another_fingerprint():
-    problem = Study.load(RIG).problem
+    problem = LoadedStudy.load(RIG).problem
     one, other = ModalResidual(problem), ModalResidual(problem, Floors(freq=0.5))
     assert one.fingerprint == ModalResidual(problem).fingerprint != other.fingerprint
 

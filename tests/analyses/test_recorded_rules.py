@@ -4,7 +4,7 @@ from dataclasses import fields, is_dataclass, replace
 
 import pytest
 
-from calib.analyses.provenance.state import WRITES, changed, every_rule, made_from, rules_of
+from calib.analyses.provenance.state import WRITES, every_rule, made_from, rules_of, state_differences
 from calib.study.study_file import StudyFile
 
 PLACES = {
@@ -34,10 +34,10 @@ def test_an_analysis_is_stale_once_one_of_its_rules_changes(guyed, monkeypatch, 
     study = guyed[0]
     file = StudyFile.read(study.file)
     then = made_from(study, analysis)
-    assert changed(then, made_from(study, analysis)) == []
+    assert state_differences(then, made_from(study, analysis)) == []
     rules = every_rule()[name]
     first = fields(rules)[0].name
     monkeypatch.setattr(PLACES[name], replace(rules, **{first: 2 * getattr(rules, first)}))
     expected = ["the rules of calib"] if name in rules_of(analysis) else []
-    assert changed(then, made_from(study, analysis)) == expected
-    assert changed(then, made_from(file, analysis)) == expected
+    assert state_differences(then, made_from(study, analysis)) == expected
+    assert state_differences(then, made_from(file, analysis)) == expected

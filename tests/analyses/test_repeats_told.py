@@ -13,7 +13,7 @@ from calib.analyses.provenance.record import check_repeats
 from calib.command.example import write_example
 from calib.correlation.standard_deviations import std_for
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 CHAIN = Path(__file__).parents[2] / "studies/five_mass_chain"
 
@@ -46,7 +46,7 @@ def pooling(folder, kind):
 
 @pytest.mark.slow
 def test_a_reversed_channel_in_one_repeat(example, tmp_path):
-    study = Study.load(example)
+    study = LoadedStudy.load(example)
     results = Results.at(tmp_path / "results", study.name)
     compare(study, results)
     table = pd.read_csv(results.path / "repeat_disagreements.csv")
@@ -57,7 +57,7 @@ def test_a_reversed_channel_in_one_repeat(example, tmp_path):
     measured = pd.read_csv(results.path / "measured.csv")
     assert measured["repeats"].tolist() == [5] * 4
     pooling(example, "plain")
-    plain = Study.load(example)
+    plain = LoadedStudy.load(example)
     assert [d.left_out for d in plain.disagreements] == [False]
     inflated, clean = (std_for(s.measured).shape.mean() for s in (plain, study))
     assert inflated > 3 * clean
@@ -75,7 +75,7 @@ def test_an_outlying_response_is_reported_by_an_explanation(tmp_path):
         own[0] *= 1.5 if k == 3 else 1.0
         runs.append(pd.DataFrame({"response": given["response"], "value": own, "repeat": k}))
     pd.concat([*runs[:5], runs[5].drop(index=1)]).to_csv(folder / "measured.csv", index=False)
-    study = Study.load(folder)
+    study = LoadedStudy.load(folder)
     assert [(d.mode, d.left_out) for d in study.disagreements] == [(given["response"][0], True)]
     assert study.repeats == 5
     assert [study.experiment.measured.counts[n] for n in given["response"][:3]] == [5, 5, 6]

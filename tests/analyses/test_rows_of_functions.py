@@ -11,7 +11,7 @@ from calib.missing.rules import RULES
 from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.function_model import FunctionModel
 from calib.study.loading import module_of
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from tests.analyses.function_toys import CHAIN, curved, effect, hypotheses_of
 
 # -- rows and standard deviations --------------------------------------------------------------------------------------
@@ -113,7 +113,7 @@ def test_fitted_parameters_have_a_local_perturbation_in_one_group_of_responses()
 @pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_damping_measured_too_high_is_not_a_damper(seed):
     """For a function without fixed parameters; a damper to the ground would explain most of the error."""
-    study = Study.load(CHAIN)
+    study = LoadedStudy.load(CHAIN)
     twin = module_of(CHAIN / "make_twin.py")
     held = {p.name: p.value for p in study.search_space.parameters if p.distribution == "fixed"}
     space = ParameterSpace(study.search_space.free)
@@ -128,7 +128,7 @@ def test_damping_measured_too_high_is_not_a_damper(seed):
 
 def bare_chain(seed, hidden, fault="", offset=(0.0, 0.0)):
     """A bare chain with an effect, or a measurement error in one kind of response, as in the benchmark of rates."""
-    study, twin = Study.load(CHAIN), module_of(CHAIN / "make_twin.py")
+    study, twin = LoadedStudy.load(CHAIN), module_of(CHAIN / "make_twin.py")
     held = {p.name: p.value for p in study.search_space.parameters if p.distribution == "fixed"}
     space = ParameterSpace(study.search_space.free)
     model = FunctionModel("bare chain", space, lambda values: study.model.function(held | dict(values)))

@@ -12,7 +12,7 @@ from calib.analyses.sensitivity import selected_by_measures
 from calib.command import cli
 from calib.errors.errors import InputError
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile
 from tests.template import plain
 
@@ -40,7 +40,7 @@ def selected(here):
     folder = plain.write(Path("plain"), FUNCTION, ASKED, SPACE, '"from sensitivity"', **measured)
     assert cli.execute(["sensitivity", "plain", "--workers", "1"]) == 0
     home = Results(Path("results/plain"))
-    study = Study.load(folder)
+    study = LoadedStudy.load(folder)
     columns = (home.path / "selection.csv").read_text().splitlines()[0].split(",")
 
     def of(flags, names="abc", change=lambda text: text):
@@ -80,7 +80,7 @@ def test_an_ambiguous_selection_is_refused(selected, flags, names):
 
 @pytest.mark.parametrize("quick", [True, False])
 def test_a_calibration_of_one_case_is_stale_with_its_selection(selected, quick):
-    root, study = Path("results"), Study.load(Path("plain"))
+    root, study = Path("results"), LoadedStudy.load(Path("plain"))
     home, other = (Results.at(root, "plain", part) for part in (("quick", "") if quick else ("", "quick")))
     results = Results.at(root, "plain", "quick-case_A1" if quick else "case_A1")
     for place, chosen in ((home, "ab"), (other, "c")):

@@ -12,11 +12,11 @@ import pytest
 
 from calib.analyses.provenance.isolation import isolated
 from calib.analyses.provenance.stale import stale_answers
-from calib.analyses.staged import in_order, values_found
+from calib.analyses.staged import earliest_first, values_found
 from calib.command import cli
 from calib.errors.errors import InputError
 from calib.results.results import Results
-from calib.study.study import EvaluationSource, Study
+from calib.study.study import EvaluationSource, LoadedStudy
 from calib.study.study_file import StudyFile
 from calib.study.study_text import read_settings
 
@@ -100,7 +100,7 @@ def test_the_earlier_study_runs_first_and_its_values_are_held(stages, capsys):
     assert "One comes first: two takes over what it finds." in capsys.readouterr().out
     found = pd.read_csv("results/two/parameters.csv")
     assert found["parameter"].tolist() == ["c"] and found["value"].item() == pytest.approx(1.5, abs=1e-3)
-    study = Study.load(Path("two"), *values_found(Study.load(Path("one")), Path("results")))
+    study = LoadedStudy.load(Path("two"), *values_found(LoadedStudy.load(Path("one")), Path("results")))
     assert study.search_space.values["a"] == pytest.approx(2.3, abs=1e-3)
     assert study.search_space.free_names == ("c",) and study.sensitivity_space.free_names == ("c",)
 
@@ -192,7 +192,7 @@ def test_a_quick_run_takes_the_selection_of_a_quick_sensitivity_analysis(stages)
     file.write_text(file.read_text().replace('["a", "b"]', '"from sensitivity"') + "[sensitivity]\nsamples = 20\n")
     assert cli.execute(["calibrate", "two", "--quick", "--workers", "1"]) == 0
     assert Path("results/one/quick/selection.csv").exists() and not Path("results/one/selection.csv").exists()
-    found = values_found(Study.load(Path("one")), Path("results"), quick=True)
+    found = values_found(LoadedStudy.load(Path("one")), Path("results"), quick=True)
     assert found.values["a"] == pytest.approx(2.3, abs=1e-3)
 
 
@@ -217,14 +217,14 @@ def test_worker_processes_hold_the_values_too(found, monkeypatch):
 
 def test_three_stages(stages):
     write(Path("three"), "Three", ["c"], (("r", 3.45), ("s", 2.7)), ADOPTED.replace("one", "two"))
-    assert [f.parent.name for f in in_order(Path("three"))] == ["one", "two", "three"]
+    assert [f.parent.name for f in earliest_first(Path("three"))] == ["one", "two", "three"]
     assert cli.execute(["compare", "three"]) == 0
-    held = Study.load(Path("three"), *values_found(_two(), Path("results"))).search_space.values
+    held = LoadedStudy.load(Path("three"), *values_found(_two(), Path("results"))).search_space.values
     assert held["b"] == pytest.approx(1.2, abs=1e-3)
 
 
 def _two():
-    return Study.load(Path("two"), *values_found(Study.load(Path("one")), Path("results")))
+    return LoadedStudy.load(Path("two"), *values_found(LoadedStudy.load(Path("one")), Path("results")))
 
 
 def test_an_extended_study_holds_the_same_values_in_any_folder(stages):
@@ -275,7 +275,7 @@ def test_a_held_parameter_cannot_be_selected(stages, capsys):
 
 def test_without_values_a_study_that_needs_them_is_not_loaded(stages):
     with pytest.raises(InputError, match="the value of 'a' is to come from"):
-        Study.load(Path("two"))
+        LoadedStudy.load(Path("two"))
 
 
 def test_a_circular_adoption_is_refused(stages, capsys):
@@ -317,9 +317,9 @@ def test_damaged_results_are_refused_and_left_unchanged(found, capsys, file, dam
 
 
 def test_results_saved_by_a_spreadsheet_are_read(found):
-    before = values_found(Study.load(Path("one")), Path("results"))
+    before = values_found(LoadedStudy.load(Path("one")), Path("results"))
     path = Path("results/one/parameters.csv")
     path.write_bytes(
         b"\xef\xbb\xbf" + path.read_bytes().replace(b",", b";").replace(b".", b",").replace(b"\n", b"\r\n")
     )
-    assert values_found(Study.load(Path("one")), Path("results")) == before
+    assert values_found(LoadedStudy.load(Path("one")), Path("results")) == before

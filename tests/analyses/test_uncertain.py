@@ -10,7 +10,7 @@ from calib.analyses.uncertain import uncertain, uncertain_note, with_uncertain
 from calib.errors.errors import InputError
 from calib.hypotheses.rules import RULES
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ALL, TWO = 'selection = ["E", "m_top", "K_base"]', 'selection = ["E", "K_base"]'
 """The mast's true mass at the top is 15 % larger than its nominal value."""
@@ -23,7 +23,7 @@ def asked(mast, edited, tmp_path):
     def ask(share, hidden=None):
         key = f'[explain]\nfixed_sd = "{share}"\n\n[calibration]' if share else "[calibration]"
         folder = edited(edited(mast.write_study(tmp_path / "mast", hidden), ALL, TWO), "[calibration]", key)
-        study, results = Study.load(folder), Results.at(tmp_path / "results", "mast")
+        study, results = LoadedStudy.load(folder), Results.at(tmp_path / "results", "mast")
         return study, explain(study, results), results
 
     return ask
@@ -64,7 +64,7 @@ def test_a_parameter_off_by_many_standard_deviations_is_told(asked):
 
 def test_the_unselected_parameters_are_free_about_their_nominal_values(mast, edited, tmp_path):
     folder = edited(mast.write_study(tmp_path / "mast"), ALL, TWO)
-    study = Study.load(edited(folder, "[calibration]", '[explain]\nfixed_sd = "3 %"\n\n[calibration]'))
+    study = LoadedStudy.load(edited(folder, "[calibration]", '[explain]\nfixed_sd = "3 %"\n\n[calibration]'))
     assert [p.name for p in uncertain(study)] == ["m_top"]
     freed, own = with_uncertain(study).search_space, study.search_space
     p = freed["m_top"]
@@ -85,5 +85,5 @@ def test_a_share_that_is_none_is_refused_with_its_line(mast, edited, tmp_path, g
         mast.write_study(tmp_path / "mast"), "[calibration]", f'[explain]\nfixed_sd = "{given}"\n\n[calibration]'
     )
     with pytest.raises(InputError, match="fixed_sd") as refused:
-        Study.load(folder)
+        LoadedStudy.load(folder)
     assert "line" in str(refused.value)

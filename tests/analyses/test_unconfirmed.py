@@ -10,7 +10,7 @@ from calib.analyses.explain import explain
 from calib.missing.adequacy import contradicting
 from calib.missing.rules import RULES
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
 
@@ -29,7 +29,7 @@ def raised(folder, mode, by):
 def contradicted(mast, edited, tmp_path_factory):
     """The guyed mast with the held-out mode 5 % above the frequency that a guy rope gives."""
     folder = tmp_path_factory.mktemp("contradicted")
-    study = Study.load(raised(edited(mast.write_study(folder / "mast", {"guy": 9000.0}), *HELD), "B3x", 0.05))
+    study = LoadedStudy.load(raised(edited(mast.write_study(folder / "mast", {"guy": 9000.0}), *HELD), "B3x", 0.05))
     results = Results.at(folder / "results", study.name)
     return study, results, explain(study, results)
 

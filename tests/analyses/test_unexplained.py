@@ -10,7 +10,7 @@ import pytest
 from calib.analyses.explain import explain, write_explanation
 from calib.command.explained import _predictions
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 missing = runpy.run_path(str(Path(__file__).parents[1] / "docs/tables.py"))["missing"]
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
@@ -25,7 +25,7 @@ def test_the_true_values_lie_inside_where_the_effect_is_not_in_the_library(mast,
         text.replace('        _one("guy", "Guy rope along x", 4.5, (0,), "stiffness", "N/m", 5e3, 1e5),\n', "")
     )
     results = Results.at(tmp_path / "r", "mast")
-    answer = explain(Study.load(folder), results)
+    answer = explain(LoadedStudy.load(folder), results)
     assert answer.verdict == "none_explains"
     table = pd.read_csv(results.path / "unexplained.csv").set_index("parameter")
     assert set(table.index) == set(TRUE) and (table["low_unexplained"] < table["high_unexplained"]).all()
@@ -47,7 +47,7 @@ def test_the_true_values_lie_inside_where_the_effect_is_not_in_the_library(mast,
         inside = [f"{own[name].sum()} of {len(own)}" for name in ("inside", "inside_unexplained")]
         expected = [f"{row[name]:.2f}" for name in ("rms", "expected", "expected_unexplained")]
         assert list(line[1:6]) == [*inside, *expected]
-    write_explanation(Study.load(folder), results, replace(answer, tables={}))
+    write_explanation(LoadedStudy.load(folder), results, replace(answer, tables={}))
     assert not any((results.path / f"{name}.csv").exists() for name in FILES)  # nothing of an earlier verdict is left
     (words,) = [s for s in answer.sentences if s.startswith("The unexplained misfit")]
     assert "times as wide as those of the fit alone" in words

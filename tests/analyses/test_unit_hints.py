@@ -7,7 +7,7 @@ import pytest
 
 from calib.analyses.compare import comparison_at
 from calib.command.example import write_example
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).parents[2]
 CHEAP = (
@@ -27,7 +27,7 @@ def example(tmp_path):
 
 
 def hints(folder):
-    study = Study.load(folder)
+    study = LoadedStudy.load(folder)
     return comparison_at(study, study.model.space.values).hints
 
 

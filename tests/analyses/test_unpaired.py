@@ -7,7 +7,7 @@ from calib.analyses.compare import comparison_at
 from calib.analyses.explain import explain
 from calib.results.results import Results
 from calib.study.loading import module_of
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from tests.analyses.conftest import ROOT
 
 TRUE = 7.3e4
@@ -18,7 +18,7 @@ def supported(tmp_path_factory):
     """A free model of a beam that was measured on soft springs, and its explanation."""
     folder = tmp_path_factory.mktemp("supported")
     made = module_of(ROOT / "tests/template/free_beam.py")
-    study = Study.load(made.write_study(folder / "beam", {"supports": TRUE}))
+    study = LoadedStudy.load(made.write_study(folder / "beam", {"supports": TRUE}))
     results = Results.at(folder / "results", study.name)
     return study, results, explain(study, results)
 

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.slow  # two solutions of 33 lines at 9732 degrees of freedom
 def test_the_functions_of_the_coarse_mesh_at_the_true_values_are_measured():
-    problem = Study.load(ROOT / "studies/vehicle_frf").problem
+    problem = LoadedStudy.load(ROOT / "studies/vehicle_frf").problem
     measured = problem.measured.values
 
     def error(values):

@@ -16,7 +16,7 @@ from calib.hypotheses.verify import ERROR_COLUMNS, _scaled, group_errors, modal_
 from calib.missing.linearised_fit import least_squares_fit
 from calib.structure.effects.variants import Variants
 from calib.structure.model import StructuralModel
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 PLAIN = Floors()
 NO_FLOORS = Floors(0.0, 0.0, 0.0)
@@ -36,7 +36,7 @@ def held(folder):
 @pytest.fixture(scope="module")
 def study(mast, tmp_path_factory):
     """A correctly specified model with one mode and two sensors held out."""
-    return Study.load(held(mast.write_study(tmp_path_factory.mktemp("verify") / "mast", seed=3)))
+    return LoadedStudy.load(held(mast.write_study(tmp_path_factory.mktemp("verify") / "mast", seed=3)))
 
 
 def calibrated(study, problem=None):
@@ -89,7 +89,7 @@ def test_a_model_that_has_been_solved_is_not_solved_again(study, fit, monkeypatc
 
 
 def test_a_study_without_held_out_data_has_two_groups(mast, tmp_path):
-    study = Study.load(mast.write_study(tmp_path / "mast"))
+    study = LoadedStudy.load(mast.write_study(tmp_path / "mast"))
     fit = calibrated(study)
     assert list(errors(study, fit).index) == ["fit", "left_out"]
     assert list(modal_errors(
@@ -147,7 +147,7 @@ def test_a_correct_model_shows_about_what_is_expected_in_all_groups(study, fit):
 
 def test_a_wrong_model_shows_more_than_expected(mast, tmp_path):
     """Shapes at two held-out sensors are insensitive to a platform; all other data are not."""
-    study = Study.load(held(mast.write_study(tmp_path / "mast", {"platform": 30.0}, seed=3)))
+    study = LoadedStudy.load(held(mast.write_study(tmp_path / "mast", {"platform": 30.0}, seed=3)))
     table = errors(study, calibrated(study))
     sensitive = table.drop("held_out_sensors")
     assert (sensitive["rms"] > 2 * sensitive["expected"]).all() and (sensitive["p"] < 1e-3).all()
@@ -359,7 +359,7 @@ def test_a_scalar_study_reports_its_held_out_responses(tmp_path):
         '[held_out]\nresponses = ["y1", "y5"]\n[calibration]\nmethod = "gauss-newton"\n'
         'cases = [{ name = "A", seed = 1 }]\n'
     )
-    table = errors_at(Study.load(tmp_path), {"a": 0.0, "b": 1.0}).set_index("group")
+    table = errors_at(LoadedStudy.load(tmp_path), {"a": 0.0, "b": 1.0}).set_index("group")
     assert table["rows"].to_dict() == {"fit": 4, "left_out": 4, "held_out_responses": 2}
     assert table.loc["held_out_responses", "rms"] == pytest.approx(math.sqrt((2.0**2 + 10.0**2) / 2))
     assert table.loc["held_out_responses", "p"] < 1e-6

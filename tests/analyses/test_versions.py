@@ -9,7 +9,7 @@ from calib.analyses.extend import extend
 from calib.analyses.provenance.record import write_record
 from calib.analyses.versions import COLUMNS, write_versions
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_file import shell_argument
 
 GROUPS = ("fit", "left_out", "held_out_sensors")
@@ -18,9 +18,9 @@ GROUPS = ("fit", "left_out", "held_out_sensors")
 @pytest.fixture
 def chain(mast, tmp_path):
     """A study, and two successive extensions by one effect each."""
-    first = Study.load(mast.write_study(tmp_path / "mast"))
-    second = Study.load(extend(first, ["platform"], tmp_path / "mast_2").file)
-    third = Study.load(extend(second, ["guy"], tmp_path / "mast_3").file)
+    first = LoadedStudy.load(mast.write_study(tmp_path / "mast"))
+    second = LoadedStudy.load(extend(first, ["platform"], tmp_path / "mast_2").file)
+    third = LoadedStudy.load(extend(second, ["guy"], tmp_path / "mast_3").file)
     return first, second, third
 
 
@@ -33,7 +33,7 @@ def answers(root: Path, name: str, size: float, table="data_errors"):
     results = Results.at(root, name)
     results.write_table(table, frame)
     (file,) = (root.parent / name).glob("*.toml")
-    write_record(Study.load(file), results, "explain" if table == "errors" else "calibrate", {})
+    write_record(LoadedStudy.load(file), results, "explain" if table == "errors" else "calibrate", {})
 
 
 @pytest.fixture
@@ -99,13 +99,13 @@ def test_a_study_without_a_base_has_no_versions(chain, tmp_path):
 def test_a_base_study_with_the_same_effects_is_not_a_version(chain, answered, tmp_path):
     (tmp_path / "apart").mkdir()
     (tmp_path / "apart/study.toml").write_text('title = "the same model"\nbase = "../mast_3"\n')
-    assert write_versions(Study.load(tmp_path / "apart"), answered).table.empty
+    assert write_versions(LoadedStudy.load(tmp_path / "apart"), answered).table.empty
 
 
 def test_an_earlier_version_may_be_a_study_file_of_another_name(mast, tmp_path):
     folder = mast.write_study(tmp_path / "mast")
     (folder / "study.toml").rename(folder / "second.toml")
-    new = Study.load(extend(Study.load(folder / "second.toml"), ["guy"], tmp_path / "mast_2").file)
+    new = LoadedStudy.load(extend(LoadedStudy.load(folder / "second.toml"), ["guy"], tmp_path / "mast_2").file)
     for name in ("mast", "mast_2"):
         answers(tmp_path / "results", name, 5.0)
     root = tmp_path / "results"
@@ -131,7 +131,7 @@ def test_errors_on_another_measurement_are_left_out(chain, answered):
         file = first.file.parent / name
         file.write_text(file.read_text().replace("B3x", "B3y"))
     answers(answered, "mast_2", 5.0)
-    found = write_versions(Study.load(second.file), answered)
+    found = write_versions(LoadedStudy.load(second.file), answered)
     assert set(found.table["version"]) == {2} and len(found.notes) == 1
 
 
@@ -145,6 +145,6 @@ def test_stale_errors_of_a_version_are_left_out(chain, answered):
     found = write_versions(second, answered)
     assert set(found.table["version"]) == {2} and len(found.notes) == 1
     answers(answered, "mast", 7.0, "errors")
-    write_record(Study.load(first.file), results, "explain", {})  # its calibration is still stale
+    write_record(LoadedStudy.load(first.file), results, "explain", {})  # its calibration is still stale
     table = write_versions(second, answered).table
     assert set(table["version"]) == {1, 2} and table["rms"].iloc[0] == 7.0

@@ -10,7 +10,7 @@ from calib.analyses.added import to_add, write_nothing_added
 from calib.analyses.explain import explain
 from calib.missing.rules import RULES
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 BAD = "frequency of B1x"
 
@@ -26,7 +26,7 @@ def measured_wrong(folder: Path, mode: str, times: float) -> Path:
 @pytest.fixture(scope="module")
 def spoilt(mast, tmp_path_factory):
     folder = tmp_path_factory.mktemp("spoilt")
-    study = Study.load(measured_wrong(mast.write_study(folder / "mast"), "B1x", 10.0))
+    study = LoadedStudy.load(measured_wrong(mast.write_study(folder / "mast"), "B1x", 10.0))
     results = Results.at(folder / "results", study.name)
     return study, results, explain(study, results)
 

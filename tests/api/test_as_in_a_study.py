@@ -7,7 +7,7 @@ import pytest
 import calib
 from calib.analyses.uncertainty import accuracy_words
 from calib.command.example import write_example
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from models.four_storey_rig import four_storey_rig
 
 MEASURED = Path(__file__).resolve().parents[2] / "studies/four_storey_rig/measured.csv"
@@ -28,6 +28,6 @@ def test_a_held_out_mode_beyond_the_requested_ones_is_solved_for_its_verificatio
 def test_a_claimed_accuracy_is_told_in_the_same_words(tmp_path, claimed):
     file = write_example(tmp_path / "mast") and tmp_path / "mast/study.toml"
     file.write_text(file.read_text().replace("[measurement]", f"[measurement]\n{claimed}", 1))
-    study = Study.load(file)
+    study = LoadedStudy.load(file)
     assert study.experiment.claimed == accuracy_words(study) == study.measured.accuracy.words
     assert bool(claimed) is ("1 % of natural frequencies" in accuracy_words(study))

@@ -6,7 +6,7 @@ import pytest
 import calib
 from calib.correlation.modal.responses import ModalResponses
 from calib.problem.differences import central_jacobian
-from calib.problem.problem import Problem
+from calib.problem.problem import PairProblem
 from calib.structure.affine import parameter
 from calib.structure.effects.attach import outer_term
 from calib.structure.effects.extend import Addition
@@ -93,7 +93,7 @@ def test_derivatives_are_exact_and_need_no_differences():
     responses = list(ModalResponses(model, 2)(values))
     exact = np.array([[told[slope_entry(r, n)] for n in names] for r in responses])
     np.testing.assert_allclose(exact, numeric, rtol=1e-5, atol=1e-10)
-    problem = Problem(pair, model.space)
+    problem = PairProblem(pair, model.space)
     slope = problem.jacobian(values, names)
     assert problem.counts.solved == 1
     measured = list(test.measured.targets)

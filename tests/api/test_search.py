@@ -18,7 +18,7 @@ from calib.execution.executor import Injected
 from calib.inference.agreement import agreement_sentences
 from calib.results.ledger import Ledger
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from models.five_mass_chain import five_mass_chain
 from models.four_storey_rig import four_storey_rig
 
@@ -64,7 +64,7 @@ def weighed(model=None):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param("four_storey_rig", marks=pytest.mark.slow), "five_mass_chain"])
 def test_a_search_is_that_of_the_study(rig, chain, name, tmp_path):
-    study = Study.load(STUDIES / name)
+    study = LoadedStudy.load(STUDIES / name)
     problem = {"four_storey_rig": rig, "five_mass_chain": chain}[name]
     results = Results.at(tmp_path, name)
     with Ledger.open(results.path / "ledger.sqlite") as ledger:
@@ -167,7 +167,7 @@ def test_points_that_fail_are_counted_and_told():
 
 @pytest.mark.parametrize("name", ["four_storey_rig", "five_mass_chain"])
 def test_measures_are_those_of_the_study(rig, chain, name, tmp_path):
-    study = Study.load(STUDIES / name)
+    study = LoadedStudy.load(STUDIES / name)
     results = Results.at(tmp_path, name)
     with Ledger.open(results.path / "ledger.sqlite") as ledger:
         own = sensitivity(study, results, ledger, quick=True)

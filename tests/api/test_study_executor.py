@@ -16,7 +16,7 @@ from calib.execution.tasks import untold
 from calib.execution.team import Team
 from calib.results.ledger import Ledger
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
 
@@ -78,7 +78,7 @@ def rig(tmp_path_factory):
 
 
 def asked_of_rig(root, workers):
-    study, results = Study.load(STUDIES / "four_storey_rig"), Results.at(root, "four_storey_rig")
+    study, results = LoadedStudy.load(STUDIES / "four_storey_rig"), Results.at(root, "four_storey_rig")
     with Ledger.open(results.path / "ledger.sqlite") as ledger:
         sensitivity(study, results, ledger, workers, quick=True)
         calibrate(study, results, ledger, workers, "R1", quick=True, method="genetic")

@@ -43,7 +43,7 @@ from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.structure.function_model import FunctionModel
 from calib.study.loading import module_of
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 FOLDER = ROOT / "studies/five_mass_chain"
 TWIN: Any = module_of(FOLDER / "make_twin.py")
@@ -90,7 +90,7 @@ class Chain(NamedTuple):
 
 def chain(is_bare: bool = False) -> Chain:
     """That of the study, or one that declares no parameter fixed."""
-    study = Study.load(FOLDER)
+    study = LoadedStudy.load(FOLDER)
     model, space = study.model, study.search_space
     if is_bare:
         model, space = bare(model, space)

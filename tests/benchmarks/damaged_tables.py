@@ -35,7 +35,7 @@ from calib.report.html.summary import page_summary
 from calib.report.html.write import sections
 from calib.results.results import Results
 from calib.study.loading import module_of
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 Reader = Callable[[Path], object]
 CELLS = (
@@ -143,7 +143,7 @@ class Bench:
             self._add(study, home)
 
     def _add(self, study: Path, home: Path) -> None:
-        loaded = Study.load(study)
+        loaded = LoadedStudy.load(study)
         given = loaded.settings.measurement
         choosing = replace(loaded, settings=loaded.settings.model_copy(update={"selection": "from sensitivity"}))
         back: dict[str, Reader] = {

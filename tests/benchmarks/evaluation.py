@@ -30,7 +30,7 @@ from calib.analyses.provenance.places import open_evaluator
 from calib.analyses.reduction import Reduction, reduction_of
 from calib.problem.sampling import sample
 from calib.results.results import Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 SEED, SHOWN = 7, 12
 
@@ -62,7 +62,7 @@ def main() -> None:
         for_workers(page, study, reduction, points, given.workers)
 
 
-def side_by_side(page: Page, study: Study, reduction: Reduction, points: list[Point]) -> None:
+def side_by_side(page: Page, study: LoadedStudy, reduction: Reduction, points: list[Point]) -> None:
     """Reduced and full, real, complex, and the whole evaluation."""
     count, full, reduced = study.problem.mode_count, study.problem, reduction.problem
     pairs = {
@@ -81,7 +81,7 @@ def compare(page: Page, tasks: dict[str, Task], points: list[Point]) -> None:
     page.table(HEADER, compared(in_turn(tasks, points)))
 
 
-def where_it_goes(page: Page, study: Study, reduction: Reduction, points: list[Point]) -> None:
+def where_it_goes(page: Page, study: LoadedStudy, reduction: Reduction, points: list[Point]) -> None:
     """The functions in which reduced complex modes and a whole reduced evaluation spend their time."""
     count = study.problem.mode_count
     tasks: dict[str, Task] = {
@@ -107,7 +107,7 @@ def where_it_goes(page: Page, study: Study, reduction: Reduction, points: list[P
 
 
 def for_workers(
-    page: Page, study: Study, reduction: Reduction, points: list[Point], counts: list[int], population: int = 30
+    page: Page, study: LoadedStudy, reduction: Reduction, points: list[Point], counts: list[int], population: int = 30
 ) -> None:
     """Evaluations a second in populations of 30, reduced; one population at full order."""
     rows = []

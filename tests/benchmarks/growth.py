@@ -33,7 +33,7 @@ from calib.structure.reduction.growth import Growth
 from calib.structure.reduction.mode_target import ModeTarget
 from calib.structure.reduction.reduced import ReducedModel
 from calib.structure.reduction.training import box, mid_point, space_filling_points
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from models.railway import vehicle
 
 REPEATS, SEED = 20, 7
@@ -103,7 +103,7 @@ def measure(size: int, samples: int) -> None:
     )  # fmt: skip
 
 
-def basis_from(study: Study, model: StructuralModel, samples: int) -> Basis:
+def basis_from(study: LoadedStudy, model: StructuralModel, samples: int) -> Basis:
     """Static answers and the modes at so many points of the search, with nothing checked."""
     space, count, settings = study.search_space, study.problem.mode_count, study.settings.reduction
     window = study.problem.freq_window

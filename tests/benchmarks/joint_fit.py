@@ -25,22 +25,22 @@ from calib.inference.gauss_newton import fit
 from calib.inference.identify import Posterior, posterior
 from calib.inference.integers import fit_mixed
 from calib.problem.joint import JointProblem
-from calib.problem.problem import Problem
+from calib.problem.problem import PairProblem
 from calib.problem.space import ParameterSpace
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_text import read_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 TRUTH = ROOT / "tests/truth"
 
 
-def problem_of(study: Study) -> Problem[ModalResidual]:
+def problem_of(study: LoadedStudy) -> PairProblem[ModalResidual]:
     """A study's measurement against its model."""
-    return Problem(ModalResidual(study.problem), study.search_space)
+    return PairProblem(ModalResidual(study.problem), study.search_space)
 
 
 def fitted(
-    problem: Problem[ModalResidual] | JointProblem, held: dict[str, float]
+    problem: PairProblem[ModalResidual] | JointProblem, held: dict[str, float]
 ) -> tuple[dict[str, float], Posterior]:
     """All values at the optimum, and what is known there; ``held`` are the standard deviations of parameters held."""
     found = fit(problem, problem.space, {})
@@ -74,7 +74,7 @@ def main() -> None:
         for study in ("bogie", "vehicle")
         for name, value in json.loads((TRUTH / f"{study}.json").read_text("utf-8"))["parameters"].items()
     }
-    bogie = problem_of(Study.load(given.bogie))
+    bogie = problem_of(LoadedStudy.load(given.bogie))
     best = fit_mixed(bogie, bogie.space).best.values
     bogie = replace(bogie, space=bogie.space.freeze({p.name: best[p.name] for p in bogie.space.free if p.integer}))
     names = read_settings(given.vehicle / "study.toml").adopted.parameters
@@ -83,11 +83,11 @@ def main() -> None:
     rows = told("staged", values, known, bogie.space, truth)
     std = dict(zip(known.names, known.std.tolist(), strict=True))
     taken = {n: std[n] for n in names}
-    car = problem_of(Study.load(given.vehicle, adopted={n: values[n] for n in names}, adopted_sd=taken))
+    car = problem_of(LoadedStudy.load(given.vehicle, adopted={n: values[n] for n in names}, adopted_sd=taken))
     rows += told("staged", *fitted(car, taken), car.space, truth)
     print("joint")
     start = bogie.space.values
-    car = problem_of(Study.load(given.vehicle, adopted={n: start[n] for n in names}))
+    car = problem_of(LoadedStudy.load(given.vehicle, adopted={n: start[n] for n in names}))
     joint = JointProblem({"bogie": bogie, "vehicle": car})
     rows += told("joint", *fitted(joint, {}), joint.space, truth)
     table = pd.DataFrame(rows, columns=["parameter", "unit", "way", "value", "std", "truth", "off_in_std"])

@@ -24,7 +24,7 @@ from page import Page
 from stopwatch import HEADER, Spent, compared, short, spent
 
 import calib
-from calib.execution.outcome import Outcome, key_of
+from calib.execution.outcome import Outcome, point_key
 from calib.results.ledger import Individual, Ledger
 
 POPULATION = 30
@@ -124,7 +124,7 @@ def serve(file: Path) -> None:
 def prepared(ledger: Ledger, task: str, generation: int) -> Callable[[], object] | None:
     """A task with its data at hand."""
     outcomes = outcomes_of(generation)
-    keys = [key_of(outcome.values) for outcome in outcomes]
+    keys = [point_key(outcome.values) for outcome in outcomes]
     if task == "append":
         return lambda: [ledger.append("model", [outcome]) for outcome in outcomes]
     if task == "lookup":

@@ -39,7 +39,7 @@ from calib.problem.sampling import sample
 from calib.structure.reduction.basis import Basis
 from calib.structure.reduction.reduced import ReducedModel
 from calib.structure.reduction.refinement import modes_near
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 POINTS, SEED, MODES = 7, 7, 40
 REPEATS = 3
@@ -75,7 +75,7 @@ def of_vehicle() -> Taken:
 
 def of_effects() -> Taken:
     """The basis of all effects and local perturbations of the vehicle, from that of its search."""
-    study = Study.load(ROOT / "studies/hidden_effect")
+    study = LoadedStudy.load(ROOT / "studies/hidden_effect")
     problem, settings, space = study.problem, study.settings.reduction, study.search_space
     local = local_perturbations(problem.model, [problem.measured], space.values)
     search, basis = trained(study)
@@ -198,7 +198,7 @@ def of_finer(study: str, *options: str) -> Taken:
             folder = Path(home) / option / Path(study).name
             shutil.copytree(ROOT / study, folder)
             with_option(folder / "study.toml", option)
-            sizes.append(float(Study.load(folder).model.n_dof))
+            sizes.append(float(LoadedStudy.load(folder).model.n_dof))
             seconds = ran(f"explain {folder}")["seconds"]
             assert isinstance(seconds, Spent)
             taken.append(seconds)
@@ -216,7 +216,7 @@ def with_option(file: Path, option: str) -> None:
     file.write_text(re.sub(r"^(model = .*)$", rf"\1\n{line}", text, count=1, flags=re.MULTILINE), "utf-8")
 
 
-def trained(study: Study) -> tuple[Spent, Basis]:
+def trained(study: LoadedStudy) -> tuple[Spent, Basis]:
     """A basis at the tolerance of the study, and what it takes."""
     settings, made = study.settings.reduction, []
 

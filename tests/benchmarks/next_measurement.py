@@ -36,7 +36,7 @@ from rates_subject import ROOT
 from rates_world import World
 
 from calib.errors.errors import EvaluationError, InputError
-from calib.execution.stage import unheard
+from calib.execution.stage import silent
 from calib.hypotheses.design.modal import modal_design
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.measurement.modal import Sensor
@@ -93,7 +93,7 @@ def refitted(found: Explanation, hypotheses: ModelHypotheses, names: Sequence[st
     One that the decision did not fit begins at a third of its plausible size, well inside its range: at 0 an effect
     with nuisance parameters has no slope.
     """
-    fits = Refits(hypotheses, replace(DEFAULT, budget=math.inf), found.noise_scale, unheard)
+    fits = Refits(hypotheses, replace(DEFAULT, budget=math.inf), found.noise_scale, silent)
     known = {t.names[0]: t.fit.values for t in found.singles}
     plausible = {e.name: e.plausible for e in hypotheses.effects}
     starts = {name: known.get(name, {**found.base.fit.values, name: plausible[name] / 3}) for name in names}

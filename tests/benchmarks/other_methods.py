@@ -42,7 +42,7 @@ from rates_outcome import Truth, outcome_of
 
 from calib.correlation.modal.residual import ModalResidual
 from calib.errors.errors import EvaluationError, InputError
-from calib.execution.stage import unheard
+from calib.execution.stage import silent
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
@@ -137,7 +137,7 @@ class _Methods:
 
     def __init__(self, found: Explanation, hypotheses: Hypotheses) -> None:
         self.found, self.h = found, hypotheses
-        self.fits = Refits(hypotheses, Settings(budget=math.inf), 1.0, unheard)
+        self.fits = Refits(hypotheses, Settings(budget=math.inf), 1.0, silent)
         same, known = found.noise_scale == 1, found.base_adequacy
         self.base = found.base if same else self.fits.candidate_fit((), found.base.fit.values)
         effects = [e for e in hypotheses.effects if e.name in known.named.owners]

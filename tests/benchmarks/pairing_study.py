@@ -40,7 +40,7 @@ from calib.problem.space import ParameterSpace
 from calib.structure.eigenproblem.solve import solve_modes
 from calib.structure.energy import strain_energy_shares
 from calib.structure.model import StructuralModel
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 METHODS = ("EMAC", "MAC", "order")
@@ -186,7 +186,7 @@ class Measured:
     shape_std: np.ndarray
 
     @staticmethod
-    def of(study: Study) -> Measured:
+    def of(study: LoadedStudy) -> Measured:
         """Noise-free, with the standard deviation of the study's own measurement kept beside."""
         found = study.problem.compare(study.model.space.values)
         numbers, given = found.pairing.model_index, found.measured
@@ -205,7 +205,7 @@ class Measured:
 
 
 def study_space(
-    study: Study, measured: Measured, reduced: ReducedModel, space: ParameterSpace, given: argparse.Namespace
+    study: LoadedStudy, measured: Measured, reduced: ReducedModel, space: ParameterSpace, given: argparse.Namespace
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """One row for every sample, kind of measurement, method and mode; and one for every line."""
     rng = np.random.default_rng(given.seed)
@@ -291,7 +291,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=77)
     given = parser.parse_args()
     began = time.perf_counter()
-    study = Study.load(ROOT / "studies/bogie")
+    study = LoadedStudy.load(ROOT / "studies/bogie")
     spaces = {"sensitivity": study.sensitivity_space, "search": study.search_space}
     spanning = [s.complete(x) for k, s in enumerate(spaces.values()) for x in sample(s, 30, given.seed + 1 + k).points]
     reduced, measured = ReducedModel(study.model, spanning), Measured.of(study)

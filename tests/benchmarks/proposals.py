@@ -35,7 +35,7 @@ from rates_world import World, code_digest
 from scipy.stats import beta
 
 from calib.correlation.modal.residual import ModalResidual
-from calib.execution.stage import unheard
+from calib.execution.stage import silent
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.proposals.compositions import compositions
 from calib.hypotheses.proposals.proposal import Composed
@@ -146,7 +146,7 @@ def row_of(
     taken = [name for effect in world.effects.values() for name in effect.names]
     own = compositions(world.model, [problem.measured], world.space.values, taken)
     hypotheses = base.with_more(own.effects)
-    fits = Refits(hypotheses, Settings(budget=math.inf), 1.0, unheard)
+    fits = Refits(hypotheses, Settings(budget=math.inf), 1.0, silent)
     search = Search(fits, own.plain, own.mounts, own.hung, own.held, hypotheses.row_freqs)
     found = search.proposals((), base.space.values)
     truth, (hidden,) = TRUTH[measured.hidden[0]], measured.hidden

@@ -38,7 +38,7 @@ from calib.structure.effects.extend import extend
 from calib.structure.effects.variants import Variants
 from calib.structure.model import StructuralModel
 from calib.study.loading import module_of
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 STUDY = ROOT / "studies/hidden_bogie_frf"
 
@@ -81,9 +81,9 @@ class BogieWorld(World):
         _ = self.variants
 
     @cached_property
-    def by_frfs(self) -> Study:
+    def by_frfs(self) -> LoadedStudy:
         """For its model, priors, accuracy and what it holds out; its measurement is not used but to train a basis."""
-        return Study.load(STUDY)
+        return LoadedStudy.load(STUDY)
 
     @cached_property
     def maker_of_frfs(self) -> Any:

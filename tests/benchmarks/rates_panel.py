@@ -41,7 +41,7 @@ from calib.structure.effects.perturbations import perturbations
 from calib.structure.effects.variants import Variants
 from calib.study.loading import module_of
 from calib.study.settings import MeasurementSettings
-from calib.study.study import Study, with_nuisances
+from calib.study.study import LoadedStudy, with_nuisances
 
 ERRORS = {"gain": 0.01, "phase": 0.5, "accelerometer": 0.005}
 """Standard deviations of the channels' gains (relative) and phases (degrees); kg at every sensor."""
@@ -99,9 +99,9 @@ class PanelWorld:
         return module_of(self.subject.maker)
 
     @cached_property
-    def study(self) -> Study:
+    def study(self) -> LoadedStudy:
         """For its library and accuracy; its measurement is not used."""
-        return Study.load(ROOT / self.subject.study)
+        return LoadedStudy.load(ROOT / self.subject.study)
 
     @cached_property
     def effects(self) -> dict[str, tuple[Effect, Effect]]:
@@ -211,7 +211,7 @@ class PanelWorld:
     @cached_property
     def by_frfs(self) -> MeasurementSettings:
         """What the study of the FRFs claims of them and of the model."""
-        return Study.load(ROOT / f"{self.subject.study}_frf").settings.measurement
+        return LoadedStudy.load(ROOT / f"{self.subject.study}_frf").settings.measurement
 
     @cached_property
     def accuracy(self) -> Claim:

@@ -41,7 +41,7 @@ from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduction.basis import Basis
 from calib.study.loading import module_of
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ANSWERING = (
     "calib/missing", "calib/structure", "calib/correlation", "calib/inference", "calib/measurement", "models",
@@ -108,9 +108,9 @@ class World:
         return self.maker.specimen(really_built=True) if self.subject.really_built else self.maker.specimen()
 
     @cached_property
-    def study(self) -> Study:
+    def study(self) -> LoadedStudy:
         """One of them, for its settings; its measurement is not used."""
-        return Study.load(ROOT / self.subject.study)
+        return LoadedStudy.load(ROOT / self.subject.study)
 
     @property
     def model(self) -> StructuralModel:

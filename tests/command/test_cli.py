@@ -11,7 +11,7 @@ import pytest
 
 from calib.command import cli
 from calib.command.example import write_example
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 COMPARISON = [
@@ -280,7 +280,7 @@ def test_help_texts_read_well(capsys):
 
 @pytest.mark.slow
 def test_a_suspicious_sensor_is_named_before_comparing(here, capsys, monkeypatch):
-    load = Study.load
+    load = LoadedStudy.load
 
     def tampered(path, *adopted):
         study = load(path, *adopted)
@@ -292,7 +292,7 @@ def test_a_suspicious_sensor_is_named_before_comparing(here, capsys, monkeypatch
         shapes[[one, two]] = shapes[[two, one]]
         return replace(study, problem=replace(study.problem, measured=replace(measured, shapes=shapes)))
 
-    monkeypatch.setattr("calib.study.study.Study.load", staticmethod(tampered))
+    monkeypatch.setattr("calib.study.study.LoadedStudy.load", staticmethod(tampered))
     assert cli.execute(["compare", str(ROOT / "studies/bogie")]) == 0
     warnings = [line for line in capsys.readouterr().out.splitlines() if line.startswith("Check this sensor")]
     assert len(warnings) == 2

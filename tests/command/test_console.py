@@ -142,7 +142,12 @@ def test_what_was_found_is_told_even_if_a_later_step_fails(guyed, monkeypatch, c
 
 
 def test_a_number_that_rounds_to_zero_has_no_sign():
-    assert [terminal.number(value, 1) for value in (-0.04, 0.04, -0.06, float("nan"))] == ["0.0", "0.0", "-0.1", ""]
+    assert [terminal.decimals(value, 1) for value in (-0.04, 0.04, -0.06, float("nan"))] == [
+        "0.0",
+        "0.0",
+        "-0.1",
+        "",
+    ]
 
 
 def test_colons_make_no_pictures(capsys):

@@ -10,7 +10,7 @@ import pytest
 
 from calib.command import cli
 from calib.correlation import basis as requirements
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAIN = str(ROOT / "studies/five_mass_chain")
@@ -111,7 +111,7 @@ def test_two_effects_are_told_without_offering_one_of_them(here, write_study, ca
     assert explanation()["verdict"] == "two_effects" and "before and after with platform and stuck_base" in out
     assert "Add them with: calib extend mast platform stuck_base --into FOLDER" in out.splitlines()
     assert cli.execute(["extend", "mast", "platform", "stuck_base", "--into", "FOLDER"]) == 0
-    assert Study.load(Path("FOLDER")).settings.with_effects == ("platform", "stuck_base")
+    assert LoadedStudy.load(Path("FOLDER")).settings.with_effects == ("platform", "stuck_base")
 
 
 @pytest.mark.slow

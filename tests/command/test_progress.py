@@ -10,7 +10,7 @@ from rich.console import Console
 from calib.api import progress
 from calib.api.listener import Listener
 from calib.api.study import Study
-from calib.execution.stage import named
+from calib.execution.stage import with_prefix
 
 
 class Clock:
@@ -135,7 +135,7 @@ def test_an_explanation_tells_the_part_of_its_budget_and_of_its_samples(guyed, u
 
 def test_a_part_tells_its_stages_under_its_name():
     told = []
-    tell = named(lambda stage, *more: told.append(stage), "GB1")
+    tell = with_prefix(lambda stage, *more: told.append(stage), "GB1")
     tell("least squares", 0.5, 1)
     tell("", 0.6, 1)
     assert told == ["GB1, least squares", ""]

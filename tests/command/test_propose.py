@@ -8,7 +8,7 @@ import pytest
 
 from calib.command import cli
 from calib.missing.rules import RULES
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def test_a_proposal_is_named_added_and_predicts_better(without_guy, capsys, expl
     assert told["proposed"] and told["found"] in " ".join(out.split())
     study = "results/mast/mast_proposed"
     assert f"Test them with: calib explain {study}" in out.splitlines()
-    loaded = Study.load(Path(study))
+    loaded = LoadedStudy.load(Path(study))
     assert [e.name for e in loaded.library] == ["platform", "lamp", "stuck_base", first["name"]]
     assert {p: p.read_bytes() for p in without_guy.rglob("*") if p in before} == before
     assert cli.execute(["explain", study]) == 0

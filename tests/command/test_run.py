@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from calib.analyses import calibrate as calibration
 from calib.command import cli
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 HELD = ("modes = []\nsensors = []", 'modes = ["B3x"]\nsensors = ["2x", "4z"]')
@@ -58,7 +58,7 @@ def heads(out: str) -> list[str]:
 
 
 def test_what_is_named_is_added_and_held_out_errors_fall(within):
-    study = Study.load(FOLDER / "mast_extended")
+    study = LoadedStudy.load(FOLDER / "mast_extended")
     assert study.settings.with_effects == ("guy",) and "guy" in study.search_space.free_names
     errors = pd.read_csv(FOLDER / "added_errors.csv").set_index(["group", "stage"])
     for stage, folder in (("before", FOLDER), ("after", OWN)):
@@ -157,7 +157,7 @@ def test_a_later_analysis_removes_what_rested_on_the_earlier_one(within):
 @pytest.mark.slow
 def test_two_effects_are_added_together(here, write_study, asked, edit):
     quick(here, write_study, asked, edit, {"platform": 25.0, "stuck_base": 0.6})
-    assert Study.load(FOLDER / "mast_extended").settings.with_effects == ("platform", "stuck_base")
+    assert LoadedStudy.load(FOLDER / "mast_extended").settings.with_effects == ("platform", "stuck_base")
     added = json.loads((FOLDER / "added.json").read_text())
     assert [e["name"] for e in added["effects"]] == ["platform", "stuck_base"]
     assert "With the effects the model fits better" in added["sentence"]
@@ -174,7 +174,7 @@ def test_a_calibration_that_ends_elsewhere_than_the_explanation_says_so(within, 
         if "guy" in study.search_space.free_names and "limits = [20000" not in text:
             text = re.sub(r"begin_at = .*\n", "", text)  # it is within no such limits
             study.file.write_text(f"{text}\n[parameters.guy]\nlimits = [20000, 1e5]\nvalue = 3e4\n")
-            study = Study.load(study.file)
+            study = LoadedStudy.load(study.file)
         return calibrate(study, *given, **more)
 
     monkeypatch.setattr(calibration, "calibrate", astray)

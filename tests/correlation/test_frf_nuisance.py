@@ -14,7 +14,7 @@ from calib.inference.gauss_newton import fit
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
 from calib.problem.effect import Effect
-from calib.problem.problem import Problem
+from calib.problem.problem import PairProblem
 from calib.problem.space import Parameter
 from calib.structure.effects.attach import hung_masses, motion
 from calib.structure.effects.extend import extend
@@ -144,7 +144,7 @@ def test_an_error_is_found_and_shifts_the_parameter_where_it_is_not_free(chain, 
     pulls, misfits = [], []
     for seed in range(6):
         residual = FRFResidual(FRFProblem(chain, measured(values, seed), (nuisance,)))
-        found = fit(Problem(residual, residual.space), residual.space)
+        found = fit(PairProblem(residual, residual.space), residual.space)
         names = ("k", nuisance.parameter.name)
         slope = residual.jacobian(found.values, names)
         weights = np.diag([0.0, 1 / nuisance.parameter.prior_width**2])
@@ -157,7 +157,7 @@ def test_an_error_is_found_and_shifts_the_parameter_where_it_is_not_free(chain, 
     rows = len(residual.rows)
     assert 0.85 * rows < np.mean(misfits) < 1.15 * rows
     blind = FRFResidual(FRFProblem(chain, measured(values, 0)))
-    without = fit(Problem(blind, blind.space), blind.space)
+    without = fit(PairProblem(blind, blind.space), blind.space)
     assert np.sum(blind.residual(without.values) ** 2) > misfits[0] + 16
 
 

@@ -15,7 +15,7 @@ from calib.errors.errors import InputError
 from calib.inference.gauss_newton import fit
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
-from calib.problem.problem import Problem
+from calib.problem.problem import PairProblem
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.reduced import ReducedModel
 from calib.structure.reduction.training import train
@@ -118,7 +118,7 @@ def test_distances_are_found_and_a_parameter_is_no_longer_pulled(bogie):
     for label, nuisances in (("places", place_nuisances(data, SD, bogie)), ("none", ())):
         residual = FRFResidual(FRFProblem(bogie, data, nuisances))
         space = residual.space.keep([*(n.parameter.name for n in nuisances), "K_primary"])
-        found = fit(Problem(residual, space), space)
+        found = fit(PairProblem(residual, space), space)
         misfit[label] = float(found.residual @ found.residual) / len(found.residual)
         if nuisances:
             assert found.values["K_primary"] == pytest.approx(590.0, abs=0.5)

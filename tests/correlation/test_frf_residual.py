@@ -14,7 +14,7 @@ from calib.errors.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import Prior, fit
 from calib.measurement.accuracy import frf_claim
 from calib.measurement.modal import Sensor
-from calib.problem.problem import Problem
+from calib.problem.problem import PairProblem
 from calib.structure.model import StructuralModel
 from calib.study.loading import module_of
 
@@ -73,7 +73,7 @@ def test_at_the_truth_it_is_standard_normal():
 def test_a_fit_finds_the_truth_within_its_standard_deviations(chain):
     pulls = []
     for seed in range(12):
-        problem = Problem(FRFResidual(FRFProblem(chain, measured(seed))), chain.space)
+        problem = PairProblem(FRFResidual(FRFProblem(chain, measured(seed))), chain.space)
         found = fit(problem, chain.space, prior=Prior.none())
         slope = problem.jacobian(found.values, ("k", "c", "m"))
         std = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope)))

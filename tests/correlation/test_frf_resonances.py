@@ -12,7 +12,7 @@ from calib.errors.errors import InputError
 from calib.inference.gauss_newton import fit
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
-from calib.problem.problem import Problem
+from calib.problem.problem import PairProblem
 from calib.problem.space import Parameter
 from calib.structure.model import StructuralModel
 
@@ -106,7 +106,7 @@ def test_an_interval_holds_the_truth_where_resonances_are_off(pair):
         for freed in pulls:
             errors = channel_nuisances(data, resonance=SHARE) if freed else ()
             residual = FRFResidual(FRFProblem(pair, data, errors))
-            found = fit(Problem(residual, residual.space), residual.space)
+            found = fit(PairProblem(residual, residual.space), residual.space)
             names = residual.space.names
             widths = np.array([residual.space[n].prior_width for n in names])
             slope = residual.jacobian(found.values, names)

@@ -13,7 +13,7 @@ from calib.inference.identify import posterior
 from calib.inference.integers import fit_mixed
 from calib.missing.goodness import goodness, overall
 from calib.problem.joint import JointProblem
-from calib.problem.problem import Problem
+from calib.problem.problem import PairProblem
 from calib.problem.space import ParameterSpace
 
 
@@ -27,12 +27,12 @@ class At:
 def test_modes_and_scalar_responses_are_fitted_together(build, twin):
     model, truth = build(), {"k_along": 46.0, "k_across": 12.5, "mass": 8.5, "c_end": 500.0}
     space = model.space.freeze({"c_end": 500.0})
-    modes = Problem(ModalResidual(ModalProblem(model, twin(model, truth), mode_count=6)), space)
+    modes = PairProblem(ModalResidual(ModalProblem(model, twin(model, truth), mode_count=6)), space)
     scale = ParameterSpace((replace(model.space["mass"], prior_sd=1.0),))
     weighed = ResponseResidual(
         FunctionProblem(scale, lambda v: {"weight": 6 * v["mass"]}, {"weight": (51.0, 0.05)}, "")
     )
-    joint = JointProblem({"modes": modes, "scale": Problem(weighed, scale)})
+    joint = JointProblem({"modes": modes, "scale": PairProblem(weighed, scale)})
     found = fit_mixed(joint, joint.space).best
     names = joint.space.free_names
     assert [found.values[n] for n in names] == pytest.approx([truth[n] for n in names], rel=1e-3)

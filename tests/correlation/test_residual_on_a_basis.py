@@ -7,14 +7,14 @@ import pytest
 
 from calib.correlation.modal.residual import ModalResidual
 from calib.structure.reduction.training import train_basis
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 STUDY = Path(__file__).resolve().parents[2] / "studies/bogie"
 
 
 @pytest.fixture(scope="module")
 def pair():
-    study = Study.load(STUDY)
+    study = LoadedStudy.load(STUDY)
     names = tuple(p.name for p in study.search_space.free if not p.integer)
     basis = train_basis(study.model, study.search_space, study.problem.mode_count, seed=3, freq_max=50.0)
     return study, names, ModalResidual(study.problem), ModalResidual(study.problem.reduced(basis))

@@ -10,7 +10,7 @@ from calib.command.example import write_example
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.sensors import suspicious_sensors
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
 
@@ -20,7 +20,7 @@ def example(tmp_path_factory):
     """The problem of the example that ``calib new`` writes, at its nominal values."""
     folder = tmp_path_factory.mktemp("example") / "mast"
     write_example(folder)
-    study = Study.load(folder)
+    study = LoadedStudy.load(folder)
     return study.problem, study.model.space.values
 
 
@@ -91,7 +91,7 @@ def test_a_mode_that_the_model_lacks_gives_no_findings(example):
 
 @pytest.mark.parametrize("name", ["bogie", pytest.param("hidden_bogie", marks=pytest.mark.slow)])
 def test_the_shipped_measurements_have_no_findings(name):
-    study = Study.load(STUDIES / name)
+    study = LoadedStudy.load(STUDIES / name)
     found = study.problem.compare(study.model.space.values)
     assert suspicious_sensors(study.problem, found) == ()
 

@@ -24,7 +24,7 @@ from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.execution.evaluate import Evaluator
 from calib.report.figures import Figures
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from tests.template import plain as template
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -373,7 +373,7 @@ class Mistakes:
             assert at.text[at.column - 1 : at.column - 1 + at.length] == expected.marked
 
     @staticmethod
-    def refused(folder: Path, act: Callable[[Path], object] = Study.load) -> InputError:
+    def refused(folder: Path, act: Callable[[Path], object] = LoadedStudy.load) -> InputError:
         """The error of an action, which is the same after the way from another process."""
         with pytest.raises(InputError) as caught:
             act(folder)

@@ -14,7 +14,7 @@ from calib.errors.own_code import defined_at, raised_at
 from calib.errors.place import Place
 from calib.execution.evaluate import Evaluator
 from calib.execution.executor import ExecutorEvaluator
-from calib.study.study import EvaluationSource, Study
+from calib.study.study import EvaluationSource, LoadedStudy
 
 ROOT = Path(__file__).parents[2]
 SOUND = "def answer(values):\n    return {'y': values['a'], 'z': values['b']}\n"
@@ -96,7 +96,7 @@ def test_a_cell_of_a_notebook(name, monkeypatch):
         names["half"](1.0)
     assert raised_at(caught.value) == Place(name, 2, "    return x / 0", 12, 5)
     assert defined_at(names["half"]) == Place(name, 1, "def half(x):", 5, 4)
-    assert defined_at(len) is None and defined_at(shutil.copy) is None and defined_at(Study.load) is None
+    assert defined_at(len) is None and defined_at(shutil.copy) is None and defined_at(LoadedStudy.load) is None
 
 
 def test_a_mistake_in_a_module_beside_the_model(plain, mistakes):
@@ -144,7 +144,7 @@ def test_the_line_comes_from_the_child_process_and_from_the_ledger(plain, kind, 
 def test_the_line_comes_from_worker_processes(plain, kind, mistakes):
     folder = plain("")
     expected = mistakes.put(folder / "model.py", ("\n\n\n\n", f"\n\n{EVALUATING[kind]}\n"))
-    study = Study.load(folder)
+    study = LoadedStudy.load(folder)
     with Evaluator(EvaluationSource.of(study, study.problem), 2) as evaluator:
         outcomes = evaluator.evaluate([{"a": 1.5}, {"a": 2.5}])
     assert {o.status for o in outcomes} == {"failed"}
@@ -155,7 +155,7 @@ def test_the_line_comes_from_worker_processes(plain, kind, mistakes):
 def test_the_line_comes_from_a_given_executor(plain, mistakes):
     folder = plain("")
     expected = mistakes.put(folder / "model.py", ("\n\n\n\n", f"\n\n{EVALUATING['exception']}\n"))
-    study = Study.load(folder)
+    study = LoadedStudy.load(folder)
     with ThreadPoolExecutor(1) as pool:
         (outcome,) = ExecutorEvaluator(EvaluationSource.of(study, study.problem), pool).evaluate([{"a": 1.5}])
     mistakes.check(outcome.at, expected)
@@ -164,7 +164,7 @@ def test_the_line_comes_from_a_given_executor(plain, mistakes):
 @pytest.mark.slow
 def test_a_model_that_cannot_be_built_in_a_worker(plain, mistakes):
     folder = plain(SOUND)
-    study = Study.load(folder)
+    study = LoadedStudy.load(folder)
     expected = mistakes.put(folder / "model.py", (RETURN, f"    ⟦1 / 0⟧\n{RETURN}"))
     with (
         Evaluator(EvaluationSource.of(study, study.problem), 2) as evaluator,
@@ -224,12 +224,12 @@ def library():
 @pytest.mark.parametrize(
     ("changes", "act"),
     [
-        ((("BODY", "return ⟦model.nothing⟧"),), Study.load),
-        ((("BODY", "return 3"), ("def build", "def ⟦build⟧")), Study.load),
+        ((("BODY", "return ⟦model.nothing⟧"),), LoadedStudy.load),
+        ((("BODY", "return 3"), ("def build", "def ⟦build⟧")), LoadedStudy.load),
         ((("BODY", "pass"), ("-1.0, 1.0", "1.0, -1.0"), ("Parameter(\"bend", "⟦Parameter(\"bend"),
-          ("sd=0.5)", "sd=0.5)⟧")), Study.load),
+          ("sd=0.5)", "sd=0.5)⟧")), LoadedStudy.load),
         ((("BODY", "pass"), ("return (Effect", "return [Effect"), (", build),)", ", build)]"),
-          ("def library", "def ⟦library⟧")), Study.load),
+          ("def library", "def ⟦library⟧")), LoadedStudy.load),
         pytest.param((("BODY", "return lambda values: ⟦values['gone']⟧"),), compare, marks=pytest.mark.slow),
         pytest.param((("BODY", "def ⟦bent⟧(values):\n        return {'y': 1.0}\n    return bent"),), compare,
                      marks=pytest.mark.slow),

@@ -13,7 +13,7 @@ from calib.command import cli
 from calib.errors.errors import InputError
 from calib.structure.affine import AffineMatrix, Term
 from calib.structure.soundness import require_sound
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 BARE = Path(__file__).parents[1] / "template/bare_chain"
 
@@ -42,11 +42,11 @@ def test_half_a_matrix_is_refused(bare, capsys, half, one_sentence):
 
 def test_a_matrix_that_is_not_symmetric_is_refused(bare):
     with pytest.raises(InputError, match="not symmetric"):
-        Study.load(bare('half = "skew"'))
+        LoadedStudy.load(bare('half = "skew"'))
 
 
 def test_damping_and_mass_are_looked_at_too(bare):
-    model = Study.load(bare()).model
+    model = LoadedStudy.load(bare()).model
     half = AffineMatrix(3, (Term("half", sp.csr_array(np.triu(np.ones((3, 3))))),))
     for kind in ("damping", "mass"):
         with pytest.raises(InputError) as caught:
@@ -56,7 +56,7 @@ def test_damping_and_mass_are_looked_at_too(bare):
 
 @pytest.mark.parametrize(("rounding", "refused"), [(1e-9, False), (1e-3, True)])
 def test_rounding_does_not_make_a_matrix_unsymmetric(bare, rounding, refused):
-    model = Study.load(bare()).model
+    model = LoadedStudy.load(bare()).model
     matrix = model.stiffness.terms[0].matrix.toarray() * (1 + rounding * np.arange(9.0).reshape(3, 3))
     assert (matrix != matrix.T).any()
     rounded = type(model)(**{**vars(model), "stiffness": AffineMatrix(3, (Term("k", sp.csr_array(matrix)),))})
@@ -70,7 +70,7 @@ def test_rounding_does_not_make_a_matrix_unsymmetric(bare, rounding, refused):
 
 def test_an_empty_degree_of_freedom_is_named(bare):
     with pytest.raises(InputError) as caught:
-        Study.load(bare("empty = true"))
+        LoadedStudy.load(bare("empty = true"))
     assert "1 of 3" in caught.value.problem and "uy of node 2 at (1, 0, 0) m" in caught.value.problem
 
 
@@ -116,7 +116,7 @@ OFF = np.array([[0.0, 0, 0], [1, 0, np.nan], [2, 0, 0]])
     ],
 )
 def test_a_mesh_that_does_not_fit_is_refused(bare, mesh, said):
-    model = Study.load(bare()).model
+    model = LoadedStudy.load(bare()).model
     whole = replace(model.mesh, lines=LINES, groups=("bar", "bar"), faces=NO_FACES)
     require_sound(replace(model, mesh=whole))
     with pytest.raises(InputError) as caught:
@@ -125,7 +125,7 @@ def test_a_mesh_that_does_not_fit_is_refused(bare, mesh, said):
 
 
 def test_a_mesh_whose_points_are_unknown_is_sound(bare):
-    model = Study.load(bare()).model
+    model = LoadedStudy.load(bare()).model
     unknown = replace(model, mesh=replace(model.mesh, points=np.full((3, 3), np.nan)))
     require_sound(unknown)
     np.testing.assert_array_equal(unknown.modes({}, 1).natural_freq, model.modes({}, 1).natural_freq)

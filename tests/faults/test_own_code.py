@@ -6,7 +6,7 @@ import pytest
 
 from calib.command import cli
 from calib.errors.errors import InputError
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 LOG = Path("calib-error.log")
 
@@ -110,7 +110,7 @@ def test_code_of_a_study_imports_what_stands_beside_it(edited, head, own):
     # `model` inside the effect is the argument there; the module's own function is compared by another name.
     text = (folder / "effects.py").read_text()
     (folder / "effects.py").write_text(text.replace("model.answer is own", "__import__('model').answer is own"))
-    loaded = Study.load(folder)
+    loaded = LoadedStudy.load(folder)
     assert [effect.name for effect in loaded.included] == ["bend"]
     assert loaded.problem.evaluate({"a": 2.0, "b": 1.5}) == {"y": 2.0, "z": 1.5}
 
@@ -128,10 +128,10 @@ def test_equal_names_in_two_studies_are_two_modules(edited, tmp_path):
                 if file.is_file():
                     (target / file.name).write_text(file.read_text())
             (target / "flat.py").write_text(f"SIZE = {size}\n")
-        found.append(Study.load(target).problem.evaluate({})["y"])
+        found.append(LoadedStudy.load(target).problem.evaluate({})["y"])
     assert found == [1.0, 2.0, 1.0]
     (tmp_path / "one/flat.py").write_text("SIZE = 12345.0\n")
-    assert Study.load(tmp_path / "one").problem.evaluate({})["y"] == 12345.0
+    assert LoadedStudy.load(tmp_path / "one").problem.evaluate({})["y"] == 12345.0
 
 
 BENT = """
@@ -207,7 +207,7 @@ def test_an_exception_in_an_effect_that_a_calibrated_model_has(bent, told, optio
 def test_a_module_that_is_nowhere(edited):
     folder = edited("import numpy as np", "import numpy as np\nimport nowhere_at_all")
     with pytest.raises(InputError, match="nowhere_at_all") as caught:
-        Study.load(folder)
+        LoadedStudy.load(folder)
     assert "study's folder" in caught.value.remedy
 
 
@@ -216,6 +216,6 @@ def test_a_former_place_of_a_public_name(edited, line):
     """A module that is gone, and one that is a room now: the user's line is shown, and where the names are told."""
     folder = edited("import numpy as np", f"import numpy as np\n{line}")
     with pytest.raises(InputError, match="calib does not have") as caught:
-        Study.load(folder)
+        LoadedStudy.load(folder)
     assert "page on import paths" in caught.value.remedy
     assert caught.value.at is not None and line in caught.value.at.text

@@ -14,7 +14,7 @@ import pytest
 
 from calib.command import cli
 from calib.results.results import OWNER, Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 FOLDER = Path("results/mast")
 LEDGER = FOLDER / "ledger.sqlite"
@@ -298,7 +298,7 @@ def test_a_ledger_of_a_newer_version(mast, told):
 )
 @pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.slow)])
 def test_a_study_edited_while_running(mast, told, monkeypatch, workers, old, new, words):
-    load, loaded = Study.load, []
+    load, loaded = LoadedStudy.load, []
     file = mast / "study.toml"
 
     def edited(path, *taken, **more):
@@ -308,7 +308,7 @@ def test_a_study_edited_while_running(mast, told, monkeypatch, workers, old, new
             file.write_text(file.read_text().replace(old, new, 1))
         return study
 
-    monkeypatch.setattr("calib.study.study.Study.load", staticmethod(edited))
+    monkeypatch.setattr("calib.study.study.LoadedStudy.load", staticmethod(edited))
     if words:
         assert words in told("calibrate", "mast", "--workers", workers)
         assert not Path("results/mast/parameters.csv").exists()

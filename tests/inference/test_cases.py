@@ -10,7 +10,7 @@ import pytest
 
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.evaluate import Evaluator
-from calib.execution.outcome import key_of
+from calib.execution.outcome import point_key
 from calib.inference.agreement import agreement
 from calib.inference.cases import Case, parameters_table, scaled_violation
 from calib.inference.genetic import GeneticSettings
@@ -56,7 +56,7 @@ def test_the_history_holds_all_requests(ledger, search):
     # Infeasible points are never evaluated, all others exactly once, each generation in one batch.
     free = np.array([[p[n] for n in search.space.free_names] for p in evaluator.points])
     assert search.space.feasible(free).all() and evaluator.batches <= search.settings.generations
-    evaluated = [key_of(p) for p in evaluator.points]
+    evaluated = [point_key(p) for p in evaluator.points]
     assert len(set(evaluated)) == len(evaluated) and set(evaluated) == set(history[history.status != "infeasible"].key)
     assert result.misfit == history["misfit"].min()
     assert (history["misfit"].isna() == history["status"].isin(["infeasible", "failed"])).all()

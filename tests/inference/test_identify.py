@@ -22,7 +22,7 @@ from calib.inference.identify import identify, posterior, prediction_interval
 from calib.inference.integers import fit_mixed
 from calib.inference.verdicts import identified_sentence, integer_std, parameter_verdicts
 from calib.problem.space import Parameter, ParameterSpace
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
 def box(names, lower=0.0, upper=10.0, **options):
@@ -359,7 +359,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="module")
 def bogie():
-    study = Study.load(ROOT / "studies" / "bogie")
+    study = LoadedStudy.load(ROOT / "studies" / "bogie")
     truth = json.loads((ROOT / "tests" / "truth" / "bogie.json").read_text("utf-8"))["parameters"]
     return ModalResidual(study.problem), study.search_space, truth
 

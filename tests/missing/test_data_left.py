@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.execution.stage import unheard
+from calib.execution.stage import silent
 from calib.inference.leave_one_out import leave_one_out
 from calib.missing.adequacy import predicts
 from calib.missing.decision import DEFAULT, decide
@@ -70,6 +70,6 @@ def test_two_effects_that_predict_left_out_modes_worse_are_not_named(toy, seed, 
 
 def test_the_leave_one_out_error_is_compared_with_that_of_the_base_model(toy):
     one = toy().drawn(np.random.default_rng(7), {"E1": 1.5})
-    found, fits = decide(one), Refits(one, DEFAULT, 1.0, unheard)
+    found, fits = decide(one), Refits(one, DEFAULT, 1.0, silent)
     worse = replace(found.chosen, fit=replace(found.chosen.fit, residual=20 * found.chosen.fit.residual))
     assert predicts(fits, found.chosen, found.base) and not predicts(fits, worse, found.base)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors.errors import EvaluationError
-from calib.execution.stage import unheard
+from calib.execution.stage import silent
 from calib.missing.effect_pairs import no_worse, singles_from_pairs
 from calib.missing.evidence import at_lower
 from calib.missing.refits import Refits
@@ -21,7 +21,7 @@ LITTLE = {"E2": 0.4}
 
 @pytest.fixture
 def fits(toy):
-    return Refits(toy(effects=3).drawn(np.random.default_rng(4), TRUE | LITTLE), DEFAULT, 1.0, unheard)
+    return Refits(toy(effects=3).drawn(np.random.default_rng(4), TRUE | LITTLE), DEFAULT, 1.0, silent)
 
 
 @pytest.fixture

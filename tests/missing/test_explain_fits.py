@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors.errors import EvaluationError
-from calib.execution.stage import unheard
+from calib.execution.stage import silent
 from calib.missing.decision import Settings, decide
 from calib.missing.effect_pairs import fit_pairs
 from calib.missing.linearised_fit import FINE, least_squares_fit
@@ -148,15 +148,15 @@ def test_integers_are_followed_by_fits_beyond_the_budget_up_to_a_limit(toy):
     toy = toy(places=7, effects=2, curvature=0.05)
     toy = replace(toy, columns={**toy.columns, "place": 4 * toy.columns["place"] @ near})
     made = toy.drawn(np.random.default_rng(2), {"place": 5})
-    fits = Refits(made, Settings(budget=20), 1.0, unheard)
+    fits = Refits(made, Settings(budget=20), 1.0, silent)
     wrong = fits.candidate_fit((), {**made.base.values, "place": 3})
     before = fits.allowance.used
     found = fits.beside_whole(wrong)
     assert found.fit.values["place"] == 5 and found.fit.misfit < wrong.fit.misfit
     assert fits.allowance.used == before and made.evaluations > before + 10
     assert fits.beside_whole(found) is found
-    assert Refits(made, Settings(budget=0), 1.0, unheard).beside_whole(wrong) is wrong
-    poor, before = Refits(made, Settings(budget=1), 1.0, unheard), made.evaluations
+    assert Refits(made, Settings(budget=0), 1.0, silent).beside_whole(wrong) is wrong
+    poor, before = Refits(made, Settings(budget=1), 1.0, silent), made.evaluations
     for _ in range(20):
         poor.beside_whole(wrong)
     spent = made.evaluations - before
@@ -169,7 +169,7 @@ SHORT = replace(FINE, iterations=1)
 
 def test_fits_that_do_not_converge_at_once_are_continued_before_they_are_compared(toy):
     made = toy(curvature=0.3).correlated("E1", "E0", 0.97).drawn(np.random.default_rng(5), {"E0": 1.5})
-    fits = Refits(made, Settings(budget=1), 1.0, unheard)
+    fits = Refits(made, Settings(budget=1), 1.0, silent)
     start = fits.candidate_fit(("E0",), {**made.base.values, "E0": 0.2}, settings=SHORT)
     assert not start.fit.converged
     before = fits.allowance.used
@@ -182,7 +182,7 @@ def test_near_rivals_are_fitted_as_far_as_the_leader(toy):
     """Whichever is ahead at first, both are compared where they converge."""
     made = toy(curvature=0.3).correlated("E1", "E0", 0.97).drawn(np.random.default_rng(5), {"E0": 1.5})
     exact = {t.names: t.ln_evidence for t in decide(made).singles}
-    fits = Refits(made, Settings(), 1.0, unheard)
+    fits = Refits(made, Settings(), 1.0, silent)
     starts = {"E0": 0.1, "E1": 1.5}
     ends = [fits.candidate_fit((n,), {**made.base.values, n: size}, settings=SHORT) for n, size in starts.items()]
     assert not any(one.fit.converged for one in ends)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import pytest
 
-from calib.execution.stage import unheard
+from calib.execution.stage import silent
 from calib.missing.decision import decide
 from calib.missing.linearised_fit import least_squares_fit
 from calib.missing.refits import Refits
@@ -61,7 +61,7 @@ def test_a_smaller_step_is_tried_where_the_full_one_goes_too_far(toy):
     truth = {"E1": 0.8}
     plain = toy(effects=4, perturbations=5, curvature=0.01).drawn(np.random.default_rng(3), truth)
     one = type(made)(**{f.name: getattr(made, f.name) for f in fields(made) if f.name != "data"}, data=plain.data)
-    fits = Refits(one, DEFAULT, 1.0, unheard)
+    fits = Refits(one, DEFAULT, 1.0, silent)
     fit_problem = one.fit_problem(())
     base = fits.candidate_fit((), fit_problem.space.values)
     far = fits.candidate_fit(("E1",), {**base.fit.values, "E1": 1.2})
@@ -72,7 +72,7 @@ def test_a_smaller_step_is_tried_where_the_full_one_goes_too_far(toy):
 
 def test_the_parent_with_zero_magnitude_is_a_fit(toy):
     made = crossing(toy, 0.0).drawn(np.random.default_rng(3), {})
-    fits = Refits(made, DEFAULT, 1.0, unheard)
+    fits = Refits(made, DEFAULT, 1.0, silent)
     base = fits.candidate_fit((), made.fit_problem(()).space.values)
     found = fits.best_of(("E2",), [{**base.fit.values, "E2": 1.0}], base)
     assert found.fit.misfit == base.fit.misfit and found.fit.values["E2"] == 0.0

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import pytest
 
-from calib.execution.stage import unheard
+from calib.execution.stage import silent
 from calib.missing.partners import tried_points
 from calib.missing.refits import Refits
 from calib.missing.restarts import _starts
@@ -54,7 +54,7 @@ def lost(toy):
 
 
 def test_the_search_for_pairing_points_is_not_charged(lost):
-    fits = Refits(lost, DEFAULT, 1.0, unheard)
+    fits = Refits(lost, DEFAULT, 1.0, silent)
     beside = fits.candidate_fit(("E1",), fits.fit_problem(("E1",)).space.values)
     charged, evaluations = fits.allowance.used, lost.evaluations
     found = fits.scores(beside.fit, [e for e in lost.effects if e.name != "E1"])
@@ -65,7 +65,7 @@ def test_the_search_for_pairing_points_is_not_charged(lost):
 
 def test_pairing_points_are_starts_from_the_nominal_values_too(lost):
     """The derivative by E0 is zero: only the point that pairs the mode is a start."""
-    fits = Refits(lost, DEFAULT, 1.0, unheard)
+    fits = Refits(lost, DEFAULT, 1.0, silent)
     best = min(_starts(fits, lost.effects), key=lambda start: start[0])
     assert best[1] == "E0" and best[2]["E0"] == 10.0
     (predicted,) = {round(p) for p, name, start in _starts(fits, lost.effects) if name == "E0" and start["E0"] == 10.0}

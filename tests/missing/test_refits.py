@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.execution.stage import unheard
+from calib.execution.stage import silent
 from calib.missing import effect_pairs
 from calib.missing.decision import _Decision, decide
 from calib.missing.refits import Refits
@@ -82,7 +82,7 @@ def test_a_pair_with_a_vanished_effect_is_never_named(toy):
         one = made.drawn(np.random.default_rng(seed), {"E0": 2.0, "E1": -1.5, "E2": 1.0})
         found = decide(one)
         assert "E1" not in found.credible
-        decision = _Decision(Refits(one, DEFAULT, 1.0, unheard))
+        decision = _Decision(Refits(one, DEFAULT, 1.0, silent))
         for pair in (replace(t, implausible="") for t in found.candidate_fits if len(t.effects) == 2):
             gone = min(pair.fit.values[name] for name in pair.names) < 1e-5
             assert decision.pair([pair], -np.inf, found.groups) == (() if gone else (pair,))
@@ -96,7 +96,7 @@ def test_a_pair_with_a_vanished_effect_is_never_named(toy):
 def test_the_budget_counts_from_the_start_of_an_explanation(toy):
     one = toy()
     one.count[0] = 7
-    fits = Refits(one, Settings(budget=20.0), 1.0, unheard)
+    fits = Refits(one, Settings(budget=20.0), 1.0, silent)
     for evaluations, parts in ((7, ()), (17, ()), (18, (0.5,)), (27, (0.5,)), (28, (0.5, 1.0))):
         one.count[0] = evaluations
         assert tuple(part for part in (0.5, 1.0) if fits.spent(part)) == parts

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import pytest
 
-from calib.execution.stage import unheard
+from calib.execution.stage import silent
 from calib.missing import decision, restarts
 from calib.missing.decision import decide
 from calib.missing.linearised_fit import least_squares_fit
@@ -116,7 +116,7 @@ def test_every_effect_is_started_from_its_linear_solution(toy):
     solved = Solved(**{f.name: getattr(one, f.name) for f in fields(one)} | {"count": [0]})
     found = {}
     for made in (one, solved):
-        fits = Refits(made, decision.DEFAULT, 1.0, unheard)
+        fits = Refits(made, decision.DEFAULT, 1.0, silent)
         base = fits.candidate_fit((), made.base.values)
         others = [fits.candidate_fit(("E1",), base.fit.values)]
         effects = [e for e in made.effects if e.name in ("E0", "E1")]

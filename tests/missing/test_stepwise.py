@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.execution.stage import unheard
+from calib.execution.stage import silent
 from calib.missing.adequacy import adequacy_of, beside
 from calib.missing.decision import decide
 from calib.missing.refits import Refits
@@ -77,7 +77,7 @@ def test_the_order_of_the_library_does_not_change_the_steps(toy):
 
 def searched(one, *start):
     """The stepwise search from given effects, whatever the decision would do."""
-    fits = Refits(one, DEFAULT, 1.0, unheard)
+    fits = Refits(one, DEFAULT, 1.0, silent)
     base = fits.candidate_fit((), one.base.values)
     able = sorted(one.effects, key=lambda e: e.name)
     adequacy = adequacy_of(fits, base, beside(fits, base, able))

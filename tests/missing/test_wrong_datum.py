@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.execution.stage import unheard
+from calib.execution.stage import silent
 from calib.missing.decision import Settings, decide
 from calib.missing.evidence import ln_wrong
 from calib.missing.refits import Refits
@@ -65,7 +65,7 @@ def test_a_wrong_datum_is_weighed_beside_the_effects_that_a_model_has(toy):
     made = beside(toy(effects=4), 0.3)
     true = spoilt(made, np.random.default_rng(2), 12.0)
     true = replace(true, data=true.data + 6.0 * made.columns["E0"])
-    fits = Refits(true, Settings(), 1.0, unheard)
+    fits = Refits(true, Settings(), 1.0, silent)
     base = fits.candidate_fit(("E0",), {**true.base.values, "E0": 6.0})
     accused = suspects_table(base.fit, true, 0.01)
     found = wrong_datum(fits, base, accused, base)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calib.modal_analysis import model as subject
-from calib.modal_analysis.model import fit_residues, rank_one, refined
+from calib.modal_analysis.model import fit_residues, most_likely_model, rank_one
 from calib.study.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -27,7 +27,7 @@ def test_residues_at_the_true_poles_are_those_of_the_eigenvectors():
 def test_refined_poles_are_unbiased_where_those_of_the_start_are_not():
     frfs, _ = WORLDS.pair_test(0.1, 0.03, seed=4)
     size, ratio = np.abs(TRUE) * np.array([1.01, 0.99, 1.001]), -TRUE.real / np.abs(TRUE) * np.array([0.8, 1.3, 0.9])
-    found = refined(frfs, size * (-ratio + 1j * np.sqrt(1 - ratio**2)))
+    found = most_likely_model(frfs, size * (-ratio + 1j * np.sqrt(1 - ratio**2)))
     assert len(found.poles) == 5
     np.testing.assert_allclose(found.poles[:3], TRUE, rtol=2e-3)
     ends = np.abs(found.poles[3:]) / (2 * np.pi)
@@ -55,7 +55,7 @@ def test_noisy_functions_weigh_little():
     std[:, 2] = 10.0
     values = clean.values.copy()
     values[:, 2] *= 1.5
-    found = refined(replace(clean, values=values, std=std), TRUE * 1.003).poles[:3]
+    found = most_likely_model(replace(clean, values=values, std=std), TRUE * 1.003).poles[:3]
     np.testing.assert_allclose(found, TRUE, rtol=1e-3)
 
 

@@ -20,7 +20,7 @@ from calib.structure import extend
 from calib.structure.eigenproblem.derivatives import mode_derivatives
 from calib.structure.function_model import extend_function
 from calib.study.loading import module_of
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from models import five_mass_chain as chain
 from models.five_mass_chain import REFERENCE, chain_effects, chain_responses, five_mass_chain
 from models.railway import bogie_on_rig
@@ -174,7 +174,7 @@ def blocks(language):
 
 
 def test_the_study_says_it_is_synthetic_and_finds_what_was_hidden():
-    study = Study.load(FOLDER)
+    study = LoadedStudy.load(FOLDER)
     assert study.synthetic and "SYNTHETIC" in (FOLDER / "measured.csv").read_text("utf-8")
     assert study.search_space.free_names == ("k1", "k2", "k3", "k4", "k5", "damping")
     found = decide(
@@ -208,7 +208,7 @@ def test_the_tutorial_shows_the_studys_own_effect_and_what_it_prints(monkeypatch
 
 
 def test_the_tutorials_own_effect_is_found_when_it_is_what_is_missing(twin):
-    study = Study.load(FOLDER)
+    study = LoadedStudy.load(FOLDER)
     rng = np.random.default_rng(0)
     truth = twin.draw(rng, "")
     exact = chain_responses(NOMINAL | truth | {"m1": chain.MASS + 0.2})
@@ -240,7 +240,7 @@ def test_the_tutorials_structural_effect_runs_in_a_study_and_prints_what_it_says
     text, old = file.read_text("utf-8"), 'effects = "models.railway:bogie_effects"'
     assert text.count(old) == 1 and old in (FOLDER / "README.md").read_text("utf-8")
     file.write_text(text.replace(old, line.strip()), "utf-8")
-    study = Study.load(tmp_path / "my_bogie")
+    study = LoadedStudy.load(tmp_path / "my_bogie")
     assert [e.name for e in study.candidates][-1] == "sling" and len(study.candidates) > 10
 
     monkeypatch.syspath_prepend(tmp_path / "my_bogie")
@@ -270,7 +270,7 @@ def test_the_tutorials_structural_effect_is_neutral_at_0_and_has_the_derivative_
 @pytest.mark.slow
 def test_the_tutorials_structural_effect_can_be_seen_with_its_data(sling):
     """A score of 4 at a fifth of the plausible size, about the nominal values: least squares with priors by hand."""
-    study = Study.load(BOGIE)
+    study = LoadedStudy.load(BOGIE)
     residual = ModalResidual(replace(study.problem, model=extend(study.model, [sling])))
     values = residual.problem.model.space.values
     free = [p for p in study.search_space.free if not p.integer]

@@ -6,7 +6,7 @@ import pytest
 
 from calib.api.figures_made import make_all
 from calib.errors.errors import InputError
-from calib.execution.stage import unheard
+from calib.execution.stage import silent
 from calib.execution.tasks import shared_by
 from calib.execution.team import Team
 from calib.report.figures import FigureRequest, Figures
@@ -79,4 +79,4 @@ def test_they_are_the_same_whoever_makes_them(folder, shown, tmp_path_factory, m
 def test_a_damaged_table_is_refused(folder):
     (folder / "comparison_after.csv").write_text("mode,freq\nx,y\n")
     with pytest.raises(InputError, match="comparison_after"):
-        make_all(Figures(folder, "Mast", True), asked(), unheard)
+        make_all(Figures(folder, "Mast", True), asked(), silent)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.execution.outcome import WORKER_DIED, Outcome, key_of
+from calib.execution.outcome import WORKER_DIED, Outcome, point_key
 from calib.results.ledger import Ledger
 
 TABLES = (
@@ -63,7 +63,7 @@ class Contents:
 
     def last(self) -> dict[tuple[str, str], Outcome]:
         """Of several attempts the last one."""
-        return {(fingerprint, key_of(o.values)): o for fingerprint, o in self.evaluations}
+        return {(fingerprint, point_key(o.values)): o for fingerprint, o in self.evaluations}
 
     def write(self, path: Path, with_vectors: bool = True) -> None:
         """A ledger of version 1."""
@@ -72,7 +72,7 @@ class Contents:
             for statement in (*TABLES, *[VECTORS] * with_vectors):
                 database.execute(statement)
             for number, (fingerprint, o) in enumerate(self.evaluations):
-                key = key_of(o.values)
+                key = point_key(o.values)
                 attempts[fingerprint, key] = attempts.get((fingerprint, key), 0) + 1
                 database.execute(
                     "INSERT INTO evaluation (fingerprint, key, attempt, parameters, responses, status, error, seconds,"
@@ -126,8 +126,8 @@ def former() -> Contents:
     evaluations[11] = ("one", Outcome(points[11], "failed", {}, "singular — é", 0.1))
     evaluations += [("one", Outcome(points[9], "ok", {"r": 1.0, "s": 2.0}, "", 0.2))]
     evaluations += [("two", Outcome(p, "ok", {"t": p["a"] / 3.0}, "", 0.3)) for p in points[:20]]
-    keys = [key_of(p) for p in points]
-    outside = key_of({"a": -1.0})  # never evaluated
+    keys = [point_key(p) for p in points]
+    outside = point_key({"a": -1.0})  # never evaluated
     individuals: list[tuple[str, int, int, str, str, str, float | None]] = []
     for run, fingerprint, start in (("A:1", "one", 0), ("B:2", "two", 5)):
         for generation in (1, 2, 3):

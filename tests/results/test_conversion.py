@@ -9,7 +9,7 @@ from contextlib import closing
 import pytest
 
 from calib.errors.errors import InputError
-from calib.execution.outcome import Outcome, key_of
+from calib.execution.outcome import Outcome, point_key
 from calib.results.ledger import Individual, Ledger, ledger
 from calib.results.ledger.database import Database
 
@@ -46,7 +46,7 @@ def test_what_a_search_asks_is_answered_as_before(former, tmp_path):
         assert opened.stored("one") in former.last().values()
         attempts = raw(path, "SELECT attempt, status FROM evaluations WHERE attempt = 2")
         assert attempts == [(2, "ok")]
-        order = [(fingerprint, key_of(o.values)) for fingerprint, o in former.evaluations]
+        order = [(fingerprint, point_key(o.values)) for fingerprint, o in former.evaluations]
         assert raw(path, "SELECT fingerprint, key FROM evaluations ORDER BY created") == order
         keys = [row[4] for row in former.individuals if row[0] == "A:1" and row[1] == 1]
         asked = [Individual(key, "ok", 1.0) for key in keys]
@@ -71,7 +71,7 @@ def test_the_disk_gets_its_room_back(contents, tmp_path, monkeypatch):
     converted = path.stat().st_size
     with Ledger.open(path) as opened, Ledger.open(tmp_path / "new.sqlite") as new:
         new.append("f", many)
-        keys = [key_of(o.values) for o in many]
+        keys = [point_key(o.values) for o in many]
         assert opened.lookup("f", keys) == new.lookup("f", keys)
     assert before < converted and path.stat().st_size <= (tmp_path / "new.sqlite").stat().st_size < 0.4 * before
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.errors.errors import InputError
-from calib.execution.outcome import Outcome, key_of
+from calib.execution.outcome import Outcome, point_key
 from calib.results.ledger import Individual, Ledger
 
 POINTS = [{"a": float(k), "b": 2.0} for k in range(60)]
@@ -18,8 +18,8 @@ def whole(tmp_path_factory):
     path = tmp_path_factory.mktemp("ledger") / "whole.sqlite"
     with Ledger.open(path) as ledger:
         ledger.append("f", [Outcome(p, "ok", {"r": p["a"]}, "", 0.1) for p in POINTS])
-        ledger.record("run", "f", 0, [Individual(key_of(p), "ok", p["a"]) for p in POINTS[:20]])
-        ledger.keep_vectors("rows", key_of(POINTS[0]), {"": np.ones(50), "a": np.zeros(50)})
+        ledger.record("run", "f", 0, [Individual(point_key(p), "ok", p["a"]) for p in POINTS[:20]])
+        ledger.keep_vectors("rows", point_key(POINTS[0]), {"": np.ones(50), "a": np.zeros(50)})
     return path.read_bytes()
 
 
@@ -48,13 +48,13 @@ def test_a_damaged_ledger_is_used_or_refused(version, trials, request, tmp_path)
         path.write_bytes(damaged(whole, random.Random(number)))
         try:
             with Ledger.open(path, busy_seconds=1.0) as ledger:
-                found = ledger.lookup("f", map(key_of, POINTS))
+                found = ledger.lookup("f", map(point_key, POINTS))
                 assert all(isinstance(outcome, Outcome) for outcome in found.values())
                 ledger.count("f"), ledger.other_fingerprints("g"), ledger.history("run")
                 ledger.stored("f"), ledger.failed("f"), ledger.stored_at("f", POINTS[3])
-                ledger.vectors("rows", key_of(POINTS[0]), ["", "a"])
+                ledger.vectors("rows", point_key(POINTS[0]), ["", "a"])
                 ledger.append("f", [Outcome({"a": 99.0, "b": 1.0}, "ok", {"r": 1.0}, "", 0.1)])
-                ledger.record("run", "f", 1, [Individual(key_of(p), "ok", 1.0) for p in POINTS[5:25]])
+                ledger.record("run", "f", 1, [Individual(point_key(p), "ok", 1.0) for p in POINTS[5:25]])
             told.add("used")
         except InputError as fault:
             assert path.name in str(fault) and "\n" not in str(fault)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from calib.errors.errors import InputError
 from calib.execution.evaluate import Evaluator
-from calib.execution.outcome import OUT_OF_MEMORY, WORKER_DIED, Outcome, attempt, key_of
+from calib.execution.outcome import OUT_OF_MEMORY, WORKER_DIED, Outcome, attempt, point_key
 from calib.results.ledger import Individual, Ledger
 
 FORK = multiprocessing.get_context("fork")
@@ -28,7 +28,7 @@ def ok(**values):
     return Outcome(values, "ok", {"y": sum(values.values())}, "", 0.5)
 
 
-KEYS = [key_of({"x": float(k)}) for k in range(5)]
+KEYS = [point_key({"x": float(k)}) for k in range(5)]
 
 
 class Counting:
@@ -55,14 +55,14 @@ numbers = st.floats(allow_nan=False, allow_infinity=False)
 def test_what_is_written_reads_back_exactly(values, responses):
     with Ledger.open(Path(":memory:")) as ledger:
         ledger.append("f", [Outcome(values, "ok", responses, "", 0.25)])
-        found = ledger.lookup("f", [key_of(values)])[key_of(values)]
+        found = ledger.lookup("f", [point_key(values)])[point_key(values)]
     assert repr(found) == repr(Outcome(values, "ok", responses, "", 0.25))
 
 
 def test_a_key_is_the_point_and_nothing_else():
-    assert key_of({"a": 1.0, "b": 2.0}) == key_of({"b": np.float64(2.0), "a": 1})
+    assert point_key({"a": 1.0, "b": 2.0}) == point_key({"b": np.float64(2.0), "a": 1})
     others = [{"a": 1.0, "b": np.nextafter(2.0, 3.0)}, {"a": 1.0}, {"a": 2.0, "b": 1.0}, {"a": 1.0, "c": 2.0}, {}]
-    assert len({key_of(v) for v in [{"a": 1.0, "b": 2.0}, *others]}) == 6
+    assert len({point_key(v) for v in [{"a": 1.0, "b": 2.0}, *others]}) == 6
 
 
 def test_one_in_memory_remembers_until_it_is_closed(tmp_path, monkeypatch):
@@ -72,7 +72,7 @@ def test_one_in_memory_remembers_until_it_is_closed(tmp_path, monkeypatch):
         with Ledger.in_memory() as ledger:
             for _ in range(2):
                 ledger.evaluate("f", [{"x": 1.0}], evaluator)
-            ledger.record("run", "f", 1, [Individual(key_of({"x": 1.0}), "ok", 0.5)])
+            ledger.record("run", "f", 1, [Individual(point_key({"x": 1.0}), "ok", 0.5)])
             assert ledger.history("run")["status"].tolist() == ["solved"]
     assert evaluator.batches == [[1.0], [1.0]] and list(tmp_path.iterdir()) == []
 
@@ -82,7 +82,7 @@ def test_states_of_the_model_do_not_mix(ledger):
     ledger.append("two", [ok(x=1.0)])
     assert (ledger.count("one"), ledger.count("two"), ledger.count("three")) == (2, 1, 0)
     assert (ledger.other_fingerprints("one"), ledger.other_fingerprints("three")) == (1, 3)
-    assert ledger.lookup("two", [key_of({"x": 2.0})]) == {}
+    assert ledger.lookup("two", [point_key({"x": 2.0})]) == {}
 
 
 def test_what_is_asked_again_is_counted_from_the_opening(tmp_path):
@@ -118,7 +118,7 @@ def test_many_points_at_once(ledger):
 def test_the_first_outcome_stays(ledger):
     ledger.append("f", [ok(x=1.0)])
     ledger.append("f", [replace(ok(x=1.0), responses={"y": 9.0})])
-    assert ledger.lookup("f", [key_of({"x": 1.0})])[key_of({"x": 1.0})].responses == {"y": 1.0}
+    assert ledger.lookup("f", [point_key({"x": 1.0})])[point_key({"x": 1.0})].responses == {"y": 1.0}
     with sqlite3.connect(ledger.path) as other:
         for statement in ("UPDATE evaluation SET seconds = 0", "DELETE FROM evaluation"):
             with pytest.raises(sqlite3.IntegrityError, match="append-only"):

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from calib.execution.outcome import Outcome, key_of
+from calib.execution.outcome import Outcome, point_key
 from calib.results.ledger import Individual, Ledger
 from calib.results.ledger.rows import packed_array
 
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(sqlite3.sqlite_version_info < (3, 38), reason="t
 def test_numbers_are_read_to_the_last_bit(numbers):
     with Ledger.in_memory() as ledger:
         ledger.append("f", [Outcome({"x": 1.0}, "ok", {f"r{k}": v for k, v in enumerate(numbers)})])
-        ledger.keep_vectors("g", key_of({"x": 1.0}), {"v": np.array(numbers)})
+        ledger.keep_vectors("g", point_key({"x": 1.0}), {"v": np.array(numbers)})
         responses = ledger._database.execute("SELECT name, value FROM responses").fetchall()
         vector = ledger._database.execute("SELECT value FROM vectors ORDER BY place").fetchall()
     wanted = [None if math.isnan(v) else v for v in numbers]
@@ -32,7 +32,7 @@ def test_numbers_are_read_to_the_last_bit(numbers):
 
 def test_without_calib(tmp_path):
     points = [{"a": 0.1, "b": 1e300}, {"a": 0.2, "b": -3.0}]
-    keys = [key_of(p) for p in points]
+    keys = [point_key(p) for p in points]
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
         ledger.append("f", [Outcome(points[0], "ok", {"y": 0.3, "z": math.nan}, "", 0.5)])
         ledger.append("f", [Outcome(points[1], "failed", {}, "singular", 0.25)])
@@ -84,7 +84,9 @@ def test_names_stand_once(tmp_path):
     evaluated = path.stat().st_size
     with Ledger.open(path) as ledger:
         for generation in range(count // 20):
-            asked = [Individual(key_of(o.values), "ok", 0.5) for o in outcomes[20 * generation : 20 * generation + 20]]
+            asked = [
+                Individual(point_key(o.values), "ok", 0.5) for o in outcomes[20 * generation : 20 * generation + 20]
+            ]
             ledger.record("a run with a long name", "f" * 16, generation, asked)
     recorded = path.stat().st_size
     with closing(sqlite3.connect(path)) as database:

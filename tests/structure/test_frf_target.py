@@ -21,7 +21,7 @@ from calib.structure.reduction.frf_target import FRFTarget, error_estimate
 from calib.structure.reduction.reduced import ReducedModel
 from calib.structure.reduction.training import enrich_basis, space_filling_points, train
 from calib.study.loading import module_of
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 N = 120
@@ -181,7 +181,7 @@ def test_enriching_meets_the_tolerance_outside_of_the_limits(made):
 
 @pytest.mark.slow
 def test_the_bogie_over_its_limits():
-    study = Study.load(ROOT / "studies" / "hidden_bogie")
+    study = LoadedStudy.load(ROOT / "studies" / "hidden_bogie")
     model, space = study.model, study.search_space
     rows = model.sensor_rows(module_of(ROOT / "studies" / "bogie" / "make_twin.py").sensors())
     freq = np.arange(4.0, 50.0, 2.0)

@@ -17,7 +17,7 @@ from calib.structure.reduction.basis import Basis
 from calib.structure.reduction.certificate import certificate, mode_errors
 from calib.structure.reduction.reduced import ReducedModel
 from calib.structure.reduction.training import enrich_basis, space_filling_points, train_basis
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -50,7 +50,7 @@ def test_a_trained_basis_keeps_its_tolerance_on_fresh_points(ladder, grounded, d
 @pytest.mark.slow  # ladders cover the same in every run
 def test_the_bogie_on_both_of_its_spaces():
     """The quick form of tests/benchmarks/reduced_basis.py."""
-    study = Study.load(ROOT / "studies" / "bogie")
+    study = LoadedStudy.load(ROOT / "studies" / "bogie")
     spaces = [study.search_space, study.sensitivity_space]
     basis = train_basis(study.model, spaces, 10, seed=1, freq_max=50.0)
     reduced = ReducedModel(study.model, basis)

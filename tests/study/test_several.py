@@ -7,13 +7,13 @@ import pandas as pd
 import pytest
 
 import calib
-from calib.api.first_test import in_order
+from calib.api.first_test import first_test_first
 from calib.command import cli
 from calib.errors.errors import InputError
 from calib.report.figures import Figures
 from calib.results.results import Results
 from calib.study.several import JointStudy, load
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile
 from calib.study.study_text import read_settings
 from tests.api import cantilever
@@ -104,7 +104,7 @@ def test_the_run_draws_each_test_by_itself_and_all_together(run, unrendered, tmp
     extended = ["frame_extended.loaded", "frame_extended.empty", "frame_extended"]
     assert drawn == extended + [f"frame{end}" for end in order]
     assert table["shown_first"].tolist() == [test == first for test in table.index]
-    assert in_order(StudyFile.read(study).parts, Results(results / "frame"))[0].test == first
+    assert first_test_first(StudyFile.read(study).parts, Results(results / "frame"))[0].test == first
     assert reported == [name for name in drawn if "." in name]
     together = shutil.copytree(results / "frame", tmp_path / "frame")
     assert {path.stem for path in Figures(together, "together", True).save()} >= OF_ALL
@@ -241,14 +241,14 @@ def test_one_test_is_a_study_as_ever(own):
     (own / "study.toml").write_text(text)
     one = load(own)
     assert (
-        isinstance(one, Study)
+        isinstance(one, LoadedStudy)
         and one.name == "frame"
         and one.test == ""
         and one.settings.title == "A frame, empty and loaded"
     )
     plain = text.replace('[[tests]]\nname = "empty"\nset = { load = 0.0 }\n', "[measurement]\n")
     (own / "study.toml").write_text(plain)
-    assert Study.load(own).measured.fingerprint == one.measured.fingerprint
+    assert LoadedStudy.load(own).measured.fingerprint == one.measured.fingerprint
 
 
 @pytest.mark.slow
@@ -319,9 +319,9 @@ def test_what_is_wrong_is_told_with_its_line(own, capsys, old, new, key, one_sen
 
 def test_a_study_of_several_tests_is_none_of_one(own):
     with pytest.raises(InputError):
-        Study.load(own)
+        LoadedStudy.load(own)
     with pytest.raises(InputError):
-        Study.load(own, test="none")
+        LoadedStudy.load(own, test="none")
 
 
 def test_values_are_not_adopted_from_several_tests(own, tmp_path, capsys):

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calib.errors.errors import InputError
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 RIG = Path(__file__).resolve().parents[2] / "studies/four_storey_rig"
 
@@ -99,7 +99,7 @@ def changed(folder: Path, old: str, new: str, name: str = "study.toml") -> Path:
 
 def complaint(folder: Path) -> str:
     with pytest.raises(InputError) as caught:
-        Study.load(folder)
+        LoadedStudy.load(folder)
     return str(caught.value)
 
 

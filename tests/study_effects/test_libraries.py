@@ -5,7 +5,7 @@ import re
 import pytest
 
 from calib.errors.errors import InputError
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from tests.study_effects.studies import RIG_EFFECTS, changed, complaint, names, with_keys
 
 # -- complaints --------------------------------------------------------------------------------------------------------
@@ -70,15 +70,15 @@ def test_a_library_may_come_from_several_functions(rig):
     text = (rig / "effects.py").read_text()
     (rig / "more.py").write_text("from effects import library\n\n\ndef second():\n    return library()[1:]\n")
     (rig / "effects.py").write_text(text + "\n\nevery = library\n\n\ndef first():\n    return every()[:1]\n")
-    whole = names(Study.load(rig).library)
+    whole = names(LoadedStudy.load(rig).library)
     changed(rig, '"effects.py:library"', '["effects.py:first", "more.py:second"]')
-    assert len(whole) > 1 and names(Study.load(rig).library) == whole
+    assert len(whole) > 1 and names(LoadedStudy.load(rig).library) == whole
     changed(rig, '"more.py:second"', '"effects.py:library"')
     with pytest.raises(InputError, match=f"the effects '{whole[0]}' and '{whole[0]}' both have a parameter"):
-        Study.load(rig)
+        LoadedStudy.load(rig)
     changed(rig, '"effects.py:library"', '"effects"')
     with pytest.raises(InputError, match="names no function"):
-        Study.load(rig)
+        LoadedStudy.load(rig)
 
 
 # -- families ----------------------------------------------------------------------------------------------------------
@@ -97,9 +97,9 @@ def family(sums):
 
 
 def test_a_richer_member_is_no_candidate_but_may_be_in_the_model(family):
-    study = Study.load(family)
+    study = LoadedStudy.load(family)
     assert names(study.library) == names(study.candidates) == ("bend", "known")
-    study = Study.load(with_keys(family, 'with_effects = ["bow"]'))
+    study = LoadedStudy.load(with_keys(family, 'with_effects = ["bow"]'))
     assert names(study.included) == ("bow",) and names(study.candidates) == ("known",)
     assert study.problem.evaluate({"a": 2.0, "b": 1.0, "bow": 0.5})["s"] == 3.0 + 0.5 * 8.0
 
@@ -110,5 +110,5 @@ def test_two_members_of_a_family_are_not_in_one_model(family):
 
 
 def test_a_changed_richer_member_is_noticed(family):
-    before = Study.load(family).library_digest
-    assert Study.load(changed(family, "** 3", "** 4", "effects.py")).library_digest != before
+    before = LoadedStudy.load(family).library_digest
+    assert LoadedStudy.load(changed(family, "** 3", "** 4", "effects.py")).library_digest != before

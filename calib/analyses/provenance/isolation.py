@@ -10,7 +10,7 @@ from calib.execution.evaluate import Evaluator
 from calib.execution.outcome import failure
 from calib.experiment.test import ForwardProblem
 from calib.problem.effect import Effect
-from calib.study.study import EvaluationSource, Study
+from calib.study.study import EvaluationSource, LoadedStudy
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ def evaluator_of(problem: ForwardProblem) -> Evaluator:
     return Evaluator(lambda: evaluated)
 
 
-def isolated(study: Study) -> Study:
+def isolated(study: LoadedStudy) -> LoadedStudy:
     """The same study with its function in a child process; a model of matrices runs no user code and stays as it is.
 
     The study's effects are built here, so that errors in them are reported, and evaluated there.

@@ -21,7 +21,7 @@ from calib.experiment.test import ForwardProblem
 from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.results.written import LOG
-from calib.study.study import EvaluationSource, Study
+from calib.study.study import EvaluationSource, LoadedStudy
 from calib.study.study_file import StudyFile, shell_argument
 
 QUICK = "quick"
@@ -114,7 +114,7 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def open_evaluator(
-    study: Study,
+    study: LoadedStudy,
     workers: Workers,
     count: int,
     problem: ForwardProblem | None = None,

@@ -27,7 +27,7 @@ from calib.results.version import __version__
 from calib.structure.model import Assumption
 from calib.study.loading import Model
 from calib.study.several import AnyStudy
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_file import Measured
 
 PACKAGES = ("numpy", "scipy", "pandas", "pymoo", "SALib", "pyuff", "matplotlib")
@@ -93,7 +93,7 @@ def write_record(
         if own:
             results.write_table(name, stacked(own) if len(tests) > 1 else own[study.test])
     limits = [one.sensitivity_space for one in tests]
-    results.write_table("parameter_space", parameters_table(study.search_space, study.space, limits))
+    results.write_table("parameter_space", limits_table(study.search_space, study.space, limits))
     given, measured = study.settings, [one.settings.measurement for one in tests]
     notes = said({one.test: (*one.experiment.notes, *std_notes(one)) for one in tests})
     record = {
@@ -128,13 +128,13 @@ def write_record(
     results.write_json("record", record)
 
 
-def _axes(study: Study) -> str:
+def _axes(study: LoadedStudy) -> str:
     """What the axes of the model mean, in words; empty where it does not say."""
     mesh = getattr(study.model, "mesh", None)  # a function of scalar responses has none
     return "" if mesh is None else mesh.axes
 
 
-def parameters_table(
+def limits_table(
     search: ParameterSpace, space: ParameterSpace, sensitivity: Sequence[ParameterSpace] = ()
 ) -> pd.DataFrame:
     """Every parameter of a model with the limits of the sensitivity beside those of the calibration.
@@ -177,7 +177,7 @@ def made_with(analysis: str) -> dict[str, Any]:
     }
 
 
-def measured_table(study: Study) -> pd.DataFrame:
+def measured_table(study: LoadedStudy) -> pd.DataFrame:
     """All measured data with their standard deviations, held-out data included and marked.
 
     Columns are those of `calib.experiment.ModalTest.table`, and of the same for scalar responses and FRFs.
@@ -213,7 +213,7 @@ def sensors_table(measured: Measured, held_out: Sequence[str]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(SENSOR_COLUMNS))
 
 
-def assumptions_table(study: Study) -> pd.DataFrame:
+def assumptions_table(study: LoadedStudy) -> pd.DataFrame:
     """Assumptions of a study; see `assumptions_of`."""
     return assumptions_of(study.model, assumed_std(study))
 

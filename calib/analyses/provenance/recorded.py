@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from calib.analyses.provenance.isolation import evaluator_of
 from calib.errors.errors import EvaluationError
 from calib.execution.evaluate import Arrived, BatchEvaluator
-from calib.execution.outcome import Outcome, attempt, failure, key_of
+from calib.execution.outcome import Outcome, attempt, failure, point_key
 from calib.experiment.test import ForwardProblem
 from calib.results.fingerprint import digest_of
 from calib.results.ledger import Ledger
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 
 def with_library(fingerprint: str, library: str) -> str:
@@ -83,7 +83,7 @@ def recorded_problem(problem: ForwardProblem, ledger: Ledger, library: str = "")
     )
 
 
-def recorded(study: Study, ledger: Ledger) -> Study:
+def recorded(study: LoadedStudy, ledger: Ledger) -> LoadedStudy:
     """The study with its function behind the ledger; unchanged for matrices, whose modes are not stored."""
     return replace(study, problem=recorded_problem(study.problem, ledger, study.library_digest))
 
@@ -140,7 +140,7 @@ class ModesEvaluator:
         found: dict[str, Outcome] = {}
 
         def came(numbers: Outcome) -> None:
-            found[key_of(numbers.values)] = outcome = outcome_of(self.problem, numbers)
+            found[point_key(numbers.values)] = outcome = outcome_of(self.problem, numbers)
             arrived(outcome)
 
         function = self.problem.user_function
@@ -150,9 +150,9 @@ class ModesEvaluator:
         else:
             numbers = evaluator.evaluate(points)
         for one in numbers:  # stored ones do not arrive
-            if key_of(one.values) not in found:
+            if point_key(one.values) not in found:
                 came(one)
-        return [found[key_of(values)] for values in points]
+        return [found[point_key(values)] for values in points]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from typing import Any
 
 from calib.analyses.provenance.places import QUICK, is_quick
 from calib.analyses.provenance.record import analyses_of
-from calib.analyses.provenance.state import WRITES, agree, changed, code_of, made_from
+from calib.analyses.provenance.state import WRITES, agree, code_of, made_from, state_differences
 from calib.analyses.sensitivity import selected_in
 from calib.errors.errors import InputError
 from calib.results.json_file import read_json
@@ -106,7 +106,7 @@ def _changed(study: StudyFile, results: Results, analysis: str, entry: Mapping[s
         now["selected"], then["selected"] = sorted(selected), sorted(then.get("selected", ()))
     if "taken" not in now and (found := _found_earlier(study, results)):
         now["taken"] = next((values for values in found if agree(then.get("taken", {}), values)), found[0])
-    return changed(then, now)
+    return state_differences(then, now)
 
 
 def _other_code(entries: Mapping[str, Mapping[str, Any]]) -> str:

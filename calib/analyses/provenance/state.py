@@ -24,7 +24,7 @@ from calib.problem import degrees_of_freedom, parameter
 from calib.results.code_digest import code_digest
 from calib.sensitivity import rules as sensitivity
 from calib.structure import rules as models
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile
 
 _NAMES_OF_FILES = {"files", "shapes", "sensors", "responses"}
@@ -86,7 +86,7 @@ def made_from(study: StudyFile, analysis: str) -> dict[str, Any]:
     Parameters
     ----------
     study : StudyFile
-        With its code run (`calib.study.study.Study`, `calib.study.several.JointStudy`) or only read.
+        With its code run (`calib.study.study.LoadedStudy`, `calib.study.several.JointStudy`) or only read.
     analysis : str
         One of `WRITES`.
 
@@ -98,7 +98,7 @@ def made_from(study: StudyFile, analysis: str) -> dict[str, Any]:
         on the model of this analysis. Only where the code was run: digests of ``model`` and, for an analysis that uses
         them, ``effects``; ``taken``: values adopted from an earlier study.
     """
-    tests: tuple[Study, ...] = getattr(study, "studies", ())
+    tests: tuple[LoadedStudy, ...] = getattr(study, "studies", ())
     files = {name: digest for one in tests for name, digest in one.read_files.items()} if tests else study.file_digests
     state = {
         "measurement": _measured(study, analysis),
@@ -126,7 +126,7 @@ def _sources(study: StudyFile, analysis: str, files: Mapping[str, str]) -> list[
     return [name for name in files if (name.endswith(".py") or name in given.depends_on) and name not in unused]
 
 
-def _effects(study: Study) -> str:
+def _effects(study: LoadedStudy) -> str:
     """Digest of all effects that an explanation may test, and of what is known of adopted values."""
     known = [(e.name, e.parameters, e.grid) for e in study.library]
     return _digest(known, study.library_digest, study.adopted_sd)
@@ -155,7 +155,7 @@ _TOGETHER = ("calibrate", "explain", "extend")
 """Analyses of all tests together."""
 
 
-def changed(then: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+def state_differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """Differences between two states, in words; empty where they are equal.
 
     Files of code stand for model and effects where the code was not run.

@@ -12,7 +12,7 @@ from calib.execution.outcome import Outcome
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
 from calib.study.several import AnyStudy
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 
 SAME = 1e-6
 """Relative difference up to which two results are equal."""
@@ -24,7 +24,7 @@ SHOWN = 6
 """Parameters of a point that are listed."""
 
 
-def confirmed(study: Study, ledger: Ledger) -> float | None:
+def confirmed(study: LoadedStudy, ledger: Ledger) -> float | None:
     """Evaluate one stored point again, or the nominal values where none is stored, and compare.
 
     Returns
@@ -57,7 +57,7 @@ def confirmed(study: Study, ledger: Ledger) -> float | None:
     return confirm(study, ledger, stored)
 
 
-def confirm(study: Study, ledger: Ledger, known: Outcome) -> float:
+def confirm(study: LoadedStudy, ledger: Ledger, known: Outcome) -> float:
     """Evaluate one point again and compare it with its stored numbers; returns the duration (s)."""
     problem = study.problem
     known, fresh = outcome_of(problem, known), reevaluated(problem, known.values)
@@ -65,7 +65,7 @@ def confirm(study: Study, ledger: Ledger, known: Outcome) -> float:
     if different is None:
         return fresh.seconds
     again = reevaluated(problem, known.values)
-    point = point_words(study.sensitivity_space, known.values)
+    point = point_label(study.sensitivity_space, known.values)
     unsteady = _difference(study, fresh, again)
     if unsteady is not None:
         raise InputError(
@@ -94,7 +94,7 @@ def modes_kept(study: AnyStudy, opened: Callable[[], AbstractContextManager[Ledg
         return
     with opened() as ledger:
 
-        def kept(one: Study) -> Study:
+        def kept(one: LoadedStudy) -> LoadedStudy:
             if not _has_modes(one):
                 return one
             confirmed(one, ledger)
@@ -103,18 +103,18 @@ def modes_kept(study: AnyStudy, opened: Callable[[], AbstractContextManager[Ledg
         yield study.each(kept)
 
 
-def _has_modes(study: Study) -> bool:
+def _has_modes(study: LoadedStudy) -> bool:
     return study.problem.numbers_function is not None
 
 
-def point_words(space: ParameterSpace, values: Mapping[str, float]) -> str:
+def point_label(space: ParameterSpace, values: Mapping[str, float]) -> str:
     """A point by its first free parameters, in words."""
     names = [n for n in space.free_names if n in values] or list(values)
     listed = ", ".join(f"{name} = {values[name]:.6g}" for name in names[:SHOWN])
     return listed + (", ..." if len(names) > SHOWN else "")
 
 
-def _difference(study: Study, one: Outcome, other: Outcome) -> str | None:
+def _difference(study: LoadedStudy, one: Outcome, other: Outcome) -> str | None:
     """Largest difference between two results at the same point, in words; None where they are equal."""
     if one.transient or other.transient:  # caused by the machine, not by the model
         return None

@@ -13,7 +13,7 @@ from calib.correlation.frf.comparison import FRFComparison
 from calib.correlation.frf.faults import FRFFault, frf_faults
 from calib.correlation.frf.problem import DEFINITION, FRFProblem
 from calib.errors.errors import InputError
-from calib.execution.outcome import answered
+from calib.execution.outcome import named_responses
 from calib.problem.degrees_of_freedom import KNOWN, beside_known
 from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of
@@ -189,7 +189,7 @@ class FRFResidual:
             found["functions"] = self.problem.functions(point)
             return {}
 
-        answered(ask, values)
+        named_responses(ask, values)
         return found["functions"]
 
     def responses(self, solution: np.ndarray) -> dict[str, float]:

@@ -11,7 +11,7 @@ import numpy as np
 from calib.correlation.response.problem import FunctionProblem, ResponseRow, response_rows
 from calib.correlation.rules import RULES
 from calib.errors.errors import EvaluationError, InputError
-from calib.execution.outcome import answered
+from calib.execution.outcome import named_responses
 from calib.problem.candidate import Fault
 from calib.problem.differences import STEP, central_jacobian
 from calib.problem.space import ParameterSpace
@@ -132,7 +132,7 @@ class ResponseResidual:
 
     def solve(self, values: Mapping[str, float]) -> dict[str, float]:
         """Responses at named values; EvaluationError where the function, possibly user code, fails."""
-        return answered(self.problem.evaluate, values)
+        return named_responses(self.problem.evaluate, values)
 
     def responses(self, solution: Mapping[str, float]) -> dict[str, float]:
         """Named responses, which are the solution itself."""
@@ -197,7 +197,7 @@ class ResponseResidual:
 def _told(function: DerivativesOnRequest, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
     """Derivatives that a function tells where it is asked; none where it fails, as two evaluations differ as well."""
     try:
-        told = answered(lambda point: function.derivatives_by(point, names), values)
+        told = named_responses(lambda point: function.derivatives_by(point, names), values)
     except EvaluationError:
         return {}
     return {entry: slope for entry, slope in told.items() if np.isfinite(slope)}

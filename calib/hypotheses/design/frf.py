@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from calib.correlation.frf.residual import FRFResidual
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.hypotheses.design.imagined import imagined_linearisations
 from calib.hypotheses.design.imagined_frfs import ImaginedFRFs
 from calib.hypotheses.design.modal import bench_tests, best_sensors
@@ -27,7 +27,7 @@ def frf_design(
     held_out: Mapping[str, MeasuredFRFs],
     samples: int = 10,
     seed: int = 1,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> ExperimentalDesign:
     """Candidate measurements of a test of FRFs, linearised at posterior samples of the credible models.
 

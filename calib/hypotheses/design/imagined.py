@@ -19,7 +19,7 @@ from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.recommendation import Linearisation
 from calib.missing.score import Scores
 from calib.problem.candidate import Candidate
-from calib.problem.problem import Counts, Problem
+from calib.problem.problem import Counts, PairProblem
 
 _TRIES = 200
 """Attempts to draw a sample inside the limits before it is moved onto them."""
@@ -32,16 +32,16 @@ class Imagined(Protocol):
     def hypotheses(self) -> ModelHypotheses[Any]:
         """Those whose models the test is imagined of."""
 
-    def fit_problem(self, effects: tuple[str, ...]) -> Problem[Any]:
+    def fit_problem(self, effects: tuple[str, ...]) -> PairProblem[Any]:
         """The problem of a variant of the model against this test."""
 
     def forget(self) -> None:
         """Drop all cached points."""
 
-    def identified(self, fit_problem: Problem[Any], values: Mapping[str, float]) -> np.ndarray:
+    def identified(self, fit_problem: PairProblem[Any], values: Mapping[str, float]) -> np.ndarray:
         """Mask of the rows that a test of the structure with these values would measure, (n_rows,)."""
 
-    def loose(self, fit_problem: Problem[Any], values: Mapping[str, float]) -> np.ndarray:
+    def loose(self, fit_problem: PairProblem[Any], values: Mapping[str, float]) -> np.ndarray:
         """Change of the residual by one standard deviation of every factor fitted to the test, (n_rows, n_factors)."""
 
 

@@ -21,7 +21,7 @@ from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.recommendation import HELD_OUT
 from calib.problem.effect import Effect
-from calib.problem.problem import Problem
+from calib.problem.problem import PairProblem
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class ImaginedFRFs:
     fit: LinearisedFit
     held_out: Mapping[str, MeasuredFRFs]
     acting: tuple[Effect, ...] = ()
-    _fit_problems: dict[tuple[str, ...], Problem[FRFResidual]] = field(init=False, repr=False, default_factory=dict)
+    _fit_problems: dict[tuple[str, ...], PairProblem[FRFResidual]] = field(init=False, repr=False, default_factory=dict)
 
     @property
     def used(self) -> MeasuredFRFs:
@@ -177,7 +177,7 @@ class ImaginedFRFs:
 
     # -- models against it ---------------------------------------------------------------------------------------------
 
-    def fit_problem(self, effects: tuple[str, ...]) -> Problem[FRFResidual]:
+    def fit_problem(self, effects: tuple[str, ...]) -> PairProblem[FRFResidual]:
         """The problem of a variant of the model against this test."""
         if effects not in self._fit_problems:
             real = self.hypotheses.fit_problem(effects)
@@ -190,11 +190,11 @@ class ImaginedFRFs:
         for fit_problem in self._fit_problems.values():
             fit_problem.forget()
 
-    def identified(self, fit_problem: Problem[FRFResidual], values: Mapping[str, float]) -> np.ndarray:
+    def identified(self, fit_problem: PairProblem[FRFResidual], values: Mapping[str, float]) -> np.ndarray:
         """Every row, (n_rows,): a test measures lines whatever the structure."""
         return np.ones(len(fit_problem.pair.rows), dtype=bool)
 
-    def loose(self, fit_problem: Problem[FRFResidual], values: Mapping[str, float]) -> np.ndarray:
+    def loose(self, fit_problem: PairProblem[FRFResidual], values: Mapping[str, float]) -> np.ndarray:
         """Nothing, (n_rows, 0): functions are measured in their units."""
         return np.zeros((len(fit_problem.pair.rows), 0))
 

@@ -18,7 +18,7 @@ from calib.measurement.modal import MeasuredModes, Sensor
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.recommendation import HELD_OUT
 from calib.problem.effect import Effect
-from calib.problem.problem import Problem
+from calib.problem.problem import PairProblem
 from calib.structure.modes import Modes
 
 
@@ -109,7 +109,7 @@ class ImaginedMeasurement:
             names = ", ".join(s.name for s in self.held)
             self.together[f"{several} {names}{HELD_OUT}"] = frozenset(s.name for s in self.held)
         self.measurement = self._measurement()
-        self._fit_problems: dict[tuple[str, ...], Problem[ModalResidual]] = {}
+        self._fit_problems: dict[tuple[str, ...], PairProblem[ModalResidual]] = {}
 
     def _measurement(self) -> MeasuredModes:
         modes, cols, known = self.found.modes, self.columns, self.hypotheses.pair.problem.measured
@@ -125,7 +125,7 @@ class ImaginedMeasurement:
         names, sensors = (*self.modes, *self.more), (*self.sensors, *self.places)
         return imagined_measurement(known, self.std, names, modes, cols, sensors, shapes)
 
-    def fit_problem(self, effects: tuple[str, ...]) -> Problem[ModalResidual]:
+    def fit_problem(self, effects: tuple[str, ...]) -> PairProblem[ModalResidual]:
         """The problem of a variant of the model against this measurement."""
         if effects not in self._fit_problems:
             real = self.hypotheses.fit_problem(effects)
@@ -151,7 +151,7 @@ class ImaginedMeasurement:
         for fit_problem in self._fit_problems.values():
             fit_problem.forget()
 
-    def identified(self, fit_problem: Problem[ModalResidual], values: Mapping[str, float]) -> np.ndarray:
+    def identified(self, fit_problem: PairProblem[ModalResidual], values: Mapping[str, float]) -> np.ndarray:
         """Mask of the rows of modes that a test at these values would identify as modes of the fit, (n_rows,)."""
         found = fit_problem.at(values)
         damping = found.paired(found.modes.damping_ratio)  # NaN where there is no such mode
@@ -160,7 +160,7 @@ class ImaginedMeasurement:
         names = {name for name, one in zip(self.measurement.names, there, strict=True) if one}
         return np.array([row.mode in names for row in fit_problem.pair.rows])
 
-    def loose(self, fit_problem: Problem[ModalResidual], values: Mapping[str, float]) -> np.ndarray:
+    def loose(self, fit_problem: PairProblem[ModalResidual], values: Mapping[str, float]) -> np.ndarray:
         """The scale of a shape at further sensors is known only as well as the existing sensors determine it."""
         return fit_problem.pair.factor_spread(fit_problem.at(values))
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.modal.rows import ModalRow
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.hypotheses.design.imagined import imagined_linearisations
 from calib.hypotheses.design.imagined_measurement import ImaginedMeasurement
 from calib.hypotheses.hypotheses import ModelHypotheses
@@ -33,7 +33,7 @@ def modal_design(
     held_out: Mapping[str, float] | None = None,
     samples: int = 10,
     seed: int = 1,
-    progress: Progress = unheard,
+    progress: Progress = silent,
     held_sensors: tuple[Sensor, ...] = (),
 ) -> ExperimentalDesign:
     """Candidate measurements of a modal test, linearised at posterior samples of the credible models.

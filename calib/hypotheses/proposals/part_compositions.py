@@ -24,7 +24,7 @@ from calib.hypotheses.proposals.composed import (
 from calib.hypotheses.proposals.composition import Composition, Names
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
-from calib.results.answer import in_words
+from calib.results.answer import names_in_words
 from calib.structure.affine import Monomial, SelectedTerm
 from calib.structure.effects.attach import ENDS, joined_nodes, parts_of, relative_rotation
 from calib.structure.effects.perturbations import LEAST
@@ -125,7 +125,7 @@ def _alike(parts: Sequence[N]) -> Iterator[tuple[N, ...]]:
 
 def _changed(kind: str, parts: Sequence[tuple[PartKind, Part]], names: Names, middle: float) -> Composition:
     own = list(dict.fromkeys(part.name for _, part in parts))
-    at = in_words(own)
+    at = names_in_words(own)
     name = names.free(f"{kind} {_common(own)}")
     unit, lower, upper, size = "-", LEAST.get(kind, LEAST["stiffness"]), RULES.more, RULES.relative
     words = f"relative change of {at}"
@@ -169,7 +169,7 @@ def of_mounts(model: StructuralModel, names: Names, middle: float) -> Iterator[C
     size = 1e3 * RULES.lagging / (2 * math.pi * middle)
     for group in (*((part,) for part in dampers), *_alike(dampers)):
         own = [part.name for part in group]
-        at, name = in_words(own), names.free(f"mount {_common(own)}")
+        at, name = names_in_words(own), names.free(f"mount {_common(own)}")
         magnitude = Parameter(
             name, 1e-3 * size, 1e-3 * size, RULES.added_most * size, "ms", prior_sd=size,
             description="damping constant over the stiffness of the mount in series",
@@ -186,7 +186,7 @@ def of_supports(model: StructuralModel, names: Names) -> Iterator[Composition]:
     values = model.space.si(model.space.values)
     for group in (*((term,) for term in supports), *_alike(supports)):
         own = [term.name for term in group]
-        at, name = in_words([text.replace("_", " ") for text in own]), names.free(f"soft {_common(own)}")
+        at, name = names_in_words([text.replace("_", " ") for text in own]), names.free(f"soft {_common(own)}")
         size = RULES.soft * 1e9 / max(float(term.coefficient(values)) for term in group)
         magnitude = Parameter(
             name,
@@ -228,7 +228,7 @@ def of_joints(
         single = [part for part in joints if part.name in local]
         for group in (*((part,) for part in single), *_alike(single)):
             own = [part.name for part in group]
-            at, axis = in_words(own), "xyz"[direction - 3]
+            at, axis = names_in_words(own), "xyz"[direction - 3]
             name, size = names.free(f"rotation {axis} {_common(own)}"), max(local[n] for n in own)
             magnitude = Parameter(
                 name,

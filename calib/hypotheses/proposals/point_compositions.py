@@ -14,7 +14,7 @@ from calib.hypotheses.proposals.composition import Composition, Names, Point
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
-from calib.results.answer import in_words
+from calib.results.answer import names_in_words
 from calib.structure.effects.attach import Place, motion
 from calib.structure.eigenproblem.inertia import symmetric_factor
 from calib.structure.model import StructuralModel
@@ -250,8 +250,8 @@ def _all_at(texts: Sequence[str]) -> str:
     """Such as ``nodes 3 and 4`` from ``node 3`` and ``node 4``."""
     first = texts[0].split(" ")[0]
     if len(texts) > 1 and first in ("node", "sensor") and all(text.startswith(f"{first} ") for text in texts):
-        return f"{first}s {in_words([text.partition(' ')[2] for text in texts])}"
-    return in_words(texts)
+        return f"{first}s {names_in_words([text.partition(' ')[2] for text in texts])}"
+    return names_in_words(texts)
 
 
 def _placed(model: StructuralModel, sensors: Sequence[Sensor]) -> list[Sensor]:

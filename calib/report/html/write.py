@@ -16,7 +16,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from calib.errors.errors import InputError
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.report.html import (
     calibrated,
     comparison,
@@ -134,7 +134,7 @@ class Page:
     summary: Summary
 
 
-def write_report(results: StudyResults, progress: Progress = unheard) -> Page:
+def write_report(results: StudyResults, progress: Progress = silent) -> Page:
     """Write ``report.html`` from the tables of a folder, beside them; nothing is computed anew.
 
     Raises
@@ -150,7 +150,7 @@ def write_report(results: StudyResults, progress: Progress = unheard) -> Page:
     return Page(path, page_summary(results))
 
 
-def page(results: StudyResults, progress: Progress = unheard) -> str:
+def page(results: StudyResults, progress: Progress = silent) -> str:
     """Return the HTML of the whole page."""
     done, total, number = count(), len(pictures(results)), _Numbers()
 

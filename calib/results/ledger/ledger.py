@@ -18,11 +18,11 @@ import numpy as np
 import pandas as pd
 
 from calib.execution.evaluate import BatchEvaluator
-from calib.execution.outcome import Individual, Outcome, key_of
+from calib.execution.outcome import Individual, Outcome, point_key
 from calib.results.ledger.conversion import convert
 from calib.results.ledger.database import Database, connected, marks
 from calib.results.ledger.history import History
-from calib.results.ledger.rows import Identifiers, RowWriter, array, blob_of_key, key_of_blob, named
+from calib.results.ledger.rows import Identifiers, RowWriter, array, blob_of_key, key_of_blob, unpacked
 from calib.results.ledger.schema import STATE, VERSION, create, version_of
 
 _BUSY_SECONDS = 30.0
@@ -104,8 +104,8 @@ class Ledger:
         with self._database.explaining():
             for row in self._database.among(query, map(blob_of_key, keys), fingerprint):
                 key, names, parameters, responding, responses, status, error, seconds = row
-                values = named(self._identifiers.names(names), parameters)
-                answer = named(self._identifiers.names(responding), responses)
+                values = unpacked(self._identifiers.names(names), parameters)
+                answer = unpacked(self._identifiers.names(responding), responses)
                 found[key_of_blob(key)] = Outcome(values, status, answer, error, seconds)
         return found
 
@@ -115,7 +115,7 @@ class Ledger:
         A stored point is left as it is, unless its last attempt failed transiently (see `Outcome.transient`): then the
         new outcome becomes its next attempt.
         """
-        keys = [key_of(outcome.values) for outcome in outcomes]
+        keys = [point_key(outcome.values) for outcome in outcomes]
         self._tried.update((fingerprint, key) for key in keys)
         created = time.time_ns() // 1_000_000
         with self._database.transaction():
@@ -141,7 +141,7 @@ class Ledger:
         the point is tried once each time the ledger is opened, provided that worker processes are used (in this
         process such a point could end the command). ``told`` receives the number of points that are known so far.
         """
-        keys = [key_of(values) for values in points]
+        keys = [point_key(values) for values in points]
         known = self.lookup(fingerprint, keys)
         if evaluator.isolated:
             again = [k for k, o in known.items() if o.transient and (fingerprint, k) not in self._tried]
@@ -175,7 +175,7 @@ class Ledger:
         created = self._number(
             f"SELECT MAX(created) FROM evaluation WHERE state = {STATE} AND key = ?",
             fingerprint,
-            blob_of_key(key_of(values)),
+            blob_of_key(point_key(values)),
         )
         return f"{datetime.fromtimestamp(created / 1000, UTC):%Y-%m-%d %H:%M} UTC" if created else ""
 

@@ -19,7 +19,7 @@ def packed(numbers: Iterable[float]) -> bytes:
     return struct.pack(f"<{len(given)}d", *given)
 
 
-def named(names: Sequence[str], content: object) -> dict[str, float]:
+def unpacked(names: Sequence[str], content: object) -> dict[str, float]:
     """Packed numbers by name."""
     if not isinstance(content, bytes) or len(content) != 8 * len(names):
         raise sqlite3.DatabaseError("malformed numbers")

@@ -150,7 +150,7 @@ def kept_basis(path: Path | None, key: str, trained: Callable[[], Basis]) -> Bas
     path : Path or None
         File in a folder of results; None where there is none.
     key : str
-        Of `key_of`.
+        Of `basis_key`.
     trained : callable
     """
     there = None if path is None else _read(path)
@@ -169,7 +169,7 @@ def kept_basis(path: Path | None, key: str, trained: Callable[[], Basis]) -> Bas
     return basis
 
 
-def key_of(model: StructuralModel, *more: object) -> str:
+def basis_key(model: StructuralModel, *more: object) -> str:
     """Hash over a model, the code that trains, the libraries that it computes with, and what else a basis depends on.
 
     Everything in ``more`` must have a ``repr`` that states its content.

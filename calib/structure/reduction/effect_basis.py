@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.execution.tasks import each
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
@@ -55,7 +55,7 @@ def effect_basis(
     effects: Sequence[Effect],
     perturbations: Sequence[Perturbation],
     seed: int,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> Basis:
     """The next version of a basis, which spans modes with effects and derivatives by perturbations.
 
@@ -111,7 +111,7 @@ def frf_effect_basis(
     effects: Sequence[Effect],
     target: FRFTarget,
     seed: int,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> Basis:
     """The next version of a basis of FRFs, which meets its tolerance with each effect too.
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.errors.errors import InputError, ToleranceError
-from calib.execution.stage import Progress, unheard
+from calib.execution.stage import Progress, silent
 from calib.execution.tasks import each
 from calib.problem.sampling import sample
 from calib.problem.space import ParameterSpace
@@ -79,7 +79,7 @@ def train_basis(
     damping_max: float = 0.95,
     tolerance: float = 1e-5,
     samples: int | None = None,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> Basis:
     """Train a basis that represents the lowest modes of a model over whole parameter spaces.
 
@@ -136,7 +136,7 @@ def train(
     *,
     seed: int,
     samples: int | None = None,
-    progress: Progress = unheard,
+    progress: Progress = silent,
 ) -> Basis:
     """Train a basis that meets a target over whole parameter spaces; see `train_basis`.
 

@@ -15,7 +15,7 @@ import pytest
 import calib
 from calib.analyses.provenance.record import write_record
 from calib.analyses.provenance.stale import stale_answers
-from calib.analyses.provenance.state import WRITES, changed, made_from
+from calib.analyses.provenance.state import WRITES, made_from, state_differences
 from calib.command import cli
 from calib.errors.errors import InputError
 from calib.errors.own_code import CALIB
@@ -24,7 +24,7 @@ from calib.report.html.summary import page_summary
 from calib.report.html.write import NAME, sections
 from calib.report.tables import CurrentFolder
 from calib.results.results import OWNER, Results
-from calib.study.study import Study
+from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile
 from tests.report.html.page_blocks import section_blocks
 from tests.template import plain
@@ -83,7 +83,7 @@ def edit(file, old, new):
 
 
 def stale():
-    return stale_answers(Study.load(Path("sums")), Results(ROOT / "sums"))
+    return stale_answers(LoadedStudy.load(Path("sums")), Results(ROOT / "sums"))
 
 
 def results(found):
@@ -154,7 +154,7 @@ def test_tables_of_an_interrupted_analysis_are_not_shown(sums, monkeypatch, run_
     edit("measured.csv", "y,2.2", "y,3.1")
     run("compare")
     assert (ROOT / "sums/parameters.csv").is_file()
-    for study in (Study.load(Path("sums")), StudyFile.read(Path("sums"))):
+    for study in (LoadedStudy.load(Path("sums")), StudyFile.read(Path("sums"))):
         found = stale_answers(study, Results(ROOT / "sums"))
         assert set(found.sentences) == {"calibrate"}
         assert {"parameters.csv", "comparison_after.csv", "summary.json"} <= found.files
@@ -261,7 +261,7 @@ def test_every_table_belongs_to_an_analysis_that_was_run(everything, scalar):
 
 
 def test_nothing_of_a_complete_run_is_stale(everything, tmp_path):
-    assert not stale_answers(Study.load(everything.parent.parent / "mast"), Results(everything)).sentences
+    assert not stale_answers(LoadedStudy.load(everything.parent.parent / "mast"), Results(everything)).sentences
     shutil.copytree(everything.parent.parent, tmp_path / "all")
     study = tmp_path / "all/mast"
     text = (study / "modes.csv").read_text()
@@ -269,7 +269,7 @@ def test_nothing_of_a_complete_run_is_stale(everything, tmp_path):
     cells = row.split(",")
     cells[1] = f"{1.05 * float(cells[1]):.6g}"
     (study / "modes.csv").write_text(text.replace(row, ",".join(cells)))
-    found = stale_answers(Study.load(study), Results(tmp_path / "all/results/mast"))
+    found = stale_answers(LoadedStudy.load(study), Results(tmp_path / "all/results/mast"))
     assert set(found.sentences) == {"compare", "sensitivity", "calibrate", "explain", "extend"}
     assert all("modes.csv" in words for words in found.sentences.values())
     shown = sections(
@@ -334,7 +334,7 @@ def test_a_named_file_that_is_gone_counts_as_changed(sums, gone):
     "change", [lambda file: file.unlink(), lambda file: file.write_text(file.read_text() + "LATER = 1\n")]
 )
 def test_results_record_the_files_as_they_were_read(sums, change):
-    study, results = Study.load(Path("sums")), Results(ROOT / "sums")
+    study, results = LoadedStudy.load(Path("sums")), Results(ROOT / "sums")
     model = Path("sums/model.py")
     text = model.read_text()
     change(model)
@@ -345,11 +345,11 @@ def test_results_record_the_files_as_they_were_read(sums, change):
 
 
 def test_a_module_beside_the_model_is_an_input_of_an_analysis(sums):
-    study, results = Study.load(Path("sums")), Results(ROOT / "sums")
+    study, results = LoadedStudy.load(Path("sums")), Results(ROOT / "sums")
     assert "compare" not in stale_answers(study, results).sentences
     Path("sums/parts").mkdir()
     Path("sums/parts/shape.py").write_text("SIZE = 1\n")
-    write_record(Study.load(Path("sums")), results, "compare", {})
+    write_record(LoadedStudy.load(Path("sums")), results, "compare", {})
     assert "compare" not in stale_answers(StudyFile.read(Path("sums")), results).sentences
     Path("sums/parts/shape.py").write_text("SIZE = 2\n")
     found = stale_answers(StudyFile.read(Path("sums")), results)
@@ -379,10 +379,10 @@ def test_the_values_an_effect_holds_are_inputs_of_an_explanation(sums, monkeypat
 
     def states(share):
         monkeypatch.setenv("SHARE", share)
-        study = Study.load(Path("sums"))
+        study = LoadedStudy.load(Path("sums"))
         return {analysis: made_from(study, analysis) for analysis in ("calibrate", "explain")}
 
     one, same, other = states("1.0"), states("1.0"), states("2.0")
     assert one == same
-    assert changed(one["explain"], other["explain"]) == ["the settings in the study file"]
-    assert changed(one["calibrate"], other["calibrate"]) == []
+    assert state_differences(one["explain"], other["explain"]) == ["the settings in the study file"]
+    assert state_differences(one["calibrate"], other["calibrate"]) == []
