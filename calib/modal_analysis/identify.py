@@ -80,9 +80,9 @@ def modes_from_frfs(frfs: MeasuredFRFs, repeats: Sequence[MeasuredFRFs] = ()) ->
     """Identify modes by stable poles, refine them by least squares, and check them against the FRFs.
 
     The poles come from the least-squares complex frequency method at ascending orders (`poles_by_order`); those count
-    that stay (`stable`). All poles are then refined together (`most_likely_model`), which removes the bias by noise. A
-    mode is refused where the fit misses the FRFs, where a further pole would move it (`adequacy`), or where it does not appear
-    whichever repeat is left out.
+    that stay (`stable`). All poles are then refined together (`most_likely_model`), which removes the bias by noise.
+    A mode is refused where the fit misses the FRFs, where a further pole would move it (`adequacy`), or where it does
+    not appear whichever repeat is left out.
 
     Standard deviations come from the jackknife over the repeats (Efron and Stein 1981): everything is identified again
     without each repeat in turn, modes are matched as those of repeats are (`match_modes`), and the estimated bias is
