@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from calib.analyses.calibrate import Method
 from calib.analyses.extend import found_among
 from calib.analyses.provenance import places
 from calib.analyses.provenance.stale import stale_answers
@@ -21,7 +22,8 @@ from calib.report.style import FORMATS, Format, Width
 from calib.report.tables import CurrentFolder
 from calib.results.results import RESULTS, Results
 from calib.results.written import is_own
-from calib.study.study_file import StudyFile
+from calib.study.several import AnyStudy
+from calib.study.study_file import StudyFile, shell_argument
 
 
 def draw(
@@ -80,6 +82,24 @@ def draw(
     listener.drawn(study, figures, stale.told, written)
 
 
+def redraw(path: Path, root: Path, listener: Listener, formats: Sequence[Format], width: Width) -> Path:
+    """Redraw all figures and reports of the study at a path; returns the report of the test that is shown first.
+
+    Raises
+    ------
+    InputError
+        Where there are no results.
+    """
+    study = StudyFile.read(path)
+    home = Results(root / study.name)
+    parts = [part for part in first_test_first(study.parts, home) if places.answers_of(part, root)]
+    if not parts:
+        remedy = f"run the study first: calib run {shell_argument(path)}"
+        raise InputError("there are no results to draw", place=home.path, remedy=remedy)
+    draw_anew(study, root, listener, formats, width)
+    return root / parts[0].name / REPORT
+
+
 def draw_anew(study: StudyFile, root: Path, listener: Listener, formats: Sequence[Format], width: Width) -> None:
     """Redraw every figure and report of a study, and of the extended studies among its results; see `draw`."""
     for part in first_test_first(study.parts, Results(root / study.name)):
@@ -95,3 +115,24 @@ def draw_anew(study: StudyFile, root: Path, listener: Listener, formats: Sequenc
     written = [file for folder in together if (file := found_among(study, folder.path))]
     for file in written[:1]:  # the extended study of a quick run has its results in the same place
         draw_anew(StudyFile.read(file), root, listener, formats, width)
+
+
+def draw_tests(
+    study: AnyStudy,
+    root: Path,
+    listener: Listener,
+    quick: bool = False,
+    workers: places.Workers = None,
+    case: str | None = None,
+    method: Method | None = None,
+    report: bool = False,
+) -> None:
+    """Draw every test, the one shown first last, since a run tells what was drawn last first; then all together.
+
+    Arguments as in `draw`; ``quick``, ``case`` and ``method`` choose the folders of results.
+    """
+    whole = places.results_of(study, root, quick, case, method)
+    for part in reversed(first_test_first(study.studies, whole)):
+        draw(part, places.results_of(part, root, quick, case, method), root, listener, report, workers=workers)
+    if study.settings.several:
+        draw(study, whole, root, listener, workers=workers)

@@ -17,7 +17,7 @@ from calib.analyses.fit_statistics import FitStatistics, Terms, fit_problem, sta
 from calib.analyses.joint_responses import own_values
 from calib.analyses.provenance.places import tasks_shared
 from calib.api.arguments import ExplainKeys, calibration_settings
-from calib.api.display import Compared, Shown
+from calib.api.display import Compared, Shown, compared
 from calib.api.pairs import kept_in, reporting
 from calib.api.protocols import Effects, Finer, P
 from calib.api.search import Searched
@@ -168,7 +168,7 @@ class Fit(Shown, Generic[P]):
     def compare(self) -> Compared:
         """Models against tests at the fitted values."""
         if self.calibration is None:
-            return self.problem.compare(self.values)
+            return compared(self.problem, self.values)
         tests = self.problem.study().studies
         return Compared({one.experiment.name: self.calibration.seen(one.test).best.answer for one in tests})
 

@@ -26,10 +26,8 @@ from calib.study.in_memory import TestedModel, study_in_memory
 from calib.study.loading import extended
 from calib.study.settings import StudySettings
 from calib.study.several import AnyStudy
-from calib.study.study import LoadedStudy
 
 if TYPE_CHECKING:
-    from calib.api.problem import Problem
     from calib.api.protocols import Effects, ProblemLike
 
 
@@ -175,17 +173,3 @@ def reporting(verb: str, progress: bool) -> Iterator[Progress]:
         if fault.at is not None:
             fault.add_note("\n".join(excerpt(fault.at)))
         raise
-
-
-def test_problem(study: LoadedStudy) -> Problem:
-    """One test of a study as a problem in memory; parameters of its nuisances belong to the test."""
-    from calib.api.problem import Problem
-
-    space = study.search_space
-    own = {name: value for name, value in space.values.items() if name not in study.model.space}
-    model: Model = replace(study.model, space=space.without(own))
-    finer = study.finer_model()
-    return Problem(
-        model, study.experiment, unselected=study.unselected, settings=study.settings, base=study.base,
-        held_sd=study.held_sd, finer={} if finer is None else {model.name: finer},
-    )  # fmt: skip

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
     from calib.analyses.calibration import Fitted
     from calib.analyses.fit_statistics import FitStatistics
-    from calib.api.display import Compared
     from calib.experiment import Test
     from calib.experiment.test import Model
     from calib.problem.space import ParameterSpace
@@ -67,10 +66,6 @@ class ProblemLike(Protocol):
         finer: Mapping[str, StructuralModel] | None = None,
     ) -> AnyStudy:
         """The problem as the analyses take it."""
-        ...
-
-    def compare(self, values: Mapping[str, float] | None = None) -> Compared:
-        """Models against tests at named values, or at the nominal ones."""
         ...
 
     def with_effects(self, effects: Effects) -> Self:

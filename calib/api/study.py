@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 from calib.analyses.provenance import places
 from calib.api.display import AnalysisResult, Compared
-from calib.api.first_test import first_test_first
 from calib.api.listener import Listener, Showing
-from calib.api.pairs import test_problem
 from calib.api.problem import Problem
 from calib.errors.arguments import integer
 from calib.errors.arguments import path as path_of
@@ -21,7 +19,6 @@ from calib.errors.errors import InputError
 from calib.execution.executor import Injected
 from calib.problem.joint import said, stacked
 from calib.results.results import RESULTS, Results
-from calib.study.study_file import StudyFile, shell_argument
 
 if TYPE_CHECKING:
     from calib.analyses.calibrate import Method
@@ -156,7 +153,7 @@ class Study:
     @property
     def problem(self) -> Problem:
         """The study as a `Problem` in memory, with its settings and the selected parameters free; nothing is stored."""
-        first, *others = map(test_problem, self.loaded.studies)
+        first, *others = map(_in_memory, self.loaded.studies)
         return replace(first, beside=tuple(others))
 
     @property
@@ -295,18 +292,10 @@ class Study:
         width : {"page", "column"}
             Width of these figures: 190 mm, or 90 mm where a figure is legible in a journal's column.
         """
-        from calib.api.figures import draw_anew
-        from calib.report.html.write import NAME as REPORT
+        from calib.api.figures import redraw
 
-        study = StudyFile.read(self.path)
-        home = Results(self.results / study.name)
-        parts = [part for part in first_test_first(study.parts, home) if places.answers_of(part, self.results)]
-        if not parts:
-            remedy = f"run the study first: calib run {shell_argument(self.path)}"
-            raise InputError("there are no results to draw", place=self.results / study.name, remedy=remedy)
         with places.tasks_shared(self.workers):
-            draw_anew(study, self.results, self.listener, formats, width)
-        return self.results / parts[0].name / REPORT
+            return redraw(self.path, self.results, self.listener, formats, width)
 
     # -- steps ---------------------------------------------------------------------------------------------------------
 
@@ -398,9 +387,18 @@ class Study:
 
     def _draw_tests(self, case: str | None = None, method: Method | None = None, report: bool = False) -> None:
         """Draw every test, the one shown first last, since a run tells what was drawn last first; then all together."""
-        folder = places.results_of(self.loaded, self.results, self.quick, case, method)
-        for part in reversed(first_test_first(self.loaded.studies, folder)):
-            own = places.results_of(part, self.results, self.quick, case, method)
-            replace(self, read=part).draw(own, report)
-        if self.loaded.settings.several:
-            self.draw(folder)
+        from calib.api.figures import draw_tests
+
+        draw_tests(self.loaded, self.results, self.listener, self.quick, self.workers, case, method, report)
+
+
+def _in_memory(study: Loaded) -> Problem:
+    """One test of a study as a problem in memory; parameters of its nuisances belong to the test."""
+    space = study.search_space
+    own = {name: value for name, value in space.values.items() if name not in study.model.space}
+    model = replace(study.model, space=space.without(own))
+    finer = study.finer_model()
+    return Problem(
+        model, study.experiment, unselected=study.unselected, settings=study.settings, base=study.base,
+        held_sd=study.held_sd, finer={} if finer is None else {model.name: finer},
+    )  # fmt: skip
