@@ -167,7 +167,7 @@ def test_a_calibration_begins_where_an_explanation_ended_and_never_ends_above(gu
         own = Results.at(tmp_path / "results", one.name)
         assert explained_fit(one, own) == pytest.approx({n: state.values[n] for n in one.search_space.free_names})
         with Ledger.open(own.path / "ledger.sqlite") as ledger:
-            assert CaseFinder(one, own, ledger, 1, True, lambda *_: None).known == (
+            assert CaseFinder(one, ledger, {one.test: own}, 1, True).known == (
                 one.search_space.complete(explained_fit(one, own)),
             )
             found = calibrate(one, own, ledger, 1, quick=True)

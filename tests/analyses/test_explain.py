@@ -119,7 +119,7 @@ def test_indistinguishable_effects_are_named_with_a_measurement_that_discriminat
 @pytest.mark.slow
 def test_settings_of_the_study_reach_the_decision(mast, edited, tmp_path, monkeypatch):
     seen = []
-    inner = asked.engine.explain
+    inner = asked.engine.decide
     monkeypatch.setattr(asked.engine, "decide", lambda h, s, p: seen.append(s) or inner(h, s, p))
     own = "[explain]\nalpha = 0.02\nrefits = 3\nmerge = 0.9\nseed = 7\n\n[calibration]"
     folder = edited(mast.write_study(tmp_path / "mast"), "[calibration]", own)
