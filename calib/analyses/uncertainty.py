@@ -31,11 +31,11 @@ def assumptions_in_words(assumed: Iterable[Assumption]) -> str:
 
 
 def std_notes(study: LoadedStudy) -> tuple[str, ...]:
-    """Notes on the standard deviations of a study; see `notes_on`."""
-    return notes_on(accuracy_words(study), assumed_words(study))
+    """Notes on the standard deviations of a study; see `accuracy_notes`."""
+    return accuracy_notes(accuracy_words(study), assumed_words(study))
 
 
-def notes_on(claimed: str, assumed: str) -> tuple[str, ...]:
+def accuracy_notes(claimed: str, assumed: str) -> tuple[str, ...]:
     """Notes on standard deviations, from the claimed accuracy and the assumptions in words."""
     out = [f"Claimed accuracy, added to the standard deviation in quadrature: {claimed}."] if claimed else []
     if assumed:

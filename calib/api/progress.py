@@ -91,7 +91,7 @@ class _Pace:
         if total != self.total or done < self.done or (other and total in (0, 1)):
             self.began, self.first = now, done
         self.done, self.total = done, total
-        self.words = stage_words(self.verb, self.stage, done, total, best)
+        self.words = progress_words(self.verb, self.stage, done, total, best)
         self.left = time_left(now - self.began, done - self.first, total - self.first)
         return other
 
@@ -126,7 +126,7 @@ class _Lines:
             self.write(self.pace.words + (f", {self.pace.left} left" if self.pace.left else ""))
 
 
-def stage_words(verb: str, stage: str, done: float, total: float, best: float) -> str:
+def progress_words(verb: str, stage: str, done: float, total: float, best: float) -> str:
     """The present stage, such as ``calibrate: GB1, genetic search 12/60, best 0.31``."""
     count = f" {100 * done:.0f} %" if total == 1 else f" {done:.0f}/{total:.0f}" if total else ""
     return f"{verb}: {stage}{count}" + (f", best {best:.4g}" if math.isfinite(best) else "")
