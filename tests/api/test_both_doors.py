@@ -16,8 +16,13 @@ from calib.study.settings import CalibrationSettings, ExplainSettings
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
 QUICK = ["five_mass_chain"]
-LONGER = ["four_storey_rig", "four_storey_rig_wide", "four_storey_rig_masses", "hidden_two", "hidden_bogie_joint"]
-EVERY = [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in LONGER)]
+LONGER = ["four_storey_rig", "four_storey_rig_wide", "four_storey_rig_masses"]
+WHOLE = ["hidden_two", "hidden_bogie_joint"]
+EVERY = [
+    *QUICK,
+    *(pytest.param(name, marks=pytest.mark.slow) for name in LONGER),
+    *(pytest.param(name, marks=pytest.mark.whole) for name in WHOLE),
+]
 
 
 @pytest.fixture(scope="module", params=EVERY)
