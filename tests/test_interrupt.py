@@ -96,7 +96,7 @@ def test_a_leaving_that_takes_too_long_is_ended_by_the_next_interrupt():
 
 @TIMED
 def test_nothing_but_an_interrupt_ends_a_leaving_that_takes_long():
-    code, out, err = child(AT_ONCE, "alarm()", "say('left in order')", "alarm()", "interrupt.answered()", "alarm()")
+    code, out, err = child(AT_ONCE, "alarm()", "say('left in order')", "alarm()", "interrupt.command_over()", "alarm()")
     assert (code, out, err) == (0, "leaving\nleft in order\n", "")
 
 
@@ -113,7 +113,7 @@ DEAF = (
 @TIMED
 def test_an_interrupt_that_is_swallowed_is_raised_again():
     work = (*DEAF, "say('going on')", "alarm()", "say('nobody noticed')")
-    leaving = ("alarm()", "say('in order')", "interrupt.answered()", "alarm()", "hand()", "say(timers)")
+    leaving = ("alarm()", "say('in order')", "interrupt.command_over()", "alarm()", "hand()", "say(timers)")
     code, out, err = child(NEVER, *leaving, work=work)
     timers = [(0, -1.0, -1.0)] * 2 + [(0, 0.0)]  # set for each time it is raised, and no more when all is over
     assert (code, out, err) == (0, f"going on\nleaving\nin order\n{timers}\n", "")
@@ -122,7 +122,7 @@ def test_an_interrupt_that_is_swallowed_is_raised_again():
 @TIMED
 def test_a_timer_notices_an_interrupt_that_is_swallowed():
     work = (*DEAF, "time.sleep(300.0)", "say('nobody noticed')")
-    code, out, _ = child(NEVER, "say('in order')", "interrupt.answered()", work=work, timer="")
+    code, out, _ = child(NEVER, "say('in order')", "interrupt.command_over()", work=work, timer="")
     assert (code, out) == (0, "leaving\nin order\n")
 
 
@@ -135,7 +135,7 @@ def test_an_interrupt_that_became_another_error_is_on_its_way():
         "finally:",
         "    alarm()",
         "    say('in order')",
-        "    interrupt.answered()",
+        "    interrupt.command_over()",
     )
     assert (code, out, err) == (7, "leaving\nin order\n", "")
 

@@ -31,8 +31,8 @@ SPRINGS = "def deflection(values):\n    return {'u': 1.0 / values['k']}\n"
 STUDY = 'title = "Jack"\nmodel = "{package}.models:jack"\n\n[measurement]\nresponses = "u.csv"\n'
 COMMAND = "import sys; from calib.command import cli; raise SystemExit(cli.execute(sys.argv[1:]))"
 LOAD = """
-from calib.study.study import Study
-model = Study.load(sys.argv[1]).model
+from calib.study.study import LoadedStudy
+model = LoadedStudy.load(sys.argv[1]).model
 print(model.name, *model.space.names)
 """
 # The study is loaded by a process of calib's own; a function of its package is sent to a process that has loaded none.
@@ -40,9 +40,9 @@ IN_WORKERS = """
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from calib.execution.evaluate import Evaluator
-from calib.study.study import EvaluationSource, Study
+from calib.study.study import EvaluationSource, LoadedStudy
 
-study = Study.load(sys.argv[1])
+study = LoadedStudy.load(sys.argv[1])
 with Evaluator(EvaluationSource.of(study, study.problem), 2) as evaluator:
     print(evaluator.evaluate([{"k": 2.0}])[0].responses["u"])
 with ProcessPoolExecutor(1, get_context("spawn")) as pool:
