@@ -114,7 +114,11 @@ def test_python_gives_the_same_from_the_folder(ran, here, table):
 @pytest.mark.slow
 def test_report_draws_it_from_tables_alone(ran, here, unrendered, drawn, monkeypatch):
     shutil.copytree(ran[0], here, dirs_exist_ok=True)
-    for solver in ("structure.frf_target.frf", "structure.frf_target.frf_solutions", "correlation.frf_problem.frf"):
+    for solver in (
+        "structure.reduction.frf_target.frf",
+        "structure.reduction.frf_target.frf_solutions",
+        "correlation.frf.problem.frf",
+    ):
         monkeypatch.setattr(f"calib.{solver}", lambda *a, **k: pytest.fail("it solved"))
     assert cli.execute(["report", "chain"]) == 0
     assert {"frf_overlays", "frac", "frf_lines"} <= {p.stem for p in Path("results/chain").glob("*.png")}
