@@ -12,17 +12,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from calib.correlation.mesh_error import MeshError
+from calib.correlation.modal import pairing as pairs
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.order import Costs
-from calib.correlation.modal.pairing import (
-    Pairing,
-    check_clusters,
-    check_override,
-    emac,
-    in_window,
-    pair_by_order,
-    pair_by_shape,
-)
+from calib.correlation.modal.pairing import Pairing
 from calib.correlation.standard_deviations import assumed_deviations, known_std
 from calib.errors.errors import EvaluationError, InputError
 from calib.measurement.mac import mac
@@ -98,7 +91,7 @@ class ModalProblem:
     sensor_rows: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_clusters(self.mode_clusters, self.measured.names, self.model.clusters, self.model.name)
+        pairs.check_clusters(self.mode_clusters, self.measured.names, self.model.clusters, self.model.name)
         if self.mode_count < max(1, self.measured.n_modes):
             remedy = f"solve at least as many model modes as were measured ({self.measured.n_modes})"
             raise InputError(f"mode_count is {self.mode_count}", place="pairing", remedy=remedy)
@@ -107,7 +100,7 @@ class ModalProblem:
         if self.freq_window is not None and not 0 <= self.freq_window[0] < self.freq_window[1]:
             remedy = "give [low, high] in Hz, low first"
             raise InputError(f"freq_window is {tuple(self.freq_window)}", place="pairing", remedy=remedy)
-        check_override(self.override, self.measured.names, self.mode_count)
+        pairs.check_override(self.override, self.measured.names, self.mode_count)
         object.__setattr__(self, "sensor_rows", self.model.sensor_rows(self.measured.sensors))
 
     @property
@@ -311,13 +304,13 @@ class ModalProblem:
         mac, emac : ndarray (n_measured, n_model)
         """
         mac_matrix = mac(shapes, sensor_shapes)
-        emac_matrix = emac(mac_matrix, shares)
-        pairing = pair_by_shape(
+        emac_matrix = pairs.emac(mac_matrix, shares)
+        pairing = pairs.pair_by_shape(
             mac_matrix,
             emac_matrix,
             self.measured.names,
             threshold=self.threshold if threshold is None else threshold,
-            candidates=in_window(modes.natural_freq, self.freq_window),
+            candidates=pairs.in_window(modes.natural_freq, self.freq_window),
             override=self.override,
             log_ratio=np.log(np.maximum(modes.natural_freq, _LEAST_FREQ)) - np.log(self.measured.natural_freq)[:, None],
         )
@@ -334,7 +327,7 @@ class ModalProblem:
         rows = np.setdiff1d(pairing.paired, chosen)
         reached = follow(self.model, there, here, pairing.model_index[rows])
         lost = tuple(rows[reached < 0].tolist())
-        reached = np.where(in_window(here.modes.natural_freq, self.freq_window)[reached], reached, -1)
+        reached = np.where(pairs.in_window(here.modes.natural_freq, self.freq_window)[reached], reached, -1)
         found = self._ordered(here.modes, dict(zip(rows.tolist(), reached.tolist(), strict=True)), costs)[0]
         return replace(found, lost=lost)
 
@@ -374,7 +367,7 @@ class ModalProblem:
     def _ordered(
         self, modes: Modes, followed: Mapping[int, int] | None = None, costs: Costs | None = None
     ) -> tuple[Pairing, Costs]:
-        return pair_by_order(
+        return pairs.pair_by_order(
             self.measured.natural_freq,
             modes.natural_freq,
             self.measured.names,
