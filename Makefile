@@ -51,8 +51,7 @@ run: $(VENV)/.installed
 	@touch $(VENV)/.run-begun
 	@set -e; for study in $(SHOWN); do echo "calib run $$study"; $(BIN)/calib run $$study; done
 	@echo; echo 'Figures and reports:'; find results \( -name '*.png' -o -name report.html \) -newer $(VENV)/.run-begun | sort
-	@echo; echo 'What the model of studies/hidden_bogie lacks was found, added, and verified on data that no fit has seen.'
-	@echo 'Its worst errors without and with it:'; $(BIN)/python docs/figures.py --only hidden_bogie --of quick --into results
+	@echo; echo 'Worst errors of studies/hidden_bogie, without and with what its model lacks:'; $(BIN)/python docs/figures.py --only hidden_bogie --of quick --into results
 
 test: $(VENV)/.installed-dev
 	$(ONE_BLAS_THREAD) $(KEPT_BYTECODE) $(BIN)/python -m pytest $(TOGETHER) $(PYTEST_ARGS)
