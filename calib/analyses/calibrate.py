@@ -28,7 +28,6 @@ from calib.analyses.reduction import fingerprints
 from calib.correlation.modal.comparison import Comparison
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.stage import Progress, silent
-from calib.experiment import ResponseTest
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import Case
 from calib.problem.space import ParameterSpace
@@ -211,8 +210,7 @@ def _assembled(
     with suppress(EvaluationError):  # errors are unknown where the model fails near the optimum
         ended = best.statistics
         errors = errors_at(study, values, ended.parts.get(study.test), ended.active)
-        if isinstance(study.experiment, ResponseTest) and study.experiment.held_out:
-            responses = every_response(study, study.model.space.values, values)
+        responses = every_response(study, study.model.space.values, values)
     return Calibration(
         tuple(found), best, before, tables, agreed, raw, stages, modes, errors, responses, tuple(notes()), retried
     )

@@ -143,12 +143,12 @@ def _no_better(each: pd.DataFrame, name: str) -> list[str]:
     return unseen.loc[unseen["error_after"].abs() >= unseen["error_before"].abs(), name].astype(str).tolist()
 
 
-def every_response(study: LoadedStudy, before: Mapping[str, float], after: Mapping[str, float]) -> pd.DataFrame:
-    """All measured scalar responses before and after a calibration, held-out ones included.
+def every_response(study: LoadedStudy, before: Mapping[str, float], after: Mapping[str, float]) -> pd.DataFrame | None:
+    """All measured scalar responses before and after a calibration, held-out ones included; None if none are held out.
 
     Returns
     -------
-    DataFrame
+    DataFrame or None
         ``response, held_out, measured, before, after, error_before, error_after``; errors are signed fractions of the
         measured value, NaN where that is 0.
 
@@ -158,7 +158,10 @@ def every_response(study: LoadedStudy, before: Mapping[str, float], after: Mappi
         When the model cannot be evaluated at either point.
     """
     experiment: Any = study.experiment
-    whole, targets = experiment.every_response(study.problem), experiment.measured.targets
+    whole = experiment.whole_responses(study.problem)
+    if whole is None:
+        return None
+    targets = experiment.measured.targets
     measured = pd.Series({name: value for name, (value, _) in targets.items()})
     table = pd.DataFrame({"held_out": measured.index.isin(experiment.held_out), "measured": measured})
     for stage, values in {"before": before, "after": after}.items():

@@ -124,9 +124,9 @@ class ResponseTest(Test):
         """The whitened residual of a forward problem over such data."""
         return ResponseResidual(problem)
 
-    def every_response(self, problem: FunctionProblem) -> FunctionProblem:
-        """The problem of a model over all measured responses, held-out ones included; for verification only."""
-        return replace(problem, targets=self.measured.targets)
+    def whole_responses(self, problem: FunctionProblem) -> FunctionProblem | None:
+        """See `Test`."""
+        return replace(problem, targets=self.measured.targets) if self.held_out else None
 
     @property
     def unseen(self) -> HeldOutGroups:

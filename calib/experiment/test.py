@@ -117,6 +117,10 @@ class Test(ABC):
         """
         return None
 
+    def whole_responses(self, problem: FunctionProblem) -> FunctionProblem | None:
+        """The forward problem with held-out scalar responses too, for verification; None where none are held out."""
+        return None
+
     @property
     def unseen(self) -> HeldOutGroups:
         """Held-out scalar responses or FRFs by group; empty for modes. For verification only."""
