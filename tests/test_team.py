@@ -12,7 +12,7 @@ import pytest
 
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution import tasks, team
-from calib.execution.tasks import alone, each, shared_by
+from calib.execution.tasks import each, in_this_process, shared_by
 from calib.execution.team import Team
 
 # Other processes import functions by name, so they live in a module of their own on the path.
@@ -156,7 +156,7 @@ def two(module, tmp_path_factory):
 def test_results_are_those_of_one_process_in_the_order_of_the_items(two, module, meeting):
     matrix = np.asfortranarray(np.random.default_rng(1).standard_normal((90, 90)))
     told = []
-    own = alone(module.product, (matrix, None), range(30))
+    own = in_this_process(module.product, (matrix, None), range(30))
     both = two(module.product, (matrix, meeting), range(30), told.append)
     assert two.shares
     for (k, mine, *order), (j, theirs, *other) in zip(own, both, strict=True):
@@ -304,9 +304,9 @@ def test_more_tasks_than_the_board_has_places(two, module, monkeypatch):
 def test_tasks_are_shared_while_a_context_lasts():
     seen = []
 
-    def share(function, shared, items, told=tasks.untold):
+    def share(function, shared, items, told=tasks.unreported):
         seen.append(len(items))
-        return alone(function, shared, items, told)
+        return in_this_process(function, shared, items, told)
 
     with shared_by(share):
         assert each(pow, 2, [1, 2]) == [2, 4]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
-from calib.analyses.provenance.places import Workers, limit_asked
+from calib.analyses.provenance.places import Workers, stated_time_limit
 from calib.analyses.provenance.recorded import unrecorded
 from calib.correlation.modal.problem import ModalProblem
 from calib.execution.evaluate import Evaluator
@@ -112,5 +112,5 @@ class Responses:
         """Evaluator of batches of points: this process, or an injected executor."""
         bare = replace(self, problems={test: unrecorded(problem) for test, problem in self.problems.items()})
         if isinstance(workers, Injected):
-            return ExecutorEvaluator(bare, workers, None if study.in_memory else limit_asked(study))
+            return ExecutorEvaluator(bare, workers, None if study.in_memory else stated_time_limit(study))
         return Evaluator(bare)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from calib.problem.joint import said
+from calib.problem.joint import prefixed
 from calib.structure.model import Assumption
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
@@ -22,7 +22,7 @@ def assumed_words(study: LoadedStudy) -> str:
 
 def in_one(study: AnyStudy, words: Callable[[LoadedStudy], str]) -> str:
     """A few words on every test, in one line."""
-    return "; ".join(filter(None, said({one.test: [words(one)] for one in study.studies})))
+    return "; ".join(filter(None, prefixed({one.test: [words(one)] for one in study.studies})))
 
 
 def assumptions_in_words(assumed: Iterable[Assumption]) -> str:

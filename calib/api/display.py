@@ -17,14 +17,14 @@ from calib.api.pairs import reporting
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.expansion import By, ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
 from calib.errors.errors import InputError
-from calib.problem.joint import of_test, said, stacked
+from calib.problem.joint import of_test, prefixed, stacked
 from calib.results.answer import LABEL
 
 if TYPE_CHECKING:
     from calib.api.protocols import ProblemLike
 
 
-class Shown(ABC):
+class Displayed(ABC):
     """A result that prints as its answer in a few lines and its main table, in a notebook as HTML."""
 
     @property
@@ -76,7 +76,7 @@ _MODE_COLUMNS = {
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Compared(Shown):
+class Compared(Displayed):
     """Comparison of models and tests at one point.
 
     Attributes
@@ -100,7 +100,7 @@ class Compared(Shown):
     @property
     def sentences(self) -> tuple[str, ...]:
         """Where each model fails, and doubtful pairs, sensors or units."""
-        return said({name: (*answer.sentences, *_remarks(answer)) for name, answer in self.by_test.items()})
+        return prefixed({name: (*answer.sentences, *_remarks(answer)) for name, answer in self.by_test.items()})
 
     @property
     def table(self) -> pd.DataFrame:
@@ -130,7 +130,7 @@ class Compared(Shown):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Doubtful units, pairs and sensors."""
-        return said({
+        return prefixed({
             name: [*answer.warnings, *(f"Check this sensor: {f.sentence}" for f in answer.sensor_findings)]
             for name, answer in self.by_test.items()
         })  # fmt: skip
@@ -209,7 +209,7 @@ def compared(problem: ProblemLike, values: Mapping[str, float] | None) -> Compar
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AnalysisResult(Shown):
+class AnalysisResult(Displayed):
     """Result of a study's analysis: sentences and their main table.
 
     Attributes

@@ -12,7 +12,7 @@ from calib.analyses.added import to_add
 from calib.analyses.explain import explanation_of
 from calib.analyses.propose import RANKED
 from calib.api.arguments import explain_settings
-from calib.api.display import Shown
+from calib.api.display import Displayed
 from calib.api.finer_mesh import finer_of, require_finer_mesh
 from calib.api.pairs import library_of, reporting
 from calib.api.proposed import Proposed, proposed
@@ -31,7 +31,7 @@ Library: TypeAlias = Mapping[str, tuple[Effect, ...]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Explained(Shown, Generic[P]):
+class Explained(Displayed, Generic[P]):
     """Verdict on missing effects, its evidence, and the recommended next measurement.
 
     Attributes

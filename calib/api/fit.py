@@ -17,8 +17,8 @@ from calib.analyses.fit_statistics import FitStatistics, Terms, fit_problem, sta
 from calib.analyses.joint_responses import own_values
 from calib.analyses.provenance.places import tasks_shared
 from calib.api.arguments import ExplainKeys, calibration_settings
-from calib.api.display import Compared, Shown, compared
-from calib.api.pairs import kept_in, reporting
+from calib.api.display import Compared, Displayed, compared
+from calib.api.pairs import ledger_or_memory, reporting
 from calib.api.protocols import Effects, Finer, P
 from calib.api.search import Searched
 from calib.errors.arguments import path as path_of
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit(Shown, Generic[P]):
+class Fit(Displayed, Generic[P]):
     """A fitted problem with the covariance and identifiability of its parameters.
 
     Attributes
@@ -235,7 +235,7 @@ def calibrated_fit(
     settings = calibration_settings(problem.settings, keys, cases, seed, reduction, verb)
     study = problem.study(settings)
     workers = None if executor is None else Injected.of(executor)
-    with reporting(verb, progress) as step, kept_in(problem.ledger) as ledger, tasks_shared(workers):
+    with reporting(verb, progress) as step, ledger_or_memory(problem.ledger) as ledger, tasks_shared(workers):
         found = run_calibration(study, CalibrationRun(ledger, workers=workers, progress=step))
     best = found.seen(study.studies[0].test).best
     return Fit(problem, best.statistics, found)
@@ -244,5 +244,5 @@ def calibrated_fit(
 def assessed_at(problem: P, values: Mapping[str, float]) -> Fit[P]:
     """See `calib.api.problem.Problem.statistics_at`."""
     study = problem.study()
-    with reporting("statistics_at", False), kept_in(problem.ledger) as ledger:
+    with reporting("statistics_at", False), ledger_or_memory(problem.ledger) as ledger:
         return Fit(problem, statistics_at(fit_problem(study, ledger), Terms.of(study), values))

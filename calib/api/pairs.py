@@ -44,7 +44,7 @@ def ledger_at(given: Any) -> Ledger | None:
         ) from None
 
 
-def kept_in(ledger: Ledger | None) -> AbstractContextManager[Ledger]:
+def ledger_or_memory(ledger: Ledger | None) -> AbstractContextManager[Ledger]:
     """That ledger, which stays open, or one in memory."""
     return Ledger.in_memory() if ledger is None else nullcontext(ledger)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from calib.analyses.propose import ProposalResult, ProposalStart, compose_for
-from calib.api.display import Shown
+from calib.api.display import Displayed
 from calib.api.progress import in_python
 from calib.errors.arguments import integer
 from calib.errors.errors import InputError
@@ -20,7 +20,7 @@ from calib.study.several import AnyStudy
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Proposed(Shown):
+class Proposed(Displayed):
     """Effects composed from local perturbations, best first; none where nothing can be proposed, which it then says.
 
     Attributes

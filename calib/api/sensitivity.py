@@ -11,14 +11,14 @@ import pandas as pd
 
 from calib.analyses.sensitivity import Sensitivity, sampled, screened
 from calib.api.arguments import with_keys
-from calib.api.display import Shown
-from calib.api.pairs import kept_in, reporting
+from calib.api.display import Displayed
+from calib.api.pairs import ledger_or_memory, reporting
 from calib.api.protocols import ProblemLike
 from calib.execution.executor import Injected
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Assessed(Shown):
+class Assessed(Displayed):
     """Which parameters matter for the measured responses.
 
     Attributes
@@ -116,7 +116,7 @@ def assessed(
     settings = with_keys(problem.settings.sensitivity, "sensitivity", keys)
     study = problem.study(problem.settings.model_copy(update={"sensitivity": settings}))
     workers = None if executor is None else Injected.of(executor)
-    with reporting("sensitivity", progress) as step, kept_in(problem.ledger) as ledger:
+    with reporting("sensitivity", progress) as step, ledger_or_memory(problem.ledger) as ledger:
         if method == "ranks":
             return Assessed(sampled(study, ledger, workers, progress=step))
         return Assessed(screened(study, ledger, method, workers, ignore_constraints=ignore_constraints, progress=step))

@@ -17,7 +17,7 @@ from calib.errors.arguments import integer
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.execution.executor import Injected
-from calib.problem.joint import said, stacked
+from calib.problem.joint import prefixed, stacked
 from calib.results.results import RESULTS, Results
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ class Study:
                 remedy="leave one of them out",
             )  # fmt: skip
         injected = Injected.of(executor)
-        injected.require(places.limit_asked(self.loaded))
+        injected.require(places.stated_time_limit(self.loaded))
         return replace(self, workers=injected, read=self.loaded)
 
     @cached_property
@@ -190,7 +190,7 @@ class Study:
         if len(answers) == 1:
             return answer
         table = stacked({test: one.rows for test, one in answers.items()})
-        words = said({test: one.words for test, one in answers.items()})
+        words = prefixed({test: one.words for test, one in answers.items()})
         return AnalysisResult(words, table, self.folder.path, {test: one.of for test, one in answers.items()})
 
     def calibrate(
@@ -224,12 +224,15 @@ class Study:
         The best ``rank`` are written as a library of effects, in a study of its own among the results.
         """
         from calib.analyses import propose as proposal
-        from calib.analyses.provenance.stored import modes_kept
+        from calib.analyses.provenance.stored import with_stored_modes
 
         wanted = proposal.RANKED if rank is None else integer(rank, 1, "rank")
         loaded, root = self.loaded, self.results
         self.listener.begins(loaded, "propose")
-        with self.listener.progress() as step, modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as kept:
+        with (
+            self.listener.progress() as step,
+            with_stored_modes(loaded, lambda: places.ledger_of(loaded, root)) as kept,
+        ):
             homes = {one.test: places.results_of(one, root) for one in loaded.studies}
             found = proposal.propose(kept, self.folder, wanted, step, homes)
         self.listener.proposed(loaded, found, self.folder, root)
@@ -363,14 +366,14 @@ class Study:
 
     def _explain(self) -> ExplanationResult:
         from calib.analyses.explain import explain
-        from calib.analyses.provenance.stored import modes_kept
+        from calib.analyses.provenance.stored import with_stored_modes
 
         loaded, root = self.loaded, self.results
         self.listener.begins(loaded, "explain")
         with (
             self.listener.progress() as step,
             places.tasks_shared(self.workers),
-            modes_kept(loaded, lambda: places.ledger_of(loaded, root)) as kept,
+            with_stored_modes(loaded, lambda: places.ledger_of(loaded, root)) as kept,
         ):
             homes = {one.test: places.results_of(one, root) for one in loaded.studies}
             answer = explain(kept, self.folder, step, homes, {s.one.test: s.folder for s in self.tests})

@@ -86,7 +86,7 @@ Entry: TypeAlias = Words | Warned | Rows
 
 
 @dataclass(frozen=True)
-class Told:
+class AnalysisEntries:
     """What one analysis has to say.
 
     Attributes

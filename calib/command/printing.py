@@ -18,7 +18,7 @@ from calib.analyses.versions import Versions
 from calib.api import progress
 from calib.api.listener import Listener
 from calib.command import calibrated, compared, explained, proposed, terminal
-from calib.command.entries import Entry, Told, Warned, Words, tell_answer, tell_entries
+from calib.command.entries import AnalysisEntries, Entry, Warned, Words, tell_answer, tell_entries
 from calib.command.terminal import count, say
 from calib.execution.stage import Progress
 from calib.missing.explanation import Explanation
@@ -47,7 +47,7 @@ class _Printing(Listener):
 
     def __init__(self, verb: str, verbose: bool = False) -> None:
         self.verb, self.verbose = verb, verbose
-        self._told: list[Told] = []
+        self._told: list[AnalysisEntries] = []
         self._pages: list[tuple[str, Page]] = []
         self._traces: tuple[str, Sequence[str]] = ("", ())
 
@@ -68,7 +68,7 @@ class _Printing(Listener):
         say(f"{earlier.settings.title} comes first: {path} takes over what it finds.")
 
     def begins(self, study: StudyFile, verb: str) -> None:
-        self._told.append(Told(verb, f"{study.settings.title}: {verb}{_label(study)}"))
+        self._told.append(AnalysisEntries(verb, f"{study.settings.title}: {verb}{_label(study)}"))
 
     def other_state(self, rows: int) -> None:
         if rows:
@@ -148,7 +148,7 @@ class _Printing(Listener):
         terminal.tell_traces(*self._traces)
         self._traces = ("", ())
 
-    def _tell_pages(self, told: Sequence[Told], pages: Sequence[tuple[str, Page]]) -> None:
+    def _tell_pages(self, told: Sequence[AnalysisEntries], pages: Sequence[tuple[str, Page]]) -> None:
         """The answer of a run or of the stored results, as at the head of the report, and the tables behind it."""
         # A run draws its own page last, and the one of an extended study before; a report begins with its own.
         (title, page), *others = reversed(pages) if self.verb == "run" else pages
@@ -173,7 +173,7 @@ class _Printing(Listener):
 
     def _add(self, *entries: Entry) -> None:
         if not self._told:
-            self._told.append(Told(self.verb, ""))
+            self._told.append(AnalysisEntries(self.verb, ""))
         self._told[-1] = replace(self._told[-1], entries=(*self._told[-1].entries, *entries))
 
     def _answered(self, answer: Answer, place: Path, entries: Sequence[Entry]) -> None:

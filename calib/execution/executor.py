@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from calib.errors.errors import InputError
 from calib.execution import worker
 from calib.execution.evaluate import Arrived, failed, ignored, unwrapped
-from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED, Outcome, directory_kept, told
+from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED, Outcome, directory_kept, error_line
 from calib.execution.tasks import one_thread
 from calib.execution.worker import Source
 
@@ -170,14 +170,14 @@ class ExecutorEvaluator:
         if limit is not None and isinstance(fault, TimeoutError):
             return failed(values, f"{TOOK_TOO_LONG} {limit:g} s", limit)
         if isinstance(fault, BrokenExecutor):
-            return failed(values, WORKER_DIED, trace=told(fault))
+            return failed(values, WORKER_DIED, trace=error_line(fault))
         unsent = isinstance(fault, pickle.PicklingError | AttributeError | TypeError)
         if unsent and (why := _cannot_be_sent(self._sent)):
             raise InputError(
                 f"the model cannot be sent to other processes: {why}", place="executor",
                 remedy="define its function in a module, or give a ThreadPoolExecutor",
             )  # fmt: skip
-        return failed(values, f"{WORKER_DIED} ({told(fault)})")
+        return failed(values, f"{WORKER_DIED} ({error_line(fault)})")
 
 
 def _cannot_be_sent(sent: worker.Sent) -> str:
@@ -185,5 +185,5 @@ def _cannot_be_sent(sent: worker.Sent) -> str:
     try:
         pickle.dumps(sent)
     except Exception as fault:  # a class may raise anything from its own `__reduce__` or `__getstate__`
-        return told(fault)
+        return error_line(fault)
     return ""

@@ -92,7 +92,7 @@ def attempt(function: Function, values: Mapping[str, float]) -> Outcome:
         error = _one_line(str(fault)) or "it cannot be evaluated"
         trace, at = "\n".join(getattr(fault, "__notes__", ())), fault.at or raised_at(fault)
     except BaseException as fault:  # sys.exit, or a panic in foreign code, must not end the study
-        error, trace = told(fault), "".join(traceback.format_exception(fault))[-_TRACE:]
+        error, trace = error_line(fault), "".join(traceback.format_exception(fault))[-_TRACE:]
         at = raised_at(fault)
     seconds = time.perf_counter() - started
     if error:
@@ -127,7 +127,7 @@ def as_cause(fault: EvaluationError) -> EvaluationError | None:
     return fault if getattr(fault, "__notes__", ()) else None
 
 
-def told(fault: BaseException) -> str:
+def error_line(fault: BaseException) -> str:
     """An exception on one line, with file and line of the user's code that raised it."""
     words, at = f"{type(fault).__name__}: {fault}", raised_at(fault)
     if at is None or isinstance(fault, SyntaxError):  # its message has the place

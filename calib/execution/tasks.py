@@ -19,19 +19,21 @@ Told = Callable[[int], None]
 """Receives the number of finished tasks before each one that this process does."""
 
 
-def untold(done: int) -> None:
+def unreported(done: int) -> None:
     """Nobody listens."""
 
 
 class Share(Protocol):
-    """Does the tasks of `each`, as `calib.execution.team.Team` does; results are those of `alone`."""
+    """Does the tasks of `each`, as `calib.execution.team.Team` does; results are those of `in_this_process`."""
 
-    def __call__(self, function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told = untold) -> list[R]:
+    def __call__(
+        self, function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told = unreported
+    ) -> list[R]:
         """See `each`."""
         ...
 
 
-def alone(function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told = untold) -> list[R]:
+def in_this_process(function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told = unreported) -> list[R]:
     """Do all tasks in this process, in order; numerical libraries use one thread, as in every other process."""
     out = []
     with one_thread():
@@ -41,10 +43,10 @@ def alone(function: Callable[[S, I], R], shared: S, items: Sequence[I], told: To
     return out
 
 
-_in_use: ContextVar[Share] = ContextVar("tasks", default=alone)
+_in_use: ContextVar[Share] = ContextVar("tasks", default=in_this_process)
 
 
-def each(function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told = untold) -> list[R]:
+def each(function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told = unreported) -> list[R]:
     """``function(shared, item)`` for every item, in their order.
 
     Whoever shares the tasks, see `shared_by`, changes no digit of the results.
@@ -69,7 +71,7 @@ def each(function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Tol
 
 def are_shared() -> bool:
     """Whether somebody shares the tasks of `each`."""
-    return _in_use.get() is not alone
+    return _in_use.get() is not in_this_process
 
 
 @contextmanager

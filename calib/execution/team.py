@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from calib.errors.errors import InputError
 from calib.execution import interrupt, tasks, worker
-from calib.execution.tasks import I, R, S, Told, one_thread, untold
+from calib.execution.tasks import I, R, S, Told, one_thread, unreported
 
 _MOST = 1024
 """Tasks of one call; more are done in several."""
@@ -38,7 +38,8 @@ class Team:
 
     This process begins with the first task, the others begin with the last, until they meet. Each task has the same
     result in every process: numerical libraries use one thread. What cannot be sent, fails elsewhere, or dies with its
-    process is done here, so that a failure is that of `calib.execution.tasks.alone`. So are tasks within a task.
+    process is done here, so that a failure is that of `calib.execution.tasks.in_this_process`. So are tasks within a
+    task.
 
     Parameters
     ----------
@@ -92,13 +93,15 @@ class Team:
         """Whether other processes have been started, and are able to help."""
         return self._pool is not None and self._able
 
-    def __call__(self, function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told = untold) -> list[R]:
+    def __call__(
+        self, function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told = unreported
+    ) -> list[R]:
         """Results in the order of the items; see `calib.execution.tasks.each`."""
         if len(items) > _MOST:
             first = self(function, shared, items[:_MOST], told)
             return first + self(function, shared, items[_MOST:], lambda done: told(_MOST + done))
         if self._within:
-            return tasks.alone(function, shared, items, told)
+            return tasks.in_this_process(function, shared, items, told)
         began = time.perf_counter()
         try:
             return self._results(function, shared, items, told)
@@ -127,7 +130,7 @@ class Team:
 
     def _alone(self, function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told) -> list[R]:
         began = time.perf_counter()
-        found = tasks.alone(function, shared, items, told)
+        found = tasks.in_this_process(function, shared, items, told)
         if items:
             self._seconds[function] = (time.perf_counter() - began) / len(items)
         return found

@@ -20,7 +20,7 @@ from calib.missing.joint import JointHypotheses
 from calib.missing.recommendation import ExperimentalDesign
 from calib.problem.degrees_of_freedom import behind, matched, p_value
 from calib.problem.effect import Effect
-from calib.problem.joint import of_test, said, stacked
+from calib.problem.joint import of_test, prefixed, stacked
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class JointAdapter:
         of_all = MeasurementFacts(
             assumed="; ".join(of_test(test, one.assumed) for test, one in facts.items() if one.assumed),
             accuracy="; ".join(of_test(test, one.accuracy) for test, one in facts.items() if one.accuracy),
-            notes=said({test: one.notes for test, one in facts.items()}),
+            notes=prefixed({test: one.notes for test, one in facts.items()}),
             disagreements=stacked({test: one.disagreements for test, one in facts.items()}),
             held_sd={name: sd for one in facts.values() for name, sd in one.held_sd.items()},
             seed=first.seed,
@@ -68,7 +68,7 @@ class JointAdapter:
 
     def notes(self) -> list[str]:
         """The notes of every test."""
-        return list(said({test: adapter.notes() for test, adapter in self.adapters.items()}))
+        return list(prefixed({test: adapter.notes() for test, adapter in self.adapters.items()}))
 
     def errors(
         self, stages: dict[str, CandidateFit], scale: float

@@ -232,7 +232,7 @@ def stacked(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     return pd.concat([table.assign(**{TEST: test}) for test, table in tables.items()], ignore_index=True)
 
 
-def said(words: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
+def prefixed(words: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
     """Sentences on tests, prefixed with the name of the test where there are several."""
     if len(words) == 1:
         return tuple(*words.values())

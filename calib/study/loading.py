@@ -18,7 +18,7 @@ from typing import Any
 from calib.errors.errors import InputError
 from calib.errors.own_code import defined_at, raised_at, refuses
 from calib.errors.place import Place
-from calib.execution.outcome import told
+from calib.execution.outcome import error_line
 from calib.problem.effect import Effect
 from calib.results.fingerprint import digest_of
 from calib.structure.effects.extend import extend
@@ -160,7 +160,7 @@ class Sources:
             raise fault.with_line((None if refuses(fault) else raised_at(fault)) or asked) from fault.__cause__
         except (Exception, SystemExit) as fault:
             # The function is the user's own: its errors are bad input, reported without our traceback.
-            raise InputError(f"{name} failed with {told(fault)}", place=place, at=raised_at(fault)) from fault
+            raise InputError(f"{name} failed with {error_line(fault)}", place=place, at=raised_at(fault)) from fault
 
     def _definition(self, key: str, function: str) -> Place | None:
         """Line that defines a function that is named under a key."""
@@ -194,7 +194,9 @@ class Sources:
                     "with their former places", at=raised_at(fault),
                 ) from None  # fmt: skip
             if not isinstance(fault, ModuleNotFoundError):
-                raise InputError(f"{where!r} failed with {told(fault)}", place=place, at=raised_at(fault)) from fault
+                raise InputError(
+                    f"{where!r} failed with {error_line(fault)}", place=place, at=raised_at(fault)
+                ) from fault
             if fault.name and where.startswith(fault.name):
                 raise InputError(
                     f"unknown {what}: there is no module {where!r}{_found_instead(where)}", place=place,
@@ -207,7 +209,7 @@ class Sources:
         except InputError as fault:
             raise fault.with_line(raised_at(fault)) from fault.__cause__
         except (Exception, SystemExit) as fault:
-            raise InputError(f"{where!r} failed with {told(fault)}", place=place, at=raised_at(fault)) from fault
+            raise InputError(f"{where!r} failed with {error_line(fault)}", place=place, at=raised_at(fault)) from fault
 
 
 def _mismatch(build: Callable[..., Any], options: Mapping[str, Any]) -> TypeError | None:
@@ -309,7 +311,7 @@ def with_effects(base: Model, effects: Sequence[Effect], place: Place | str) -> 
         raise InputError(fault.problem, place=where, remedy=fault.remedy, at=at) from None
     except (Exception, SystemExit) as fault:
         names = ", ".join(repr(effect.name) for effect in effects)
-        raise InputError(f"adding {names} failed with {told(fault)}", place=place, at=raised_at(fault)) from fault
+        raise InputError(f"adding {names} failed with {error_line(fault)}", place=place, at=raised_at(fault)) from fault
 
 
 def fingerprint_of(

@@ -8,7 +8,7 @@ import pytest
 
 from calib.analyses.hypotheses_of_study import modal_hypotheses
 from calib.correlation.modal.residual import ModalResidual
-from calib.execution.tasks import alone, shared_by, untold
+from calib.execution.tasks import in_this_process, shared_by, unreported
 from calib.hypotheses.design.modal import modal_design
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.missing.linearised_fit import least_squares_fit
@@ -50,12 +50,12 @@ def test_gains_and_counted_points_are_the_same_whoever_solves_the_samples(world)
     _, hypotheses, fit = world
     pair, found = pair_of(hypotheses), scores(fit, hypotheses.effects, {})
 
-    def elsewhere(function, shared, items, told=untold):
+    def elsewhere(function, shared, items, told=unreported):
         copies = [copy.deepcopy((shared, item)) for item in items]
         return [function(*one) for one in reversed(copies)][::-1]
 
     designs, counted = [], []
-    for share in (alone, elsewhere):
+    for share in (in_this_process, elsewhere):
         before = hypotheses.evaluations
         with shared_by(share):
             designs.append(modal_design(hypotheses, pair, hypotheses.effects, found, 1.0, samples=3))

@@ -14,7 +14,7 @@ from calib.analyses.explain import explain
 from calib.analyses.provenance.isolation import isolated
 from calib.analyses.provenance.places import open_evaluator
 from calib.analyses.provenance.recorded import recorded
-from calib.analyses.provenance.stored import modes_kept
+from calib.analyses.provenance.stored import with_stored_modes
 from calib.analyses.reduction import fingerprints
 from calib.analyses.sensitivity import sensitivity
 from calib.errors.errors import EvaluationError, InputError
@@ -124,7 +124,7 @@ def test_an_explanation_behind_the_ledger_reuses_the_points_of_a_calibration(few
             if ask == "calibrate":
                 calibrate(study, results, ledger)
             else:
-                with modes_kept(study, lambda: nullcontext(ledger)) as asked:
+                with with_stored_modes(study, lambda: nullcontext(ledger)) as asked:
                     found.append(explain(asked, results).effects)
             assert ledger.other_fingerprints(*fingerprints(study, results)) == 0
         counted.append(calls())

@@ -10,7 +10,7 @@ import pytest
 
 from calib.analyses.explain import explain
 from calib.command import cli
-from calib.execution.tasks import shared_by, untold
+from calib.execution.tasks import shared_by, unreported
 from calib.results.results import Results
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,7 +22,7 @@ class Elsewhere:
     def __init__(self):
         self.done = set()
 
-    def __call__(self, function, shared, items, told=untold):
+    def __call__(self, function, shared, items, told=unreported):
         try:
             copies = [pickle.loads(pickle.dumps((shared, item))) for item in items]
         except (AttributeError, pickle.PicklingError):

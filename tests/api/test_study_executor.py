@@ -12,7 +12,7 @@ from calib.analyses.calibrate import calibrate
 from calib.analyses.provenance import places
 from calib.analyses.sensitivity import sensitivity
 from calib.execution.executor import Injected
-from calib.execution.tasks import untold
+from calib.execution.tasks import unreported
 from calib.execution.team import Team
 from calib.results.ledger import Ledger
 from calib.results.results import Results
@@ -152,7 +152,7 @@ def teams(monkeypatch):
             super().__init__(1)
             seen.append((workers, patience > 0, []))
 
-        def __call__(self, function, shared, items, told=untold):
+        def __call__(self, function, shared, items, told=unreported):
             seen[-1][2].append(len(items))
             return super().__call__(function, shared, items, told)
 

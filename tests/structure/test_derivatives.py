@@ -8,7 +8,7 @@ import pytest
 import scipy.sparse as sp
 
 from calib.errors.errors import InputError
-from calib.execution.tasks import shared_by, untold
+from calib.execution.tasks import shared_by, unreported
 from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
 from calib.structure.eigenproblem import derivatives
@@ -281,7 +281,7 @@ def test_sparse_derivatives_are_the_same_whoever_shares_their_modes():
     modes, rows = model.modes({}, 4), np.eye(model.n_dof)[[3, 40, 700]]
     done = []
 
-    def elsewhere(function, shared, items, told=untold):
+    def elsewhere(function, shared, items, told=unreported):
         done.append(list(items))
         copies = [pickle.loads(pickle.dumps((shared, item))) for item in items]  # as another process gets them
         return [function(*copy) for copy in reversed(copies)][::-1]

@@ -151,7 +151,7 @@ def open_evaluator(
         return ExecutorEvaluator(here, workers) if isinstance(workers, Injected) else Evaluator(here)
     source = EvaluationSource.of(study, bare, basis)
     if isinstance(workers, Injected):
-        return _opened_for(given, ExecutorEvaluator(source, workers, limit_asked(study)))
+        return _opened_for(given, ExecutorEvaluator(source, workers, stated_time_limit(study)))
     chosen = workers
     if chosen is None:
         if seconds is None:
@@ -194,7 +194,7 @@ def tasks_shared(workers: Workers) -> Iterator[None]:
         yield
 
 
-def limit_asked(study: StudyFile) -> float | None:
+def stated_time_limit(study: StudyFile) -> float | None:
     """The time limit in a study's file; None where it has none, since the default holds for the own pool only."""
     given = study.settings.calibration
     return given.time_limit if "time_limit" in given.model_fields_set else None

@@ -18,7 +18,7 @@ from calib.analyses.provenance.state import code_of, made_from, rules_of
 from calib.analyses.uncertainty import accuracy_words, assumed_std, assumed_words, in_one, std_notes
 from calib.errors.errors import InputError
 from calib.measurement.disagreements import COLUMNS, Disagreement
-from calib.problem.joint import said, stacked
+from calib.problem.joint import prefixed, stacked
 from calib.problem.space import ParameterSpace
 from calib.results.answer import Answer
 from calib.results.json_file import ANY, read_json
@@ -95,7 +95,7 @@ def write_record(
     limits = [one.sensitivity_space for one in tests]
     results.write_table("parameter_space", limits_table(study.search_space, study.space, limits))
     given, measured = study.settings, [one.settings.measurement for one in tests]
-    notes = said({one.test: (*one.experiment.notes, *std_notes(one)) for one in tests})
+    notes = prefixed({one.test: (*one.experiment.notes, *std_notes(one)) for one in tests})
     record = {
         "study": study.name,
         "title": given.title,

@@ -84,7 +84,7 @@ def confirm(study: LoadedStudy, ledger: Ledger, known: Outcome) -> float:
 
 
 @contextmanager
-def modes_kept(study: AnyStudy, opened: Callable[[], AbstractContextManager[Ledger]]) -> Iterator[AnyStudy]:
+def with_stored_modes(study: AnyStudy, opened: Callable[[], AbstractContextManager[Ledger]]) -> Iterator[AnyStudy]:
     """A study with its functions of modes behind the ledger, one stored point of each checked; others are unchanged.
 
     This holds for every test of the study.

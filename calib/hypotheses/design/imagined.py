@@ -11,7 +11,7 @@ from scipy.special import ndtri
 
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.stage import Progress
-from calib.execution.tasks import alone, each
+from calib.execution.tasks import each, in_this_process
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.competing import CompetingModel, CompetingModels
@@ -79,7 +79,7 @@ def imagined_linearisations(
     for one in believed:  # built here, so that no other process needs to
         for names in (one.names, *((*one.names, name) for name, point in _points(one, effects, found) if point)):
             imagined.fit_problem(names)
-    tasks = each if _shareable(imagined) else alone
+    tasks = each if _shareable(imagined) else in_this_process
     done = tasks(
         _linearisation, (imagined, believed, effects, found, scale), requested,
         lambda number: progress("what to measure next", number, len(requested)),
