@@ -35,18 +35,18 @@ def modes(
 
     Parameters
     ----------
-    freq : array_like (n_modes,)
-        Natural frequencies, Hz.
-    shapes : array_like (n_sensors, n_modes), optional
-        Real or complex; each is scaled to a largest modulus of 1.
+    freq : array_like
+        Natural frequencies (n_modes,), Hz.
+    shapes : array_like, optional
+        Real or complex (n_sensors, n_modes); each is scaled to a largest modulus of 1.
     sensors : sequence of Sensor, str or (node, direction)
         One for each row of the shapes, such as ``"12y"``.
-    damping : array_like (n_modes,), optional
-        Damping ratios.
-    freq_std, damping_std : array_like (n_modes,) or float, optional
-        Standard deviations of the means, Hz and as a ratio.
-    shape_std : array_like (n_sensors, n_modes) or float, optional
-        Of real and imaginary part each, in the unit of the shapes.
+    damping : array_like, optional
+        Damping ratios (n_modes,).
+    freq_std, damping_std : array_like or float, optional
+        Standard deviations of the means (n_modes,), Hz and as a ratio.
+    shape_std : array_like or float, optional
+        Of real and imaginary part each (n_sensors, n_modes), in the unit of the shapes.
     names : sequence of str, optional
         Of the modes; ``"1"``, ``"2"``, ... by default.
     repeats : int

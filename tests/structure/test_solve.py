@@ -239,6 +239,21 @@ def test_a_soft_mode_among_stiff_ones_is_kept(n):
         assert modes.natural_freq[0] == pytest.approx(1 / (2 * np.pi), rel=1e-4)
 
 
+def test_the_first_mode_of_a_fine_mesh_is_found_alone():
+    """A cantilever of 50 m in 504 elements: entries of K are 4e11 times its lowest square, and round to 1e-5 of it."""
+    n, ei, mass, length = 504, 1e5, 50.0, 0.1
+    a = 6 * length
+    element = np.array([[12, a, -12, a], [a, 0.04, -a, 0.02], [-12, -a, 12, -a], [a, 0.02, -a, 0.04]]) * ei / length**3
+    k = np.zeros((2 * n + 2, 2 * n + 2))
+    for first in range(0, 2 * n, 2):
+        k[first : first + 4, first : first + 4] += element
+    m = sp.csc_array(sp.diags_array([mass * length, 0.0] * n))
+    for stiffer in np.linspace(0.5, 1.5, 8):
+        found = solve_modes(sparse(stiffer * k[2:, 2:]), None, m, 1)
+        closed_form = 1.8751041**2 / (n * length) ** 2 * np.sqrt(stiffer * ei / mass) / (2 * np.pi)
+        np.testing.assert_allclose(found.natural_freq, [closed_form], rtol=5e-3)
+
+
 def test_rotations_of_very_small_inertia_hide_no_soft_mode():
     # A chain of masses on one soft spring; each has a rotation with the small inertia of a thin shell.
     n = 60
