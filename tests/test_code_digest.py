@@ -162,7 +162,7 @@ def test_a_function_that_holds_objects_of_calib_counts_by_its_own_code(tmp_path)
         (tmp_path / "script.py").write_text(script)
         ran = subprocess.run(
             [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=True,
-            env={"PYTHONPATH": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"},
+            env={"PYTHONPATH": str(tmp_path)},
         )  # fmt: skip
         return ran.stdout
 

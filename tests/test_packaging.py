@@ -130,6 +130,7 @@ def test_a_study_of_the_clone_finds_the_models_from_elsewhere(calib_alone, tmp_p
     assert "chain" in done.stdout
 
 
+@pytest.mark.slow
 def test_worker_processes_find_the_package_of_a_studys_project(calib_alone, tmp_path):
     project = tmp_path / "project"
     write_package(project)

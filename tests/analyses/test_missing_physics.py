@@ -135,6 +135,7 @@ def test_the_plan_has_a_thousand_cases_of_every_subject(bench):
     assert 0.08 < sum(s.group == "fault" for s, _ in first) / len(first) < 0.15
 
 
+@pytest.mark.slow
 def test_run_goes_on_where_it_stopped_and_report_counts(bench, tmp_path, capsys):
     """Four chains in two goes; every count of the table is that of the file."""
     physics = bench["missing_physics"]

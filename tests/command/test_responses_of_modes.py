@@ -127,7 +127,7 @@ def hold_nothing_out(file):
     file.write_text(file.read_text("utf-8").replace('["damping_5"]', "[]"), encoding="utf-8")
 
 
-@pytest.fixture(scope="module", params=KINDS)
+@pytest.fixture(scope="module", params=["matrices", pytest.param("function", marks=pytest.mark.slow)])
 def ran(request, world, asked, no_drawing, tmp_path_factory):
     """Results of every analysis in a folder, and the same problem in memory."""
     folder = tmp_path_factory.mktemp(request.param)
@@ -200,6 +200,7 @@ def counted():
 """
 
 
+@pytest.mark.slow
 def test_a_point_of_a_function_is_kept_as_modes_and_solved_once(world, asked, no_drawing, tmp_path):
     """Its key does not depend on what was measured: another sheet is compared at points that are known."""
     few = {name: world.sheet[name] for name in ("freq_1", "freq_2", "damping_1")}
@@ -216,6 +217,7 @@ def test_a_point_of_a_function_is_kept_as_modes_and_solved_once(world, asked, no
     assert 40 <= calls[0] <= 43 and calls[1] - calls[0] <= 2  # a known point is checked
 
 
+@pytest.mark.slow
 def test_one_of_several_tests_may_be_a_sheet(world, asked, no_drawing, tmp_path):
     """Modes with their shapes, and the damping ratios of another source."""
     written(world, tmp_path / "chain")

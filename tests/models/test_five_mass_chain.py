@@ -199,6 +199,7 @@ def test_the_measurement_is_the_one_that_the_twin_makes(twin, tmp_path, monkeypa
     np.testing.assert_allclose(made, here, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_tutorial_shows_the_studys_own_effect_and_what_it_prints(monkeypatch, capsys):
     effects, script, _, _ = blocks("python")
     assert effects == (FOLDER / "effects.py").read_text("utf-8")

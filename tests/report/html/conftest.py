@@ -127,9 +127,15 @@ def outline(figures, name, identifier=""):
 
 
 @pytest.fixture
-def unpainted(monkeypatch):
-    """Figures have no content: for tests of the page around them."""
-    monkeypatch.setattr("calib.report.figures.Figures.svg", outline)
+def painted():
+    """Requested by tests about what figures show."""
+
+
+@pytest.fixture(autouse=True)
+def unpainted_unless_asked_for(request, monkeypatch):
+    """Figures have no content: most tests are about the page around them. Pages of the session have theirs already."""
+    if "painted" not in request.fixturenames:
+        monkeypatch.setattr("calib.report.figures.Figures.svg", outline)
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,7 @@ def chain(run, tmp_path_factory):
 
 
 @pytest.fixture
-def blocks(chain, unpainted):
+def blocks(chain):
     return page_blocks(StudyResults(chain, "chain", True))
 
 
@@ -48,7 +48,7 @@ def test_every_measured_function_is_told_with_its_use(chain, blocks):
     assert (f"Held out from every fit: {', '.join(held)}." if held else "No function is held out.") in intro
 
 
-def test_notes_on_the_measurement_are_reported(chain, unpainted, tmp_path):
+def test_notes_on_the_measurement_are_reported(chain, tmp_path):
     folder = Path(shutil.copytree(chain, tmp_path / "chain"))
     record = json.loads((folder / "record.json").read_text("utf-8"))
     (folder / "record.json").write_text(json.dumps(record | {"notes": ["channel 2 was repaired"]}), "utf-8")

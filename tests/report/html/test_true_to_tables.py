@@ -127,7 +127,7 @@ def test_the_sentences_are_those_in_the_record(everything, read):
         assert sentences and all(" ".join(s.replace("->", "→").split()) in read.text for s in sentences)
 
 
-def test_figures_show_the_tables(everything, blocks):
+def test_figures_show_the_tables(everything, blocks, painted):
     pictures, figures = blocks(everything, Picture), StudyResults(everything, "", True).figures
     assert set(pictures) <= set(figures.plan) and len(pictures) > 12
     for name, picture in pictures.items():

@@ -36,7 +36,7 @@ def test_the_verdict_and_what_is_synthetic_come_before_any_section(everything, t
 
 
 @pytest.mark.slow
-def test_a_measured_structure_is_not_called_synthetic(everything, reader, unpainted):
+def test_a_measured_structure_is_not_called_synthetic(everything, reader):
     assert "ynthetic" not in reader(page(StudyResults(everything, TITLE, False))).text
 
 
@@ -135,7 +135,7 @@ def test_until_something_is_added_the_errors_are_those_of_the_explanation(folder
 
 
 @pytest.mark.slow
-def test_the_reason_for_adding_no_effect_is_shown(folder, reader, unpainted):
+def test_the_reason_for_adding_no_effect_is_shown(folder, reader):
     for file in folder.glob("added*"):
         file.unlink()
     (folder / "added.json").write_text('{"sentence": "None of them is added.", "conclusion": "", "effects": []}')
@@ -230,14 +230,14 @@ def test_names_are_shown_literally_whatever_characters_they_have(folder, reader)
 # -- writing -----------------------------------------------------------------------------------------------------------
 
 
-def test_the_page_is_written_beside_its_tables_and_is_the_same_each_time(folder, unpainted):
+def test_the_page_is_written_beside_its_tables_and_is_the_same_each_time(folder):
     path = write_report(StudyResults(folder, TITLE, True)).path
     assert path == folder / "report.html"
     assert path.read_text(encoding="utf-8") == page(StudyResults(folder, TITLE, True))
     assert not [p for p in folder.iterdir() if p.name.startswith(".")]
 
 
-def test_an_interruption_while_writing_leaves_the_old_page(folder, unpainted, monkeypatch):
+def test_an_interruption_while_writing_leaves_the_old_page(folder, monkeypatch):
     path = write_report(StudyResults(folder, TITLE, True)).path
     old = path.read_bytes()
     monkeypatch.setattr(write, "page", lambda *given: "a new page")
@@ -253,7 +253,7 @@ def test_an_interruption_while_writing_leaves_the_old_page(folder, unpainted, mo
     assert path.read_bytes() == old and not [p for p in folder.iterdir() if p.name.startswith(".")]
 
 
-def test_every_figure_of_the_page_is_a_step_of_its_progress(everything, unpainted, blocks):
+def test_every_figure_of_the_page_is_a_step_of_its_progress(everything, blocks):
     steps = []
     page(StudyResults(everything, TITLE, True), lambda stage, done, total: steps.append((done, total)))
     count = len(blocks(everything, Picture))
