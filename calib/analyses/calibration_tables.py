@@ -11,7 +11,7 @@ import pandas as pd
 from calib.analyses.compare import before_and_after, write_comparison, write_model_modes
 from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.provenance.record import begin_analysis
-from calib.analyses.provenance.state import ADDED
+from calib.analyses.provenance.state import ADDED, INTERVALS
 from calib.analyses.uncertainty import accuracy_words
 from calib.inference.cases import CaseResult, convergence_table, parameters_table
 from calib.problem.joint import stacked
@@ -88,7 +88,7 @@ def write_calibration(
 ) -> None:
     """Write all tables on one test and ``summary.json``; ``mark`` is the digest of what the calibration depends on."""
     begin_analysis(results, "calibrate")
-    results.remove("std_by_test.csv", "modes.csv", "data_errors.csv", "responses.csv", *ADDED)
+    results.remove("std_by_test.csv", "modes.csv", "data_errors.csv", "responses.csv", *ADDED, *INTERVALS)
     write_comparison(results, answer.best.answer, "after")
     for name, table in answer.tables.items():
         results.write_table(name, table)
@@ -109,6 +109,7 @@ def write_jointly(study: AnyStudy, results: Results, answer: JointCalibration, m
     """Write the parameters and the tables on all tests together; those on one test are in its own folder."""
     best = answer.any.best
     begin_analysis(results, "calibrate")
+    results.remove(*INTERVALS)
     for name, table in answer.any.tables.items():
         results.write_table(name, table)
     errors = {test: one.errors for test, one in answer.tests.items() if one.errors is not None}

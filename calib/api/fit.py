@@ -27,8 +27,11 @@ from calib.inference.agreement import Agreement
 from calib.results.answer import Answer
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
+    from calib.analyses.intervals import Intervals
     from calib.api.explained import Explained
 
 
@@ -186,6 +189,45 @@ class Fit(Displayed, Generic[P]):
 
         return explained(self.problem, effects, keys, finer, reduction, progress)
 
+    def intervals(
+        self,
+        parameters: Sequence[str] = (),
+        *,
+        samples: int = 0,
+        seed: int = 1,
+        reduction: bool | Mapping[str, Any] | None = None,
+        progress: bool = True,
+    ) -> FitIntervals:
+        """95 % intervals that assume no linear model, by the profile likelihood (Raue et al. 2009).
+
+        One parameter is moved away from its fitted value while all others are fitted again, until the data exclude
+        what lies beyond or a limit is reached.
+
+        Parameters
+        ----------
+        parameters : sequence of str
+            Fitted parameters that are not integers; all of them if empty.
+        samples : int
+            Also sample the posterior with so many steps of an ensemble of walkers (package emcee); 0 for none.
+        seed : int
+            Of the walkers.
+        reduction : bool or mapping, optional
+            As in `calib.Problem.calibrate`.
+        progress : bool
+
+        Raises
+        ------
+        InputError
+            For a parameter that was not fitted, and for samples without emcee.
+        """
+        from calib.analyses.intervals import IntervalsRun, intervals_at
+
+        problem = self.problem
+        study = problem.study(calibration_settings(problem.settings, {}, None, None, reduction, "intervals"))
+        with reporting("intervals", progress) as step, ledger_or_memory(problem.ledger) as ledger:
+            run = IntervalsRun(ledger, parameters=tuple(parameters), samples=samples, seed=seed, progress=step)
+            return FitIntervals(intervals_at(study, self.values, run))
+
     def figure(self, name: str, ax: Axes | None = None, *, test: str = "") -> Axes:
         """Draw one figure of the fit.
 
@@ -219,6 +261,47 @@ class Fit(Displayed, Generic[P]):
         from calib.api.page import write_pages
 
         return write_pages(self, path_of(path, "report"))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FitIntervals(Displayed):
+    """Intervals of the parameters of a fit.
+
+    Attributes
+    ----------
+    of : Intervals
+        All results: ``profiles``, ``curves``, and ``sampled``, the samples of the posterior.
+    """
+
+    of: Intervals
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """One for each parameter, then on samples, and what all rests on."""
+        return self.of.sentences
+
+    @property
+    def lines(self) -> Mapping[str, str]:
+        """The answer by the labels of its lines, and where the rest is."""
+        return {**self.of.answer.labelled, "Evidence": ".sentences, .table, .of.curves, .of.sampled; .figure() draws"}
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row for each parameter; see `calib.inference.profile_likelihood.profile_table`."""
+        return self.of.table
+
+    @property
+    def display_table(self) -> pd.DataFrame:
+        """Both intervals of each parameter, and what the data alone say."""
+        return self.of.display_table
+
+    def figure(self) -> Figure:
+        """Draw the profiles."""
+        from calib.report.profiles import profiles_figure
+        from calib.report.style import style
+
+        with style():
+            return profiles_figure(self.of.curves, self.of.table)
 
 
 def calibrated_fit(

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from calib.analyses.calibration import Fitted
     from calib.analyses.compare import ComparisonResult
     from calib.analyses.extend import Extension
+    from calib.analyses.intervals import Intervals
     from calib.analyses.propose import ProposalResult
     from calib.analyses.sensitivity import Screening, Sensitivity
     from calib.analyses.versions import Versions
@@ -54,6 +55,9 @@ class Listener:
 
     def calibrated(self, study: StudyFile, answer: Fitted, folder: Results) -> None:
         """Parameters were fitted."""
+
+    def bounded(self, answer: Intervals, folder: Results) -> None:
+        """Intervals of the fitted parameters were computed."""
 
     def explained(self, study: StudyFile, answer: ExplanationResult, folder: Results) -> None:
         """An explanation is done."""

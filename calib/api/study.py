@@ -210,6 +210,20 @@ class Study:
         folder = places.results_of(self.loaded, self.results, self.quick, case, method)
         return AnalysisResult(found.sentences, found.verdicts, folder.path, found)
 
+    def intervals(self, parameters: Sequence[str] = (), *, samples: int = 0, seed: int = 1) -> AnalysisResult:
+        """Intervals of the parameters of the stored calibration; see `calib.api.fit.Fit.intervals`."""
+        from calib.analyses.intervals import IntervalsRun, intervals
+
+        loaded, root = self.loaded, self.results
+        self.listener.begins(loaded, "intervals")
+        homes = {one.test: places.results_of(one, root) for one in loaded.studies}
+        with places.ledger_of(loaded, root) as ledger, self.listener.progress() as step:
+            run = IntervalsRun(ledger, homes, self.workers, tuple(parameters), samples, seed, step)
+            found = intervals(loaded, self.folder, run, self.quick)
+        self.listener.bounded(found, self.folder)
+        self.draw()
+        return AnalysisResult(found.sentences, found.table, self.folder.path, found)
+
     def explain(self) -> AnalysisResult:
         """Find which effect of the study's library the model lacks."""
         with places.tasks_shared(self.workers):

@@ -9,6 +9,7 @@ import pandas as pd
 
 from calib.analyses.added import WORDS
 from calib.analyses.calibration import Calibration, Fitted, JointCalibration
+from calib.analyses.intervals import Intervals
 from calib.command.compared import held_out, more_on_pairs, pair_entries
 from calib.command.entries import Entry, Rows, Warned, Words
 from calib.command.terminal import count, decimals
@@ -25,6 +26,24 @@ _WHY = {
 }
 """Why a parameter is not identified; see `calib.inference.verdicts.parameter_verdicts`."""
 _COUNTS = ("asked", "solved", "reused", "infeasible", "failed")
+
+
+def interval_entries(result: Intervals) -> list[Entry]:
+    """Both intervals of every parameter, then where they differ and what the rest rests on."""
+    heads = ("parameter", "value", "95 % interval", "linearised", "by the data")
+    title = "Intervals by the profile likelihood, all other parameters fitted:"
+    rows = [
+        (r["parameter"], f"{r['value']:.4g}{unit_words(r['unit'])}", _ends(r, ""), _ends(r, "linear_"), r["kind"])
+        for r in result.table.to_dict("records")
+    ]
+    each = [Words(words, when="verbose") for words in result.sentences[: len(rows)]]
+    rest = [Words(words, when="always") for words in result.sentences[len(rows) :]]
+    return [Rows.of(title, heads, rows, left=("by the data",), most=len(rows)), *each, *rest]
+
+
+def _ends(row: Mapping[Any, Any], which: str) -> str:
+    ends = (row[f"{which}lower"], row[f"{which}upper"])
+    return " to ".join("limit" if end != end else f"{end:.4g}" for end in ends)
 
 
 def calibrated_entries(study: StudyFile, result: Fitted) -> list[Entry]:

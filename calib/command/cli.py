@@ -204,6 +204,30 @@ def calibrate(
         loaded.calibrate(case, method=method.value if method else None)
 
 
+@app.command(short_help="Intervals of fitted parameters that assume no linear model.")
+def intervals(
+    study: StudyPath,
+    parameter: Annotated[
+        list[str] | None, typer.Option("--parameter", metavar="NAME", help="Only this one; may be repeated.")
+    ] = None,
+    samples: Annotated[
+        int, typer.Option("--samples", min=0, metavar="STEPS", help="Also sample the posterior, with so many steps.")
+    ] = 0,
+    results: ResultsPath = RESULTS,
+    workers: Workers = None,
+    quick: Quick = False,
+    cache: CachePath = None,
+    verbose: Verbose = False,
+) -> None:
+    """Intervals of the fitted parameters by the profile likelihood, beside those of their standard deviations.
+
+    One parameter is moved away from its fitted value while all others are fitted again, until the data exclude what
+    lies beyond. Needs a calibration.
+    """
+    with _study("intervals", study, results, verbose, workers, quick, cache=cache) as loaded:
+        loaded.intervals(parameter or (), samples=samples)
+
+
 @app.command(short_help="Find which physical effect the model lacks.")
 def explain(
     study: StudyPath,

@@ -12,6 +12,7 @@ from calib.analyses.added import Added, to_add
 from calib.analyses.calibration import Fitted
 from calib.analyses.compare import ComparisonResult
 from calib.analyses.extend import Extension
+from calib.analyses.intervals import Intervals
 from calib.analyses.propose import ProposalResult
 from calib.analyses.sensitivity import Screening, Sensitivity
 from calib.analyses.versions import Versions
@@ -90,6 +91,9 @@ class _Printing(Listener):
 
     def calibrated(self, study: StudyFile, answer: Fitted, folder: Results) -> None:
         self._answered(answer.answer, folder.path / "verdicts.csv", calibrated.calibrated_entries(study, answer))
+
+    def bounded(self, answer: Intervals, folder: Results) -> None:
+        self._answered(answer.answer, folder.path / "intervals.csv", calibrated.interval_entries(answer))
 
     def explained(self, study: StudyFile, answer: ExplanationResult, folder: Results) -> None:
         self._answered(

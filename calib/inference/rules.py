@@ -36,6 +36,12 @@ class Rules:
         squares agree; see `calib.inference.starts.Optima`.
     most_starts : int
         Starts after which a genetic search follows if they do not agree.
+    profile_differs : float
+        Distance of the ends of an interval by the profile likelihood, or by samples of the posterior, from those of
+        the linearised interval, over its half-width, from which the two are said to differ.
+    chain : float
+        Steps of a chain over its autocorrelation time from which intervals of its samples are compared (Goodman and
+        Weare 2010; Foreman-Mackey et al. 2013).
     refits : int
         Combinations of integer parameters that least squares fits from each start.
     refits_after_search : int
@@ -53,6 +59,8 @@ class Rules:
     equal: float = 0.1
     unseen: float = 0.10
     most_starts: int = 20
+    profile_differs: float = 0.2
+    chain: float = 50.0
     refits: int = 25
     refits_after_search: int = 12
 

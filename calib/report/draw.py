@@ -23,6 +23,7 @@ from calib.report.modes import model_modes_figure, pages
 from calib.report.orthogonality import orthogonality_figure
 from calib.report.parameters import draw_parameters
 from calib.report.places import places_figure
+from calib.report.profiles import profiles_figure
 from calib.report.responses import draw_responses
 from calib.report.scene import PLACE
 from calib.report.sensitivity import MEASURES, draw_selection, draw_sensitivity
@@ -220,6 +221,14 @@ def _calibration(folder: Folder) -> Iterator[Drawing]:
         if found["case"].nunique() > 1 or ("search_value" in found and found["search_value"].notna().any()):
             draw = bound(draw_searches, found, best_case=best)
             yield Drawing("searches", "where the cases ended", draw, ("parameters",))
+    path = folder / "profiles.csv"
+    if path.exists() and (folder / "intervals.csv").exists():
+        numbers = ["value", "rise", "rise_data", "interval_at"]
+        curves = read_results(path, ["parameter"], numbers, complete=numbers)
+        ends = ["value", "lower", "upper", "linear_lower", "linear_upper"]
+        found = read_results(folder / "intervals.csv", ["parameter", "unit"], ends, unique="parameter")
+        draw = bound(profiles_figure, curves, found)
+        yield Drawing("profiles", "profile likelihood of the parameters", draw, ("profiles", "intervals"))
     path = folder / "posterior_correlation.csv"
     if path.exists() and len(posterior := read_square(path, may_be_empty=True)) > 1:
         draw = bound(draw_correlation, posterior, threshold=STRONG, label=POSTERIOR, most_in_matrix=MOST_IN_MATRIX)

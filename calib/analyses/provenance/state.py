@@ -50,6 +50,8 @@ GEOMETRY = ("mesh_points.csv", "mesh_elements.csv", "model_places.csv")
 ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv", "comparison_added.csv",
          "frf_added.csv", "frf_lines_added.csv", "where_it_fails_added.csv")  # fmt: skip
 """Files of `calib.analyses.added`, removed with the calibration or the explanation that they rest on."""
+INTERVALS = ("intervals.csv", "profiles.csv", "posterior_intervals.csv", "posterior_samples.csv")
+"""Files of `calib.analyses.intervals`, removed with the calibration that they rest on."""
 PROPOSED = ("proposals.csv", "proposal_places.csv", "proposals.json")
 """Files of `calib.analyses.propose`, removed with the explanation that they rest on."""
 _MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivity_samples", "input_correlation")
@@ -74,6 +76,7 @@ WRITES: Mapping[str, tuple[str, ...]] = {
     "explain": (
         *RECORDED, *GEOMETRY, *(f"{name}.csv" for name in EXPLAINED), "explanation.json", "added.json",
     ),
+    "intervals": (*RECORDED, *INTERVALS),
     "propose": (*RECORDED, *PROPOSED),
     "extend": (*RECORDED, *ADDED),
 }  # fmt: skip
@@ -151,7 +154,7 @@ def _measured(study: StudyFile, analysis: str) -> str:
     return _digest(own, measurement_digest(whole), tests)
 
 
-_TOGETHER = ("calibrate", "explain", "extend")
+_TOGETHER = ("calibrate", "intervals", "explain", "extend")
 """Analyses of all tests together."""
 
 
@@ -193,6 +196,7 @@ _STATED: Mapping[str, tuple[str, ...]] = {
     "compare": ("pairing",),
     "sensitivity": ("pairing", "sensitivity"),
     "calibrate": _OF_CALIBRATION,
+    "intervals": _OF_CALIBRATION,
     "explain": _OF_EXPLANATION,
     "propose": _OF_EXPLANATION,
     "extend": _OF_EXPLANATION,
@@ -229,6 +233,7 @@ _USED: Mapping[str, tuple[str, ...]] = {
     "compare": (*_COMPARED, "analyses"),
     "sensitivity": (*_COMPARED, "sensitivity"),
     "calibrate": _FITTED,
+    "intervals": _FITTED,
     "explain": _FITTED,
     "propose": _FITTED,
     "extend": _FITTED,
@@ -268,6 +273,7 @@ _MODULES: Mapping[str, tuple[str, ...]] = {
     "compare": ("calib.analyses.compare",),
     "sensitivity": ("calib.analyses.sensitivity",),
     "calibrate": ("calib.analyses.calibrate",),
+    "intervals": ("calib.analyses.intervals",),
     "explain": ("calib.analyses.explain",),
     "propose": ("calib.analyses.propose",),
     "extend": ("calib.analyses.extend", "calib.analyses.added"),

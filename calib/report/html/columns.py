@@ -72,6 +72,15 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
         blank="unit description source distribution",
     ),
     "verdicts": _columns("parameter unit sentence", "value lower upper ratio std spread", flags="identified"),
+    "intervals": _columns(
+        "parameter unit kind sentence", "value lower upper linear_lower linear_upper data_lower data_upper",
+        flags="differs", unique="parameter",
+    ),
+    "profiles": _columns("parameter", "value rise rise_data interval_at"),
+    "posterior_intervals": _columns(
+        "parameter unit sentence", "mean std lower median upper linear_lower linear_upper", flags="differs",
+        unique="parameter",
+    ),
     "points": _columns("case point", "objective sum_of_squares prior total"),
     "std_by_test": _columns("parameter unit test", "std prior_sd"),
     "convergence": _columns("case", "generation best mean", complete="generation", unbounded="best mean"),
