@@ -76,6 +76,12 @@ def test_a_study_edited_while_it_runs_is_refused(example):
         source()
 
 
+def test_what_is_needed_of_a_parameter_is_a_key_of_the_study(example):
+    assert LoadedStudy.load(example).search_space["K_base"].needed is None
+    edited(example, ("# needed = 0.1", "needed = 0.1"))
+    assert LoadedStudy.load(example).search_space["K_base"].needed == 0.1
+
+
 BAD = [
     ("unknown key", ("[held_out]", "[held_out]\nmodez = []"), "unknown key 'held_out.modez'", "modes, sensors"),
     ("key misspelt", ("selection = ", "selektion = "), "unknown key 'selektion'", "'selection'"),
@@ -86,6 +92,8 @@ BAD = [
     ("too large a seed", ("seed = 1\n", "seed = 99999999999999999999\n"), "sensitivity.seed", "2147483648"),
     ("tiny prior", ("# prior_sd = 1.0", "prior_sd = 1e-300"), "prior_sd is 1e-300", "K_base"),
     ("huge prior", ("# prior_sd = 1.0", "prior_sd = 1e300"), "prior_sd is 1e+300", "K_base"),
+    ("nothing needed", ("# needed = 0.1", "needed = 0.0"), "parameters.K_base.needed", "greater than 0"),
+    ("endless need", ("# needed = 0.1", "needed = inf"), "needed", "K_base"),
     ("huge limit", ("limits = [0.3, 5.0]", "limits = [0.3, 1e308]"), "upper is 1e+308", "K_base"),
     ("long file name", ("modes.csv", "x" * 300 + ".csv"), "measurement.files", "255"),
     ("long model name", ("model.py:mast", "x" * 300 + ".py:mast"), "model", "255"),

@@ -79,8 +79,7 @@ def _parameters(
 def _without_whole(table: pd.DataFrame, space: ParameterSpace) -> pd.DataFrame:
     """The table with the standard deviations of integer parameters blanked: only whole steps are meaningful."""
     whole = table["parameter"].isin([p.name for p in space.free if p.integer])
-    std = [column for column in ("std", "std_of_range") if column in table]
-    return table.assign(**{column: table[column].mask(whole) for column in std})
+    return table.assign(std=table["std"].mask(whole))
 
 
 def write_calibration(

@@ -118,9 +118,10 @@ def _parameters(result: Calibration) -> Iterator[Rows]:
         why += [_WHY["limit"]] if r["on_limit"] and _WHY["limit"] not in why else []
         known = "" if pd.isna(r["identified"]) else "yes" if r["identified"] else "no"
         remark = f"{known}: {', '.join(why)}" if why else known
-        rows.append((r["parameter"], f"{r['value']:.5g}{unit}", std, f"{100 * r['ratio']:.0f} %", spread, remark))
+        numbers = (f"{r['value']:.5g}{unit}", std, f"{r['needed']:.3g}", f"{100 * r['ratio']:.0f} %")
+        rows.append((r["parameter"], *numbers, spread, remark))
         reasons.append((r["parameter"], r["sentence"]))
-    heads = ("parameter", f"value in {best.name}", "std", "of range", "spread", "identified")
+    heads = ("parameter", f"value in {best.name}", "std", "needed", "of range", "spread", "identified")
     yield Rows.of("", heads, rows, left=("identified",), most=20)
     yield Rows.of("Why:", ("parameter", "verdict"), reasons, left=("verdict",), when="verbose")
 

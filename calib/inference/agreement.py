@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from calib.inference.cases import CaseResult, ratios
+from calib.inference.identify import needed_std
 from calib.inference.rules import RULES
 from calib.problem.space import ParameterSpace
 
@@ -48,8 +49,8 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
     """Compare the parameters of cases that fit equally well; where they differ, the data do not determine them.
 
     Two cases fit equally well when both misfits are below the level that the measurement uncertainty allows, or within
-    `Rules.nearly_equal` of the best one. They are different solutions when a parameter differs by more than
-    `Rules.stable` of its range.
+    `Rules.nearly_equal` of the best one. They are different solutions when a parameter differs by more than the
+    standard deviation that is needed of it; see `calib.inference.identify.needed_std`.
 
     Parameters
     ----------
@@ -64,10 +65,11 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
     good = [k for k in order if results[k].misfit <= limit]
     worse = tuple(results[k].name for k in order if k not in good)
     position = ratios(results, space)
-    groups = _solutions(position, good)
+    needed = np.array([needed_std(p) for p in space.free]) / (space.upper - space.lower)
+    groups = _solutions(position, good, needed)
     solutions = tuple(tuple(results[k].name for k in group) for group in groups)
     spread = np.ptp(position[good], axis=0)
-    apart = sorted(np.flatnonzero(spread > RULES.stable).tolist(), key=lambda j: -spread[j])
+    apart = sorted(np.flatnonzero(spread > needed).tolist(), key=lambda j: -spread[j])
     differing = {space.free_names[j]: float(spread[j]) for j in apart}
 
     def described(group: Sequence[int]) -> str:
@@ -85,7 +87,7 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
         verdict = "several solutions"
         ways = " and ".join(described(group) for group in groups)
         widths = [f"{name} by {100 * width:.0f} %" for name, width in differing.items()]
-        more = f" and {len(widths) - _NAMED} more by at least {100 * RULES.stable:.0f} %" * (len(widths) > _NAMED)
+        more = f" and {len(widths) - _NAMED} more by less" * (len(widths) > _NAMED)
         sentence = (
             f"The solution is not unique: {len(groups)} sets of parameters fit equally well, {ways}. These data do not "
             f"determine what differs between them: {', '.join(widths[:_NAMED])}{more} of the search range.{left}"
@@ -102,12 +104,12 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
     return Agreement(verdict, solutions, worse, differing, sentence)
 
 
-def _solutions(position: np.ndarray, good: Sequence[int]) -> list[list[int]]:
-    """Cases in the order given, grouped so that no two of a group differ by more than the rule allows."""
+def _solutions(position: np.ndarray, good: Sequence[int], needed: np.ndarray) -> list[list[int]]:
+    """Cases in the order given, grouped so that no two of a group differ by more than ``needed``, over the range."""
     groups: list[list[int]] = []
     for k in good:
         for group in groups:
-            if np.all(np.abs(position[group] - position[k]) <= RULES.stable):
+            if np.all(np.abs(position[group] - position[k]) <= needed):
                 group.append(k)
                 break
         else:

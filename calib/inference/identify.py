@@ -129,7 +129,8 @@ class Identifiability:
     ----------
     posterior : Posterior
     parameters : DataFrame
-        ``parameter, std, std_of_range, identified, prior_sd, data_share``; own units, ``identified`` as by `faults`.
+        ``parameter, std, needed, identified, prior_sd, data_share``; own units, ``needed`` by `needed_std`,
+        ``identified`` by `faults`.
     confounded : DataFrame
         ``parameter_a, parameter_b, correlation, words``; pairs with a correlation beyond the threshold, strongest
         first; harmless where both are identified.
@@ -191,14 +192,35 @@ class Identifiability:
         return tuple(out)
 
 
+_COORDINATES = ("m", "mm", "rad", "deg")
+"""Units of positions and angles."""
+
+
+def needed_std(p: Parameter) -> float:
+    """Largest standard deviation with which a parameter counts as identified, in its unit.
+
+    It is what the study needs (``needed``), by default `Rules.needed` of the nominal value. That says nothing where it
+    is 0 (or all but 0 beside a stated prior, as the magnitude of an effect that cannot begin at 0), nor of an integer,
+    nor of a coordinate, which is a length or an angle of either sign: there it is the prior standard deviation, of an
+    integer `Rules.whole` at most. The range between the limits has no part in it: limits say nothing of the data.
+    """
+    if p.needed is not None:
+        return p.needed
+    if p.integer:
+        return min(p.prior_width, RULES.whole)
+    coordinate = p.unit in _COORDINATES and p.lower < 0 < p.upper
+    none = abs(p.value) <= RULES.none * (p.prior_sd or 0.0)
+    return p.prior_width if none or coordinate else RULES.needed * abs(p.value)
+
+
 def faults(
     p: Parameter, std: float, data_share: float, value: float | None = None, searched: bool = False
 ) -> tuple[str, ...]:
     """Reasons why a parameter is not identified; empty when it is.
 
     The data must give at least half of the information on it (else ``prior``), its standard deviation must be at most
-    2.5 % of its range (else ``wide``), and its value must be off its limits (else ``limit``): a fit against a limit has
-    not found the optimum of the data.
+    what is needed (else ``wide``; see `needed_std`), and its value must be off its limits (else ``limit``): a fit
+    against a limit has not found the optimum of the data.
 
     Parameters
     ----------
@@ -213,7 +235,7 @@ def faults(
         See `Identifiability`.
     """
     found = {
-        "wide": not std <= RULES.identified * (p.upper - p.lower),
+        "wide": not std <= needed_std(p),
         "prior": not data_share >= RULES.by_data,
         "limit": value is not None and p.limit_at(value, None if p.integer else std, searched) is not None,
     }
@@ -236,7 +258,7 @@ def identify(
     Parameters
     ----------
     space : ParameterSpace
-        For ranges and prior widths.
+        For ranges, prior widths and what is needed.
     names : sequence of str
         Parameters of the columns, without integers, for which derivatives mean nothing (see `integer_std`).
     jacobian : ndarray (n_rows, n_params)
@@ -260,7 +282,6 @@ def identify(
     g = np.atleast_2d(np.asarray(jacobian, dtype=float))
     found = posterior(chosen, g / birge, s, None if held is None else held / birge)
     span = np.array([space[n].upper - space[n].lower for n in chosen])
-    relative = found.std / span
     known = zip(chosen, found.std.tolist(), found.data_share.tolist(), strict=True)
     at = dict(values or {})
     bad = [faults(space[n], std, share, at.get(n), searched) for n, std, share in known]
@@ -269,7 +290,7 @@ def identify(
         {
             "parameter": chosen,
             "std": found.std,
-            "std_of_range": relative,
+            "needed": [needed_std(space[n]) for n in chosen],
             "identified": identified,
             "prior_sd": s,
             "data_share": found.data_share,

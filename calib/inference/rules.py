@@ -11,8 +11,13 @@ class Rules:
 
     Attributes
     ----------
-    identified : float
-        Largest posterior standard deviation, over the range between the limits, of an identified parameter.
+    needed : float
+        Largest posterior standard deviation of an identified parameter, over its nominal value, where the study does
+        not state what is needed; see `calib.inference.identify.needed_std`.
+    whole : float
+        The same of an integer, in steps: all its other values together then have a probability of at most 4 %.
+    none : float
+        Largest nominal value, over a stated prior standard deviation, that is as good as 0.
     by_data : float
         Smallest ``data_share`` of an identified parameter: the part of the information that the data give; see
         `Posterior`.
@@ -48,7 +53,9 @@ class Rules:
         The same after a genetic search: its own and the nearest neighbours.
     """
 
-    identified: float = 0.025
+    needed: float = 0.10
+    whole: float = 0.2
+    none: float = 0.01
     by_data: float = 0.5
     confounded: float = 0.9
     trades: float = 0.5

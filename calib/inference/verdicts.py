@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from calib.errors.errors import InputError
-from calib.inference.identify import Identifiability, faults
+from calib.inference.identify import Identifiability, faults, needed_std
 from calib.inference.rules import RULES
 from calib.problem.space import Parameter, ParameterSpace
 
@@ -76,7 +76,7 @@ def parameter_verdicts(
     Returns
     -------
     DataFrame
-        ``parameter, value, unit, lower, upper, ratio, on_limit, suggested_limit, spread, stable, std, std_of_range,
+        ``parameter, value, unit, lower, upper, ratio, on_limit, suggested_limit, spread, stable, std, needed,
         data_share, identified, not_identified, confounded_with, fits_within_std, sentence``; missing where unknown.
         ``not_identified`` holds the reasons of `calib.inference.identify.faults`, and ``solutions`` for a parameter by
         which equally good solutions differ. A limit is suggested half a range further out; a limit of 0 is physical
@@ -122,7 +122,7 @@ def parameter_verdicts(
                 "spread": math.nan if width is None else width,
                 "stable": stable,
                 "std": std,
-                "std_of_range": std / (p.upper - p.lower),
+                "needed": needed_std(p),
                 "data_share": share,
                 "identified": identified,
                 "not_identified": ", ".join(why),
@@ -168,7 +168,6 @@ def _sentence(
     apart: float | None,
 ) -> str:
     scale = "" if p.unit == "-" else f" {p.unit}"
-    span = p.upper - p.lower
     wider = "" if birge == 1.0 else f", measurement uncertainty scaled by {birge:.2g} for the misfit"
     words = []
     if side is not None:
@@ -180,12 +179,12 @@ def _sentence(
     elif not why and p.integer:
         words.append("Identified: its other values fit much worse.")
     elif not why:
-        part = f"{std:.3g}{scale} ({100 * std / span:.1f} % of its search range{wider})"
+        part = f"{std:.3g}{scale} (needed: {needed_std(p):.3g}{scale}{wider})"
         words.append(f"Identified, standard deviation {part}.")
     elif math.isinf(std):
         words.append("Not identified: neither data nor prior say anything on it.")
     else:
-        words.append(f"Not identified: {'; '.join(_reasons(why, std, share, span, scale, wider, apart))}.")
+        words.append(f"Not identified: {'; '.join(_reasons(why, std, share, needed_std(p), scale, wider, apart))}.")
     if others:
         words.append(f"It is confounded with {', '.join(others)}.")
     if trade is not None:
@@ -196,11 +195,11 @@ def _sentence(
 
 
 def _reasons(
-    why: Sequence[str], std: float, share: float, span: float, scale: str, wider: str, apart: float | None
+    why: Sequence[str], std: float, share: float, needed: float, scale: str, wider: str, apart: float | None
 ) -> list[str]:
     given = "less than 1" if share < 0.01 else f"only {100 * share:.0f}"
     words = {
-        "wide": f"standard deviation {std:.3g}{scale}, {100 * std / span:.0f} % of its search range{wider}",
+        "wide": f"standard deviation {std:.3g}{scale}, more than is needed, {needed:.3g}{scale}{wider}",
         "prior": f"the data give {given} % of the information on it",
         "limit": "a limit holds it",
         "solutions": f"solutions that fit equally well differ by {100 * (apart or 0.0):.0f} % of its search range",

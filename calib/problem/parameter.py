@@ -86,6 +86,9 @@ class Parameter:
         Takes integers only.
     prior_sd : float or None
         Prior standard deviation in ``unit``; default ``(upper - lower)/sqrt(12)``, that of the uniform distribution.
+    needed : float or None
+        Largest standard deviation in ``unit`` with which the parameter counts as identified; see
+        `calib.inference.identify.needed_std` for the default.
     description, symbol, source : str
         Description, symbol in the literature, and source of the numbers.
     assumed : str
@@ -113,6 +116,7 @@ class Parameter:
     symbol: str = ""
     source: str = ""
     assumed: str = ""
+    needed: float | None = None
 
     def __post_init__(self) -> None:
         place = f"parameter {self.name}"
@@ -124,8 +128,8 @@ class Parameter:
             )
         if self.unit not in tuple(SI_FACTORS):
             raise InputError(f"unknown unit {self.unit!r}", place=place, remedy=f"use one of {', '.join(SI_FACTORS)}")
-        for label in ("value", "lower", "upper", "prior_sd"):
-            if label != "prior_sd" or self.prior_sd is not None:
+        for label in ("value", "lower", "upper", "prior_sd", "needed"):
+            if label not in ("prior_sd", "needed") or getattr(self, label) is not None:
                 number(getattr(self, label), f"{place}, {label}")
         for label in ("value", "lower", "upper"):
             if not math.isfinite(getattr(self, label)):
@@ -149,6 +153,12 @@ class Parameter:
                     place=place,
                     remedy=f"give a positive number from {least:g} to {most:g} {self.unit}",
                 )
+        if self.needed is not None and not 0 < self.needed <= MOST:
+            raise InputError(
+                f"needed is {self.needed}",
+                place=place,
+                remedy=f"give the standard deviation that you need, a positive number of {self.unit}",
+            )
         if self.integer and any(v != round(v) for v in (self.value, self.lower, self.upper)):
             raise InputError("an integer parameter has a fractional value or limit", place=place)
 

@@ -38,6 +38,8 @@ def sensitivity_space(
             fields["lower"], fields["upper"] = change.limits
         if change.prior_sd is not None:
             fields["prior_sd"] = change.prior_sd
+        if change.needed is not None:
+            fields["needed"] = change.needed
         if change.fixed is not None:
             fields["distribution"] = "fixed" if change.fixed else "uniform"
         try:
@@ -75,7 +77,7 @@ def sensitivity_space(
 def _of_parameter(space: ParameterSpace, name: str, change: ParameterSettings, place: PlaceOf) -> Place:
     """Place of the key that is wrong by itself, else of the parameter's table."""
     what = f"[parameters.{name}]"
-    given = {"value": change.value, "prior_sd": change.prior_sd}
+    given = {"value": change.value, "prior_sd": change.prior_sd, "needed": change.needed}
     limits = {"limits": change.limits, "search": change.search}
     tried: list[tuple[str, dict[str, float]]]
     tried = [(key, {key: value}) for key, value in given.items() if value is not None]

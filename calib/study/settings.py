@@ -40,6 +40,9 @@ class ParameterSettings(Section):
     """Lower and upper limit of the calibration; by default ``limits``."""
     prior_sd: float | None = Field(default=None, gt=0)
     """Standard deviation of the prior; by default that of a uniform distribution between the limits."""
+    needed: float | None = Field(default=None, gt=0)
+    """Largest standard deviation with which it counts as identified; by default 10 % of the nominal value, or the prior
+    standard deviation where that value is 0 or a position. Of an integer at most 0.2."""
     fixed: bool | None = None
     """Whether the parameter keeps its value in every analysis."""
 

@@ -88,7 +88,8 @@ def test_a_pair_that_trades_is_named_and_the_third_is_not():
         "a and b are confounded: raising one and lowering the other hardly changes the data."
     )
     assert found.parameters["identified"].tolist() == [False, False, True]
-    assert found.parameters.loc[2, "std_of_range"] == pytest.approx(0.025, rel=1e-2)
+    assert found.parameters["needed"].tolist() == [0.5, 0.5, 0.5]  # a tenth of the nominal value
+    assert found.parameters.loc[2, "std"] == pytest.approx(0.25, rel=1e-2)
     unseen = found.directions[~found.directions["seen"]]
     assert unseen["parameters"].tolist() == ["a, b"] or unseen["parameters"].tolist() == ["b, a"]
     np.testing.assert_allclose(found.directions["signal"], sorted(np.linalg.svd(3.0 * g)[1]))
@@ -318,7 +319,7 @@ def test_verdicts_say_what_is_wrong():
     assert table.loc["zero", "confounded_with"] == "low" and table.loc["low", "confounded_with"] == "zero"
     assert table.loc["good", "identified"] is True and table.loc["place", "identified"] is True
     assert table.loc["spot", "identified"] is None
-    assert table.loc["good", "sentence"] == "Identified, standard deviation 0.0999 MN/m (1.0 % of its search range)."
+    assert table.loc["good", "sentence"] == "Identified, standard deviation 0.0999 MN/m (needed: 0.5 MN/m)."
     assert "Sits on its upper search limit: widen it to 14 kg" in table.loc["top", "sentence"]
     assert "Its spread over the cases is 30 % of its search range." in table.loc["top", "sentence"]
     assert "the limit is physical" in table.loc["zero", "sentence"]
