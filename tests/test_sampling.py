@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from calib.errors.errors import InputError
-from calib.problem.sampling import sample
+from calib.problem.sampling import Narrow, sample
 from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 
 SPACE = ParameterSpace(
@@ -48,14 +48,45 @@ def test_accepted_points_keep_the_constraints_and_fill_the_region():
     assert a.mean() == pytest.approx(2.0, abs=0.1) and a.std() == pytest.approx(2 / np.sqrt(12), abs=0.05)
 
 
-def test_a_region_of_one_in_a_thousand_is_still_sampled():
-    found = sample(constrained(6.0, 6.01), 20, seed=4)
-    assert len(found.points) == 20 and found.acceptance == pytest.approx(1e-3, rel=0.6)
+def test_narrow_constraints_are_met_by_every_point_and_filled_evenly():
+    found = sample(constrained(6.0, 6.01), 200, seed=4)
+    assert found.points.shape == (200, 3) and found.acceptance == 1.0
+    a = found.points[:, 0]
+    assert a.min() >= 1.0 and a.max() <= 1.01
+    assert a.mean() == pytest.approx(1.005, abs=5e-4) and a.std() == pytest.approx(0.01 / np.sqrt(12), rel=0.1)
+
+
+def test_equalities_leave_as_many_fewer_free_parameters():
+    """Two equalities, one of them over a parameter of the other, and a third that follows from both."""
+    space = ParameterSpace(
+        tuple(Parameter(name, 5.0, 0.0, 10.0) for name in "abc"),
+        tuple(
+            LinearConstraint(f"tie {k}", coefficients, value, value)
+            for k, (coefficients, value) in enumerate(
+                (((("a", 1.0), ("b", -1.0)), 1.0), ((("b", 2.0), ("c", 1.0)), 9.0), ((("a", 2.0), ("c", 1.0)), 11.0))
+            )
+        ),
+    )
+    a, b, c = sample(space, 300, seed=6).points.T
+    np.testing.assert_allclose(a - b, 1.0, atol=1e-12)
+    np.testing.assert_allclose(2 * b + c, 9.0, atol=1e-12)
+    assert b.min() >= 0.0 and b.max() <= 4.5 and b.mean() == pytest.approx(2.25, abs=0.2)
+    assert space.feasible(np.column_stack([a, b, c])).all()
+
+
+def test_points_move_into_narrow_constraints_as_little_as_they_must():
+    space = constrained(6.0, 6.01)
+    points = np.array([[1.004, 0.3, 1.0], [3.0, 0.3, 1.0], [0.0, 0.3, 1.0]])
+    np.testing.assert_allclose(Narrow.of(space).filled(points)[:, 0], [1.004, 1.01, 1.0])
+    np.testing.assert_array_equal(Narrow.of(space).filled(points)[:, 1:], points[:, 1:])
+    np.testing.assert_array_equal(Narrow.of(constrained(6.0, 8.0)).filled(points), points)
 
 
 def test_constraints_that_accept_next_to_nothing_are_named_with_their_rate():
+    apart = constrained(6.0, 8.0)
+    both = ParameterSpace(apart.parameters, (*apart.constraints, LinearConstraint("a", (("a", 1.0),), 2.99999, 5.0)))
     with pytest.raises(InputError, match=r"accept only \d+ of \d+ points \(.* %\)"):
-        sample(constrained(6.0, 6.0), 5, seed=5)
+        sample(both, 5, seed=5)
     with pytest.raises(InputError, match="no point within the limits"):
         sample(constrained(30.0, 40.0), 5, seed=5)
 

@@ -209,7 +209,7 @@ def _assembled(
     values = own_values(study, best.statistics.values)
     with suppress(EvaluationError):  # errors are unknown where the model fails near the optimum
         ended = best.statistics
-        errors = errors_at(study, values, ended.parts.get(study.test), ended.active)
+        errors = errors_at(study, values, ended.part(study.test), ended.active)
         responses = every_response(study, study.model.space.values, values)
     return Calibration(
         tuple(found), best, before, tables, agreed, raw, stages, modes, errors, responses, tuple(notes()), retried

@@ -70,9 +70,9 @@ def _parameters(
             table["search_value"], table["search_on_limit"] = raw["value"], raw["on_limit"]
     each = [statistics.verdicts(space, {}, differing).assign(case=result.name) for result, statistics in found]
     known = _without_whole(pd.concat(each), space)
-    columns = ["case", "parameter", "on_limit", "std", "identified", "std_from"]
+    columns = ["case", "parameter", "on_limit", "std", "low", "high", "identified", "std_from"]
     table = table.drop(columns="on_limit").merge(known[columns], on=columns[:2], how="left")
-    order = ["value", "unit", "lower", "upper", "ratio", "on_limit", "spread", "stable", "std", "identified"]
+    order = ["value", "unit", "lower", "upper", "ratio", "on_limit", "spread", "stable", *columns[3:7]]
     return table[["case", "parameter", *order, "search_value", "search_on_limit", "std_from"]]
 
 

@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
+import scipy.linalg as la
 
 from calib.analyses.uncertainty import assumed_words, in_one
 from calib.errors.errors import EvaluationError
@@ -19,8 +20,9 @@ from calib.execution.stage import Progress, silent
 from calib.experiment.test import ForwardProblem
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import CaseResult
+from calib.inference.constraints import ConstraintRows, Hold, constraint_rows, holds, multipliers
 from calib.inference.gauss_newton import FitResult, Prior
-from calib.inference.identify import Identifiability, identify, prediction_interval
+from calib.inference.identify import Identifiability, identify, posterior, prediction_interval
 from calib.inference.integers import MixedResult, fit_mixed
 from calib.inference.joint_part import COLUMNS, JointPart, joint_parts, std_by_test
 from calib.inference.region import InfeasibleError, active_limits
@@ -130,9 +132,12 @@ class FitStatistics:
     by_test : DataFrame
         What each of several tests alone would determine, see `calib.inference.joint_part.std_by_test`; empty for one.
     parts : mapping from str to JointPart
-        What the fit says about the parameters of each of several tests, by its name; empty for one.
+        What the fit says about the parameters of each of several tests, by its name; of one test only where constraints
+        count as data.
     active : frozenset of str
         Parameters with an active limit, see `calib.inference.region.active_limits`.
+    held_by : mapping from str to Hold
+        Limits and constraints that hold parameters, see `calib.inference.constraints.holds`.
     """
 
     values: dict[str, float]
@@ -154,17 +159,22 @@ class FitStatistics:
     by_test: pd.DataFrame
     parts: Mapping[str, JointPart]
     active: frozenset[str]
+    held_by: Mapping[str, Hold]
 
     def verdicts(
         self, space: ParameterSpace, spread: Mapping[str, float], differing: Mapping[str, float] | None = None
     ) -> pd.DataFrame:
         """One verdict per parameter; see `calib.inference.verdicts.parameter_verdicts`."""
         table = parameter_verdicts(
-            space, self.values, self.identification, spread, self.whole, self.fits, self.birge, differing
+            space, self.values, self.identification, spread, self.whole, self.fits, self.birge, differing, self.held_by
         )
         more = " This rests on an assumed standard deviation." if self.assumed else ""
         words = table["sentence"].where(table["std"].isna(), table["sentence"] + more)
         return table.assign(std_from=self.rests_on, sentence=words)
+
+    def part(self, test: str) -> JointPart | None:
+        """What the fit says about the parameters of one test; None where its own rows say all."""
+        return self.parts.get(test, self.parts.get(""))
 
     def agreement(self, space: ParameterSpace) -> Agreement | None:
         """Whether the starts whose fits meet the data as well as this one agree; None for fewer than two of them."""
@@ -341,29 +351,36 @@ def _statistics(
         vector, slope = problem.residual(values), problem.jacobian(values, names)
     held = problem.jacobian(values, tuple(held_sd)) * list(held_sd.values()) if held_sd else None
     prior_sd = np.array([space[n].prior_width for n in names])
+    constraints = constraint_rows(space, names, posterior(names, slope, prior_sd).covariance, held_sd)
     misfit, shift = float(vector @ vector), Prior.of(space).residual(values, names)
-    dof = effective_dof(slope, prior_sd, sum(problem.fitted_factors.values()))
-    converged = fit is not None and fit.converged
-    at = _Fitted(vector, slope, prior_sd, converged)
+    at = _Fitted.of(vector, slope, prior_sd, constraints, fit is not None and fit.converged)
+    dof = effective_dof(at.slope, at.prior_sd, sum(problem.fitted_factors.values()))
     kinds, modes = goodness(at, problem)
     p_fit, birge = overall(kinds, modes), misfit_factor(kinds, modes, alpha)
     whole = {
         name: integer_std(numbers, misfits / birge**2, space[name].value, space[name].prior_width)
         for name, (numbers, misfits) in profiles.items()
     }
-    identification = identify(space, names, slope, values=values, held=held, birge=birge, searched=fit is None)
+    identification = identify(
+        space, names, slope, values=values, held=held, birge=birge, searched=fit is None, constraints=constraints
+    )
+    descent = multipliers(space, names, values, -slope.T @ vector - shift / prior_sd)
+    held_by = holds(
+        space, names, values, identification.posterior.covariance, -slope.T @ vector - shift / prior_sd, fit is None
+    )
     predictions = prediction_interval(*problem.frequencies(values, names), identification.posterior.covariance)
     suspected = suspects_table(at, problem, alpha)
     by_test, parts = pd.DataFrame(columns=list(COLUMNS)), dict[str, JointPart]()
     if isinstance(problem, JointProblem):
-        by_test = std_by_test(space, names, slope, [row.test for row in problem.rows], held, birge)
-        parts = joint_parts(problem, names, vector, slope, prior_sd, shift, held, held_sd)
+        by_test = std_by_test(space, names, slope, [row.test for row in problem.rows], held, birge, constraints)
+    if isinstance(problem, JointProblem) or len(constraints.slope):
+        parts = joint_parts(problem, names, vector, slope, prior_sd, shift, held, held_sd, constraints)
     return FitStatistics(
         values=values, misfit=misfit, prior_misfit=float(shift @ shift), dof=dof, p_fit=p_fit, alpha=alpha,
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
         predictions=predictions, fit=fit, ends=ends, suspects=suspected,
         assumed=terms.assumed, by_test=by_test, parts=parts,
-        active=active_limits(space, names, values, -slope.T @ vector - shift / prior_sd),
+        active=active_limits(space, names, values, descent), held_by=held_by,
     )  # fmt: skip
 
 
@@ -373,3 +390,14 @@ class _Fitted:
     slope: np.ndarray
     prior_sd: np.ndarray
     converged: bool
+
+    @classmethod
+    def of(
+        cls, residual: np.ndarray, slope: np.ndarray, prior_sd: np.ndarray, constraints: ConstraintRows, converged: bool
+    ) -> _Fitted:
+        """The fit in parameters whose priors are independent where constraints count as data beside them."""
+        if not len(constraints.slope):
+            return cls(residual, slope, prior_sd, converged)
+        root = la.qr(np.vstack([constraints.slope * prior_sd, np.eye(len(prior_sd))]), mode="r")[0][: len(prior_sd)]
+        own = la.solve_triangular(root, (slope * prior_sd).T, trans="T").T
+        return cls(residual, own, np.ones(len(prior_sd)), converged)

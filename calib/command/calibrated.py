@@ -22,6 +22,7 @@ _WHY = {
     "wide": "std too large",
     "prior": "rests on the prior",
     "limit": "on its limit",
+    "constraint": "held by a constraint",
     "solutions": "differs between solutions",
 }
 """Why a parameter is not identified; see `calib.inference.verdicts.parameter_verdicts`."""

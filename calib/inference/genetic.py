@@ -22,6 +22,7 @@ from pymoo.operators.selection.tournament import TournamentSelection
 from pymoo.problems.static import StaticProblem
 
 from calib.errors.errors import InputError
+from calib.problem.sampling import Narrow
 from calib.problem.space import ParameterSpace
 
 
@@ -124,7 +125,7 @@ class GeneticSearch:
             mating=_FilledMating(
                 TournamentSelection(func_comp=comp_by_cv_and_fitness),
                 UniformCrossover(prob=settings.crossover),
-                _ShrinkingGaussian(settings, space.integer),
+                _ShrinkingGaussian(settings, space),
                 eliminate_duplicates=_AmongChildren(),
                 n_max_iterations=20,
             ),
@@ -232,13 +233,15 @@ class _AmongChildren(DuplicateElimination):
 class _ShrinkingGaussian(Mutation):
     """Gaussian mutation, gene by gene, with a standard deviation that falls over the generations; reflected at limits.
 
+    Of narrow constraints one parameter follows from the others; where it leaves its limits the child is infeasible.
     pymoo's own mutation resamples points out of bounds without regard to the seed, and keeps its standard deviation.
     """
 
-    def __init__(self, settings: GeneticSettings, integer: np.ndarray):
+    def __init__(self, settings: GeneticSettings, space: ParameterSpace):
         super().__init__(prob=1.0)
         self.settings = settings
-        self.integer = integer
+        self.integer = space.integer
+        self.narrow = Narrow.of(space)
 
     def _do(
         self,
@@ -254,7 +257,7 @@ class _ShrinkingGaussian(Mutation):
         step = sigma * (problem.xu - problem.xl) * random_state.standard_normal(x.shape)
         moved = reflect(x + step, problem.xl, problem.xu)
         moved = np.where(self.integer, np.round(moved), moved)
-        return np.where(chosen, moved, x)
+        return self.narrow.filled(np.where(chosen, moved, x))
 
 
 def reflect(x: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

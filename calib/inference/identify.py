@@ -11,6 +11,7 @@ import pandas as pd
 from scipy import special
 
 from calib.errors.errors import InputError
+from calib.inference.constraints import ConstraintRows
 from calib.inference.rules import RULES
 from calib.problem.space import Parameter, ParameterSpace
 
@@ -252,6 +253,7 @@ def identify(
     held: np.ndarray | None = None,
     birge: float = 1.0,
     searched: bool = False,
+    constraints: ConstraintRows | None = None,
 ) -> Identifiability:
     """Find which parameters the data determine, and which are confounded.
 
@@ -276,11 +278,16 @@ def identify(
         1932). Directions and common scale are for the uncertainty as stated.
     searched : bool
         See `Identifiability`.
+    constraints : ConstraintRows, optional
+        Constraints that count as data, whatever the misfit.
     """
     chosen = tuple(names)
     s = np.array([space[n].prior_width for n in chosen]) if prior_sd is None else np.asarray(prior_sd, dtype=float)
     g = np.atleast_2d(np.asarray(jacobian, dtype=float))
-    found = posterior(chosen, g / birge, s, None if held is None else held / birge)
+    beside = constraints or ConstraintRows.none(len(chosen), 0 if held is None else held.shape[1])
+    moved = None if held is None else np.vstack([held / birge, beside.held])
+    found = posterior(chosen, np.vstack([g / birge, beside.slope]), s, moved)
+    g = np.vstack([g, beside.slope])
     span = np.array([space[n].upper - space[n].lower for n in chosen])
     known = zip(chosen, found.std.tolist(), found.data_share.tolist(), strict=True)
     at = dict(values or {})

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from calib.inference.constraints import ConstraintRows
 from calib.inference.identify import posterior
 from calib.inference.other_rows import OtherRows, other_rows
 from calib.problem.joint import JointProblem
+from calib.problem.problem import PairProblem
 from calib.problem.space import ParameterSpace
 
 _NONE: Mapping[str, float] = MappingProxyType({})
@@ -26,7 +28,7 @@ class JointPart(NamedTuple):
         Fitted parameters that the test's model has.
     prior_sd : ndarray (n_params,)
     others : OtherRows
-        Rows of the other tests.
+        Rows of the other tests, and constraints that count as data.
     held_sd : mapping from str to float
         Standard deviations of the held parameters of all tests that are uncertain.
     """
@@ -38,7 +40,7 @@ class JointPart(NamedTuple):
 
 
 def joint_parts(
-    problem: JointProblem,
+    problem: PairProblem[Any] | JointProblem,
     names: Sequence[str],
     residual: np.ndarray,
     jacobian: np.ndarray,
@@ -46,12 +48,14 @@ def joint_parts(
     shift: np.ndarray,
     held: np.ndarray | None = None,
     held_sd: Mapping[str, float] = _NONE,
+    constraints: ConstraintRows | None = None,
 ) -> dict[str, JointPart]:
     """The part of every test, by its name.
 
     Parameters
     ----------
-    problem : JointProblem
+    problem : PairProblem or JointProblem
+        A problem of one test is its only part, by the name "".
     names : sequence of str
         Fitted parameters.
     residual : ndarray (n_rows,)
@@ -62,12 +66,20 @@ def joint_parts(
         Prior standard deviations, and the pull ``(theta - c)/s``.
     held : ndarray (n_rows, n_held), optional
         Change of the residual by one standard deviation of each of the held parameters in ``held_sd``.
+    constraints : ConstraintRows, optional
+        Constraints that count as data; they are other rows to every test.
     """
-    parts = {}
-    for test, own in problem.parts.items():
-        rows = [k for k, row in enumerate(problem.rows) if row.test == test]
-        kept = [k for k, name in enumerate(names) if name in own.space]
-        others = other_rows(-jacobian, prior_sd, residual, shift, rows, kept, None if held is None else -held)
+    parts, held = {}, np.zeros((len(residual), len(held_sd))) if held is None else held
+    beside = constraints or ConstraintRows.none(len(names), len(held_sd))
+    jacobian, held = np.vstack([jacobian, beside.slope]), np.vstack([held, beside.held])
+    residual = np.concatenate([residual, np.zeros(len(beside.slope))])
+    tests, spaces = [""] * len(problem.rows), {"": problem.space}
+    if isinstance(problem, JointProblem):
+        tests, spaces = [row.test for row in problem.rows], {test: part.space for test, part in problem.parts.items()}
+    for test, space in spaces.items():
+        rows = [k for k, name in enumerate(tests) if name == test]
+        kept = [k for k, name in enumerate(names) if name in space]
+        others = other_rows(-jacobian, prior_sd, residual, shift, rows, kept, -held)
         parts[test] = JointPart(tuple(names[k] for k in kept), prior_sd[kept], others, held_sd)
     return parts
 
@@ -84,6 +96,7 @@ def std_by_test(
     tests: Sequence[str],
     held: np.ndarray | None = None,
     birge: float = 1.0,
+    constraints: ConstraintRows | None = None,
 ) -> pd.DataFrame:
     """Posterior standard deviations from the rows of each test, then of all, linearised at the joint fit.
 
@@ -101,8 +114,8 @@ def std_by_test(
         Of the whitened residual, per unit of each parameter.
     tests : sequence of str
         Test of every row, n_rows.
-    held, birge
-        As in `calib.inference.identify.identify`; the same factor for every test.
+    held, birge, constraints
+        As in `calib.inference.identify.identify`; the same factor and constraints for every test.
 
     Returns
     -------
@@ -112,16 +125,13 @@ def std_by_test(
     """
     prior_sd, own = np.array([space[n].prior_width for n in names]), np.array(tests)
     groups = {**{test: own == test for test in dict.fromkeys(tests)}, ALL_TESTS: np.ones(len(own), dtype=bool)}
-    rows = [
-        (name, space[name].unit, test, std, width)
-        for test, kept in groups.items()
-        for name, std, width in zip(
-            names,
-            posterior(names, jacobian[kept] / birge, prior_sd, None if held is None else held[kept] / birge).std,
-            prior_sd,
-            strict=True,
-        )
-    ]
+    held = np.zeros((len(own), 0)) if held is None else held
+    beside = constraints or ConstraintRows.none(len(names), held.shape[1])
+    rows = []
+    for test, kept in groups.items():
+        slope, moved = (np.vstack([a[kept] / birge, b]) for a, b in ((jacobian, beside.slope), (held, beside.held)))
+        known = zip(names, posterior(names, slope, prior_sd, moved).std, prior_sd, strict=True)
+        rows += [(name, space[name].unit, test, std, width) for name, std, width in known]
     table = pd.DataFrame(rows, columns=list(COLUMNS))
     order = {name: k for k, name in enumerate(names)}
     return table.sort_values("parameter", key=lambda column: column.map(order), kind="stable", ignore_index=True)

@@ -21,6 +21,9 @@ class Rules:
     by_data : float
         Smallest ``data_share`` of an identified parameter: the part of the information that the data give; see
         `Posterior`.
+    narrow : float
+        Largest standard deviation of a linear constraint, over that of its sum without it, with which the constraint
+        counts as data; see `calib.inference.constraints.constraint_rows`.
     confounded : float
         Absolute posterior correlation from which two parameters count as confounded.
     trades : float
@@ -57,6 +60,7 @@ class Rules:
     whole: float = 0.2
     none: float = 0.01
     by_data: float = 0.5
+    narrow: float = 1.0
     confounded: float = 0.9
     trades: float = 0.5
     seen: float = 1.0

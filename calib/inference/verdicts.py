@@ -9,9 +9,13 @@ import numpy as np
 import pandas as pd
 
 from calib.errors.errors import InputError
+from calib.inference.constraints import Hold
 from calib.inference.identify import Identifiability, faults, needed_std
 from calib.inference.rules import RULES
 from calib.problem.space import Parameter, ParameterSpace
+
+WIDE = 1.96
+"""Half-width of an interval of 95 % in standard deviations."""
 
 
 def integer_std(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0.0, sd: float = math.inf) -> float:
@@ -52,6 +56,7 @@ def parameter_verdicts(
     fits: bool | None = None,
     birge: float = 1.0,
     differing: Mapping[str, float] | None = None,
+    held_by: Mapping[str, Hold] | None = None,
 ) -> pd.DataFrame:
     """Verdict and sentence for every free parameter.
 
@@ -72,14 +77,19 @@ def parameter_verdicts(
     differing : mapping, optional
         Parameters by which equally good solutions differ, and their largest differences over the range, see
         `calib.inference.agreement.Agreement`: none of them is identified, however small its standard deviation at one.
+    held_by : mapping, optional
+        Limits and constraints that hold parameters, see `calib.inference.constraints.holds`.
 
     Returns
     -------
     DataFrame
-        ``parameter, value, unit, lower, upper, ratio, on_limit, suggested_limit, spread, stable, std, needed,
-        data_share, identified, not_identified, confounded_with, fits_within_std, sentence``; missing where unknown.
-        ``not_identified`` holds the reasons of `calib.inference.identify.faults`, and ``solutions`` for a parameter by
-        which equally good solutions differ. A limit is suggested half a range further out; a limit of 0 is physical
+        ``parameter, value, unit, lower, upper, ratio, on_limit, suggested_limit, spread, stable, std, low, high,
+        needed, data_share, identified, not_identified, confounded_with, fits_within_std, sentence``; missing where
+        unknown.
+        ``low, high`` is the interval of 95 %, of one side where a limit or constraint holds the parameter.
+        ``not_identified`` holds the reasons of `calib.inference.identify.faults`, ``constraint`` for a parameter that a
+        constraint holds, and ``solutions`` for one by which equally good solutions differ.
+        A limit is suggested half a range further out; a limit of 0 is physical
         and stays.
     """
     known = zip(found.posterior.std.tolist(), found.posterior.data_share.tolist(), strict=True)
@@ -102,6 +112,10 @@ def parameter_verdicts(
         if not math.isnan(std):
             why = faults(p, std, share, values[p.name], found.searched)
             identified = not why
+        hold = (held_by or {}).get(p.name)
+        if hold is not None and hold.by and not math.isnan(std):
+            why, identified = (*why, "constraint"), False
+        low, high = _interval(p, values[p.name], math.nan if p.integer else std, hold)
         # Correlations are those of the reported solution: they say nothing on the distance to another one.
         others = [] if identified else found.confounded_with(p.name)
         trade = None if identified or others or p.name not in stds else found.trades_with(p.name)
@@ -122,6 +136,8 @@ def parameter_verdicts(
                 "spread": math.nan if width is None else width,
                 "stable": stable,
                 "std": std,
+                "low": low,
+                "high": high,
                 "needed": needed_std(p),
                 "data_share": share,
                 "identified": identified,
@@ -129,7 +145,18 @@ def parameter_verdicts(
                 "confounded_with": ", ".join(others),
                 "fits_within_std": fits,
                 "sentence": _sentence(
-                    p, side, limit, width, std, share, None if identified is None else why, birge, others, trade, apart
+                    p,
+                    side,
+                    limit,
+                    width,
+                    std,
+                    share,
+                    None if identified is None else why,
+                    birge,
+                    others,
+                    trade,
+                    apart,
+                    _of_one_side(hold, low, high, p.unit),
                 ),
             }
         )
@@ -142,6 +169,23 @@ def identified_sentence(verdicts: pd.DataFrame) -> str:
     bad = assessed.loc[~assessed["identified"].astype(bool), "parameter"].tolist()
     count = f"{len(assessed) - len(bad)} of {len(assessed)} parameters are identified"
     return count + (f"; not {', '.join(bad)}." if bad else ".")
+
+
+def _interval(p: Parameter, value: float, std: float, hold: Hold | None) -> tuple[float, float]:
+    """Interval of 95 % within the limits; NaN without a standard deviation."""
+    if math.isnan(std):
+        return math.nan, math.nan
+    low, high = (value - WIDE * std, value + WIDE * std) if hold is None else hold.interval(value, std)
+    return max(low, min(p.lower, value)), min(high, max(p.upper, value))
+
+
+def _of_one_side(hold: Hold | None, low: float, high: float, unit: str) -> str:
+    """What holds a parameter and the interval that is left, in words; empty where nothing does."""
+    if hold is None or math.isnan(low):
+        return ""
+    scale = "" if unit == "-" else f" {unit}"
+    left = f"(95 %: {low:.4g} to {high:.4g}{scale})"
+    return f"the constraint {hold.by!r} holds it {left}" if hold.by else f" {left}"
 
 
 def _suggested(lower: float, upper: float, side: str | None) -> float:
@@ -166,6 +210,7 @@ def _sentence(
     others: Sequence[str],
     trade: tuple[str, float] | None,
     apart: float | None,
+    held: str,
 ) -> str:
     scale = "" if p.unit == "-" else f" {p.unit}"
     wider = "" if birge == 1.0 else f", measurement uncertainty scaled by {birge:.2g} for the misfit"
@@ -184,7 +229,9 @@ def _sentence(
     elif math.isinf(std):
         words.append("Not identified: neither data nor prior say anything on it.")
     else:
-        words.append(f"Not identified: {'; '.join(_reasons(why, std, share, needed_std(p), scale, wider, apart))}.")
+        words.append(
+            f"Not identified: {'; '.join(_reasons(why, std, share, needed_std(p), scale, wider, apart, held))}."
+        )
     if others:
         words.append(f"It is confounded with {', '.join(others)}.")
     if trade is not None:
@@ -195,13 +242,21 @@ def _sentence(
 
 
 def _reasons(
-    why: Sequence[str], std: float, share: float, needed: float, scale: str, wider: str, apart: float | None
+    why: Sequence[str],
+    std: float,
+    share: float,
+    needed: float,
+    scale: str,
+    wider: str,
+    apart: float | None,
+    held: str,
 ) -> list[str]:
     given = "less than 1" if share < 0.01 else f"only {100 * share:.0f}"
     words = {
         "wide": f"standard deviation {std:.3g}{scale}, more than is needed, {needed:.3g}{scale}{wider}",
         "prior": f"the data give {given} % of the information on it",
-        "limit": "a limit holds it",
+        "limit": f"a limit holds it{held}",
+        "constraint": held,
         "solutions": f"solutions that fit equally well differ by {100 * (apart or 0.0):.0f} % of its search range",
     }
     return [words[reason] for reason in why]

@@ -14,6 +14,8 @@ _FEWEST = 1e-4
 """Smallest acceptance rate with which sampling continues."""
 _TRIES = 100_000
 """Candidates drawn before the acceptance rate is checked."""
+_NARROW = 0.01
+"""Largest width of a constraint, over the range that its sum has between the limits, that candidates are moved into."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +42,83 @@ class Sample:
         return self.accepted / self.asked
 
 
+@dataclass(frozen=True, eq=False)
+class Narrow:
+    """Equalities and narrow constraints of both sides, each solved for one parameter: random points hardly meet them.
+
+    Attributes
+    ----------
+    rows : ndarray (n, n_free)
+        Coefficients, so combined that no row has the pivot of another one.
+    combined : ndarray (n, n)
+        Each row as a sum of the constraints.
+    lower, upper : ndarray (n,)
+        Limits of the constraints, in their own order.
+    every : ndarray (n, n_free)
+        The constraints themselves.
+    pivots : tuple of int
+        The parameter that follows from the others, by row: the one by which its sum changes most within the limits.
+    """
+
+    rows: np.ndarray
+    combined: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    every: np.ndarray
+    pivots: tuple[int, ...]
+
+    @classmethod
+    def of(cls, space: ParameterSpace) -> Narrow:
+        """The narrow constraints of a space; those that depend on others, or on integers alone, are left out."""
+        weights, low, high = space.constraint_rows()
+        span = space.upper - space.lower
+        kept, pivots = list[int](), list[int]()
+        rows, combined = np.zeros((0, len(span))), np.zeros((0, len(weights)))
+        for k, row in enumerate(weights):
+            reach = np.abs(row) @ span
+            if not 0 <= high[k] - low[k] <= _NARROW * reach:
+                continue
+            own, mix = row.copy(), np.eye(len(weights))[k]
+            for j, pivot in enumerate(pivots):
+                own, mix = own - own[pivot] * rows[j], mix - own[pivot] * combined[j]
+            size = np.where(space.integer, 0.0, np.abs(own) * span)
+            pivot = int(np.argmax(size))
+            if not size[pivot] > 1e-9 * reach:
+                continue
+            own, mix = own / own[pivot], mix / own[pivot]
+            across = rows[:, pivot : pivot + 1]
+            rows, combined = np.vstack([rows - across * own, own]), np.vstack([combined - across * mix, mix])
+            kept.append(k)
+            pivots.append(pivot)
+        return cls(rows, combined[:, kept], low[kept], high[kept], weights[kept], tuple(pivots))
+
+    def filled(self, points: np.ndarray, share: np.ndarray | None = None) -> np.ndarray:
+        """Points (n, n_free) moved into the narrow constraints along the pivots, which may leave their limits.
+
+        The sums take the place ``share`` (n, n_constraints), 0 to 1, between the limits of each constraint: for uniform
+        shares and other parameters the points are uniform over the admissible region. Without shares they move as
+        little as they must.
+        """
+        if not self.pivots:
+            return points
+        if share is None:
+            sums = np.clip(points @ self.every.T, self.lower, self.upper)
+        else:
+            sums = self.lower + share * (self.upper - self.lower)
+        others = points.copy()
+        others[:, self.pivots] = 0.0
+        moved = points.copy()
+        moved[:, self.pivots] = sums @ self.combined.T - others @ self.rows.T
+        return moved
+
+
 def sample(space: ParameterSpace, count: int, seed: int | np.random.Generator, batch: int | None = None) -> Sample:
     """Draw points by Latin hypercube and keep those that meet the space's constraints.
 
     Without constraints the points are one Latin hypercube (McKay, Beckman and Conover 1979). With constraints, whole
     hypercubes are drawn until enough points are accepted; the sample is uniform over the admissible region but no
-    longer a Latin hypercube, and its parameters are correlated. Integer parameters take each value with equal
-    probability.
+    longer a Latin hypercube, and its parameters are correlated. In equalities and other narrow constraints one
+    parameter follows from the others, see `Narrow`. Integer parameters take each value with equal probability.
 
     Parameters
     ----------
@@ -74,12 +146,14 @@ def sample(space: ParameterSpace, count: int, seed: int | np.random.Generator, b
     space.require_feasible()
     from scipy.stats import qmc  # slow to import, and not every command samples
 
-    engine = qmc.LatinHypercube(len(space.free), rng=np.random.default_rng(seed))
+    narrow, size = Narrow.of(space), len(space.free)
+    engine = qmc.LatinHypercube(size + len(narrow.pivots), rng=np.random.default_rng(seed))
     kept: list[np.ndarray] = []
     asked = accepted = 0
     batch = batch or count
     while accepted < count:
-        points = space.from_unit(engine.random(batch))
+        unit = engine.random(batch)
+        points = narrow.filled(space.from_unit(unit[:, :size]), unit[:, size:])
         good = points[space.feasible(points)]
         kept.append(good)
         asked, accepted = asked + batch, accepted + len(good)

@@ -304,7 +304,7 @@ class ParameterSpace:
                 self._require(name, "parameter values")
         return {name: value * self._factors[name] for name, value in values.items()}
 
-    def _constraint_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def constraint_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Coefficients of the free parameters (n_con, n_free), and limits less the fixed part (n_con,)."""
         names = self.free_names
         rows = np.zeros((len(self.constraints), len(names)))
@@ -331,7 +331,7 @@ class ParameterSpace:
         ndarray (n, n_constraints)
             Distance outside the limits, in the constraint's own unit.
         """
-        rows, low, high = self._constraint_rows()
+        rows, low, high = self.constraint_rows()
         sums = np.atleast_2d(points) @ rows.T
         return np.maximum(0.0, np.maximum(low - sums, sums - high))
 
@@ -347,7 +347,7 @@ class ParameterSpace:
 
     def require_feasible(self) -> None:
         """Raise InputError when no point of the space satisfies all constraints (by linear programming)."""
-        rows, low, high = self._constraint_rows()
+        rows, low, high = self.constraint_rows()
         if not len(rows):
             return
         if not len(self.free):

@@ -29,8 +29,8 @@ def draw_parameters(
     ----------
     table : DataFrame
         Columns ``case, parameter, value, unit``, ``ratio`` (position between the limits, 0 to 1) and ``on_limit``.
-        Optional: ``lower, upper`` (the limits), ``std`` (posterior standard deviation, NaN if unknown) and
-        ``identified`` (bool, or None).
+        Optional: ``lower, upper`` (the limits), ``std`` (posterior standard deviation, NaN if unknown), ``low, high``
+        (interval of 95 %; by default 1.96 of it to both sides) and ``identified`` (bool, or None).
     ax : Axes, optional
     best_case : str, optional
         The case that is reported; by default the first.
@@ -55,8 +55,12 @@ def draw_parameters(
     known = [_flag(value) for value in best["identified"]] if "identified" in best else [None] * len(names)
     nominal = _draw_prior(ax, best, span, prior)
     has = np.isfinite(reach)
-    ends = np.clip(place[has] - reach[has], 0.0, 1.0), np.clip(place[has] + reach[has], 0.0, 1.0)
-    ax.hlines(rows[has], *ends, color=BLUE, linewidth=2.6, gid="posterior", zorder=3)
+    ends = [place - reach, place + reach]
+    if "low" in best and "lower" in best:
+        ends = [((best[end] - best["lower"]) / span).to_numpy(dtype=float) for end in ("low", "high")]
+    ax.hlines(
+        rows[has], *(np.clip(end[has], 0.0, 1.0) for end in ends), color=BLUE, linewidth=2.6, gid="posterior", zorder=3
+    )
     dot: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": BLUE, "markersize": 7.5, "markeredgewidth": 1.6}
     for flag, face in ((True, BLUE), (False, "white"), (None, BLUE)):
         some = [value is flag for value in known]

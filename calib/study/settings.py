@@ -64,7 +64,7 @@ class ConstraintSettings(Section):
     coefficients: dict[str, float]
     """Weight of each parameter in the sum."""
     limits: Pair
-    """Lower and upper limit of the sum, in ``unit``."""
+    """Lower and upper limit of the sum, in ``unit``; two equal ones make one parameter follow from the others."""
     unit: str = "-"
     """Unit of the sum."""
 

@@ -20,7 +20,7 @@ COMPARISON = [
 ]  # fmt: skip
 PARAMETERS = [
     "case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_limit", "spread", "stable", "std",
-    "identified", "search_value", "search_on_limit", "std_from",
+    "low", "high", "identified", "search_value", "search_on_limit", "std_from",
 ]  # fmt: skip
 SUMMARY = {
     "study", "synthetic", "best_case", "mean_freq_error_before", "mean_freq_error_after", "mean_mac_before",

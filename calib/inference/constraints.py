@@ -1,0 +1,209 @@
+"""What linear constraints and limits tell of fitted parameters: constraints that count as data, and those that hold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from calib.inference.rules import RULES
+from calib.problem.parameter import RULES as LIMITS
+from calib.problem.space import LinearConstraint, ParameterSpace
+
+_NONE: Mapping[str, float] = MappingProxyType({})
+_EXACT = 1e-4
+"""Standard deviation of an equality, over that of its sum without it: far below what any verdict tells apart."""
+_LEVEL = 0.05
+
+
+class ConstraintRows(NamedTuple):
+    """Constraints that count as data, as rows of a whitened residual that is 0 where they are kept.
+
+    Attributes
+    ----------
+    slope : ndarray (n, n_params)
+        Per unit of each fitted parameter.
+    held : ndarray (n, n_held)
+        Change by one standard deviation of each held parameter.
+    """
+
+    slope: np.ndarray
+    held: np.ndarray
+
+    @staticmethod
+    def none(n_params: int, n_held: int = 0) -> ConstraintRows:
+        """No constraint."""
+        return ConstraintRows(np.zeros((0, n_params)), np.zeros((0, n_held)))
+
+
+def constraint_rows(
+    space: ParameterSpace, names: Sequence[str], covariance: np.ndarray, held_sd: Mapping[str, float] = _NONE
+) -> ConstraintRows:
+    """Equalities and narrow constraints of both sides as data.
+
+    A sum between two limits has the standard deviation ``(upper - lower)/sqrt(12)``, that of the uniform distribution,
+    as a parameter between its limits has. The constraint counts where this is at most `Rules.narrow` of the standard
+    deviation that the sum has without it; a wider one tells nothing until it is reached.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    names : sequence of str
+        Fitted parameters.
+    covariance : ndarray (n_params, n_params)
+        Of the fitted parameters, without constraints; may be infinite on the diagonal.
+    held_sd : mapping from str to float
+        Standard deviations of held parameters that are uncertain.
+    """
+    rows = []
+    for constraint in space.constraints:
+        if not (math.isfinite(constraint.lower) and math.isfinite(constraint.upper)):
+            continue
+        c, weights = _weights(constraint, names), dict(constraint.coefficients)
+        std = std_of_sum(c, covariance)
+        width = (constraint.upper - constraint.lower) / math.sqrt(12.0)
+        if not std > 0 or width > RULES.narrow * std:
+            continue
+        finite = std if math.isfinite(std) else float(np.abs(c) @ [space[n].upper - space[n].lower for n in names])
+        beside = [weights.get(name, 0.0) * sd for name, sd in held_sd.items()]
+        rows.append(np.concatenate([c, beside]) / max(width, _EXACT * finite))
+    every = np.array(rows).reshape(len(rows), len(names) + len(held_sd))
+    return ConstraintRows(every[:, : len(names)], every[:, len(names) :])
+
+
+def std_of_sum(weights: np.ndarray, covariance: np.ndarray) -> float:
+    """Standard deviation of a weighted sum; infinite where that of one of its parameters is."""
+    taken = np.flatnonzero(weights)
+    own = weights[taken] @ covariance[np.ix_(taken, taken)] @ weights[taken]
+    return math.sqrt(own) if own >= 0 else 0.0
+
+
+def _weights(constraint: LinearConstraint, names: Sequence[str]) -> np.ndarray:
+    given = dict(constraint.coefficients)
+    return np.array([given.get(name, 0.0) for name in names])
+
+
+class Hold(NamedTuple):
+    """A limit or constraint that holds a parameter.
+
+    Attributes
+    ----------
+    by : str
+        Name of the constraint; empty for a limit of the parameter.
+    side : int
+        1 where the parameter would grow without it, -1 where it would fall.
+    beyond : float
+        How far the optimum lies beyond it, in standard deviations of the sum that it limits.
+    part : float
+        Absolute correlation of the parameter with that sum; 1 for a limit.
+    """
+
+    by: str
+    side: int
+    beyond: float
+    part: float
+
+    def interval(self, value: float, std: float) -> tuple[float, float]:
+        """Interval of 95 % on the allowed side: that of a normal distribution about the optimum, truncated.
+
+        What of the parameter does not depend on the sum has an interval of both sides.
+        """
+        # P(t > q) = Phi(-beyond - q)/Phi(-beyond) for the distance t from the limit.
+        tail = float(special.log_ndtr(-self.beyond)) + math.log(_LEVEL)
+        reach = self.part * std * (-float(special.ndtri_exp(tail)) - self.beyond)
+        free = float(special.ndtri(1 - _LEVEL / 2)) * std * math.sqrt(max(1 - self.part**2, 0.0))
+        inward, outward = math.hypot(reach, free), free
+        return (value - inward, value + outward) if self.side > 0 else (value - outward, value + inward)
+
+
+def holds(
+    space: ParameterSpace,
+    names: Sequence[str],
+    values: Mapping[str, float],
+    covariance: np.ndarray,
+    descent: np.ndarray,
+    searched: bool = False,
+) -> dict[str, Hold]:
+    """Fitted parameters that a limit or a constraint holds.
+
+    A constraint holds parameters where their sum is on it (see `calib.problem.parameter.LimitRules`), unless it counts
+    as data: of its parameters those that it informs more than all else does, or that would move by more than one
+    standard deviation without it.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    names : sequence of str
+        Fitted parameters.
+    values : mapping from str to float
+        At the end of the fit.
+    covariance : ndarray (n_params, n_params)
+        Without those constraints that do not count as data.
+    descent : ndarray (n_params,)
+        Direction in which the misfit falls; see `calib.inference.region.active_limits`.
+    searched : bool
+        See `calib.inference.identify.Identifiability`.
+    """
+    std, found = np.sqrt(np.diag(covariance)), dict[str, Hold]()
+    finite = np.where(np.isfinite(covariance), covariance, 0.0)
+    for constraint in space.constraints:
+        c = _weights(constraint, names)
+        own = std_of_sum(c, covariance)
+        width = (constraint.upper - constraint.lower) / math.sqrt(12.0)
+        if not own > 0 or width <= RULES.narrow * own:
+            continue
+        total = sum(weight * values[name] for name, weight in constraint.coefficients)
+        side = _side(constraint, total, own, searched)
+        if side == 0:
+            continue
+        along = finite @ c
+        beyond = max(side * float(along @ descent) / own, 0.0) if math.isfinite(own) else 0.0
+        for k in np.flatnonzero(c).tolist():
+            part = abs(float(along[k])) / (own * std[k]) if math.isfinite(own * std[k]) and std[k] > 0 else 1.0
+            if part**2 >= RULES.by_data or part * beyond >= 1.0:
+                found[names[k]] = Hold(constraint.name, int(side * np.sign(along[k] or c[k])), beyond, min(part, 1.0))
+    for k, name in enumerate(names):
+        at = space[name].limit_at(values[name], float(std[k]), searched)
+        if at is not None:
+            way = 1 if at == "upper" else -1
+            moved = way * float(finite[k] @ descent) / std[k] if 0 < std[k] < math.inf else 0.0
+            found[name] = Hold("", way, max(moved, 0.0), 1.0)
+    return found
+
+
+def _side(constraint: LinearConstraint, total: float, std: float, searched: bool) -> int:
+    """1 where a sum is on the upper limit of its constraint, -1 on the lower one, else 0."""
+    span = constraint.upper - constraint.lower
+    near = math.inf if math.isinf(span) else (LIMITS.searched if searched else LIMITS.of_range) * span
+    if not searched or math.isinf(near):
+        near = min(near, LIMITS.of_std * std)
+    if constraint.upper - total <= near:
+        return 1
+    return -1 if total - constraint.lower <= near else 0
+
+
+def multipliers(
+    space: ParameterSpace, names: Sequence[str], values: Mapping[str, float], descent: np.ndarray
+) -> np.ndarray:
+    """The direction in which the misfit falls, without what active constraints take up, (n_params,).
+
+    At an optimum it is a sum of the gradients of constraints that are reached and of limits that are reached.
+    """
+    active = []
+    for constraint in space.constraints:
+        total = sum(weight * values[name] for name, weight in constraint.coefficients)
+        size = sum(abs(weight) * (space[name].upper - space[name].lower) for name, weight in constraint.coefficients)
+        if min(abs(total - constraint.lower), abs(total - constraint.upper)) <= 1e-6 * size:
+            active.append(_weights(constraint, names))
+    free = np.array([space[name].limit_at(values[name]) is None for name in names], dtype=bool)
+    matrix = np.array(active).reshape(len(active), len(names)).T
+    if not active or not free.any():
+        return descent
+    span = np.array([space[name].upper - space[name].lower for name in names])
+    scaled, right = matrix * span[:, None], descent * span
+    factor = np.linalg.lstsq(scaled[free], right[free], rcond=None)[0]
+    return (right - scaled @ factor) / span
