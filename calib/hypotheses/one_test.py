@@ -255,8 +255,8 @@ class OneTest(ABC):
 
         Where nothing explains the misfit, local perturbations that locate it.
         """
-        if found.verdict == "none_explains" and found.perturbation is not None:
-            return list(found.perturbation.effects), found.base_adequacy.perturbations
+        if found.verdict == "none_explains" and found.place is not None:
+            return list(found.place.effects), found.base_adequacy.perturbations
         candidates = [e for g in found.groups for e in g.effects]
         return (candidates, found.base_adequacy.named) if candidates else None
 

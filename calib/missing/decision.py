@@ -16,6 +16,7 @@ from calib.missing.effect_pairs import fit_pairs, no_worse, singles_from_pairs
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.linearised_fit import nearest_whole
+from calib.missing.place import takes_enough, told_place
 from calib.missing.refits import Refits, near_to
 from calib.missing.restarts import led_astray, restarted
 from calib.missing.rules import RULES
@@ -289,12 +290,14 @@ class _Decision:
             measured_scale(self.fits, found.base, found.perturbation),
             self.fits.hypotheses.evaluations,
         )
-        return replace(found, verdict=verdict, measured_scale=factor, evaluations=evaluations)
+        found = replace(found, verdict=verdict, measured_scale=factor, evaluations=evaluations)
+        return replace(found, place=told_place(self.fits, found))
 
     def unexplained(self, found: Explanation, lead: _Lead, pairs: Sequence[CandidateFit], needed: float) -> Explanation:
         """Explanation when no effect may be named."""
         alpha, verdict = found.alpha, "none_explains"
-        if lead.best.ln_evidence > needed and not lead.best.implausible and lead.adequacy.p_family <= alpha:
+        strong = lead.best.ln_evidence > needed and not lead.best.implausible and takes_enough(found, lead.best)
+        if strong and lead.adequacy.p_family <= alpha:
             verdict = "partial"
         elif found.base_adequacy.p_family > alpha:
             verdict = "misfit_unlocated"  # a bad fit in which nothing stands out is not a systematic misfit
@@ -334,7 +337,9 @@ class _Decision:
             found, candidate_fits=tuple(candidate_fits), verdict=verdict, chosen=chosen, chosen_adequacy=adequacy,
             credible=credible, fault=fault, datum=datum, evaluations=self.fits.hypotheses.evaluations,
         )  # fmt: skip
-        return done.unconfirmed() if done.names_something and done.uncontested else done
+        if done.names_something:
+            return done.unconfirmed() if done.uncontested else done
+        return replace(done, place=told_place(self.fits, done))
 
     # -- what may be named ---------------------------------------------------------------------------------------------
 

@@ -42,6 +42,8 @@ class Explanation:
         Every fitted effect, best first, then every fitted pair.
     perturbation : CandidateFit or None
         The best unnamed local perturbation.
+    place : CandidateFit or None
+        The same where it may be told as a place to look at; see `calib.missing.place.told_place`.
     chosen : CandidateFit or None
         The explanation by one effect or two; the best attempt when none explains.
     chosen_adequacy : AdequacyTests or None
@@ -91,6 +93,7 @@ class Explanation:
     faults: tuple[CandidateFit, ...] = ()
     fault_adequacy: AdequacyTests | None = None
     steps: StepwiseSearch | None = None
+    place: CandidateFit | None = None
 
     def ln_bayes(self, candidate_fit: CandidateFit | WrongDatum) -> float:
         """Log Bayes factor of a candidate fit, or of a wrong datum, against the base model."""

@@ -275,9 +275,9 @@ def _next(
     table = recommend(design)
     pair = None if design.competing is None else design.competing.names
     unseen = effects.loc[~effects["visible"].astype(bool), "name"].tolist()
-    if found.verdict == "none_explains" and found.perturbation is not None:
-        # The design is for the unexplained perturbation, not for undetectable effects.
-        unseen = [name for name in found.perturbation.names if name in design.effects]
+    if found.verdict == "none_explains" and found.place is not None:
+        # The design is for the place that is told, not for undetectable effects.
+        unseen = [name for name in found.place.names if name in design.effects]
     named = found.chosen.names if found.names_something and found.chosen is not None else ()
     rows = effects[effects["name"].isin(named) & effects["refitted"].astype(bool)].to_dict("records")
     intervals = {

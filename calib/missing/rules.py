@@ -82,6 +82,9 @@ class DecisionRules:
     little : float
         Decrease of the sum of squares by anything further, over that by this effect, below which it explains nearly
         all.
+    least_share : float
+        Least part of the base model's sum of squares that a place which is told takes, and the effect of a partial
+        explanation.
     most_effects : int
         Effects that a stepwise search may take in.
     further : int
@@ -166,6 +169,7 @@ class DecisionRules:
     by_far: float = 0.5
     leaves: float = 5.0
     little: float = 0.02
+    least_share: float = 0.02
     most_effects: int = 4
     further: int = 3
     stepped: float = 1.0

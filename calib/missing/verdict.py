@@ -261,10 +261,11 @@ def _unconfirmed(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
 
 
 def _rest(found: Explanation) -> str:
-    """Local perturbation that fits a systematic misfit best, in words."""
-    perturbation = found.perturbation
+    """The place to look at, in words; that there is none where the data single out no local perturbation."""
+    perturbation = found.place
     if perturbation is None:
-        return "Give a library with further effects."
+        none = "No single place explains it. " if found.perturbation is not None else ""
+        return f"{none}Give a library with further effects."
     better = bool(found.groups) and (found.chosen is None or perturbation.ln_evidence > found.chosen.ln_evidence)
     words = "it fits better than every listed effect" if better else "it would help most"
     size = local_perturbation(perturbation).in_words

@@ -83,7 +83,7 @@ def test_the_summary_has_exactly_the_keys_of_a_modal_study_with_a_finer_mesh(guy
         "study", "synthetic", "verdict", "sentence", "sentences", "notes", "p_family", "p_fit", "credible_set",
         "effects", "chosen", "adequacy_p_family", "adequacy_p_fit",
         "chosen_values", "adequacy_p", "noise_scale", "measured_noise_scale",
-        "local_perturbations", "local_perturbation", "evaluations", "errors", "begun_anew",
+        "local_perturbations", "local_perturbation", "place", "evaluations", "errors", "begun_anew",
         "accuracy", "std_assumed", "accuracy_that_explains", "alpha",
         "misfit_at", "measurement_fault", "wrong_datum", "refused", "nearly", "faults", "blamed",
         "basis_error", "discretisation", "seconds", "evaluations_intervals", "evaluations_recommendation",
