@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from calib.analyses.answers import of_comparison
+from calib.analyses.answers import listed, of_comparison
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.recorded import traced
 from calib.analyses.provenance.state import GEOMETRY, ORTHOGONALITY
@@ -74,6 +74,17 @@ class ComparisonResult:
     chosen: Mapping[str, int] = field(default_factory=dict)
     hints: tuple[str, ...] = ()
     std_notes: tuple[str, ...] = ()
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What looks wrong in the measurement itself: units, signs and sensors."""
+        return tuple(f"Check this sensor: {finding.sentence}" for finding in self.sensor_findings)
+
+    @property
+    def checks(self) -> tuple[str, ...]:
+        """What is to be checked in the measurement before anything else, such as ``sensors 1z, 2z``."""
+        doubtful = list(dict.fromkeys(name for finding in self.sensor_findings for name in finding.sensors))
+        return (f"{'sensor' if len(doubtful) == 1 else 'sensors'} {listed(doubtful)}",) if doubtful else ()
 
     @property
     def orthogonality(self) -> Orthogonality | None:

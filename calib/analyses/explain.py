@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from calib.analyses.compare import comparison_at
 from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.hypotheses_of_study import adapter_of, perturbations_of
@@ -33,8 +34,9 @@ from calib.missing.partial import is_simpler_form
 from calib.missing.pattern import BY_TEST
 from calib.missing.settings import Settings, require_modes
 from calib.missing.verdict import GROUPS as UNSEEN_GROUPS
+from calib.missing.verdict import NO_DOUBTS, Doubts
 from calib.problem.effect import Effect
-from calib.problem.joint import TEST
+from calib.problem.joint import TEST, of_test
 from calib.results.results import Results
 from calib.study.loading import Model, with_effects
 from calib.study.settings import ExplainSettings
@@ -92,7 +94,9 @@ def explanation_of(
         require_modes(sum(one.problem.n_measured for one in tests))
     started, mesh_sd = time.perf_counter(), study.settings.explain.mesh_sd
     adapter = adapter_for(study, None, progress, homes)
-    answer = explain_tests(adapter, study.settings.explain, study.file, started, mesh_words(mesh_sd), progress)
+    answer = explain_tests(
+        adapter, study.settings.explain, study.file, started, mesh_words(mesh_sd), progress, doubts_of(tests)
+    )  # fmt: skip
     taken = dict.fromkeys(note for one in tests for note in uncertain_note(one))
     figures = answer.figures if mesh_sd is None else answer.figures | {"mesh_sd": mesh_sd}
     fits = explained_fits(study, answer.explanation, answer.richer)
@@ -145,6 +149,19 @@ def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: s
                 )  # fmt: skip
 
 
+def doubts_of(tests: Sequence[LoadedStudy]) -> Doubts:
+    """What a comparison at the nominal values doubts in the measurements; nothing where a model fails there."""
+    sentences, checks = [], []
+    for one in tests:
+        try:
+            found = comparison_at(one, one.model.space.values)
+        except EvaluationError:
+            continue
+        sentences += [of_test(one.test, words) if one.test else words for words in found.doubts]
+        checks += [f"{what} in test {one.test}" if one.test else what for what in found.checks]
+    return Doubts(tuple(sentences), tuple(checks))
+
+
 def explain_tests(
     adapter: Adapter,
     settings: ExplainSettings,
@@ -152,10 +169,11 @@ def explain_tests(
     started: float,
     supposed: Sequence[str] = (),
     progress: Progress = silent,
+    doubts: Doubts = NO_DOUBTS,
 ) -> ExplanationResult:
     """The decision about tests with its findings, whoever asks; arguments as in `decision` and `findings`."""
     decided = decision(adapter, settings, place, progress)
-    answer = findings(adapter, decided, started, supposed, correctable, progress)
+    answer = findings(adapter, decided, started, supposed, correctable, progress, doubts)
     failures = reasons(adapter.failed())[:SHOWN]
     return replace(answer, traces=tuple(reason.first.trace for reason in failures if reason.first.trace))
 

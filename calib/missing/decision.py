@@ -10,6 +10,7 @@ from typing import NamedTuple
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import Progress, silent
 from calib.missing.adequacy import adequacy_of, adequate, beside, measured_scale, predicted_scale, predicts
+from calib.missing.blame import blamed, fault_first, ln_of, mistakable, tests_of, with_competing, with_faults
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group, grouped
 from calib.missing.effect_pairs import fit_pairs, no_worse, singles_from_pairs
@@ -18,12 +19,11 @@ from calib.missing.hypotheses import Hypotheses
 from calib.missing.linearised_fit import nearest_whole
 from calib.missing.place import takes_enough, told_place
 from calib.missing.refits import Refits, near_to
-from calib.missing.restarts import led_astray, restarted
+from calib.missing.restarts import led_astray, restarted, restarted_faults
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
 from calib.missing.settings import DEFAULT, Settings, require_modes, require_responses
 from calib.missing.stepwise import Stepwise, further_price
-from calib.missing.suspect import suspects_table, wrong_datum
 from calib.problem.candidate import Candidate
 
 
@@ -103,25 +103,28 @@ class _Decision:
             return self.unlisted(found)
         singles = fits.singles(base, groups, adequacy.named, starts)
         lead = self.lead(singles, able, base)
-        found = self.with_competing(found, lead.singles[0])
+        found = with_competing(self.fits, found, lead.singles[0])
         needed = self.needed(found)
         found = replace(found, measured_scale=measured_scale(fits, base, lead.best, found.perturbation, found.fault))
         settled = self.accepted(lead, needed) and not found.measured_scale > RULES.guard
-        blamed = self.blamed(found, lead, needed)
-        if not settled and blamed is None and not starts and fits.settings.budget > 0 and led_astray(base, adequacy):
+        told = self.blamed(found, lead, needed)
+        if not settled and told is None and not starts and fits.settings.budget > 0 and led_astray(base, adequacy):
             with fits.allowance.uncharged():  # refits from the nominal values have their own budget
                 singles = restarted(fits, base, lead.singles, able)
+                found = with_faults(found, restarted_faults(fits, base, found.faults))
             lead = self.lead(singles, able, base)
             factor = measured_scale(fits, base, lead.best, found.perturbation, found.fault)
             found = replace(found, begun_anew=True, measured_scale=factor)
-            blamed = self.blamed(found, lead, needed)
-        if blamed is not None:
-            return blamed
+            told = self.blamed(found, lead, needed)
+        if told is not None:
+            return told
         doubted = found.measured_scale > RULES.guard and not starts
         if doubted and predicted_scale(fits, lead.best, lead.adequacy.named) > RULES.guard:
             found = self.stepwise(found, lead, (), able)
-            return self.several(found, lead) or self.done(
-                found, lead.singles, "none_explains", lead.best, lead.adequacy
+            return (
+                self.several(found, lead)
+                or fault_first(fits, found, lead.singles)
+                or self.done(found, lead.singles, "none_explains", lead.best, lead.adequacy)
             )
         if self.accepted(lead, needed):
             return self.named(found, lead)
@@ -132,7 +135,7 @@ class _Decision:
         again = singles_from_pairs(fits, base, lead.singles, pairs)
         if again is not lead.singles:
             lead, pairs = self.lead(again, able, base), no_worse(fits, pairs, again)
-            found = self.with_competing(found, lead.singles[0])
+            found = with_competing(self.fits, found, lead.singles[0])
             needed = self.needed(found)
         factor = measured_scale(fits, base, lead.best, found.perturbation, found.fault, *pairs[:1])
         found = replace(found, measured_scale=factor)
@@ -142,7 +145,11 @@ class _Decision:
         if two is not None:
             return two
         found = self.stepwise(found, lead, pairs, able)
-        return self.several(found, lead, pairs) or self.unexplained(found, lead, pairs, needed)
+        return (
+            self.several(found, lead, pairs)
+            or fault_first(fits, found, (*lead.singles, *pairs))
+            or self.unexplained(found, lead, pairs, needed)
+        )
 
     # -- steps ---------------------------------------------------------------------------------------------------------
 
@@ -173,57 +180,10 @@ class _Decision:
             raise EvaluationError("the model cannot be solved with any of the effects")
         return able, named
 
-    def with_competing(self, found: Explanation, best: CandidateFit) -> Explanation:
-        """Add the competing explanations: a local perturbation, a measurement fault and a wrong datum."""
-        fits, h, base, adequacy = self.fits, self.fits.hypotheses, found.base, found.base_adequacy
-        margin = near_to(best.ln_evidence - base.ln_evidence)
-        perturbation = fits.best_perturbation(base, adequacy.perturbations, adequacy.named, best)
-        if perturbation is not None and perturbation.ln_evidence > best.ln_evidence - margin:
-            perturbation = fits.finished(perturbation)
-        faults = () if adequacy.faults is None else fits.faults(base, adequacy.faults, best)
-        faults = tuple(fits.settled(faults, RULES.credible)) if faults else ()
-        fault = faults[0] if faults else None
-        if adequacy.faults is None:
-            fault = fits.fault(base, adequacy.perturbations, best)
-        if adequacy.faults is None and _ln(fault) > max(best.ln_evidence, _ln(perturbation) + RULES.credible):
-            perturbation = fault
-        accused = suspects_table(base.fit, h, found.alpha)
-        datum = wrong_datum(fits, base, accused, best)
-        return replace(
-            found, perturbation=perturbation, fault=fault, faults=faults, datum=datum, suspects=accused
-        )  # fmt: skip
-
-    def blamed(self, found: Explanation, lead: _Lead | None, needed: float = math.inf) -> Explanation | None:
-        """Explanation by a fault of the measurement; None when none may be named.
-
-        The same is asked of a fault as of an effect: evidence that outweighs the number of faults, no better local
-        perturbation or wrong datum, plausible parameters, no misfit left. It must beat every effect that could be named
-        by 20:1, after the number of faults and of effects is taken off.
-        """
-        fault, h = found.fault, self.fits.hypotheses
-        if fault is None or fault.implausible or not h.faults:
-            return None
-        own = math.log(len(h.faults))
-        margin = RULES.credible if lead is not None and self.accepted(lead, needed) else 0.0
-        limits = [
-            found.base.ln_evidence + own + RULES.credible,
-            _ln(found.perturbation) - math.log(max(len(h.perturbations), 1)) + own,
-            _ln(found.datum) - RULES.credible,
-            -math.inf if lead is None else lead.best.ln_evidence - math.log(len(found.groups)) + own + margin,
-        ]
-        if fault.ln_evidence <= max(limits):
-            return None
-        with self.fits.allowance.uncharged():
-            adequacy = adequacy_of(
-                self.fits, fault, beside(self.fits, fault, [e for g in found.groups for e in g.effects])
-            )
-        if not adequate(self.fits, adequacy):
-            return None
-        return replace(
-            found, verdict="measurement", candidate_fits=() if lead is None else tuple(lead.singles), datum=None,
-            fault_adequacy=adequacy, evaluations=h.evaluations,
-            measured_scale=measured_scale(self.fits, found.base, fault),
-        )  # fmt: skip
+    def blamed(self, found: Explanation, lead: _Lead, needed: float) -> Explanation | None:
+        """Explanation by a fault of the measurement; it must beat an effect that could be named by 20:1."""
+        margin = RULES.credible if self.accepted(lead, needed) else 0.0
+        return blamed(self.fits, found, lead.singles, lead.best, margin)
 
     def moved(self, lead: _Lead, able: Sequence[Candidate], base: CandidateFit) -> _Lead:
         """The lead after the integer parameters are chosen again with the best effect in the model."""
@@ -281,10 +241,13 @@ class _Decision:
 
     def unlisted(self, found: Explanation) -> Explanation:
         """Explanation without a library: the local perturbation that fits best, or where the fit is worst."""
-        found = self.with_competing(found, found.base)
-        blamed = self.blamed(found, None)
-        if blamed is not None:
-            return blamed
+        found = with_competing(self.fits, found, found.base)
+        if self.fits.settings.budget > 0 and led_astray(found.base, found.base_adequacy):
+            with self.fits.allowance.uncharged():
+                found = with_faults(found, restarted_faults(self.fits, found.base, found.faults))
+        told = blamed(self.fits, found, (), None, 0.0) or fault_first(self.fits, found, ())
+        if told is not None:
+            return told
         verdict = "none_explains" if found.base_adequacy.p_family <= found.alpha else "misfit_unlocated"
         factor, evaluations = (
             measured_scale(self.fits, found.base, found.perturbation),
@@ -321,8 +284,10 @@ class _Decision:
         )
         near = lead.best.ln_evidence - RULES.credible
         choice = math.log(max(len(self.fits.hypotheses.faults) / len(found.groups), 1.0))
-        fault = found.fault if _ln(found.fault) - choice > near else None
-        datum = found.datum if fault is None and _ln(found.datum) > near else None
+        fault = found.fault if ln_of(found.fault) - choice > near else None
+        if fault is None and (alike := mistakable(found, lead.best)) is not None:
+            fault, found = alike, replace(found, fault_adequacy=tests_of(self.fits, found, alike))
+        datum = found.datum if fault is None and ln_of(found.datum) > near else None
         only = len(credible) == 1 and fault is None and datum is None
         verdict = "effect" if only else "indistinguishable"
         return self.done(found, lead.singles, verdict, lead.best, lead.adequacy, credible, fault, datum)
@@ -350,11 +315,11 @@ class _Decision:
         """
         number = len(self.fits.hypotheses.perturbations) / len(found.groups)
         fault = None if self.fits.hypotheses.faults else found.fault  # else `blamed` weighs it
-        return max(_ln(found.perturbation), _ln(fault)) - math.log(max(number, 1.0))
+        return max(ln_of(found.perturbation), ln_of(fault)) - math.log(max(number, 1.0))
 
     def unlike_effects(self, found: Explanation) -> float:
         """Log evidence above which several effects may be named: of anything else that explains the data alone."""
-        return max(self.competitor(found), max(_ln(found.fault), _ln(found.datum)) + RULES.credible)
+        return max(self.competitor(found), max(ln_of(found.fault), ln_of(found.datum)) + RULES.credible)
 
     def needed(self, found: Explanation) -> float:
         """Log evidence above which one effect may be named."""
@@ -392,8 +357,3 @@ class _Decision:
 def _first(lead: _Lead, pair: CandidateFit) -> list[CandidateFit]:
     """The best fit with one effect of a pair; nothing for a single effect."""
     return [t for t in lead.singles if t.names[0] in pair.names][:1] if len(pair.names) > 1 else []
-
-
-def _ln(one: CandidateFit | WrongDatum | None) -> float:
-    """Log evidence; minus infinity for None."""
-    return -math.inf if one is None else one.ln_evidence

@@ -43,7 +43,8 @@ class Explanation:
     perturbation : CandidateFit or None
         The best unnamed local perturbation.
     place : CandidateFit or None
-        The same where it may be told as a place to look at; see `calib.missing.place.told_place`.
+        The same where it may be told as a place to look at; see `calib.missing.place.told_place`. Of the verdict
+        ``measurement`` the one that cannot be told from the fault.
     chosen : CandidateFit or None
         The explanation by one effect or two; the best attempt when none explains.
     chosen_adequacy : AdequacyTests or None
@@ -68,7 +69,7 @@ class Explanation:
     faults : tuple of CandidateFit
         Fitted faults of the measurement, best first.
     fault_adequacy : AdequacyTests or None
-        Tests of the fault of the verdict ``measurement``.
+        Tests of the fault of the verdict ``measurement``, or of one that cannot be told from an effect.
     steps : StepwiseSearch or None
         The stepwise search for several effects; None where one was enough or where none had strong evidence.
     """
@@ -141,7 +142,13 @@ class Explanation:
         if self.verdict != "measurement" or self.fault is None:
             return ()
         near = self.fault.ln_evidence - RULES.credible
-        return tuple(t for t in self.faults if t.ln_evidence > near and not t.implausible)
+        return tuple(t for t in self.faults if t.ln_evidence > near and (t is self.fault or not t.implausible))
+
+    @property
+    def remains(self) -> bool:
+        """Whether something is left besides the fault of the measurement that the verdict tells."""
+        tests = self.fault_adequacy
+        return tests is not None and not (tests.adequate(self.alpha) and tests.can_tell)
 
     def unconfirmed(self) -> Explanation:
         """The same with nothing named: what fits is the best attempt."""

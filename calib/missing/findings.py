@@ -44,7 +44,7 @@ from calib.missing.tables import (
     perturbations_table,
     pull_table,
 )
-from calib.missing.verdict import verdict_of
+from calib.missing.verdict import NO_DOUBTS, Doubts, verdict_of
 from calib.missing.verdict_words import elsewhere, limits_sentence
 from calib.problem.joint import TEST
 from calib.results.answer import Answer
@@ -108,6 +108,7 @@ def findings(
     supposed: Sequence[str] = (),
     correctable: Callable[[str], bool] = lambda name: False,
     progress: Progress = silent,
+    doubts: Doubts = NO_DOUBTS,
 ) -> ExplanationResult:
     """Everything that a decision tells, tested on held-out data.
 
@@ -124,6 +125,8 @@ def findings(
         Whether a fault of that name can be taken out of the data on reading.
     progress : callable
         Called with a description of each step.
+    doubts : Doubts
+        What looks wrong in the measurement before any fit.
     """
     progress("intervals and leave-one-out errors")
     intervals = _intervals(decision)
@@ -151,7 +154,15 @@ def findings(
     acting = _acting(found, of_test)
     remainder = remainder_of(found, places, acting, labels["mode"].tolist())
     verdict = verdict_of(
-        found, effects, errors, advised, facts.disagreements, facts.assumed, supposed, elsewhere(found, places, acting)
+        found,
+        effects,
+        errors,
+        advised,
+        facts.disagreements,
+        facts.assumed,
+        supposed,
+        elsewhere(found, places, acting),
+        doubts,
     )
     at_limits = limits_sentence(found)
     added = (
@@ -257,7 +268,9 @@ def _confirmed(adapter: Adapter, found: Explanation) -> tuple[Explanation, pd.Da
     errors = errors[_ERRORS]
     against = found.names_something and bool(contradicting(errors, last))
     if against and found.verdict == "indistinguishable":
-        competing = {t.names[0]: t for t in found.singles if t.names[0] in found.credible and t is not found.chosen}
+        alternatives = [*found.singles, *([] if found.fault is None else [found.fault])]
+        credible = (*found.credible, *(() if found.fault is None else found.fault.names))
+        competing = {t.names[0]: t for t in alternatives if t.names[0] in credible and t is not found.chosen}
         others = adapter.errors(competing, found.noise_scale)[0] if competing else errors
         against = all(contradicting(others, name) for name in competing)
     if against:

@@ -261,10 +261,10 @@ class Refits:
         )  # fmt: skip
         perturbation = None
         if part is not None and first > 0:
-            perturbation = self._local(found.owners[part], base, found, best)
+            perturbation = self.local(found.owners[part], base, found, best)
         clearly = second > first + RULES.credible and not (perturbation is not None and self.spent())
         if other is not None and (clearly or (perturbation is None and second > 0)):
-            competitor = self._local(found.owners[other], base, found, best)
+            competitor = self.local(found.owners[other], base, found, best)
             if competitor is not None and (
                 perturbation is None or competitor.ln_evidence > perturbation.ln_evidence + RULES.credible
             ):
@@ -283,7 +283,7 @@ class Refits:
             return None
         if reached - usable.max() ** 2 / 2 > near_to(reached):
             return None
-        return self._local(found.owners[int(np.argmax(usable))], base, found, best)
+        return self.local(found.owners[int(np.argmax(usable))], base, found, best)
 
     def faults(self, base: CandidateFit, found: Scores, best: CandidateFit) -> tuple[CandidateFit, ...]:
         """Fits of the faults of the measurement with the largest scores, best first.
@@ -300,11 +300,11 @@ class Refits:
                 if predicted <= 0 or reached - predicted > near_to(reached) or largest - predicted > RULES.close:
                     break
                 self.announce(f"fitting {self.by_name[found.owners[k]].title}")
-                fit = self._local(found.owners[k], base, found, best)
+                fit = self.local(found.owners[k], base, found, best)
                 out += [] if fit is None else [fit]
         return tuple(sorted(out, key=lambda t: -t.ln_evidence))
 
-    def _local(self, name: str, base: CandidateFit, found: Scores, best: CandidateFit) -> CandidateFit | None:
+    def local(self, name: str, base: CandidateFit, found: Scores, best: CandidateFit) -> CandidateFit | None:
         """Fit of one local perturbation, refined where it comes near the best effect."""
         first = self.starts(base.fit, found, name)[0]
         perturbation = self.best_of((*base.names, name), [first], base)

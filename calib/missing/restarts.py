@@ -63,6 +63,33 @@ def restarted(
     return sorted(best.values(), key=lambda t: (-t.ln_evidence, t.names))
 
 
+def restarted_faults(fits: Refits, base: CandidateFit, faults: Sequence[CandidateFit]) -> tuple[CandidateFit, ...]:
+    """Fit faults of the measurement from the nominal values too, as effects are; best first.
+
+    A gross fault drags the base fit with it: a channel of the wrong sign is then fitted among parameters that have
+    gone along with it, and looks implausible. Those fitted before and those with the largest scores at the nominal
+    values are tried; a fit replaces an earlier one only if its sum of squares is smaller.
+    """
+    h, best = fits.hypotheses, {t.names[0]: t for t in faults}
+    if not h.faults:
+        return tuple(faults)
+    fits.announce("fitting faults of the measurement from the nominal values too")
+    fit_problem = fits.fit_problem(())
+    try:
+        nominal = linearised(fit_problem, (), fit_problem.space.values)
+        found = fits.scores(nominal, h.faults)
+    except EvaluationError:
+        return tuple(faults)
+    order = np.argsort(-found.magnitude, kind="stable")[: RULES.blamed]
+    for name in dict.fromkeys((*best, *(found.owners[k] for k in order))):
+        refit = fits.best_of((name,), fits.starts(nominal, found, name), base)
+        if refit is not None and (name not in best or refit.fit.misfit < best[name].fit.misfit):
+            best[name] = refit
+    ranked = fits.settled(tuple(best.values()), RULES.credible)
+    # Integers that the base fit chose with the fault in its data may be others without it.
+    return tuple([fits.moved(ranked[0]) or ranked[0], *ranked[1:]]) if ranked else ()
+
+
 def _starts(fits: Refits, effects: Sequence[Candidate]) -> list[_Start]:
     """Predicted sum of squares, effect and start of the most promising effects at the nominal values; best first."""
     fit_problem = fits.fit_problem(())

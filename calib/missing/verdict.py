@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import pandas as pd
 
@@ -18,6 +19,7 @@ from calib.missing.steps_table import competing_sentence, steps_sentence
 from calib.missing.suspect import suspect_in_short, suspect_sentence
 from calib.missing.tables import UNTESTED
 from calib.missing.verdict_words import (
+    CANNOT_TELL,
     VerdictWords,
     as_it_is,
     collinear,
@@ -49,6 +51,23 @@ GROUPS = {"left_out": "data left out in turn", **UNSEEN}
 _OUTSIDE = "An effect outside the library cannot be excluded."
 
 
+class Doubts(NamedTuple):
+    """What looks wrong in the measurement itself, seen without a fit; `calib compare` tells the same.
+
+    Attributes
+    ----------
+    sentences : tuple of str
+    checks : tuple of str
+        What to check, such as ``sensor 12y``.
+    """
+
+    sentences: tuple[str, ...] = ()
+    checks: tuple[str, ...] = ()
+
+
+NO_DOUBTS = Doubts()
+
+
 @dataclass(frozen=True)
 class Verdict:
     """An explanation in words.
@@ -74,6 +93,7 @@ def verdict_of(
     assumed: str = "",
     supposed: Sequence[str] = (),
     pointed: str = "",
+    doubts: Doubts = NO_DOUBTS,
 ) -> Verdict:
     """The explanation in words.
 
@@ -94,6 +114,8 @@ def verdict_of(
         What the covariance of the residual has beside the measurement, in sentences.
     pointed : str
         Where the data point to, in words; see `calib.missing.verdict_words.elsewhere`.
+    doubts : Doubts
+        What looks wrong in the measurement itself, before any fit. It comes first, unless the data fit.
     """
     words = {
         "nothing_detectable": _nothing,
@@ -135,7 +157,13 @@ def verdict_of(
     if assumed:
         sure.append(f"These results rest on an assumed standard deviation: {assumed}.")
     sure += supposed
-    answer = Answer(words.found, *(" ".join(filter(None, some)) for some in (sure, (words.then, pointed, short))))
+    if (found.names_something and not found.remains) or found.verdict == "nothing_detectable":
+        doubts = NO_DOUBTS  # with a gross error in them the data would not fit
+    headline = " ".join((*doubts.sentences, words.found))
+    check = f"Check first: {'; '.join(doubts.checks)}." if doubts.checks else ""
+    answer = Answer(
+        headline, *(" ".join(filter(None, some)) for some in (sure, (check, words.then, pointed, short)))
+    )  # fmt: skip
     return Verdict(answer, tuple(filter(None, (answer.found, answer.sure, words.then, pointed, *support))))
 
 
@@ -207,11 +235,13 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> VerdictWord
     explaining.sort(key=lambda one: -one[0])
     ln_bayes = explaining[0][0] - explaining[1][0]
     named = "; or ".join(words for _, words in explaining)
+    collinear_fault = found.fault is not None and found.fault_adequacy is not None
+    alike = "Their signatures are nearly collinear: the odds rest on the exact form of each." if collinear_fault else ""
     # Only a wrong measurement may be far ahead; an effect that far ahead would be named.
-    if ln_bayes > RULES.credible:
+    if ln_bayes > RULES.credible and not collinear_fault:
         first = "A wrong measurement explains the misfit best"
     elif len(explaining) > len(rows):
-        first = "Model or measurement is wrong, and these data cannot tell which"
+        first = CANNOT_TELL
     else:
         first = "The model lacks something, and these data cannot tell which"
     return VerdictWords(
@@ -219,7 +249,7 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> VerdictWord
         f"The odds of the first against the second are {as_ratio(ln_bayes)}. {misfit_in_short(found)} "
         f"{with_in_short(found)}",
         f"{look_for_one_of(alternatives)} {check}".strip(),
-        (misfit_words(found), with_words(found), as_it_is(credible)),
+        (alike, misfit_words(found), with_words(found), as_it_is(credible)),
     )
 
 

@@ -13,7 +13,7 @@ from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.facts import Places
 from calib.missing.goodness import p_words
-from calib.missing.local import WIDE, fault_words, magnitude_words
+from calib.missing.local import WIDE, fault_words, local_perturbation, magnitude_words
 from calib.missing.plausible import limit_of
 from calib.missing.recommendation import as_ratio
 from calib.problem.candidate import Candidate
@@ -24,6 +24,7 @@ _QUESTIONS = ("Whether", "Where", "How", "Which", "What")
 """First words of a text to look for that is a question."""
 _REQUESTS = ("Look", "Check", "Measure")
 """First words of a text to look for that is a request already."""
+CANNOT_TELL = "Model or measurement is wrong, and these data cannot tell which"
 WORST = "the worst kind of data or mode shape"
 """What the p-value of a fit is of, corrected for their number; see `calib.missing.goodness.overall`."""
 
@@ -65,7 +66,9 @@ def with_in_short(found: Explanation, them: str = "it") -> str:
 
 
 def fit_in_short(adequacy: AdequacyTests, alpha: float, them: str = "it") -> str:
-    """The two tests of a fit in which nothing stands out: the largest score, and the worst kind of data."""
+    """The two tests of a fit: the largest score, and the worst kind of data."""
+    if adequacy.p_family <= alpha:
+        return f"With {them} something is left ({p_words(adequacy.p_family)} for the largest score)."
     fits = "but the fit is poor" if adequacy.p_fit <= alpha else "and the data fit"
     return (
         f"With {them} no further effect or place stands out ({p_words(adequacy.p_family)}), {fits} "
@@ -88,6 +91,8 @@ def with_words(found: Explanation, them: str = "it") -> str:
     """How well the data fit with the chosen effects, in words."""
     adequacy = found.chosen_adequacy
     assert adequacy is not None
+    if adequacy.p_family <= found.alpha:
+        return fit_in_short(adequacy, found.alpha, them)
     words = (
         f"With {them} no other effect or local perturbation stands out ({p_words(adequacy.p_family)}) and {WORST} has "
         f"{p_words(adequacy.p_fit)}"
@@ -242,19 +247,29 @@ def on_measurement(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     (e,) = found.fault.effects
     first, *others = [fault_words(t) for t in found.blamed] or [fault_words(found.fault)]
     also = f" As well explained by: {'; '.join(others)}." if others else ""
+    check, left = lowered(with_full_stop(e.look_for)), "Something may be left besides." if found.remains else ""
+    if found.place is not None:
+        told = f"{CANNOT_TELL}: {first}; or {local_perturbation(found.place).in_words}: {check}{also}"
+    elif found.remains:
+        told = f"The measurement first: {first}: {check}{also}"
+    else:
+        told = f"The measurement is what does not fit: {first}: {check}{also}"
     best = found.singles[0] if found.singles else None
     against = f" The best effect, {best.names[0]}, is {_behind(found, best)}." if best is not None else ""
     after = found.fault_adequacy
+    again = " Then explain again." if found.remains else ""
     return VerdictWords(
-        f"The measurement is what does not fit: {first}: {lowered(with_full_stop(e.look_for))}{also}",
+        f"{told} {left}".strip(),
         f"Its log Bayes factor is {found.ln_bayes(found.fault):.1f} against the model without any fault or effect, "
         f"chosen among {counted_faults(found)}.{against} {misfit_in_short(found)} "
         f"{fit_in_short(after, found.alpha)}",
-        "Correct the measurement, or take it out, before the model is changed; nothing is added to the model.",
+        f"Correct the measurement, or take it out, before the model is changed; nothing is added to the model.{again}",
         (
             misfit_words(found),
-            f"With it no effect or place stands out ({p_words(after.p_family)}), and {WORST} has "
-            f"{p_words(after.p_fit)}.",
+            ""
+            if found.remains
+            else f"With it no effect or place stands out ({p_words(after.p_family)}), and {WORST} "
+            f"has {p_words(after.p_fit)}.",
             f"It takes for granted: {with_full_stop(e.lacks)}",
         ),
     )
