@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from scipy.special import chdtr
 
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.goodness import by_sensor, common_scale, goodness, overall
@@ -14,6 +15,7 @@ from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, family_p
 from calib.problem.candidate import Candidate
+from calib.problem.problem import Labelled
 
 
 def beside(fits: Refits, candidate_fit: CandidateFit, candidates: Sequence[Candidate]) -> Scores:
@@ -39,7 +41,19 @@ def adequacy_of(fits: Refits, candidate_fit: CandidateFit, named: Scores) -> Ade
         sensors=by_sensor(candidate_fit.fit, hypotheses),
         faults=faults,
         p_faults=1.0 if faults is None else family_p(faults, hypotheses, seed),
+        overstated=overstated(kinds, hypotheses),
     )
+
+
+def overstated(kinds: pd.DataFrame, labelled: Labelled) -> bool:
+    """Whether data without modes fit better than independent errors of their standard deviations would.
+
+    ``kinds`` is from `calib.missing.goodness.goodness`; its sum of squares is a chi-square variate if the errors are
+    independent and as large as stated.
+    """
+    if any(row.mode for row in labelled.rows):
+        return False
+    return float(chdtr(max(float(kinds["dof"].sum()), 1.0), float(kinds["chi2"].sum()))) < RULES.overstated
 
 
 def adequate(fits: Refits, adequacy: AdequacyTests) -> bool:

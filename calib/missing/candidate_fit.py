@@ -34,6 +34,9 @@ class AdequacyTests:
         Of the faults of the measurement; None where the test has none.
     p_faults : float
         Family-wise p-value of their largest score.
+    overstated : bool
+        Whether the standard deviations are larger than independent errors of data without modes would allow. An
+        accuracy that neighbouring lines share makes them so; scores then prove nothing: the goodness of fit decides.
     """
 
     named: Scores
@@ -46,6 +49,7 @@ class AdequacyTests:
     sensors: pd.DataFrame = field(default_factory=pd.DataFrame)
     faults: Scores | None = None
     p_faults: float = 1.0
+    overstated: bool = False
 
     @property
     def p_family(self) -> float:
@@ -65,14 +69,14 @@ class AdequacyTests:
 
     def passes(self, alpha: float) -> bool:
         """Whether nothing seems missing."""
-        return self.p_family > alpha and self.p_fit > alpha
+        return (self.overstated or self.p_family > alpha) and self.p_fit > alpha
 
     def adequate(self, alpha: float) -> bool:
         """Whether no systematic misfit is left after an effect has been added.
 
         Goodness of fit is an unspecific test: it must be far off to reject an effect that explains the data.
         """
-        return self.p_family > alpha and self.p_fit > alpha / 10
+        return (self.overstated or self.p_family > alpha) and self.p_fit > alpha / 10
 
 
 @dataclass(frozen=True, eq=False)

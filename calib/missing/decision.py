@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import Progress, silent
 from calib.missing.adequacy import adequacy_of, adequate, beside, measured_scale, predicted_scale, predicts
+from calib.missing.base_fit import calibrated, from_further_points, nested
 from calib.missing.blame import blamed, fault_first, ln_of, mistakable, tests_of, with_competing, with_faults
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group, grouped
 from calib.missing.effect_pairs import fit_pairs, no_worse, singles_from_pairs
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Hypotheses
-from calib.missing.linearised_fit import nearest_whole
 from calib.missing.place import takes_enough, told_place
 from calib.missing.refits import Refits, near_to
 from calib.missing.restarts import led_astray, restarted, restarted_faults
@@ -54,7 +54,7 @@ def decide(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Progr
     else:
         require_responses(responses, len(hypotheses.fit_problem(()).space.free))
     fits = Refits(hypotheses, settings, 1.0, progress)
-    found = _Decision(fits).explanation({})
+    found = _Decision(fits).explanation({}, settings.begin)
     if found.measured_scale > RULES.guard and found.verdict != "nothing_detectable":
         progress(
             f"the standard deviation seems understated by a factor of {found.measured_scale:.2f}: repeating with it"
@@ -80,10 +80,25 @@ class _Decision:
 
     fits: Refits
 
-    def explanation(self, starts: dict[tuple[str, ...], dict[str, float]]) -> Explanation:
-        """Decide; ``starts`` are the parameter values fitted by an earlier decision, by the names of their effects."""
+    def explanation(
+        self,
+        starts: dict[tuple[str, ...], dict[str, float]],
+        begin: Mapping[str, float] | None = None,
+        rebased: int = 0,
+    ) -> Explanation:
+        """Decide.
+
+        Parameters
+        ----------
+        starts : dict
+            Parameter values fitted by an earlier decision, by the names of their effects.
+        begin : mapping, optional
+            Values from which the base fit begins: of a stored calibration, or of a better base fit.
+        rebased : int
+            How often a better base fit has made the decision begin again.
+        """
         fits, hypotheses, alpha = self.fits, self.fits.hypotheses, self.fits.settings.alpha
-        base = fits.finished(self.calibrated(starts.get(())))
+        base = fits.finished(calibrated(fits, starts.get(()) or begin))
         able, named = self.candidates(base)
         adequacy = adequacy_of(fits, base, named)
         better = base if starts or adequacy.passes(alpha) else fits.finished(fits.beside_whole(base))
@@ -115,9 +130,16 @@ class _Decision:
             lead = self.lead(singles, able, base)
             factor = measured_scale(fits, base, lead.best, found.perturbation, found.fault)
             found = replace(found, begun_anew=True, measured_scale=factor)
+            settled = self.accepted(lead, needed) and not factor > RULES.guard
             told = self.blamed(found, lead, needed)
+        if not starts and rebased < RULES.rebasings and fits.settings.budget > 0:
+            better, tried = self.better_base(found, lead, settled or told is not None, adequacy)
+            found = replace(found, base_starts=tried)
+            if better is not base:
+                again = self.explanation({}, better.fit.values, rebased + 1)
+                return replace(again, base_starts=again.base_starts + max(tried, 1))
         if told is not None:
-            return told
+            return replace(told, base_starts=found.base_starts)
         doubted = found.measured_scale > RULES.guard and not starts
         if doubted and predicted_scale(fits, lead.best, lead.adequacy.named) > RULES.guard:
             found = self.stepwise(found, lead, (), able)
@@ -153,19 +175,17 @@ class _Decision:
 
     # -- steps ---------------------------------------------------------------------------------------------------------
 
-    def calibrated(self, start: dict[str, float] | None) -> CandidateFit:
-        """The base model, fitted from a start, or else from the nominal values and from a linear solution, if any.
-
-        The better fit counts; without a start the most promising integers are tried.
-        """
-        fits = self.fits
-        fits.announce("calibrating the base model")
-        fit_problem = fits.fit_problem(())
-        begin = start or nearest_whole(fit_problem, fit_problem.space.values)
-        linear = None if start else fits.hypotheses.linear_start((), begin)
-        starts = [begin] if linear is None else [linear, begin]
-        whole = 0 if fits.spent(RULES.early) else 1
-        return min((fits.candidate_fit((), one, whole) for one in starts), key=lambda found: found.fit.misfit)
+    def better_base(
+        self, found: Explanation, lead: _Lead, settled: bool, adequacy: AdequacyTests
+    ) -> tuple[CandidateFit, int]:
+        """A better base fit, or the same one, and how many further points were tried; see `calib.missing.base_fit`."""
+        fits, base = self.fits, found.base
+        better = base
+        for larger in dict.fromkeys((lead.best, found.fault)):
+            better = better if better is not base else nested(fits, base, larger)
+        if better is not base or settled or not led_astray(base, adequacy):
+            return better, 0
+        return from_further_points(fits, base)
 
     def candidates(self, base: CandidateFit) -> tuple[list[Candidate], Scores]:
         """The effects with which the model can be solved, sorted by name, and their scores.

@@ -70,6 +70,8 @@ class Explanation:
         Fitted faults of the measurement, best first.
     fault_adequacy : AdequacyTests or None
         Tests of the fault of the verdict ``measurement``, or of one that cannot be told from an effect.
+    base_starts : int
+        Further points from which the base model was fitted, because it was rejected or pulled.
     steps : StepwiseSearch or None
         The stepwise search for several effects; None where one was enough or where none had strong evidence.
     """
@@ -95,6 +97,7 @@ class Explanation:
     fault_adequacy: AdequacyTests | None = None
     steps: StepwiseSearch | None = None
     place: CandidateFit | None = None
+    base_starts: int = 0
 
     def ln_bayes(self, candidate_fit: CandidateFit | WrongDatum) -> float:
         """Log Bayes factor of a candidate fit, or of a wrong datum, against the base model."""

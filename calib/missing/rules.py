@@ -36,6 +36,8 @@ class DecisionRules:
         p-value of the prediction of held-out data below which they contradict the model.
     pull : float
         Family-wise level at which a parameter counts as pulled.
+    near_limit : float
+        Family-wise p-value up to which a model that is not rejected nearly was.
     nuisance : float
         Largest distance of a nuisance parameter from its nominal value, in prior standard deviations.
     same : float
@@ -62,6 +64,15 @@ class DecisionRules:
         Times the budget that continued fits and steps of integers may spend beyond it.
     anew : float
         Part of the budget that is added for refits from the nominal values.
+    rebased : float
+        Least decrease of the base model's sum of squares with which a decision begins again from a better base fit.
+    rebasings : int
+        How often it may.
+    base_starts : int
+        Further points from which a base model that is rejected or pulled is fitted, where nothing explains that.
+    overstated : float
+        Probability that independent errors of the stated standard deviations leave so small a sum of squares, below
+        which scores of data without modes prove nothing.
     rejected : float
         Score of an effect from which the base model is strongly rejected.
     rejected_fit : float
@@ -147,6 +158,7 @@ class DecisionRules:
     followed: float = 0.02
     contradicted: float = 1e-3
     pull: float = 0.01
+    near_limit: float = 0.1
     nuisance: float = 2.0
     same: float = 0.98
     far: float = 30.0
@@ -160,6 +172,10 @@ class DecisionRules:
     walk: int = 6
     beyond: float = 5.0
     anew: float = 0.5
+    rebased: float = 1.0
+    rebasings: int = 2
+    base_starts: int = 6
+    overstated: float = 1e-3
     rejected: float = 10.0
     rejected_fit: float = 1e-6
     magnitudes: tuple[float, ...] = (1 / 3, 1.0, 3.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -27,6 +27,8 @@ class Settings:
         Of the samples behind family-wise p-values.
     budget : float
         Model evaluations of one decision, after which no further effect or pair of effects is tried.
+    begin : mapping from str to float, optional
+        Values from which the base fit begins, such as those of a stored calibration; by default the nominal ones.
     """
 
     alpha: float = 0.01
@@ -34,6 +36,7 @@ class Settings:
     merge: float = 0.98
     seed: int = 1
     budget: float = 115.0
+    begin: Mapping[str, float] | None = None
 
 
 DEFAULT = Settings()

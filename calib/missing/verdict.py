@@ -20,6 +20,7 @@ from calib.missing.suspect import suspect_in_short, suspect_sentence
 from calib.missing.tables import UNTESTED
 from calib.missing.verdict_words import (
     CANNOT_TELL,
+    WORST,
     VerdictWords,
     as_it_is,
     collinear,
@@ -31,6 +32,7 @@ from calib.missing.verdict_words import (
     look_for_one_of,
     misfit_in_short,
     misfit_words,
+    near_limit,
     on_measurement,
     row_of,
     with_in_short,
@@ -145,6 +147,9 @@ def verdict_of(
     if recommendation is not None and found.verdict not in ("noise_underestimated", "misfit_unlocated"):
         support.append(recommendation.sentence)
         short = recommendation.short
+    if found.base_starts:
+        points = "a further point" if found.base_starts == 1 else f"{found.base_starts} further points"
+        support.append(f"The base model, rejected or pulled at first, was fitted from {points} too.")
     if found.verdict in UNEXPLAINED and not found.begun_anew:
         support.append(
             "All fits started from the base fit, in which no parameter is pulled; each may be a local minimum."
@@ -179,12 +184,27 @@ def _nothing(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
             "Measure more modes or mode shapes, or hold parameters that are known, and ask again.",
         )
     sure = f"The data are as expected of a complete model: {family_in_short(found)}."
+    if found.base_adequacy.overstated and found.base_adequacy.p_family <= found.alpha:
+        kinds = found.base_adequacy.kinds
+        sure = (
+            f"The sum of squares is {kinds['chi2'].sum():.0f} for {kinds['dof'].sum():.0f} degrees of freedom, less "
+            "than independent errors of the stated standard deviation leave: that is an accuracy which neighbouring "
+            f"values share, and their scores prove nothing ({p_words(found.base_adequacy.p_fit)} for {WORST})."
+        )
     tested = (f"Tested: {family(found)}.",)
     if found.groups and not effects["visible"].astype(bool).any():
         blind = "The base model fits, but these data cannot show any effect of the library at a plausible magnitude."
         return VerdictWords(blind, sure, "Measure more before you conclude that nothing is missing.", tested)
-    fits = "The model fits: no missing effect is detectable in these data."
-    return VerdictWords(fits, sure, "Nothing calls for a change of the model.", tested)
+    fits, then = "The model fits: no missing effect is detectable in these data.", ["Nothing calls for a change of it."]
+    near = near_limit(found, effects)
+    if near:
+        fits, then = (
+            "The model fits, but only just: no missing effect is detectable in these data.",
+            ["Nothing calls for a change of the model yet; more repeats would settle it."],
+        )
+    if found.base.implausible:
+        then.append(f"Check what these parameters stand for: {found.base.implausible}.")
+    return VerdictWords(fits, sure, " ".join(then), (*tested, *near))
 
 
 def _noise(found: Explanation, effects: pd.DataFrame) -> VerdictWords:

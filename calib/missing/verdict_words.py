@@ -13,9 +13,11 @@ from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.facts import Places
 from calib.missing.goodness import p_words
-from calib.missing.local import WIDE, fault_words, local_perturbation, magnitude_words
+from calib.missing.local import WIDE, fault_words, local_perturbation, magnitude_words, unit_words
 from calib.missing.plausible import limit_of
-from calib.missing.recommendation import as_ratio
+from calib.missing.recommendation import as_ratio, rounded
+from calib.missing.rules import RULES
+from calib.missing.score import noise_limit
 from calib.problem.candidate import Candidate
 from calib.problem.effect import Effect
 from calib.results.answer import names_in_words
@@ -40,6 +42,35 @@ class VerdictWords:
     sure: str
     then: str = ""
     support: tuple[str, ...] = ()
+
+
+def near_limit(found: Explanation, effects: pd.DataFrame) -> tuple[str, ...]:
+    """What a test that was nearly failed says and does not say; empty where it was not near.
+
+    The largest score with the limit that so many candidates have, how much of it is due to the faults of the
+    measurement, and from which magnitude on each effect would have been seen.
+    """
+    tests = found.base_adequacy
+    if not found.alpha < tests.p_family <= RULES.near_limit:
+        return ()
+    families = [tests.named, tests.perturbations, *([] if tests.faults is None else [tests.faults])]
+    scores = [np.where(family.size > 0, family.magnitude, np.nan) for family in families]
+    owners = [name for family in families for name in family.owners]
+    every = np.concatenate(scores)
+    if not np.isfinite(every).any():
+        return ()
+    largest, without = int(np.nanargmax(every)), noise_limit(np.concatenate(scores[:2]))
+    words = (
+        f"The largest score is {every[largest]:.1f} ({owners[largest]}); noise alone gives one of {len(owners)} "
+        f"candidates more than {noise_limit(every):.1f} in {100 * RULES.noise_level:.0f} % of all cases"
+    )
+    if tests.faults is not None:
+        words += f", and {without:.1f} without the {counted_faults(found)} among them"
+    seen = effects[effects["visible"].astype(bool) & effects["magnitude_min"].notna()]
+    least = ", ".join(f"{r['name']} from {rounded(float(r['magnitude_min']))}{unit_words(str(r['unit']))}"
+                      for r in seen.to_dict("records"))  # fmt: skip
+    visible = f"Would have been seen with a chance of 90 %: {least}; what is smaller would not." if least else ""
+    return (f"{words}.", visible)
 
 
 def misfit_words(found: Explanation) -> str:
@@ -67,8 +98,10 @@ def with_in_short(found: Explanation, them: str = "it") -> str:
 
 def fit_in_short(adequacy: AdequacyTests, alpha: float, them: str = "it") -> str:
     """The two tests of a fit: the largest score, and the worst kind of data."""
-    if adequacy.p_family <= alpha:
+    if adequacy.p_family <= alpha and not adequacy.overstated:
         return f"With {them} something is left ({p_words(adequacy.p_family)} for the largest score)."
+    if adequacy.p_family <= alpha:
+        return f"With {them} the data fit better than independent errors of their standard deviations would."
     fits = "but the fit is poor" if adequacy.p_fit <= alpha else "and the data fit"
     return (
         f"With {them} no further effect or place stands out ({p_words(adequacy.p_family)}), {fits} "

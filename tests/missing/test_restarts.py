@@ -61,6 +61,7 @@ def test_a_large_effect_behind_a_ridge_is_named_and_measured(toy, size, radius, 
     assert found.chosen.fit.values["E0"] == pytest.approx(1.0, abs=0.1)
     # Started from the base fit alone, the fit stays in the wrong valley.
     monkeypatch.setattr(decision, "led_astray", lambda base, adequacy: False)
+    monkeypatch.setattr(decision, "nested", lambda fits, base, larger: base)
     lost = decide(replace(one, count=[0]))
     assert lost.chosen.fit.misfit * lost.noise_scale**2 > from_truth.misfit + 9 and not lost.begun_anew
 

@@ -1,0 +1,75 @@
+"""Fit of the model as it is, on which every comparison rests: from known points, nested ones and further ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from calib.errors.errors import EvaluationError
+from calib.inference.starts import Optima
+from calib.missing.candidate_fit import CandidateFit
+from calib.missing.linearised_fit import LinearisedFit, nearest_whole
+from calib.missing.refits import Refits
+from calib.missing.rules import RULES
+from calib.problem.sampling import sample
+
+
+def calibrated(fits: Refits, start: Mapping[str, float] | None) -> CandidateFit:
+    """The base model, fitted from a start, or else from the nominal values and from a linear solution, if any.
+
+    The better fit counts; without a start the most promising integers are tried.
+    """
+    fits.announce("calibrating the base model")
+    fit_problem = fits.fit_problem(())
+    begin = dict(start) if start else nearest_whole(fit_problem, fit_problem.space.values)
+    linear = None if start else fits.hypotheses.linear_start((), begin)
+    starts = [begin] if linear is None else [linear, begin]
+    whole = 0 if fits.spent(RULES.early) else 1
+    return min((fits.candidate_fit((), one, whole) for one in starts), key=lambda found: found.fit.misfit)
+
+
+def nested(fits: Refits, base: CandidateFit, larger: CandidateFit | None) -> CandidateFit:
+    """The base model refitted from a model with an effect or a fault, of which it is the case of magnitude 0.
+
+    An effect that explains a misfit begins a fit elsewhere. Where the base fit was trapped, the effect gets the credit
+    for what other parameters explain; from its values the base model then reaches them too. The base fit itself where
+    that is no better, or where the larger model gained too little to be in another place (`DecisionRules.far`).
+    """
+    if larger is None or larger.ln_evidence - base.ln_evidence < RULES.far:
+        return base
+    own = {name for effect in larger.effects for name in effect.names}
+    fits.announce("calibrating the base model from the fit with the best explanation")
+    with fits.allowance.uncharged():
+        return _better(fits, base, {name: value for name, value in larger.fit.values.items() if name not in own})
+
+
+def from_further_points(fits: Refits, base: CandidateFit) -> tuple[CandidateFit, int]:
+    """The best of the base fit and of fits from sampled points, and the number of these.
+
+    They end when they agree (`calib.inference.starts.Optima`) on what the base fit had found, with the first better
+    one, or after `DecisionRules.base_starts`. Integer parameters keep the values of the base fit.
+    """
+    fit_problem, ends = fits.fit_problem(()), list[LinearisedFit | None]()
+    space = fit_problem.space
+    whole = {p.name: base.fit.values[p.name] for p in space.free if p.integer}
+    with fits.allowance.uncharged():
+        for point in sample(space, RULES.base_starts, fits.settings.seed).points:
+            fits.announce("calibrating the base model from further points")
+            try:
+                found = fits.finished(fits.candidate_fit((), {**space.complete(point), **whole}))
+            except EvaluationError:
+                ends.append(None)
+                continue
+            ends.append(found.fit)
+            if found.fit.misfit < base.fit.misfit - RULES.rebased:
+                return found, len(ends)
+            if Optima.of([base.fit, *ends]).agree:
+                break
+    return base, len(ends)
+
+
+def _better(fits: Refits, base: CandidateFit, start: dict[str, float]) -> CandidateFit:
+    try:
+        found = fits.finished(fits.candidate_fit((), start))
+    except EvaluationError:
+        return base
+    return found if found.fit.misfit < base.fit.misfit - RULES.rebased else base
