@@ -162,6 +162,7 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
 
 FORMATS = {  # units, codes of files, and what a file may hold
     "analyses/versions.py": "MOST",
+    "correlation/frf/gross_errors.py": "FACTORS G INCH POUND",
     "correlation/units.py": "VALUE_FACTORS",
     "study/limits.py": "UNIT_FACTOR",
     "measurement/corrections.py": "_LEAST_GAIN",

@@ -11,7 +11,6 @@ import pandas as pd
 
 from calib.correlation.frf.comparison import FRFComparison
 from calib.correlation.modal.comparison import BEYOND, Comparison
-from calib.correlation.modal.sensors import SensorFinding
 from calib.hypotheses.rules import RULES
 from calib.inference.verdicts import identified_sentence
 from calib.problem.joint import of_test
@@ -43,25 +42,28 @@ class _Compared(Protocol):
     @property
     def frfs(self) -> FRFComparison | None: ...
     @property
-    def sensor_findings(self) -> Sequence[SensorFinding]: ...
+    def checks(self) -> Sequence[str]: ...
 
 
 def of_comparison(result: _Compared) -> Answer:
     """Answer of a comparison without a fit."""
     found = result.comparison
     if result.frfs is not None:
-        return _of_frfs(result.frfs)
+        return _of_frfs(result.frfs, result.checks)
     if found is None:
         return _of_responses(result)
     agreement, tested = found.summary()
-    doubtful = list(dict.fromkeys(name for finding in result.sensor_findings for name in finding.sensors))
-    if doubtful:
-        then = f"Check first: {'sensor' if len(doubtful) == 1 else 'sensors'} {listed(doubtful)}."
+    if result.checks:
+        then = _check_first(result.checks)
     elif found.far:
         then = f"Check first: the pairing and the units of {listed(found.far)}, far off in frequency."
     else:
         then = _FIT if (found.where_it_fails()["verdict"] == BEYOND).any() else _FINE
     return Answer(agreement, tested, then)
+
+
+def _check_first(checks: Sequence[str]) -> str:
+    return f"Check first: {'; '.join(checks)}."
 
 
 def _of_responses(result: _Compared) -> Answer:
@@ -80,7 +82,7 @@ def _of_responses(result: _Compared) -> Answer:
     return Answer(f"{words}.", tested, _FIT if off else _FINE)
 
 
-def _of_frfs(found: FRFComparison) -> Answer:
+def _of_frfs(found: FRFComparison, checks: Sequence[str]) -> Answer:
     table, lines = found.functions_table(), found.lines_table()
     worst, line = table.iloc[int(table["frac"].argmin())], lines.iloc[int(lines["in_std"].argmax())]
     in_std = float(np.sqrt((table["in_std"] ** 2 * table["lines"]).sum() / table["lines"].sum()))
@@ -92,7 +94,8 @@ def _of_frfs(found: FRFComparison) -> Answer:
         f"The error is {in_std:.3g} standard deviations in root mean square (1 for a right model), "
         f"largest at {line['freq']:.4g} Hz ({line['in_std']:.3g})."
     )
-    return Answer(words, tested, _FIT if in_std > RULES.off else _FINE)
+    then = _check_first(checks) if checks else _FIT if in_std > RULES.off else _FINE
+    return Answer(words, tested, then)
 
 
 def of_sensitivity(table: pd.DataFrame, tested: str) -> Answer:
@@ -159,8 +162,14 @@ def of_fit(
     suspected = statistics.suspects[statistics.suspects["explains"].astype(bool)]["what"].tolist()
     if suspected:
         sure.append(f"Without {suspected[0]} alone it would fit.")
-    return Answer(f"{fits}: {'; '.join(changes)}.", " ".join(filter(None, sure)), _next(statistics, verdicts, suspected,
-                  bool(contradictions), agreement))  # fmt: skip
+    checks = [
+        f"{what} in test {test}" if test else what
+        for test, (before, fitted) in pairs.items()
+        for what in before.checks or fitted.checks
+    ]
+    after = _next(statistics, verdicts, suspected, bool(contradictions), agreement)
+    then = _check_first(checks) if checks else after
+    return Answer(f"{fits}: {'; '.join(changes)}.", " ".join(filter(None, sure)), then)
 
 
 _AGREEMENT = {

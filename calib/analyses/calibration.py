@@ -101,12 +101,17 @@ class Calibration:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Identified parameters, goodness of fit, contradictions, agreement of the cases, and notes."""
+        """Doubts about the measurement, identified parameters, fit, contradictions, agreement of cases, notes."""
         worsened = [_worsened(case) for case in self.cases if case.worsened]
         return (
-            *self.before.std_notes, *self.parameter_sentences, *self.contradictions, *worsened, *self.case_sentences,
-            *self.notes,
+            *self.doubts, *self.before.std_notes, *self.parameter_sentences, *self.contradictions, *worsened,
+            *self.case_sentences, *self.notes,
         )  # fmt: skip
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What looks wrong in the measurement itself, seen before the calibration or else after it."""
+        return self.before.doubts or self.best.answer.doubts
 
     @property
     def parameter_sentences(self) -> tuple[str, ...]:
@@ -167,6 +172,11 @@ class JointCalibration:
         return self.any.tables
 
     @property
+    def doubts(self) -> tuple[str, ...]:
+        """What looks wrong in the measurements themselves, test by test."""
+        return tuple(of_test(test, words) for test, one in self.tests.items() for words in one.doubts)
+
+    @property
     def contradictions(self) -> tuple[str, ...]:
         """Sentences on held-out data that contradict the calibrated models."""
         return tuple(of_test(test, words) for test, one in self.tests.items() for words in one.contradictions)
@@ -185,7 +195,7 @@ class JointCalibration:
     @property
     def sentences(self) -> tuple[str, ...]:
         """Identified parameters, goodness of fit, and the errors of each test before and after."""
-        out = [*self.any.parameter_sentences, *self.any.case_sentences, *self.notes]
+        out = [*self.doubts, *self.any.parameter_sentences, *self.any.case_sentences, *self.notes]
         for test, answer in self.tests.items():
             before, after = answer.before.mean_freq_error, answer.best.answer.mean_freq_error
             out.append(of_test(test, f"mean absolute error {100 * before:.2f} % before, {100 * after:.2f} % after."))

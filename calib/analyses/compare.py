@@ -15,6 +15,7 @@ from calib.analyses.provenance.recorded import traced
 from calib.analyses.provenance.state import GEOMETRY, ORTHOGONALITY
 from calib.analyses.uncertainty import std_notes
 from calib.correlation.frf.comparison import FRFComparison
+from calib.correlation.frf.gross_errors import GrossError, gross_errors
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.mesh_error import geometry_tables
@@ -62,6 +63,10 @@ class ComparisonResult:
         Values that look like other units.
     std_notes : tuple of str
         Caveats on the standard deviations; see `calib.analyses.uncertainty`.
+    gross_errors : tuple of GrossError
+        Of FRFs.
+    unit_hints : tuple of str
+        Those of the hints that concern the units of the measurement.
     """
 
     table: pd.DataFrame
@@ -74,6 +79,20 @@ class ComparisonResult:
     chosen: Mapping[str, int] = field(default_factory=dict)
     hints: tuple[str, ...] = ()
     std_notes: tuple[str, ...] = ()
+    gross_errors: tuple[GrossError, ...] = ()
+    unit_hints: tuple[str, ...] = ()
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What looks wrong in the measurement itself: units, signs and sensors."""
+        return (*self.unit_hints, *(f"Check this sensor: {finding.sentence}" for finding in self.sensor_findings))
+
+    @property
+    def checks(self) -> tuple[str, ...]:
+        """What is to be checked in the measurement before anything else, such as ``sensors 1z, 2z``."""
+        doubtful = list(dict.fromkeys(name for finding in self.sensor_findings for name in finding.sensors))
+        sensors = [f"{'sensor' if len(doubtful) == 1 else 'sensors'} {listed(doubtful)}"] if doubtful else []
+        return (*(error.check for error in self.gross_errors), *sensors)
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -196,13 +215,18 @@ def comparison_of(
     if isinstance(problem, FRFProblem):
         found = FRFResidual(problem).compared(values)
         table = found.functions_table()
-        error, frac = _mean(table["error"]), _mean(table["frac"])
-        return ComparisonResult(table, error, frac, np.nan, None, found, (), {}, tuple(hints), tuple(std_notes))
+        wrong = gross_errors(found.measured, found.model)
+        unit_hints = tuple(error.sentence for error in wrong)
+        return ComparisonResult(
+            table, _mean(table["error"]), _mean(table["frac"]), np.nan, None, found,
+            hints=(*hints, *unit_hints), std_notes=tuple(std_notes), gross_errors=wrong, unit_hints=unit_hints,
+        )  # fmt: skip
     if not isinstance(problem, ModalProblem):
         return _scalar_answer(problem, values, hints, std_notes)
     comparison = problem.compare(values)
     table = comparison.comparison_table()
     sensor_findings = suspicious_sensors(problem, comparison)
+    unit_hints = _frequency_hints(comparison)
     return ComparisonResult(
         table=table,
         mean_freq_error=_mean(table["freq_error"].abs()),
@@ -211,8 +235,9 @@ def comparison_of(
         comparison=comparison,
         sensor_findings=sensor_findings,
         chosen=problem.override,
-        hints=(*hints, *_frequency_hints(comparison), *_place_hints(comparison.measured, sensor_findings)),
+        hints=(*hints, *unit_hints, *_place_hints(comparison.measured, sensor_findings)),
         std_notes=tuple(std_notes),
+        unit_hints=unit_hints,
     )
 
 
@@ -247,10 +272,11 @@ def _scalar_answer(
         rows.append((name, value, responses[name], error, in_std))
     table = pd.DataFrame(rows, columns=["response", "measured", "model", "error", "error_in_std"])
     measured = {name: value for name, (value, _) in problem.targets.items()}
-    every = (*hints, *response_hints(measured, responses))
+    unit_hints = response_hints(measured, responses)
     return ComparisonResult(
-        table, _mean(table["error"].abs()), np.nan, np.nan, None, hints=every, std_notes=tuple(std_notes)
-    )
+        table, _mean(table["error"].abs()), np.nan, np.nan, None, hints=(*hints, *unit_hints),
+        std_notes=tuple(std_notes), unit_hints=unit_hints,
+    )  # fmt: skip
 
 
 def nominal_comparison(study: LoadedStudy) -> ComparisonResult:

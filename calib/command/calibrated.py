@@ -51,16 +51,17 @@ def calibrated_entries(study: StudyFile, result: Fitted) -> list[Entry]:
     """A calibration against one test or several."""
     if isinstance(result, JointCalibration):
         return [
+            *map(Warned, result.doubts),
             *_parameters(result.any),
             _by_test(result.any.best.statistics.by_test),
-            *map(Words, result.sentences),
+            *(Words(sentence) for sentence in result.sentences if sentence not in result.doubts),
             *_retried(result.any),
             *suspects(result.any.best.statistics.suspects),
             Rows.of(ERRORS_TITLE, ("test", "data", *ERRORS), _of_tests(result), left=("data",)),
         ]
     best, held = result.best, study.settings.held_out
     out: list[Entry] = [
-        *map(Warned, best.answer.warnings),
+        *map(Warned, dict.fromkeys((*result.doubts, *best.answer.warnings))),
         *_retried(result),
         *_parameters(result),
         *_changes(result),
@@ -68,7 +69,8 @@ def calibrated_entries(study: StudyFile, result: Fitted) -> list[Entry]:
     if result.errors is not None and (held.modes or held.sensors or held.responses):
         rows = [(WORDS[r["group"]], *errors_row(r)) for r in result.errors.to_dict("records")]
         out.append(Rows.of(ERRORS_TITLE, ("data", *ERRORS), rows))
-    out += [Words(sentence) for sentence in result.sentences if sentence not in result.contradictions]
+    told = {*result.doubts, *best.answer.warnings, *result.contradictions}
+    out += [Words(sentence) for sentence in result.sentences if sentence not in told]
     out += [
         *suspects(best.statistics.suspects),
         *map(Words, held_out(study)),

@@ -47,6 +47,12 @@ class CompareRules:
         Fewest modes matched by shape that show a factor.
     unit_far : float
         Ratio beyond which a value is reported even if no factor explains it.
+    gross_frac : float
+        FRAC of FRFs, with a real factor, from which this factor is told as a gross error.
+    gross_near : float
+        Relative tolerance of such a factor to a known one: a sign, or units.
+    gross_order : float
+        Most that another order of omega may leave of the disagreement without one, for it to be told.
     rigid_left : float
         Largest residual power of a rigid-body shape, per remaining degree of freedom; a random shape leaves about 1.
     rigid_spare : int
@@ -90,6 +96,9 @@ class CompareRules:
     unit_by_order: int = 3
     unit_by_shape: int = 2
     unit_far: float = 100.0
+    gross_frac: float = 0.95
+    gross_near: float = 0.05
+    gross_order: float = 0.25
     rigid_left: float = 0.1
     rigid_spare: int = 3
     corrections_tried: int = 12

@@ -9,8 +9,10 @@ import pytest
 from calib.analyses.answers import NAMED, UNTRIED, listed, of_comparison, of_fit, of_sensitivity, screening_answer
 
 
-def compared(error, mac=np.nan, noise=np.nan):
-    return SimpleNamespace(comparison=None, frfs=None, mean_freq_error=error, mean_mac=mac, noise_mac=noise)
+def compared(error, mac=np.nan, noise=np.nan, checks=()):
+    return SimpleNamespace(
+        comparison=None, frfs=None, mean_freq_error=error, mean_mac=mac, noise_mac=noise, checks=checks
+    )
 
 
 def verdicts(*identified):
@@ -43,6 +45,13 @@ def test_a_fit_is_as_sure_as_its_parameters_and_its_assumptions():
     assert "p = 0.25" in sure and "1 of 2" in sure and "P1" in sure
     assert "shapes 3 %" in sure and UNTRIED in sure and "No." in sure
     assert "None" not in fit().sure and "  " not in fit().sure
+
+
+def test_what_is_wrong_in_the_measurement_is_checked_before_the_model():
+    wrong = {"": (compared(0.05, checks=("the sign of response 2x",)), compared(0.01))}
+    assert "the sign of response 2x" in fit(statistics(False), verdicts(False), wrong, contradictions=("No.",)).then
+    several = {"A": (compared(0.05), compared(0.01)), "B": (compared(0.05), compared(0.01, checks=("sensor 1z",)))}
+    assert "sensor 1z in test B" in fit(pairs=several).then
 
 
 def test_each_doubt_has_its_own_next_step_and_the_gravest_comes_first():

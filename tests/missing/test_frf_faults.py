@@ -214,9 +214,16 @@ def talks_across(model):
     return out
 
 
+def reversed_force(model):
+    out = of_bogie(model).values
+    out[:, :, 1] *= -1.0
+    return out
+
+
 @pytest.mark.parametrize(
     ("plant", "name", "value", "words"),
     [
+        (reversed_force, "gain_force_4x", -200.0, "force at 4x has the wrong sign"),
         (sits_elsewhere, "place_z_3y", 50.0, "sensor 3y sits 5 cm off along +z"),
         (turned_sensor, "rotation_2y_x", 12.0, "sensor 2y is turned by 12 deg towards x"),
         (turned_force, "rotation_force_4x_y", -12.0, "force at 4x is turned by 12 deg away from y"),

@@ -61,7 +61,8 @@ def frf_faults(
     Of every response and reference gain, phase and delay, the misalignment towards every other axis along which the
     model moves there, and the place along each axis in which the mesh runs there. Of every response also the share it
     reads of the channels before and after it among those that are fitted. Gain, phase and delay of the only reference
-    are the same as those of all responses.
+    are the same as those of all responses. The gain of a reference is that of its functions, which has no pole on the
+    way to a swapped sign.
 
     At a drive point the place is that of both: exciter and accelerometer are mounted at one point, so that the fault
     moves the force too. Their axes are turned each for itself.
@@ -133,10 +134,12 @@ def _of_channels(measured: MeasuredFRFs) -> Iterator[FRFFault]:
     for side, sensor in _transducers(measured):
         what = _what(side, sensor)
         for kind, size in sizes.items():
-            error = ChannelError(kind, sensor.name, side, size)
+            error = ChannelError(kind, sensor.name, side, size, of_functions=kind == "gain")
             magnitude = replace(error.parameter, lower=RULES.frf_gain_lower) if kind == "gain" else None
-            lacks = "Every channel reads as it is calibrated."
-            yield _fault(error, kind, what, lacks, partial(words[kind], what), sensor, magnitude)
+            lacks, told = "Every channel reads as it is calibrated.", words[kind]
+            if kind == "gain" and side == "reference":
+                told = _force_gain
+            yield _fault(error, kind, what, lacks, partial(told, what), sensor, magnitude)
 
 
 def _transducers(measured: MeasuredFRFs) -> Iterator[tuple[Side, Sensor]]:
@@ -148,6 +151,12 @@ def _transducers(measured: MeasuredFRFs) -> Iterator[tuple[Side, Sensor]]:
 
 def _gain(what: str, percent: float) -> str:
     return gain_words(what, percent / 100)
+
+
+def _force_gain(what: str, percent: float) -> str:
+    """Of the functions of a force, which they are divided by."""
+    factor = 1 + percent / 100
+    return gain_words(what, 1 / factor - 1) if factor else f"{what} reads without limit"
 
 
 def _phase(what: str, angle: float) -> str:

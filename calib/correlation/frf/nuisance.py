@@ -53,6 +53,9 @@ class ChannelError(FactorError):
         The channel of a reference measures the force, by which the motion is divided.
     prior_sd : float, optional
         In %, degrees or s; `CHANNEL_SD` by default, a delay has none.
+    of_functions : bool
+        Whether a gain multiplies the functions of the channel; by default it is that of the channel, by which the
+        functions of a reference are divided.
     test : str
         Name of its test, where there are several; see `belonging_to`.
 
@@ -66,6 +69,7 @@ class ChannelError(FactorError):
     sensor: str
     side: Side = "response"
     prior_sd: float | None = None
+    of_functions: bool = field(default=False, kw_only=True)
     test: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
@@ -92,7 +96,12 @@ class ChannelError(FactorError):
     @property
     def key(self) -> tuple[str, str, str]:
         """What it is, for a fingerprint."""
-        return self.kind, self.sensor, self.side
+        return f"{self.kind}{' of functions' * self._multiplies}", self.sensor, self.side
+
+    @property
+    def _multiplies(self) -> bool:
+        """Whether its value multiplies functions of a reference, which another one divides."""
+        return self.of_functions and self.side == "reference"
 
     def among(self, measured: MeasuredFRFs) -> tuple[str, ...]:
         """Names of all channels of its side."""
@@ -113,11 +122,12 @@ class ChannelError(FactorError):
         """Such as ``gain_12z``, ``gain_force_3z`` of a reference, or of one of several tests ``gain_12z in test A``."""
         sd = CHANNEL_SD[self.kind] if self.prior_sd is None else self.prior_sd
         force, lower = "force_" if self.side == "reference" else "", -RULES.limit * sd
+        of = "functions" if self._multiplies else "channel"
         return Parameter(
             f"{self.kind}_{force}{self.sensor}{in_test(self.test)}", 0.0,
             max(lower, RULES.gain_weakest) if self.kind == "gain" else lower, RULES.limit * sd, _UNITS[self.kind],
             prior_sd=sd,
-            description=f"{self.kind} of the channel of {self.side} {self.sensor}{in_test(self.test)}",
+            description=f"{self.kind} of the {of} of {self.side} {self.sensor}{in_test(self.test)}",
         )  # fmt: skip
 
     def factor(self, value: float, freq: np.ndarray) -> np.ndarray:
@@ -125,14 +135,14 @@ class ChannelError(FactorError):
         own = np.full(len(freq), 1 + value, dtype=complex)
         if self.kind != "gain":
             own = np.exp(1j * value * (np.ones(len(freq)) if self.kind == "phase" else -2 * np.pi * freq))
-        return own if self.side == "response" else 1 / own
+        return own if self.side == "response" or self._multiplies else 1 / own
 
     def log_slope(self, value: float, freq: np.ndarray) -> np.ndarray:
         """Derivative of the logarithm of the factor at a value in SI, (n_freq,), complex."""
         own = np.full(len(freq), 1 / (1 + value), dtype=complex)
         if self.kind != "gain":
             own = 1j * (np.ones(len(freq)) if self.kind == "phase" else -2 * np.pi * freq)
-        return own if self.side == "response" else -own
+        return own if self.side == "response" or self._multiplies else -own
 
 
 class Loading(ABC):
