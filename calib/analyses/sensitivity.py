@@ -38,6 +38,7 @@ from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.results.table import read_table
 from calib.results.written import is_own
+from calib.sensitivity.rules import RULES
 from calib.sensitivity.selection import Assessment, assess
 from calib.sensitivity.spearman import noise_floor
 from calib.sensitivity.variance import Design, morris_design, morris_effects, sobol_design, sobol_shares
@@ -48,8 +49,8 @@ from calib.study.study_file import shell_argument
 _BATCH = 50
 """Points evaluated and added to the ledger in one batch."""
 TRAJECTORIES, BASE = 20, 128
-"""Trajectories of Morris, twice the 10 that usually rank well (Campolongo and Saltelli 1997), and base points of Sobol,
-a power of 2: the shares of a smooth function of five parameters then have a standard error of 0.01."""
+"""Trajectories of Morris, twice those that usually rank well (`RULES.trajectories`), and base points of Sobol, a power
+of 2: the shares of a smooth function of five parameters then have a standard error of 0.01."""
 
 
 @dataclass(frozen=True)
@@ -251,12 +252,21 @@ class Screening:
         Evaluated points.
     note : str
         What the sampling ignores, such as constraints.
+    failed : int
+        Points at which the model could not be evaluated.
+    unpaired : int
+        Points at which some response is unknown though the model was evaluated.
+    why_failed : str
+        The commonest reasons of failure; empty without any.
     """
 
     method: str
     table: pd.DataFrame
     points: int
     note: str
+    failed: int = 0
+    unpaired: int = 0
+    why_failed: str = ""
 
     @property
     def answer(self) -> Answer:
@@ -265,9 +275,27 @@ class Screening:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Number of points, and what the sampling ignores."""
-        points = f"{self.points} point{'s' * (self.points != 1)}."
-        return (f"{points} {self.note}".rstrip(),)
+        """Number of points, those that are lost, with the trajectories that they take along; reasons of failure."""
+        points = f"{self.points} point{'s' * (self.points != 1)}"
+        points += f", {self.failed} failed" if self.failed else ""
+        points += f", {self.unpaired} left a response unknown" if self.unpaired else ""
+        told = " ".join(filter(None, [f"{points}.", self._dropped, self.note]))
+        return (told, *([self.why_failed] if self.why_failed else []))
+
+    @property
+    def _dropped(self) -> str:
+        """What is left of the trajectories, in words; empty where all are."""
+        if self.method != "morris" or not self.table["dropped"].any():
+            return ""
+        rows = self.table.drop_duplicates("response").to_dict("records")
+        worst, least = (pick(rows, key=lambda row: row["dropped"]) for pick in (max, min))
+        words = f"{worst['dropped']} of {worst['dropped'] + worst['trajectories']} trajectories are dropped"
+        if least["dropped"] < worst["dropped"]:
+            words += f" for {worst['response']}, {least['dropped']} for {least['response']}"
+        words += "; the others hold where the model can be evaluated, not over the whole limits."
+        if worst["trajectories"] < RULES.trajectories:
+            words += f" Fewer than {RULES.trajectories} rank parameters less surely."
+        return words
 
 
 def screen(
@@ -314,8 +342,11 @@ def screened(
         )
     outcomes = _evaluate(study, ledger, [space.complete(x) for x in design.points], workers, progress)
     responses = table_of(outcomes, Responses.of(study).measured)
+    failed = sum(o.status != "ok" for o in outcomes)
+    unpaired = int(responses.isna().any(axis=1).sum()) - failed
+    why = reasons_sentence(space, reasons(outcomes), len(outcomes))
     table = morris_effects(design, responses) if method == "morris" else sobol_shares(design, responses)
-    return Screening(method, table, len(design.points), design.note)
+    return Screening(method, table, len(design.points), design.note, failed, unpaired, why)
 
 
 # -- evaluations -------------------------------------------------------------------------------------------------------

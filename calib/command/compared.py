@@ -142,4 +142,8 @@ def screening_entries(result: Screening) -> list[Entry]:
     largest = known.drop_duplicates("parameter").set_index("parameter")
     rows = [(str(n), f"{r[size]:.3g}", str(r["response"])) for n, r in largest.iterrows()]
     rows += [(str(n), "", "no response: too few are known, or none changes") for n in names if n not in largest.index]
-    return [Rows.of("", ("parameter", f"largest {size}", "on"), rows, most=20), *map(Words, result.sentences)]
+    return [
+        *([Warned(result.why_failed)] if result.why_failed else []),
+        Rows.of("", ("parameter", f"largest {size}", "on"), rows, most=20),
+        *(Words(sentence) for sentence in result.sentences if sentence != result.why_failed),
+    ]

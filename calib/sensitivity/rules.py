@@ -23,6 +23,8 @@ class SensitivityRules:
         Degree of the polynomials of a parameter itself.
     others_degree : int
         Degree of those of the other parameters, which are regressed out.
+    trajectories : int
+        Trajectories of Morris that usually rank well (Campolongo and Saltelli 1997).
     """
 
     relevant: float = 0.1
@@ -31,6 +33,7 @@ class SensitivityRules:
     rows_a_term: float = 1.5
     own_degree: int = 3
     others_degree: int = 4
+    trajectories: int = 10
 
 
 RULES = SensitivityRules()

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+import calib
 from calib.analyses.calibrate import calibrate
 from calib.analyses.failures import reasons, stored_reasons
 from calib.analyses.sensitivity import sensitivity
@@ -53,6 +54,33 @@ def test_the_commonest_reason_is_reported(sums, tmp_path):
     (reason,) = found
     assert reason.points == answer.failed > 0
     assert reason.error in answer.why_failed and answer.why_failed in answer.sentences
+
+
+@pytest.mark.parametrize("kept", [0.7, 0.1])
+def test_a_screening_tells_lost_points_and_the_trajectories_that_they_take_along(kept):
+    """A response is unknown where E and k are both large, another one everywhere known."""
+    space = calib.ParameterSpace((calib.Parameter("E", 0.5, 0.0, 1.0), calib.Parameter("k", 0.5, 0.0, 1.0)))
+
+    def beam(v):
+        if v["E"] * v["k"] > kept:
+            raise RuntimeError("no convergence after 40 steps")
+        return {"a": v["E"] + v["k"], "b": v["E"]}
+
+    problem = calib.Problem(calib.FunctionModel("beam", space, beam), calib.ResponseTest({"a": 1.0, "b": 0.5}))
+    found = problem.sensitivity(method="morris", progress=False)
+    answer, dropped = found.answer, int(found.table["dropped"].max())
+    assert 0 < answer.failed < answer.points == 60 and 0 < dropped < 20
+    first, why = found.sentences
+    assert f"60 points, {answer.failed} failed" in first and f"{dropped} of 20 trajectories" in first
+    assert "40 steps" in why and why == answer.why_failed and first in answer.answer.sure
+    assert ("Fewer than 10" in first) == (dropped > 10)
+    whole = screened_without_loss(space)
+    assert whole.sentences == ("60 points.",)
+
+
+def screened_without_loss(space):
+    model = calib.FunctionModel("sum", space, lambda v: {"a": v["E"] + v["k"]})
+    return calib.Problem(model, calib.ResponseTest({"a": 1.0})).sensitivity(method="morris", progress=False)
 
 
 @pytest.mark.slow

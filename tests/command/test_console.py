@@ -23,7 +23,7 @@ def test_a_parameter_of_which_no_response_is_known_is_told_as_such(tmp_path, cap
     table = pd.DataFrame(
         [("a", "x", np.nan), ("a", "y", np.nan), ("b", "x", 0.25), ("b", "y", 0.75)],
         columns=["parameter", "response", "mu_star"],
-    )
+    ).assign(trajectories=3, dropped=0)
     with printing("sensitivity") as listener:
         listener.screened(Screening("morris", table, 12, ""), Results(tmp_path))
     first, second = (line.split() for line in capsys.readouterr().out.splitlines() if line[:2] in ("a ", "b "))
