@@ -141,8 +141,7 @@ def modes(
     """Identify modes from FRFs, or from time records of responses alone, and say where modes do not describe these.
 
     Writes modes.csv and shapes.csv for a study, and the stabilisation diagram. Poles count that are stable over model
-    orders and whichever repeat is left out; no pole is picked by hand. Needs: pip install 'calib[modes]' for FRFs,
-    'calib[ambient]' for time records.
+    orders and whichever repeat is left out; no pole is picked by hand. Time records need: pip install 'calib[ambient]'.
     """
     from calib.api.modes import identify_modes
     from calib.command.entries import tell_entries

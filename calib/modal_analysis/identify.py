@@ -99,7 +99,7 @@ def modes_from_frfs(frfs: MeasuredFRFs, repeats: Sequence[MeasuredFRFs] = ()) ->
     Raises
     ------
     InputError
-        When sdypy-EMA is not installed, when lines are unfit (see `poles_by_order`), or no mode counts.
+        When lines are too few (see `poles_by_order`), or no mode counts.
 
     Examples
     --------

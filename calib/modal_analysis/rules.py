@@ -12,12 +12,12 @@ class IdentifyRules:
     Attributes
     ----------
     frf_order_most : int
-        Largest number of pole pairs of FRFs.
+        Largest number of poles of FRFs.
     lines_per_order : int
-        Fewest lines behind each pole pair: a function adds two equations a line, and each pair brings two unknowns to
-        the common denominator and two to the function's own numerator, so that half of the equations are left over.
+        Fewest lines behind each pole: a function adds an equation a line, and each pole brings an unknown to the common
+        denominator and one to the function's own numerator, so that about half of the equations are left over.
     lines_least : int
-        Fewest lines of FRFs: five orders, which the rule of stabilisation needs.
+        Fewest lines of FRFs: ten orders, of which the rule of stabilisation needs five.
     freq_change : float
         Largest relative change of a stable pole's natural frequency from one order to the next.
     damping_change : float
@@ -70,7 +70,7 @@ class IdentifyRules:
     """
 
     frf_order_most: int = 40
-    lines_per_order: int = 4
+    lines_per_order: int = 3
     lines_least: int = 20
     freq_change: float = 0.01
     damping_change: float = 0.05

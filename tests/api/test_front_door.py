@@ -283,7 +283,7 @@ def test_every_public_name_has_an_example():
         assert found.examples and "Examples\n" in found.docstring, name
 
 
-OPTIONAL = {"calib.modal_analysis.ambient": "pyoma2", "calib.modal_analysis.identify": "sdypy.EMA"}
+OPTIONAL = {"calib.modal_analysis.ambient": "pyoma2"}
 """Library of an extra that the examples of a module need."""
 
 

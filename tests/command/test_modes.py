@@ -11,8 +11,6 @@ import calib
 from calib.command import cli
 from calib.study.loading import module_of
 
-pytest.importorskip("sdypy.EMA", reason="needs sdypy-EMA: pip install calib[modes]")
-
 ROOT = Path(__file__).resolve().parents[2]
 CHAIN = module_of(ROOT / "tests/template/frf_chain.py")
 WORLDS = module_of(ROOT / "tests/template/modal_worlds.py")
