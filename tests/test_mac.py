@@ -4,7 +4,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors.errors import InputError
-from calib.measurement.mac import align, comac, is_real, mac, macx, most_real, noise_mac, relative_motion
+from calib.measurement.mac import (
+    align,
+    comac,
+    is_real,
+    mac,
+    macx,
+    most_real,
+    noise_mac,
+    phase_collinearity,
+    relative_motion,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -175,3 +185,16 @@ def test_relative_motion_is_that_of_the_largest_sensor_whatever_the_scale():
     np.testing.assert_allclose(relative_motion(shapes), expected)
     np.testing.assert_allclose(relative_motion(shapes * np.array([-7.0, 0.01j])), expected)
     assert np.isnan(relative_motion(np.full((2, 3), np.nan))).all() and not len(relative_motion(np.zeros((0, 3))))
+
+
+def test_phase_collinearity_is_1_for_a_real_shape_of_any_phase_and_falls_with_the_angle():
+    real = np.array([1.0, -0.5, 0.3, np.nan])
+    even = np.ones(4)  # a uniform motion has no deviation from its mean
+    wide = np.array([1.0, 1j, 1.0, 1j])
+    shapes = np.column_stack([real * np.exp(0.7j), even * 2j, wide, np.exp(1j * np.radians([10, -10, 10, -10]))])
+    mpc, mpd = phase_collinearity(shapes)
+    np.testing.assert_allclose(mpc, [1.0, 1.0, 0.0, np.cos(np.radians(20)) ** 2], atol=1e-12)
+    np.testing.assert_allclose(mpd[[0, 1, 3]], [0.0, 0.0, 10.0], atol=1e-6)
+    assert mpd[2] == pytest.approx(45.0, abs=1e-6)
+    alone = phase_collinearity(np.array([[1j], [np.nan], [0.0]]))
+    assert np.isnan(alone).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,7 +12,8 @@ from calib.measurement.files.read_frf import read_frfs
 from calib.measurement.files.read_records import hold_records, read_records
 from calib.measurement.frf import MeasuredFRFs, Quantity
 from calib.modal_analysis.ambient import modes_from_records
-from calib.modal_analysis.identify import Identification, modes_from_frfs, modes_table, sensor_table, shapes_table
+from calib.modal_analysis.identification import Identification, modes_table, sensor_table, shapes_table
+from calib.modal_analysis.identify import modes_from_frfs
 from calib.results.results import Results
 
 
@@ -47,6 +49,7 @@ def identify_modes(
     unit: str | None = None,
     averages: int | None = None,
     band: tuple[float, float] | None = None,
+    accept: Sequence[float] = (),
     synthetic: bool = False,
 ) -> Written:
     """Identify modes from files of FRFs or of time records, each a repeat, and write them to a folder.
@@ -66,6 +69,9 @@ def identify_modes(
         Folder; files that calib wrote there are replaced.
     band : (float, float), optional
         Lines that are used, Hz; default all above 0. Of records the band in which modes are identified.
+    accept : sequence of float
+        Natural frequencies, Hz, of refused modes that are kept all the same; ``modes.csv`` tells so in a column
+        ``note``.
 
     Raises
     ------
@@ -79,7 +85,7 @@ def identify_modes(
             if given is not None:
                 raise InputError(f"{name} is given beside time records", place=paths[0], remedy="leave it out")
         records = read_records(paths, unit=unit, sensors=sensors, synthetic=synthetic)
-        known = modes_from_records(records, band)
+        known = modes_from_records(records, band, accept=accept)
         squared = f"({records[0].unit})²/Hz" if records[0].unit else "squared unit a Hz"
         return Written(known, _write(known, squared, into))
 
@@ -89,7 +95,7 @@ def identify_modes(
 
     frfs = read(paths, averages)
     repeats = [replace(read([path], None), source=path.name) for path in paths] if len(paths) > 1 else []
-    found = modes_from_frfs(frfs, repeats)
+    found = modes_from_frfs(frfs, repeats, accept=accept)
     unit = frfs.unit(frfs.responses[0], frfs.references[0])
     return Written(found, _write(found, unit, into))
 
@@ -100,7 +106,7 @@ def _write(found: Identification, unit: str, into: Path) -> tuple[Path, ...]:
 
     folder = Results.at(into.parent, into.name)
     tables = {
-        "modes": modes_table(found.modes), "shapes": shapes_table(found.modes), "sensors": sensor_table(found.modes),
+        "modes": modes_table(found), "shapes": shapes_table(found.modes), "sensors": sensor_table(found.modes),
         "identified": found.fit, "poles": found.poles, "synthesised": found.curves,
     }  # fmt: skip
     written = [folder.write_table(name, table) for name, table in tables.items() if len(table)]

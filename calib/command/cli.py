@@ -135,6 +135,9 @@ def modes(
         tuple[float, float] | None,
         typer.Option("--band", metavar="LOW HIGH", help="Lines that are used, Hz."),
     ] = None,
+    accept: Annotated[
+        list[float] | None, typer.Option("--accept", metavar="FREQ", help="Keep the refused mode near this, Hz.")
+    ] = None,
     synthetic: Annotated[bool, typer.Option("--synthetic", help="No structure was measured.")] = False,
     verbose: Verbose = False,
 ) -> None:
@@ -151,7 +154,7 @@ def modes(
     with one_thread():
         written = identify_modes(
             files, into, sensors=sensors, quantity=None if quantity is None else quantity.value, unit=unit,
-            averages=averages, band=band, synthetic=synthetic,
+            averages=averages, band=band, accept=accept or (), synthetic=synthetic,
         )  # fmt: skip
     tell_entries(identified_entries(written), verbose)
 

@@ -26,12 +26,25 @@ def identified_entries(written: Written) -> list[Entry]:
     return [*out, *(Words(f"Written: {path}", when="verbose") for path in written.paths)]
 
 
-_HEADS = ("mode", "Hz", "std Hz", "damping %", "std %", "orders", "FRAC", "residual (std)", "one shape")
+_HEADS = (
+    "mode",
+    "Hz",
+    "std Hz",
+    "damping %",
+    "std %",
+    "orders",
+    "FRAC",
+    "residual (std)",
+    "one shape",
+    "MPC",
+    "MPD deg",
+)
 
 
 def _row(row: Mapping[Hashable, Any]) -> tuple[str, ...]:
     return (
         str(row["mode"]), decimals(row["freq"], 4), f"{row['freq_std']:.2g}", decimals(100 * row["damping"], 3),
         f"{100 * row['damping_std']:.2g}", str(row["orders"]), decimals(row["frac"], 4),
-        decimals(row["residual_std"], 2), decimals(row["rank_one"], 4),
+        decimals(row["residual_std"], 2), decimals(row["rank_one"], 4), decimals(row["mpc"], 3),
+        decimals(row["mpd"], 1),
     )  # fmt: skip

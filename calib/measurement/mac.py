@@ -167,6 +167,38 @@ def is_real(shapes: np.ndarray) -> np.ndarray:
     return (total > 0) & (np.abs(np.nansum(columns**2, axis=0)) >= (1 - _COLLINEAR) * total)
 
 
+def phase_collinearity(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far shapes are real up to a phase: modal phase collinearity and mean phase deviation.
+
+    The collinearity is ``|x^T x|^2 / (x^H x)^2``, that of Pappa, Elliott and Schenk (1993) without taking the mean off,
+    which would throw a uniform motion away. The deviation is the mean angle of the entries from the phase that is most
+    real, weighed by their moduli (Reynders, Houbrechts and De Roeck 2012).
+
+    Parameters
+    ----------
+    shapes : ndarray (n_sensors, n_modes)
+        NaN marks a sensor not measured.
+
+    Returns
+    -------
+    collinearity : ndarray (n_modes,)
+        From 0 to 1, which is real.
+    deviation : ndarray (n_modes,)
+        Degrees, from 0, which is real, to 90.
+        Both are NaN where fewer than two sensors move, whose phase is that of the mode.
+    """
+    columns = _scaled(shapes, "shapes")
+    known = np.where(np.isnan(columns), 0.0, columns)
+    moves, total = np.abs(known) > 0, np.sum(np.abs(known) ** 2, axis=0)
+    real = np.stack([most_real(one) for one in known.T], axis=1) if known.shape[1] else known
+    angle = np.degrees(np.arctan2(np.abs(real.imag), np.abs(real.real)))
+    enough = moves.sum(axis=0) > 1
+    with np.errstate(invalid="ignore", divide="ignore"):
+        collinearity = np.minimum(np.abs(np.sum(known**2, axis=0)) ** 2 / total**2, 1.0)
+        deviation = np.sum(np.abs(known) * angle, axis=0) / np.sum(np.abs(known), axis=0)
+    return np.where(enough, collinearity, np.nan), np.where(enough, deviation, np.nan)
+
+
 def noise_mac(shapes: np.ndarray, std: np.ndarray) -> np.ndarray:
     """Expected MAC of a correctly specified model, given the measurement noise.
 

@@ -12,22 +12,33 @@ from scipy import signal
 from calib.errors.errors import InputError
 from calib.measurement.alignment import scaled
 from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.mac import mac, most_real
+from calib.measurement.mac import mac, most_real, phase_collinearity
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.record import MeasuredRecord
 from calib.modal_analysis.adequacy import Adequacy, fits, resonances_without_mode
-from calib.modal_analysis.identify import AMBIENT, Identification
+from calib.modal_analysis.identification import AMBIENT, Identification
+from calib.modal_analysis.judgement import accepted_modes
 from calib.modal_analysis.model import fit_residues, rank_one
 from calib.modal_analysis.rules import RULES
 from calib.modal_analysis.spread import Spread, aligned, both_parts
 from calib.modal_analysis.stabilisation import Chain
-from calib.modal_analysis.subspace import Correlations, Poles, correlations, poles_at, poles_at_orders, stable_clusters
+from calib.modal_analysis.subspace import (
+    Correlations,
+    Poles,
+    correlations,
+    poles_at,
+    poles_at_orders,
+    samples_needed,
+    stable_clusters,
+)
 
 DECIMATED_MOST = 10
 """Largest factor of one step of decimation."""
 
 
-def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, float] | None = None) -> Identification:
+def modes_from_records(
+    records: Sequence[MeasuredRecord], band: tuple[float, float] | None = None, *, accept: Sequence[float] = ()
+) -> Identification:
     """Identify modes from responses to unmeasured, broad-banded forces.
 
     Poles come from covariance-driven stochastic subspace identification at ascending orders (`poles_at_orders`),
@@ -48,12 +59,16 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     records : sequence of MeasuredRecord
         With the same sensors and rate; see `calib.measurement.files.read_records.read_records`.
     band : (float, float), optional
-        In which modes are identified, Hz; records that are sampled faster than it needs are decimated.
+        In which modes are identified, Hz; records that are sampled faster than it needs are decimated, as far as the
+        samples that this leaves suffice.
+    accept : sequence of float
+        Natural frequencies, Hz, of refused modes that are kept all the same, with a note.
 
     Raises
     ------
     InputError
-        When pyOMA2 is not installed, records are too short, or no mode counts.
+        When pyOMA2 is not installed, records are too short, no mode counts, or no refused mode is near an accepted
+        frequency.
 
     Examples
     --------
@@ -74,7 +89,7 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
     """
     place = ", ".join(one.source for one in records) or "records"
     low, high = _in_record(band, records[0].rate, place)
-    used = [_prepared(one, None if band is None else high) for one in records]
+    used = [_prepared(one, None if band is None else high, _samples_least(records)) for one in records]
     scale = np.sqrt(np.mean([np.mean(one.values**2, axis=0) for one in used], axis=0))
     used = [replace(one, values=one.values / scale) for one in used]  # sensors of small motion count as others do
     table = correlations(used, RULES.parts)
@@ -101,6 +116,10 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
         else _refused(c, k, adequacies[k], one_shape[k], spread, lacking, len(records))
         for k, c in enumerate(chains)
     ]
+    freq, damping = (np.array([of(c) for c in chains]) for of in (_freq, _ratio))
+    accepted = accepted_modes(accept, freq, damping, why, place)
+    why = ["" if k in accepted else own for k, own in enumerate(why)]
+    mpc, mpd = phase_collinearity(shapes)
     kept = [k for k, own in enumerate(why) if not own]
     names = {k: str(n) for n, k in enumerate(kept, start=1)}
     fit = pd.DataFrame([
@@ -108,7 +127,8 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
             "mode": names.get(k, ""), "freq": _freq(c), "freq_std": spread.freq[k], "damping": _ratio(c),
             "damping_std": spread.damping[k], "orders": len(c.orders), "frac": adequacies[k].frac,
             "residual_std": adequacies[k].residual_std, "excess": adequacies[k].excess,
-            "rank_one": one_shape[k], "refused": why[k],
+            "rank_one": one_shape[k] if len(shapes) > 1 else np.nan, "mpc": mpc[k], "mpd": mpd[k],
+            "refused": why[k], "note": accepted.get(k, ""),
         }
         for k, c in enumerate(chains)
     ])  # fmt: skip
@@ -122,8 +142,10 @@ def modes_from_records(records: Sequence[MeasuredRecord], band: tuple[float, flo
            for name, v in (("measured", spectra.values), ("synthesised", model.synthesised))},
     })  # fmt: skip
     std_from = "repeats" if len(records) > 1 else "parts"
+    modes = _measured(records, chains, shapes, spread, kept)
+    modes = replace(modes, notes=(*modes.notes, *(f"mode {names[k]} is {note}" for k, note in accepted.items())))
     return Identification(
-        _measured(records, chains, shapes, spread, kept), fit, _pole_table(poles, chains, names, (low, high)), curves,
+        modes, fit, _pole_table(poles, chains, names, (low, high)), curves,
         resonances_without_mode(spectra, moved), std_from, "records",
     )  # fmt: skip
 
@@ -139,10 +161,15 @@ def _in_record(band: tuple[float, float] | None, rate: float, place: str) -> tup
     return low, high
 
 
-def _prepared(record: MeasuredRecord, high: float | None) -> MeasuredRecord:
-    """A record without its trend, decimated to what a band up to a frequency needs."""
+def _samples_least(records: Sequence[MeasuredRecord]) -> int:
+    """Samples of a record that correlations need."""
+    return samples_needed(len(records[0].sensors), -(-RULES.parts // len(records)))
+
+
+def _prepared(record: MeasuredRecord, high: float | None, least: int) -> MeasuredRecord:
+    """A record without its trend, decimated to what a band up to a frequency needs, and not below so many samples."""
     values, rate = signal.detrend(record.values, axis=0), record.rate
-    factor = 1 if high is None else int(rate / (RULES.rate_over_band * high))
+    factor = 1 if high is None else min(int(rate / (RULES.rate_over_band * high)), len(values) // least)
     while factor > 1:
         step = min(factor, DECIMATED_MOST)
         values, rate, factor = signal.decimate(values, step, ftype="fir", axis=0), rate / step, factor // step

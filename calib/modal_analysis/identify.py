@@ -10,96 +10,61 @@ import pandas as pd
 
 from calib.errors.errors import InputError
 from calib.measurement.alignment import scaled
-from calib.measurement.files.csv_format import FINEST
 from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.mac import most_real
+from calib.measurement.mac import most_real, phase_collinearity
 from calib.measurement.modal import MeasuredModes, Sensor
-from calib.modal_analysis.adequacy import Adequacy, adequacy, resonances_without_mode
+from calib.modal_analysis.adequacy import adequacy, resonances_without_mode
+from calib.modal_analysis.identification import INSTEAD, Identification
+from calib.modal_analysis.judgement import (
+    PAIR,
+    accepted_modes,
+    complex_shape,
+    none_counts,
+    residual_words,
+    scatter_of_modes,
+    scatter_words,
+)
 from calib.modal_analysis.model import ModalFRFModel, fit_residues, most_likely_model, rank_one
 from calib.modal_analysis.poles import poles_by_order
+from calib.modal_analysis.scatter import hidden_pairs, scatter, without_split
 from calib.modal_analysis.spread import Spread, aligned, both_parts, jackknife
 from calib.modal_analysis.stabilisation import Chain, pole_chains, pole_table, stable
 
-INSTEAD = 'fit the FRFs themselves: kind = "frf" in study.toml, or calib.FRFTest'
-"""Remedy where modes do not describe the FRFs."""
-AMBIENT = "measure longer, or give a band around the modes that are wanted"
-"""Remedy where time records do not tell."""
 
-
-@dataclass(frozen=True, eq=False)
-class Identification:
-    """Modes of a structure, identified from its FRFs.
-
-    Attributes
-    ----------
-    modes : MeasuredModes
-        Those that count, in ascending frequency, with standard deviations of the mean; names ``1``, ``2``, ...
-    fit : DataFrame
-        Every stable mode: ``mode`` (its name; empty where it was refused), ``freq``, ``freq_std`` (Hz), ``damping``,
-        ``damping_std`` (ratios), ``orders`` (at which it is stable), ``frac``, ``residual_std`` and ``excess`` (see
-        `calib.modal_analysis.adequacy.Adequacy`), ``rank_one`` (share of its residues that one shape describes) and
-        ``refused`` (why; empty where it counts).
-    poles : DataFrame
-        See `calib.modal_analysis.stabilisation.pole_table`, with the names of the modes in ``mode``.
-    curves : DataFrame
-        ``freq`` (Hz), ``measured`` and ``synthesised``: root mean squares over all functions, in the quantity's unit.
-    missed : tuple of float
-        Resonances without a mode, Hz.
-    std_from : {"repeats", "orders", "parts"}
-        Whether standard deviations come from leaving out each repeat in turn, from the spread over model orders, or
-        from leaving out parts of the one record.
-    of : {"FRFs", "records"}
-        What they were identified from; of records ``curves`` are half-spectra, in the squared unit a Hz, and an order
-        of ``poles`` is a number of states, not of pole pairs.
-    """
-
-    modes: MeasuredModes
-    fit: pd.DataFrame
-    poles: pd.DataFrame
-    curves: pd.DataFrame
-    missed: tuple[float, ...]
-    std_from: str
-    of: str = "FRFs"
-
-    @property
-    def verdict(self) -> str:
-        """Whether the modes describe what they were identified from, in one sentence."""
-        refused = self.fit[self.fit["refused"] != ""]
-        doubts = [f"{_hz(refused['freq'])} refused"] * bool(len(refused))
-        doubts += [f"no mode for the resonances at {_hz(self.missed)}"] * bool(self.missed)
-        whole = self.fit["frac"][self.fit["refused"] == ""]
-        if not doubts:
-            what = "FRFs" if self.of == "FRFs" else "correlations of the records"
-            return f"The modes describe the {what} around their resonances (FRAC {whole.min():.4f} or more)."
-        if self.of == "records":
-            return f"Not all of these records is described by modes that count ({'; '.join(doubts)}): {AMBIENT}."
-        return f"Modes alone do not describe these FRFs ({'; '.join(doubts)}): {INSTEAD}."
-
-
-def modes_from_frfs(frfs: MeasuredFRFs, repeats: Sequence[MeasuredFRFs] = ()) -> Identification:
+def modes_from_frfs(
+    frfs: MeasuredFRFs, repeats: Sequence[MeasuredFRFs] = (), *, accept: Sequence[float] = ()
+) -> Identification:
     """Identify modes by stable poles, refine them by least squares, and check them against the FRFs.
 
     The poles come from the least-squares complex frequency method at ascending orders (`poles_by_order`); those count
-    that stay (`stable`). All poles are then refined together (`most_likely_model`), which removes the bias by noise.
-    A mode is refused where the fit misses the FRFs, where a further pole would move it (`adequacy`), or where it does
-    not appear whichever repeat is left out.
+    that stay (`stable`), and that are not one mode which moves between functions (`without_split`). All poles are then
+    refined together (`most_likely_model`), which removes the bias by noise. Where functions differ in a resonance, by
+    drift or by the mass of a roving sensor, its frequency and damping are the mean over the functions (`scatter`); it
+    is refused where two modes explain that better (`hidden_pairs`).
+    A mode is refused where the fit misses the FRFs, where a further pole would move it (`adequacy`), where its shape
+    is complex under one reference (`complex_shape`), or where it does not appear whichever repeat is left out.
 
     Standard deviations come from the jackknife over the repeats (Efron and Stein 1981): everything is identified again
     without each repeat in turn, modes are matched as those of repeats are (`match_modes`), and the estimated bias is
-    added in quadrature. Without repeats they are the spread over the orders, a measure of the method and not of the
-    test. Both are multiplied by the residual in standard deviations where it exceeds 1 (Birge 1932).
+    added in quadrature. They are multiplied by the residual in standard deviations where it exceeds 1 (Birge 1932),
+    and are at least those of the mean by itself.
+    Without repeats those of frequencies and damping come from the residuals of the fit and from what the functions
+    contradict each other, and those of shapes are the spread over the orders; both are a measure of this test and not
+    of repeated ones.
 
     Parameters
     ----------
     frfs : MeasuredFRFs
-        Mean over the repeats; see `calib.read_frfs`.
+        Mean over the repeats; see `calib.read_frfs`. A line at 0 Hz is not used.
     repeats : sequence of MeasuredFRFs
         Each repeat by itself, with the same functions and lines.
+    accept : sequence of float
+        Natural frequencies, Hz, of refused modes that are kept all the same, with a note.
 
     Raises
     ------
     InputError
-        When lines are too few (see `poles_by_order`), or no mode counts.
+        When lines are too few (see `poles_by_order`), no mode counts, or no refused mode is near an accepted frequency.
 
     Examples
     --------
@@ -116,38 +81,80 @@ def modes_from_frfs(frfs: MeasuredFRFs, repeats: Sequence[MeasuredFRFs] = ()) ->
     >>> found.modes.natural_freq.round(3), found.modes.damping_ratio.round(4)
     (array([3.183]), array([0.02]))
     """
+    if frfs.freq[0] == 0:
+        frfs = frfs.in_band(frfs.lowest_freq, float(frfs.freq[-1]))
     whole = _identified(frfs)
-    if not whole.chains:
-        raise InputError("no pole is stable over the model orders", place=frfs.source or "FRFs", remedy=INSTEAD)
-    checked = adequacy(frfs, whole.model, len(whole.chains))
-    why = [one.refused for one in checked]
+    n = len(whole.chains)
+    if not n:
+        raise none_counts(frfs, [])
+    moving = scatter(frfs, whole.model, n)
+    checked = adequacy(frfs, replace(whole.model, synthesised=moving.synthesised), n)
+    mpc, mpd = phase_collinearity(whole.shapes)
+    pairs = hidden_pairs(frfs, whole.model.poles[:n], moving.between)
+    why = [
+        one.refused or (PAIR if k in pairs else "") or complex_shape(mpc[k], mpd[k], len(frfs.references))
+        for k, one in enumerate(checked)
+    ]
+    spread = Spread(moving.freq_std, moving.damping_std, _shapes_over_orders(frfs, whole))
     if len(repeats) > 1:
-        spread, lacking = _jackknife(frfs, whole, [_in_order(one, frfs) for one in repeats])
+        over, lacking = _jackknife(frfs, whole, [_in_order(one, frfs) for one in repeats])
+        spread = _over_repeats(over, spread, [one.residual_std for one in checked])
         why = [
             own or ("not stable when one of the repeats is left out" if k in lacking else "")
             for k, own in enumerate(why)
         ]
-    else:
-        spread = _over_orders(frfs, whole)
-    wider = np.array([max(1.0, one.residual_std) if np.isfinite(one.residual_std) else 1.0 for one in checked])
-    spread = Spread(spread.freq * wider, spread.damping * wider, spread.shapes * wider)
+    freq, damping = _freq_and_damping(moving.poles)
+    place = frfs.source or "FRFs"
+    accepted = accepted_modes(accept, freq, damping, why, place)
+    why = ["" if k in accepted else own for k, own in enumerate(why)]
+    notes = [
+        "; ".join([*([accepted[k]] if k in accepted else []), *([scatter_words(own)] if own > 0 else [])])
+        for k, own in enumerate(moving.between)
+    ]
     kept = [k for k, own in enumerate(why) if not own]
-    names = {k: str(n) for n, k in enumerate(kept, start=1)}
-    fit = _fit_table(whole, checked, spread, names, why)
+    names = {k: str(m) for m, k in enumerate(kept, start=1)}
     if not kept:
-        raise InputError(
-            f"the {len(why)} stable poles do not describe it ({fit['refused'].iloc[0]})", place=frfs.source or "FRFs",
-            remedy=INSTEAD,
-        )  # fmt: skip
+        raise none_counts(frfs, list(zip(freq, why, strict=True)))
+    one_shape = min(len(frfs.responses), len(frfs.references)) > 1
+    fit = pd.DataFrame([
+        {
+            "mode": names.get(k, ""), "freq": freq[k], "freq_std": spread.freq[k], "damping": damping[k],
+            "damping_std": spread.damping[k], "orders": len(whole.chains[k].orders), "frac": one.frac,
+            "residual_std": one.residual_std, "excess": one.excess,
+            "rank_one": whole.rank_one[k] if one_shape else np.nan, "mpc": mpc[k], "mpd": mpd[k],
+            "scatter": moving.between[k], "refused": why[k], "note": notes[k],
+        }
+        for k, one in enumerate(checked)
+    ])  # fmt: skip
     poles = pole_table(whole.every, whole.chains)
     poles["mode"] = [names.get(k - 1, "") for k in poles["mode"]]
-    measured, synthesised = (_rms(values) for values in (frfs.values, whole.model.synthesised))
+    measured, synthesised = (_rms(values) for values in (frfs.values, moving.synthesised))
     curves = pd.DataFrame({"freq": frfs.freq, "measured": measured, "synthesised": synthesised})
-    std_from = "repeats" if len(repeats) > 1 else "orders"
-    return Identification(
-        _measured(frfs, whole, spread, kept, max(len(repeats), 1), std_from), fit, poles, curves,
-        resonances_without_mode(frfs, whole.model.poles[: len(whole.chains)]), std_from,
+    std_from = "repeats" if len(repeats) > 1 else "functions"
+    modes = _measured(frfs, whole, freq, damping, spread, kept, max(len(repeats), 1), std_from)
+    told = residual_words(
+        freq[kept], [checked[k].residual_std for k in kept], [checked[k].excess for k in kept]
     )  # fmt: skip
+    own_notes = [f"mode {names[k]} is {note}" for k, note in accepted.items()]
+    differ = scatter_of_modes({names[k]: moving.between[k] for k in kept})
+    modes = replace(modes, notes=(*modes.notes, *(note for note in (told, differ) if note), *own_notes))
+    return Identification(modes, fit, poles, curves, resonances_without_mode(frfs, whole.model.poles[:n]), std_from)
+
+
+def _freq_and_damping(poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    size = np.abs(poles)
+    return size / (2 * np.pi), -poles.real / size
+
+
+def _over_repeats(over: Spread, within: Spread, residual_std: Sequence[float]) -> Spread:
+    """Standard deviations over the repeats, widened by residuals, and at least those within their mean.
+
+    A few repeats may agree by chance; residuals of all lines and functions do not.
+    """
+    wider = np.array([max(1.0, one) if np.isfinite(one) else 1.0 for one in residual_std])
+    freq, damping = (np.fmax(a * wider, b) for a, b in ((over.freq, within.freq), (over.damping, within.damping)))
+    shapes = np.where(np.isfinite(over.shapes), over.shapes, within.shapes) * wider
+    return Spread(freq, damping, shapes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +183,10 @@ def _identified(frfs: MeasuredFRFs) -> _Identified:
     chains = stable(every, len(poles))
     if not chains:
         return _Identified(every, chains, fit_residues(frfs, np.zeros(0, complex)), np.zeros((0, 0)), np.zeros(0))
-    model = most_likely_model(frfs, np.array([chain.pole for chain in chains]))
+    starts = np.array([chain.pole for chain in chains])
+    left = without_split(frfs, starts, [len(chain.orders) for chain in chains])
+    chains, starts = tuple(chains[k] for k in left), starts[left]
+    model = most_likely_model(frfs, starts)
     residues = model.residues[: len(chains)]
     shapes = np.stack([_unit(_shape(frfs, own)) for own in residues], axis=1)
     order = np.argsort(np.abs(model.poles[: len(chains)]))
@@ -240,8 +250,8 @@ def _jackknife(frfs: MeasuredFRFs, whole: _Identified, repeats: Sequence[Measure
         raise InputError(fault.problem, place=fault.place, remedy=INSTEAD) from None
 
 
-def _over_orders(frfs: MeasuredFRFs, whole: _Identified) -> Spread:
-    freq, damping = np.array([chain.spread for chain in whole.chains]).T
+def _shapes_over_orders(frfs: MeasuredFRFs, whole: _Identified) -> np.ndarray:
+    """Standard deviations of shapes over the orders, (n_sensors, n_modes)."""
     shapes = []
     for k, chain in enumerate(whole.chains):
         own = []
@@ -251,32 +261,20 @@ def _over_orders(frfs: MeasuredFRFs, whole: _Identified) -> Spread:
                 table[one.i, one.j] = value
             own.append(aligned(whole.shapes[:, k], _shape(frfs, table)))
         shapes.append(both_parts(np.array(own)))
-    return Spread(freq, damping, np.stack(shapes, axis=1))
-
-
-def _fit_table(
-    whole: _Identified, checked: Sequence[Adequacy], spread: Spread, names: dict[int, str], why: Sequence[str]
-) -> pd.DataFrame:
-    return pd.DataFrame([
-        {
-            "mode": names.get(k, ""), "freq": whole.natural_freq[k], "freq_std": spread.freq[k],
-            "damping": whole.damping_ratio[k], "damping_std": spread.damping[k], "orders": len(whole.chains[k].orders),
-            "frac": one.frac, "residual_std": one.residual_std, "excess": one.excess, "rank_one": whole.rank_one[k],
-            "refused": why[k],
-        }
-        for k, one in enumerate(checked)
-    ])  # fmt: skip
+    return np.stack(shapes, axis=1)
 
 
 def _measured(
-    frfs: MeasuredFRFs, whole: _Identified, spread: Spread, kept: Sequence[int], n_repeats: int, std_from: str
-) -> MeasuredModes:
+    frfs: MeasuredFRFs, whole: _Identified, freq: np.ndarray, damping: np.ndarray, spread: Spread, kept: Sequence[int],
+    n_repeats: int, std_from: str,
+) -> MeasuredModes:  # fmt: skip
     sensors: tuple[Sensor, ...] = frfs.responses if _by_response(frfs) else frfs.references
     words = {
         "repeats": f"standard deviations from {n_repeats} repeats, each left out in turn",
-        "orders": "one measurement: standard deviations are the spread over model orders, not that of repeated tests",
+        "functions": "one measurement: standard deviations come from its residuals and from what its functions "
+        "contradict each other, not from repeated tests",
     }[std_from]
-    freq, damping = whole.natural_freq[list(kept)], whole.damping_ratio[list(kept)]
+    freq, damping = freq[list(kept)], damping[list(kept)]
     notes = (words, *([] if _by_response(frfs) else ["shapes at the references, by reciprocity"]))
     return MeasuredModes(
         names=tuple(str(k) for k in range(1, len(kept) + 1)), natural_freq=freq,
@@ -290,43 +288,3 @@ def _measured(
 def _rms(values: np.ndarray) -> np.ndarray:
     """Root mean square over all functions, (n_freq,)."""
     return np.asarray(np.sqrt(np.nanmean(np.abs(values) ** 2, axis=(1, 2))))
-
-
-def _hz(values: Sequence[float] | pd.Series) -> str:
-    return f"{', '.join(f'{value:.4g}' for value in values)} Hz"
-
-
-def modes_table(modes: MeasuredModes) -> pd.DataFrame:
-    """Columns of `read_modes_csv`; standard deviations of the mean, NaN where unknown."""
-    return pd.DataFrame({
-        "mode": modes.names, "freq": modes.natural_freq, "freq_kind": "natural",
-        "freq_std": _known(modes.freq_std, modes.natural_freq), "damping": modes.damping_ratio,
-        "damping_std": _known(modes.damping_std, modes.damping_ratio),
-    })  # fmt: skip
-
-
-def _known(std: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Standard deviations, NaN where they are rounding errors of data without noise."""
-    return np.where(std > FINEST * np.abs(value), std, np.nan)
-
-
-def shapes_table(modes: MeasuredModes) -> pd.DataFrame:
-    """Columns of `calib.measurement.files.csv_format.read_shapes_csv`, mode by mode."""
-    return pd.DataFrame([
-        {
-            "mode": name, "node": sensor.node, "direction": sensor.direction, "re": modes.shapes[i, k].real,
-            "im": modes.shapes[i, k].imag, "std": modes.shape_std[i, k],
-        }
-        for k, name in enumerate(modes.names)
-        for i, sensor in enumerate(modes.sensors)
-    ])  # fmt: skip
-
-
-def sensor_table(modes: MeasuredModes) -> pd.DataFrame:
-    """Columns of `calib.measurement.files.csv_format.read_sensor_table`, for the nodes whose places are known."""
-    places = {sensor.node: sensor for sensor in modes.sensors if sensor.point is not None}
-    rows = [
-        {"node": node, **dict(zip("xyz", sensor.point or (), strict=True)), "on": sensor.on or ""}
-        for node, sensor in places.items()
-    ]
-    return pd.DataFrame(rows, columns=["node", "x", "y", "z", "on"])

@@ -68,7 +68,7 @@ def fit_residues(frfs: MeasuredFRFs, poles: np.ndarray) -> ModalFRFModel:
     residues = np.full((n, *frfs.values.shape[1:]), complex(np.nan, np.nan))
     synthesised = np.full(frfs.values.shape, complex(np.nan, np.nan))
     basis = _basis(frfs, poles)
-    for one, weight, right in _weighed(frfs):
+    for one, weight, right in weighed(frfs):
         rows = basis[one.lines]
         system = _stacked(rows, weight)
         size = np.linalg.norm(system, axis=0)
@@ -124,14 +124,14 @@ def _refined_model(frfs: MeasuredFRFs, poles: np.ndarray, free: int) -> ModalFRF
         solved.residual, start, jac=solved.jacobian, bounds=(lower, upper), x_scale=reach,
         ftol=SMALLEST_STEP, xtol=SMALLEST_STEP, gtol=None, max_nfev=EVALUATIONS,
     )  # fmt: skip
-    return fit_residues(frfs, _poles(found.x))
+    return fit_residues(frfs, poles_of(found.x))
 
 
 class _Solved:
-    """Residuals and derivatives of `_projected`, of the last point together."""
+    """Residuals and derivatives of `projected`, of the last point together."""
 
     def __init__(self, frfs: MeasuredFRFs) -> None:
-        self._frfs, self._weighed = frfs, _weighed(frfs)
+        self._frfs, self._weighed = frfs, weighed(frfs)
         self._at, self._found = np.empty(0), (np.empty(0), np.empty(0))
 
     def residual(self, x: np.ndarray) -> np.ndarray:
@@ -142,23 +142,23 @@ class _Solved:
 
     def _both(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if not np.array_equal(x, self._at):
-            self._at, self._found = x.copy(), _projected(self._frfs, _poles(x), self._weighed)
+            self._at, self._found = x.copy(), projected(self._frfs, poles_of(x), self._weighed)
         return self._found
 
 
-def _poles(x: np.ndarray) -> np.ndarray:
+def poles_of(x: np.ndarray) -> np.ndarray:
     """Poles from the logarithms of their natural circular frequencies and damping ratios."""
     size, ratio = np.exp(np.split(x, 2))
     return np.asarray(size * (-ratio + 1j * np.sqrt(1 - ratio**2)))
 
 
-def _projected(frfs: MeasuredFRFs, poles: np.ndarray, weighed: Sequence[_Weighed]) -> tuple[np.ndarray, np.ndarray]:
+def projected(frfs: MeasuredFRFs, poles: np.ndarray, functions: Sequence[Weighed]) -> tuple[np.ndarray, np.ndarray]:
     """Weighed residuals after the best residues, and their derivatives by the logarithms in `_poles`."""
     n = len(poles)
     basis, slopes = _basis(frfs, poles), _slopes(frfs, poles)
     by_log = np.stack([poles, _by_damping(poles)])  # d pole / d ln of natural frequency and damping ratio
     residuals, jacobian = [], []
-    for one, weight, right in weighed:
+    for one, weight, right in functions:
         system = _stacked(basis[one.lines], weight)
         size = np.linalg.norm(system, axis=0)
         q, r = np.linalg.qr(system / size)
@@ -178,7 +178,7 @@ def _by_damping(poles: np.ndarray) -> np.ndarray:
     return np.asarray(size * (-ratio - 1j * ratio**2 / np.sqrt(1 - ratio**2)))
 
 
-class _Weighed(NamedTuple):
+class Weighed(NamedTuple):
     """A function, weights (n_lines,), and weighed values: real, then imaginary parts (2 n_lines,)."""
 
     function: MeasuredFunction
@@ -186,13 +186,14 @@ class _Weighed(NamedTuple):
     values: np.ndarray
 
 
-def _weighed(frfs: MeasuredFRFs) -> list[_Weighed]:
+def weighed(frfs: MeasuredFRFs) -> list[Weighed]:
+    """Functions by their standard deviations, each equally where these are not known on all lines."""
     std = frfs.total_std
     out = []
     for one in frfs.functions:
         own, measured = std[one.index], frfs.values[one.index]
         weight = 1.0 / own if np.all(own > 0) else np.ones(len(own))
-        out.append(_Weighed(one, weight, np.concatenate([measured.real * weight, measured.imag * weight])))
+        out.append(Weighed(one, weight, np.concatenate([measured.real * weight, measured.imag * weight])))
     return out
 
 

@@ -22,6 +22,8 @@ class IdentifyRules:
         Largest relative change of a stable pole's natural frequency from one order to the next.
     damping_change : float
         Likewise of its damping ratio.
+    damping_lines : float
+        Change of the real part of a pole, over the distance of lines, below which its damping counts as unchanged.
     stable_mac : float
         Smallest MAC between its residues over all functions at the two orders.
     skipped : int
@@ -39,6 +41,20 @@ class IdentifyRules:
     excess_sure : float
         Standard deviations by which the sum of squared errors around a mode must exceed its expectation to count as
         misfit: one in three million by chance, while a search looks at a few dozen modes.
+    functions_least : int
+        Fewest functions that show a mode by which its scatter between functions is judged.
+    scatter_chance : float
+        Inverse of the chance by which noise alone would make functions differ as much.
+    scatter_least : float
+        Least scatter of a natural frequency that matters, over its damping ratio.
+    scatter_alone : float
+        Scatter of one mode, over the median of the others, from which on it may be that of two modes.
+    mpc_least : float
+        Least modal phase collinearity of a shape under one reference, which has no other evidence of a mode.
+    residual_told : float
+        Residual around a mode, in standard deviations of the FRFs, from which on it is told.
+    accepted_reach : float
+        Largest relative distance of an accepted frequency from its pole, where the half-power width is smaller.
     record_order_most : int
         Largest number of states of ambient records: two a mode, half of which pyOMA2's clusters ask for.
     rows_least : int
@@ -74,6 +90,7 @@ class IdentifyRules:
     lines_least: int = 20
     freq_change: float = 0.01
     damping_change: float = 0.05
+    damping_lines: float = 0.01
     stable_mac: float = 0.95
     skipped: int = 1
     orders_least: int = 5
@@ -82,6 +99,13 @@ class IdentifyRules:
     compared_lines: int = 5
     excess_most: float = 0.1
     excess_sure: float = 5.0
+    functions_least: int = 3
+    scatter_chance: float = 1e4
+    scatter_least: float = 1e-3
+    scatter_alone: float = 5.0
+    mpc_least: float = 0.5
+    residual_told: float = 5.0
+    accepted_reach: float = 0.01
     record_order_most: int = 60
     rows_least: int = 20
     parts: int = 30

@@ -67,6 +67,7 @@ def pole_chains(frfs: MeasuredFRFs, poles: Sequence[np.ndarray]) -> tuple[Chain,
         rad/s, by order from 1; see `calib.modal_analysis.poles.poles_by_order`.
     """
     chains: list[Chain] = []
+    finest = RULES.damping_lines * 2 * np.pi * float(np.median(np.diff(frfs.freq)))
     for order, found in enumerate(poles, start=1):
         own = found[-found.real < RULES.overdamped * np.abs(found)]
         if not len(own):
@@ -74,7 +75,7 @@ def pole_chains(frfs: MeasuredFRFs, poles: Sequence[np.ndarray]) -> tuple[Chain,
         residues = fit_residues(frfs, own).residues
         flat = np.array([residues[:, one.i, one.j] for one in frfs.functions])
         open_ones = [k for k, chain in enumerate(chains) if chain.orders[-1] >= order - 1 - RULES.skipped]
-        score = _scores(own, flat, [chains[k] for k in open_ones])
+        score = _scores(own, flat, [chains[k] for k in open_ones], finest)
         while score.size and (best := np.unravel_index(np.argmax(score), score.shape)) and score[best] > 0:
             i, c = int(best[0]), open_ones[int(best[1])]
             chain = chains[c]
@@ -87,15 +88,20 @@ def pole_chains(frfs: MeasuredFRFs, poles: Sequence[np.ndarray]) -> tuple[Chain,
     return tuple(chains)
 
 
-def _scores(poles: np.ndarray, residues: np.ndarray, chains: Sequence[Chain]) -> np.ndarray:
-    """MAC of poles with the last members of chains, (n_poles, n_chains); 0 beyond the limits."""
+def _scores(poles: np.ndarray, residues: np.ndarray, chains: Sequence[Chain], finest: float) -> np.ndarray:
+    """MAC of poles with the last members of chains, (n_poles, n_chains); 0 beyond the limits.
+
+    Real parts that differ by less than ``finest``, rad/s, count as equal: lines do not tell them apart.
+    """
     if not chains:
         return np.zeros((len(poles), 0))
     last = np.array([chain.poles[-1] for chain in chains])
     agreement = mac(residues, np.stack([chain.residues[-1] for chain in chains], axis=1))
     ratio = [-p.real / np.abs(p) for p in (poles, last)]
     near = np.abs(np.abs(poles)[:, None] / np.abs(last) - 1) <= RULES.freq_change
-    near &= np.abs(ratio[0][:, None] / ratio[1] - 1) <= RULES.damping_change
+    near &= (np.abs(ratio[0][:, None] / ratio[1] - 1) <= RULES.damping_change) | (
+        np.abs(poles.real[:, None] - last.real) <= finest
+    )
     return np.where(near & (agreement >= RULES.stable_mac), agreement, 0.0)
 
 

@@ -64,6 +64,16 @@ class Poles:
     steady: np.ndarray
 
 
+def block_rows(n_sensors: int) -> int:
+    """Block rows of the Hankel matrix of so many sensors."""
+    return max(RULES.rows_least, -(-RULES.record_order_most // n_sensors) + 1)
+
+
+def samples_needed(n_sensors: int, n_parts: int) -> int:
+    """Samples that a record needs for correlations of so many parts."""
+    return RULES.samples_per_row * block_rows(n_sensors) * n_parts
+
+
 def correlations(records: Sequence[MeasuredRecord], n_parts: int) -> Correlations:
     """Block Hankel matrices of records, cut into parts.
 
@@ -81,13 +91,13 @@ def correlations(records: Sequence[MeasuredRecord], n_parts: int) -> Correlation
     """
     ssi = _package().ssi
     n_sensors = len(records[0].sensors)
-    rows = max(RULES.rows_least, -(-RULES.record_order_most // n_sensors) + 1)
+    rows = block_rows(n_sensors)
     each = -(-n_parts // len(records))
     parts = []
     for one in records:
         length = len(one.values) // each
-        if length < RULES.samples_per_row * rows:
-            least = RULES.samples_per_row * rows * each
+        least = samples_needed(n_sensors, each)
+        if length < least // each:
             raise InputError(
                 f"its {len(one.values)} samples are too few to identify modes from {n_sensors} sensors",
                 place=one.source or "record", remedy=f"give at least {least}, or more sensors",

@@ -36,13 +36,13 @@ def test_refined_poles_are_unbiased_where_those_of_the_start_are_not():
 
 def test_the_gradient_of_the_squares_is_that_of_differences():
     frfs, _ = WORLDS.pair_test(0.1, 0.02)
-    weighed = subject._weighed(frfs)
+    weighed = subject.weighed(frfs)
     x = np.concatenate([np.log(np.abs(TRUE) * 1.01), np.log(-TRUE.real / np.abs(TRUE) * 0.9)])
-    residual, jacobian = subject._projected(frfs, subject._poles(x), weighed)
+    residual, jacobian = subject.projected(frfs, subject.poles_of(x), weighed)
     step = 1e-5
 
     def squares(at):
-        return float(np.sum(subject._projected(frfs, subject._poles(at), weighed)[0] ** 2))
+        return float(np.sum(subject.projected(frfs, subject.poles_of(at), weighed)[0] ** 2))
 
     for k, along in enumerate(step * np.eye(len(x))):
         sums = squares(x + along), squares(x - along)

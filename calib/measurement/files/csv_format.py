@@ -27,9 +27,10 @@ ONE = ""
 
 
 def read_modes_csv(path: Path) -> dict[str, Repeat]:
-    """Frequencies and damping from a table ``mode, freq, freq_kind, freq_std, damping, damping_std, repeat``.
+    """Frequencies and damping from a table ``mode, freq, freq_kind, freq_std, damping, damping_std, repeat, note``.
 
-    Frequencies and their standard deviations in Hz, damping as a ratio; the last four columns may be absent or empty. A
+    Frequencies and their standard deviations in Hz, damping as a ratio; the last five columns may be absent or empty. A
+    note is told with the name of its mode; ``mpc`` and ``mpd``, which `calib modes` writes beside them, are not used. A
     damped frequency is converted to the natural one, ``natural = damped / sqrt(1 - damping**2)``, and so is its
     standard deviation; where the damping is unknown the two are taken as equal. With a column ``repeat`` the table
     holds many repeats, each under its own label; a mode that a repeat lacks has no line there.
@@ -45,7 +46,8 @@ def read_modes_csv(path: Path) -> dict[str, Repeat]:
         With file, line and column, for anything that is not such a table.
     """
     found: dict[str, dict[str, tuple[float, float, float, float]]] = {}
-    optional = ("freq_std", "damping", "damping_std", "repeat")
+    notes: dict[str, list[str]] = {}
+    optional = ("freq_std", "damping", "damping_std", "repeat", "mpc", "mpd", "note")
     for row in read_rows(path, ("mode", "freq", "freq_kind"), optional):
         name, modes = row.text("mode"), found.setdefault(_label(row), {})
         if name in modes:
@@ -66,10 +68,15 @@ def read_modes_csv(path: Path) -> dict[str, Repeat]:
         if kind == "damped" and not math.isnan(damping):
             factor = 1.0 / math.sqrt(1.0 - damping**2)
         modes[name] = (freq * factor, deviations[0] * factor, damping, deviations[1])
+        if note := row.cells.get("note", "").strip():
+            notes.setdefault(_label(row), []).append(f"mode {name}: {note}")
     out = {}
     for label, modes in found.items():
         freqs, freq_stds, dampings, damping_stds = np.array(list(modes.values())).T.copy()
-        out[label] = Repeat(_source(path, label), tuple(modes), True, freqs, freq_stds, dampings, damping_stds)
+        out[label] = Repeat(
+            _source(path, label), tuple(modes), True, freqs, freq_stds, dampings, damping_stds,
+            notes=tuple(notes.get(label, ())),
+        )  # fmt: skip
     return out
 
 

@@ -1,0 +1,288 @@
+"""How much the poles of single functions differ, by drift or by the mass of a roving sensor, and what modes remain.
+
+Functions that were measured one after the other need not share their poles. One common pole then misses each of them,
+two common poles imitate one that moves, and both look like what they are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import chi2
+
+from calib.measurement.frf import MeasuredFRFs
+from calib.modal_analysis.model import ModalFRFModel, Weighed, most_likely_model, poles_of, projected, weighed
+from calib.modal_analysis.rules import RULES
+
+STEPS = 3
+"""Gauss-Newton steps of a function's own poles, which lie within their half-power widths."""
+FREQ_REACH, DAMPING_REACH = 1.0, 0.5
+"""Prior standard deviations of a function's own pole: of its frequency in half half-power widths, of the logarithm of
+its damping ratio. They keep functions in check that hardly show a mode."""
+PAIR_WIDTHS = 5.0
+"""Lines around a pair of poles by which they are told from one that moves, in half-power widths to both sides."""
+PAIR_START = 0.3
+"""Distance from one pole at which a pair in its place starts, in half half-power widths."""
+CLEARLY = 40.0
+"""Difference of two values of the information criterion beyond doubt."""
+SEEN = 0.5
+"""Largest standard deviation of a function's own pole, over that of the prior, with which it counts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """Modes of single functions beside those of all together.
+
+    Attributes
+    ----------
+    between : ndarray (n_modes,)
+        Relative standard deviation of the natural frequency between functions, beyond noise; 0 where it is not sure,
+        NaN where fewer than `RULES.functions_least` functions show the mode.
+    poles : ndarray (n_modes,), complex
+        rad/s: the mean over the functions where they differ, else the common pole.
+    freq_std, damping_std : ndarray (n_modes,)
+        Hz and ratio. Where functions differ, of their mean; else by the residuals of the fit, the largest of three: by
+        their mean square, by those of each line (White 1980) and by their sums over each function, which contradict
+        each other.
+    synthesised : ndarray (n_freq, n_responses, n_references), complex
+        Functions of the model with poles of their own where they differ.
+    squares : float
+        Sum of squared weighed errors of these.
+    """
+
+    between: np.ndarray
+    poles: np.ndarray
+    freq_std: np.ndarray
+    damping_std: np.ndarray
+    synthesised: np.ndarray
+    squares: float
+
+
+def scatter(frfs: MeasuredFRFs, model: ModalFRFModel, n_modes: int) -> Scatter:
+    """Fit the first ``n_modes`` poles of a model to each function, and compare them.
+
+    The standard deviation between functions is that of a random-effects model (Paule and Mandel 1982). It is sure
+    where their differences would arise once in `RULES.scatter_chance` by noise, and matters from
+    `RULES.scatter_least` of half a half-power width on.
+    """
+    functions = weighed(frfs)
+    n, start = len(model.poles), _logs(model.poles)
+    free = np.concatenate([np.arange(n_modes), n + np.arange(n_modes)])
+    ratio = np.exp(start[n : n + n_modes])
+    reach = np.concatenate([FREQ_REACH * ratio, np.full(n_modes, DAMPING_REACH)])
+    own = [_own_poles(frfs, one, start, free, reach) for one in functions]
+    moved, variance = (np.array(part) for part in zip(*own, strict=True))
+    seen = variance < (SEEN * reach) ** 2
+    between, mean, std = np.zeros(n_modes), np.zeros(2 * n_modes), _common_std(frfs, model, functions)[free]
+    tau = np.zeros(2 * n_modes)
+    for k in range(n_modes):
+        here = np.flatnonzero(seen[:, k])
+        if len(here) < RULES.functions_least:
+            between[k] = np.nan
+            continue
+        found, q = _random_effects(moved[here, k], variance[here, k])
+        sure = chi2.sf(q, len(here) - 1) * RULES.scatter_chance < 1 and found > RULES.scatter_least * ratio[k]
+        if not sure:
+            continue
+        between[k] = found
+        for j in (k, n_modes + k):
+            there = np.flatnonzero(seen[:, j])
+            if len(there) < RULES.functions_least:
+                continue
+            tau[j] = _random_effects(moved[there, j], variance[there, j])[0]
+            weight = 1 / (variance[there, j] + tau[j] ** 2)
+            mean[j], std[j] = weight @ moved[there, j] / weight.sum(), 1 / np.sqrt(weight.sum())
+    synthesised, squares = _synthesised(frfs, functions, start, free, mean, tau)
+    shifted = start.copy()
+    shifted[free] += mean
+    poles = poles_of(shifted)[:n_modes]
+    size = np.abs(poles)
+    return Scatter(
+        between, poles, std[:n_modes] * size / (2 * np.pi), std[n_modes:] * -poles.real / size, synthesised, squares
+    )  # fmt: skip
+
+
+def without_split(frfs: MeasuredFRFs, poles: np.ndarray, lengths: Sequence[int]) -> np.ndarray:
+    """Which stable poles remain when each pair that is one mode, moving between functions, is taken for one.
+
+    Of two poles closer than a half-power width the one that is stable at fewer orders is left out on trial. It stays
+    out when the other with a value of its own in each function describes the FRFs better than both by the Bayesian
+    information criterion (Schwarz 1978): each adds about as many parameters.
+
+    Parameters
+    ----------
+    frfs : MeasuredFRFs
+    poles : ndarray (n_poles,), complex
+        rad/s.
+    lengths : sequence of int
+        Orders at which each is stable.
+
+    Returns
+    -------
+    ndarray of int
+        Indices, ascending.
+    """
+    kept = list(range(len(poles)))
+    if len(frfs.functions) < RULES.functions_least:
+        return np.array(kept, dtype=int)
+    for one, other in _close_pairs(poles):
+        if one in kept and other in kept:
+            weaker = min((one, other), key=lambda k: lengths[k])
+            window, near = _around(frfs, poles, kept, (one, other))
+            both, single = poles[near], poles[[k for k in near if k != weaker]]
+            if _is_one_mode(window, both, single):
+                kept.remove(weaker)
+    return np.array(kept, dtype=int)
+
+
+def _around(
+    frfs: MeasuredFRFs, poles: np.ndarray, kept: Sequence[int], pair: tuple[int, int]
+) -> tuple[MeasuredFRFs, list[int]]:
+    """FRFs around a pair of poles, and the poles there."""
+    size, width = np.abs(poles) / (2 * np.pi), -poles.real / np.pi
+    reach, own = PAIR_WIDTHS * width[list(pair)].max(), size[list(pair)]
+    lines = np.sort(np.abs(frfs.freq - own.mean()))
+    reach = max(reach, float(lines[min(RULES.lines_least, len(lines)) - 1]))
+    low, high = max(own.min() - reach, float(frfs.freq[0])), min(own.max() + reach, float(frfs.freq[-1]))
+    return frfs.in_band(low, high), [k for k in kept if low <= size[k] <= high]
+
+
+def hidden_pairs(frfs: MeasuredFRFs, poles: np.ndarray, between: np.ndarray) -> tuple[int, ...]:
+    """Which poles that differ between functions stand for two modes, of which each function holds its own mixture.
+
+    Two common poles in their places then describe the FRFs better than one in each function, by the criterion of
+    `without_split`. Small differences are described equally well by both. Drift and masses move all resonances, though:
+    one that differs `RULES.scatter_alone` times as much as the others do in the median is taken for two modes unless
+    its movement is clearly the better description.
+
+    Parameters
+    ----------
+    frfs : MeasuredFRFs
+    poles : ndarray (n_modes,), complex
+        rad/s.
+    between : ndarray (n_modes,)
+        See `Scatter`.
+    """
+    found = []
+    for k in np.flatnonzero(between > 0).tolist():
+        window, near = _around(frfs, poles, range(len(poles)), (k, k))
+        others = poles[[m for m in near if m != k]]
+        both = poles[k] + 1j * np.array([-1.0, 1.0]) * PAIR_START * abs(poles[k].real)
+        rest = np.delete(np.nan_to_num(between), k)
+        alone = len(rest) > 0 and between[k] > RULES.scatter_alone * np.median(rest)
+        if not _is_one_mode(window, np.append(others, both), poles[near], CLEARLY if alone else 0.0):
+            found.append(k)
+    return tuple(found)
+
+
+def _is_one_mode(frfs: MeasuredFRFs, both: np.ndarray, single: np.ndarray, margin: float = 0.0) -> bool:
+    """Whether fewer poles that move between functions describe FRFs better than one more that does not.
+
+    ``margin`` is by how much the criterion must be smaller.
+    """
+    n, rows = len(frfs.functions), 2 * sum(len(one.lines) for one in frfs.functions)
+    residual, _ = projected(frfs, most_likely_model(frfs, both).poles, weighed(frfs))
+    moving = scatter(frfs, most_likely_model(frfs, single), len(single)).squares
+    # a pole and its residues, against the poles of the other one in each function
+    costs = [
+        rows * np.log(max(squares, 1e-300)) + parameters * np.log(rows)
+        for squares, parameters in ((float(residual @ residual), 2 + 2 * n), (moving, 2 * n))
+    ]
+    return bool(costs[1] < costs[0] - margin)
+
+
+def _close_pairs(poles: np.ndarray) -> list[tuple[int, int]]:
+    """Pairs of poles closer than the half-power width of the wider, closest first."""
+    size, width = np.abs(poles), -2 * poles.real
+    pairs = [
+        (abs(size[i] - size[j]) / max(width[i], width[j]), i, j) for i in range(len(poles)) for j in range(i)
+    ]  # fmt: skip
+    return [(i, j) for apart, i, j in sorted(pairs) if apart < 1]
+
+
+def _logs(poles: np.ndarray) -> np.ndarray:
+    return np.concatenate([np.log(np.abs(poles)), np.log(-poles.real / np.abs(poles))])
+
+
+def _own_poles(
+    frfs: MeasuredFRFs, one: Weighed, start: np.ndarray, free: np.ndarray, reach: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Changes of the free logarithms that a function asks for, and their variances, both (n_free,).
+
+    Variances are the larger of those by the mean residual and by each line's own (White 1980): noise in proportion to
+    the function is largest at its resonances.
+    """
+    moved, precision = np.zeros(len(free)), np.diag(1 / reach**2)
+    normal, lines = precision, precision
+    for _ in range(STEPS):
+        x = start.copy()
+        x[free] += moved
+        residual, jacobian = projected(frfs, poles_of(x), [one])
+        freedom = max(len(residual) - 2 * len(start) - 8 - len(free), 1)
+        slope, noise = jacobian[:, free], max(float(residual @ residual) / freedom, 1e-300)
+        normal, pulls = slope.T @ slope / noise + precision, slope * residual[:, None] / noise
+        lines = pulls.T @ pulls * len(residual) / freedom + precision
+        moved = moved - np.linalg.solve(normal, slope.T @ residual / noise + precision @ moved)
+        moved = np.clip(moved, -2 * reach, 2 * reach)
+    inverse = np.linalg.inv(normal)
+    return moved, np.maximum(np.diag(inverse), np.diag(inverse @ lines @ inverse))
+
+
+def _random_effects(values: np.ndarray, variance: np.ndarray) -> tuple[float, float]:
+    """Standard deviation between values beyond their variances, and their weighed sum of squares without it."""
+
+    def squares(beyond: float) -> float:
+        weight = 1 / (variance + beyond)
+        return float(weight @ (values - weight @ values / weight.sum()) ** 2)
+
+    q, wanted = squares(0.0), len(values) - 1
+    if q <= wanted:
+        return 0.0, q
+    most = len(values) * float(np.var(values))  # here the sum is below what is wanted
+    return float(np.sqrt(brentq(lambda beyond: squares(beyond) - wanted, 0.0, most, xtol=1e-6 * most))), q
+
+
+def _common_std(frfs: MeasuredFRFs, model: ModalFRFModel, functions: Sequence[Weighed]) -> np.ndarray:
+    """Standard deviations of the logarithms of all poles, (2 n_poles,)."""
+    normal, noise, lines, apart = 0.0, 0.0, 0.0, 0.0
+    for one in functions:
+        residual, slope = projected(frfs, model.poles, [one])
+        own, pull = slope.T @ slope, slope.T @ residual
+        freedom = max(len(residual) - 2 * len(model.poles) - 8, 1)
+        normal, noise = normal + own, noise + own * float(residual @ residual) / freedom
+        pulls = slope * residual[:, None]
+        lines, apart = lines + pulls.T @ pulls * len(residual) / freedom, apart + np.outer(pull, pull)
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
+    several = len(functions) / max(len(functions) - 1, 1)
+    each = [np.diag(inverse @ middle @ inverse) for middle in (noise, lines, several * np.asarray(apart))]
+    return np.asarray(np.sqrt(np.max(each, axis=0)))
+
+
+def _synthesised(
+    frfs: MeasuredFRFs, functions: Sequence[Weighed], start: np.ndarray, free: np.ndarray, mean: np.ndarray,
+    tau: np.ndarray,
+) -> tuple[np.ndarray, float]:  # fmt: skip
+    """Functions with poles of their own around the mean where they differ, and the sum of squared weighed errors."""
+    out, squares = np.full(frfs.values.shape, complex(np.nan, np.nan)), 0.0
+    moving = tau > 0
+    columns, precision = free[moving], np.diag(1 / tau[moving] ** 2)
+    for one in functions:
+        x, moved = start.copy(), np.zeros(len(columns))
+        x[free] += mean
+        base = x[columns].copy()
+        residual, jacobian = projected(frfs, poles_of(x), [one])
+        for _ in range(STEPS if len(columns) else 0):
+            freedom = max(len(residual) - 2 * len(start) - 8, 1)
+            slope, noise = jacobian[:, columns], max(float(residual @ residual) / freedom, 1e-300)
+            right = slope.T @ residual / noise + precision @ moved
+            moved = np.clip(moved - np.linalg.solve(slope.T @ slope / noise + precision, right), -0.5, 0.5)
+            x[columns] = base + moved
+            residual, jacobian = projected(frfs, poles_of(x), [one])
+        real, imag = np.split(one.values - residual, 2)
+        out[one.function.index] = (real + 1j * imag) / one.weight
+        squares += float(residual @ residual)
+    return out, squares
