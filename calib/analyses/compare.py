@@ -31,6 +31,7 @@ from calib.errors.errors import EvaluationError, InputError
 from calib.execution.outcome import as_cause, named_responses
 from calib.experiment.test import ForwardProblem
 from calib.measurement.check import SensorFinding
+from calib.measurement.doubts import doubts_of
 from calib.measurement.modal import MeasuredModes
 from calib.results.answer import Answer
 from calib.results.results import Results
@@ -210,8 +211,9 @@ def comparison_of(
     """Compare model and measurement at named values; EvaluationError when the model cannot be solved there.
 
     Modes are paired, FRFs compared function by function, any other kind of data value by value. ``hints`` and
-    ``std_notes`` are passed on to the result.
+    ``std_notes`` are passed on to the result, with what must not be missed about the measurement.
     """
+    hints = (*doubts_of(getattr(problem, "measured", None)), *hints)
     if isinstance(problem, FRFProblem):
         found = FRFResidual(problem).compared(values)
         table = found.functions_table()

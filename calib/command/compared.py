@@ -11,6 +11,7 @@ from calib.analyses.provenance.record import assumptions_table, check_repeats
 from calib.analyses.sensitivity import Screening, Sensitivity
 from calib.command.entries import Entry, Rows, Warned, When, Words
 from calib.command.terminal import count, decimals
+from calib.measurement.places import Doubt
 from calib.missing.local import unit_words
 from calib.results.results import Results
 from calib.study.study import LoadedStudy
@@ -26,7 +27,7 @@ def compared_entries(study: LoadedStudy, result: ComparisonResult, folder: Resul
     """A comparison without a fit."""
     out: list[Entry] = [
         *map(Words, held_out(study)),
-        *(Words(f"Measurement: {note}.") for note in study.experiment.notes),
+        *(Words(f"Measurement: {note}.") for note in study.experiment.notes if not isinstance(note, Doubt)),
         *map(Warned, check_repeats(study)),
         *map(Warned, result.hints),
         *(Warned(f"Check this sensor: {finding.sentence}") for finding in result.sensor_findings),

@@ -16,7 +16,8 @@ GRAVITY = 9.80665
 
 LENGTHS: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254, "ft": 0.3048}
 """Metres per unit of length."""
-_FORCES: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605}
+FORCES: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "mN": 1e-3, "lbf": 4.4482216152605}
+"""Newtons per unit of force."""
 _POWERS: Mapping[Quantity, tuple[str, ...]] = {"receptance": ("",), "mobility": ("s",), "accelerance": ("s2", "ss")}
 _TOLERANCE = 1e-3
 """Largest relative difference of two statements of one unit; files round their factors."""
@@ -66,7 +67,7 @@ def parse_unit(text: str, place: str | Path | Place) -> tuple[Quantity, FRFUnits
     bare = "".join(c for c in text.replace("²", "2").replace("μ", "µ") if c not in " ()^*·")
     if bare == "1/kg":
         return "accelerance", FRFUnits()
-    for force, newtons in _FORCES.items():
+    for force, newtons in FORCES.items():
         if bare == f"g/{force}":
             return "accelerance", FRFUnits(GRAVITY, 1.0, newtons)
         for length, metres in LENGTHS.items():
@@ -78,3 +79,10 @@ def parse_unit(text: str, place: str | Path | Place) -> tuple[Quantity, FRFUnits
         f"the unit {text[:40]!r} is unknown", place=place,
         remedy="write a motion over a force, such as m/N, mm/N, (m/s)/N, (m/s2)/N, g/N or g/lbf",
     )  # fmt: skip
+
+
+def parse_length_unit(text: str | None, place: str | Path | Place = "length_unit") -> float | None:
+    """Metres per unit of length, such as ``mm``; None for None. InputError for a text that is no such unit."""
+    if text is None or text in LENGTHS:
+        return None if text is None else LENGTHS[text]
+    raise InputError(f"the unit of length {text!r:.40} is unknown", place=place, remedy=f"one of {', '.join(LENGTHS)}")

@@ -20,6 +20,10 @@ UNIT_TOLERANCE = 0.02
 """Relative tolerance of the factor by which two sets of places count as the same in different units."""
 
 
+class Doubt(str):
+    """A note on reading that must not be missed, such as what was left out of a fit; see `doubts.doubts_of`."""
+
+
 @dataclass(frozen=True)
 class Misplaced:
     """A node whose place in the sensor table contradicts the universal files.

@@ -12,6 +12,7 @@ import numpy as np
 from calib.errors.errors import InputError
 from calib.measurement.alignment import mean_and_std, scaled
 from calib.measurement.disagreements import Disagreement, Pooling, bad_shape, disagreeing, leave_out
+from calib.measurement.doubts import same_to_the_digit
 from calib.measurement.mac import mac
 from calib.measurement.matching import Matching, match_modes
 from calib.measurement.rules import RULES
@@ -59,6 +60,8 @@ class Repeat:
     shape_set : ShapeSet or None
         Columns in the order of `names`.
     notes : tuple of str
+    left_out : tuple of str
+        Names of modes that the file holds and that were left out on reading.
     """
 
     source: str
@@ -70,6 +73,7 @@ class Repeat:
     damping_std: np.ndarray
     shape_set: ShapeSet | None = None
     notes: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -155,6 +159,8 @@ def combine_repeats(
         for r, place, column, agreement in matching.set_aside
     ]
     if len(repeats) > 1:
+        _require_no_copy(repeats)
+        notes += same_to_the_digit(names, freq)
         found += disagreeing(labels, names, freq, damping, rows, stack, pooling)
         if pooling == "robust":
             freq, damping, stack = leave_out(found, freq, damping, stack)
@@ -205,6 +211,18 @@ def combine_repeats(
         np.isfinite(freq).sum(axis=0) * behind, np.isfinite(damping).sum(axis=0) * behind,
         np.isfinite(stack).sum(axis=0) * behind, tuple(found), tuple(dict.fromkeys(notes)),
     )  # fmt: skip
+
+
+def _require_no_copy(repeats: Sequence[Repeat]) -> None:
+    """InputError for shapes that are those of an earlier repeat, to the last digit: noise would differ."""
+    for k, repeat in enumerate(repeats):
+        for earlier in repeats[:k]:
+            one, two = earlier.shape_set, repeat.shape_set
+            if one is None or two is None or not np.array_equal(earlier.natural_freq, repeat.natural_freq):
+                continue
+            if one.sensors == two.sensors and np.array_equal(one.shapes, two.shapes, equal_nan=True):
+                words = f"it holds the same modes as {earlier.source}, to the last digit: a copy is no repeat"
+                raise InputError(words, place=repeat.source, remedy="leave it out")
 
 
 def _in_rows(given: ShapeSet | None, rows: Sequence[tuple[int, str]], n_modes: int) -> np.ndarray:

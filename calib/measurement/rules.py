@@ -11,6 +11,24 @@ class ReadRules:
 
     Attributes
     ----------
+    rounded_freq : float
+        Share of the highest frequency of a file up to which a negative frequency is a zero with rounding.
+    rigid_freq : float
+        Share of the highest frequency of a file below which a mode is a rigid-body motion: rounding of the squares.
+    doubt_modes : int
+        Fewest modes that must share a strange property before it is told.
+    doubt_entries : int
+        Fewest entries of shapes likewise.
+    percent_damping : float
+        Damping ratio that all modes exceed only where they are percent.
+    shape_std_most : float
+        Standard deviation of a shape, over its largest entry, above which it says nothing.
+    same_repeats : int
+        Fewest repeats of which the same value to the last digit is told.
+    absent_lines : float
+        Largest share of the lines of all functions that one function may lack.
+    local_axis : float
+        Cosine below which a local axis has no part in a global direction, 0.6 degrees: sensors are mounted no better.
     farthest_freq : float
         Largest relative difference of frequency between repeats of one mode.
     same_mac : float
@@ -91,6 +109,15 @@ class ReadRules:
         Share of the largest motion from which the model moves there.
     """
 
+    rounded_freq: float = 1e-3
+    rigid_freq: float = 1e-6
+    doubt_modes: int = 2
+    doubt_entries: int = 3
+    percent_damping: float = 0.2
+    shape_std_most: float = 1.0
+    same_repeats: int = 3
+    absent_lines: float = 0.25
+    local_axis: float = 0.01
     farthest_freq: float = 0.1
     same_mac: float = 0.5
     same_score: float = 0.25

@@ -31,6 +31,8 @@ FLAGS: Mapping[str, bool] = {
 """Spellings of true and false, in lower case; spreadsheets translate them."""
 AGAIN = "run the study again to rewrite it"
 """Remedy for a damaged table that calib has written itself."""
+LEAVE_OUT = "give the value, or leave the line out"
+"""Remedy for a value that was not measured."""
 _INTEGER = re.compile(r"\d{1,10}", re.ASCII)
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _HINT = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
@@ -77,9 +79,11 @@ class TableRow:
 
     def number(self, column: str) -> float:
         """A finite number that must be there."""
-        text = self.text(column)
+        text = self.cells[column]
+        if _unknown(text):
+            raise self.error(column, f"{shortened(text)} is not a number" if text else "it is empty", LEAVE_OUT)
         value = number_of(text, self.comma)
-        if value is None or math.isnan(value):
+        if value is None:
             raise self.error(column, f"{shortened(text)} is not a number", "write it like 12.5 or 1.25e1")
         if math.isinf(value):
             raise self.error(column, f"{shortened(text)} is not finite", "correct it")
@@ -87,7 +91,10 @@ class TableRow:
 
     def optional(self, column: str) -> float:
         """A finite number, or NaN when the column or the entry is empty."""
-        return self.number(column) if self.cells.get(column) else math.nan
+        text = self.cells.get(column)
+        if text and _unknown(text):
+            raise self.error(column, f"{shortened(text)} is not a number", "leave the entry empty")
+        return self.number(column) if text else math.nan
 
     def node(self) -> int:
         """The node label, an integer from 0."""

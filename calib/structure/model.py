@@ -307,7 +307,8 @@ class StructuralModel(Analytic):
                     f"it lies {distance:.3f} m off the model {self.name}"
                     + (f" (part {sensor.on!r})" if sensor.on else ""),
                     place=place,
-                    remedy=f"correct its coordinates or its part (largest distance {self.sensor_tolerance:g} m)",
+                    remedy=f"correct its coordinates or its part (largest distance {self.sensor_tolerance:g} m)"
+                    + self._other_unit(sensor),
                 )
             if not np.abs(row).max(initial=0.0) > 1e-9:  # suppressed motions of an inclined member carry rounding error
                 raise InputError(
@@ -317,6 +318,15 @@ class StructuralModel(Analytic):
                 )
             rows[i] = row
         return rows
+
+    def _other_unit(self, sensor: Sensor) -> str:
+        """The unit of length in which the place of a sensor would lie on the model, in words; empty without one."""
+        for unit, metres in (("mm", 1e-3), ("cm", 1e-2), ("in", 0.0254)):
+            if sensor.point is not None:
+                x, y, z = (metres * own for own in sensor.point)
+                if self._row_of(replace(sensor, point=(x, y, z)))[1] <= self.sensor_tolerance:
+                    return f"; it looks like {unit}: give m, or state length_unit = {unit!r} of a universal file"
+        return ""
 
     def translations(self, sensor: Sensor) -> np.ndarray:
         """Motions in x, y and z at the place of a sensor, (3, n_dof), zero where the model suppresses them.

@@ -92,6 +92,8 @@ class MeasurementSettings(Section):
     unit: str | None = None
     """Unit of FRFs of translations under forces, such as ``"(m/s2)/N"`` or ``"g/N"``, where their files do not
     state it."""
+    length_unit: Literal["m", "cm", "mm", "um", "in", "ft"] | None = None
+    """Unit of places in universal files that do not state it (dataset 164); by default m."""
     band: Pair | None = None
     """Lines of FRFs that are used, from and to, Hz; by default all."""
     lines: Literal["all", "resonances"] = "all"

@@ -153,6 +153,7 @@ class StudyFile:
                 unit=given.unit,
                 sensors=sensors,
                 averages=given.averages,
+                length_unit=given.length_unit,
                 synthetic=given.synthetic,
             )
             return replace(self._lines_of(read), accuracy=frf_claim(given.accuracy))
@@ -164,6 +165,7 @@ class StudyFile:
             std_of=given.std_of,
             mode_names=given.mode_names,
             pooling=given.pooling,
+            length_unit=given.length_unit,
             synthetic=given.synthetic,
         )
         measured = corrected(measured, given.corrected, self.place("measurement", "corrected"))

@@ -104,10 +104,11 @@ def test_a_line_without_coherence_has_a_finite_standard_deviation():
 
 def test_lines_are_the_same_to_the_rounding_of_single_precision():
     single = FREQ.astype(np.float32).astype(float) * (1 + 6e-8)
-    functions = {((2, "z"), (1, "z")): receptance()}
-    found = combine_frfs(
-        [FRFRepeat(name, freq, "receptance", functions) for name, freq in (("a", FREQ), ("b", single))]
-    )
+    key = ((2, "z"), (1, "z"))
+    found = combine_frfs([
+        FRFRepeat(name, freq, "receptance", {key: share * receptance()})
+        for name, freq, share in (("a", FREQ, 1.0), ("b", single, 1.01))
+    ])  # fmt: skip
     np.testing.assert_array_equal(found.freq, FREQ)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,9 @@ import numpy as np
 from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.measurement.modal import DIRECTIONS
+from calib.measurement.places import Doubt
 from calib.measurement.repeats import Repeat, ShapeSet
+from calib.measurement.rules import RULES
 from calib.results.table import TableRow, read_rows
 
 FREQ_LIMIT = 1e12
@@ -26,13 +28,19 @@ ONE = ""
 """Label of the repeat of a table without a column ``repeat``."""
 
 
+def is_rigid(freq: float, highest: float) -> bool:
+    """Whether a frequency is that of a rigid-body motion, 0 but for rounding, beside the highest of its file, Hz."""
+    return freq == 0 or -RULES.rounded_freq * highest < freq < RULES.rigid_freq * highest
+
+
 def read_modes_csv(path: Path) -> dict[str, Repeat]:
     """Frequencies and damping from a table ``mode, freq, freq_kind, freq_std, damping, damping_std, repeat, note``.
 
     Frequencies and their standard deviations in Hz, damping as a ratio; the last five columns may be absent or empty. A
     note is told with the name of its mode; ``mpc`` and ``mpd``, which `calib modes` writes beside them, are not used. A
     damped frequency is converted to the natural one, ``natural = damped / sqrt(1 - damping**2)``, and so is its
-    standard deviation; where the damping is unknown the two are taken as equal. With a column ``repeat`` the table
+    standard deviation; where the damping is unknown the two are taken as equal. A rigid-body motion at 0 Hz is left
+    out and noted. With a column ``repeat`` the table
     holds many repeats, each under its own label; a mode that a repeat lacks has no line there.
 
     Returns
@@ -47,9 +55,15 @@ def read_modes_csv(path: Path) -> dict[str, Repeat]:
     """
     found: dict[str, dict[str, tuple[float, float, float, float]]] = {}
     notes: dict[str, list[str]] = {}
+    rigid: dict[str, dict[str, float]] = {}
     optional = ("freq_std", "damping", "damping_std", "repeat", "mpc", "mpd", "note")
-    for row in read_rows(path, ("mode", "freq", "freq_kind"), optional):
+    rows = read_rows(path, ("mode", "freq", "freq_kind"), optional)
+    highest = max(abs(row.number("freq")) for row in rows)
+    for row in rows:
         name, modes = row.text("mode"), found.setdefault(_label(row), {})
+        if is_rigid(row.number("freq"), highest):
+            rigid.setdefault(_label(row), {})[name] = row.number("freq")
+            continue
         if name in modes:
             raise row.error("mode", f"mode {name!r} appears twice", "give every mode one line, or one a repeat")
         freq, kind, damping = row.number("freq"), row.text("freq_kind"), row.optional("damping")
@@ -72,10 +86,15 @@ def read_modes_csv(path: Path) -> dict[str, Repeat]:
             notes.setdefault(_label(row), []).append(f"mode {name}: {note}")
     out = {}
     for label, modes in found.items():
+        left = rigid.get(label, {})
+        source = _source(path, label)
+        words = (Doubt(f"{source}: mode {n} is a rigid-body motion ({f:g} Hz): left out") for n, f in left.items())
+        if not modes:
+            raise InputError("it holds rigid-body motions alone", place=source, remedy="give vibrations")
         freqs, freq_stds, dampings, damping_stds = np.array(list(modes.values())).T.copy()
         out[label] = Repeat(
-            _source(path, label), tuple(modes), True, freqs, freq_stds, dampings, damping_stds,
-            notes=tuple(notes.get(label, ())),
+            source, tuple(modes), True, freqs, freq_stds, dampings, damping_stds, None,
+            (*words, *notes.get(label, ())), tuple(left),
         )  # fmt: skip
     return out
 
@@ -114,7 +133,9 @@ def parse_direction(text: str) -> tuple[str, int] | None:
     return (bare.lower(), sign) if bare.lower() in DIRECTIONS else None
 
 
-def read_shapes_csv(path: Path, names: Mapping[str, Sequence[str]]) -> dict[str, ShapeSet]:
+def read_shapes_csv(
+    path: Path, names: Mapping[str, Sequence[str]], left_out: Iterable[str] = ()
+) -> dict[str, ShapeSet]:
     """Shapes from a table ``mode, node, direction, re, im, std, repeat``, columns in the order of ``names``.
 
     ``im`` (zero) and ``std`` (unknown) may be absent or empty; a negative direction turns the sign of the shape; a
@@ -125,6 +146,8 @@ def read_shapes_csv(path: Path, names: Mapping[str, Sequence[str]]) -> dict[str,
     path : Path
     names : mapping from label of a repeat to names of its modes
         A table without a column ``repeat`` has the one label `ONE`.
+    left_out : iterable of str
+        Modes that were left out on reading; their shapes are skipped.
 
     Returns
     -------
@@ -144,6 +167,8 @@ def read_shapes_csv(path: Path, names: Mapping[str, Sequence[str]]) -> dict[str,
             known = ", ".join(one for one in names if one != ONE) or "unknown: their table has no column 'repeat'"
             raise row.error("repeat", f"unknown repeat {label!r}", f"the repeats of the modes are {known}")
         if mode not in names[label]:
+            if mode in left_out:
+                continue
             raise row.error("mode", f"unknown mode {mode!r}", f"the modes are {', '.join(names[label])}")
         parsed = parse_direction(row.text("direction"))
         if parsed is None:
@@ -164,7 +189,8 @@ def read_shapes_csv(path: Path, names: Mapping[str, Sequence[str]]) -> dict[str,
             raise row.error("re", f"a shape entry above {VALUE_LIMIT:g} is not plausible", "correct it")
         std = row.optional("std")
         if not (math.isnan(std) or std == 0 or 1 / VALUE_LIMIT < std <= VALUE_LIMIT):
-            raise row.error("std", f"standard deviation {std:g} is negative, too small or too large", "correct it")
+            remedy = "check whether im and std are exchanged" if std < 0 else "correct it"
+            raise row.error("std", f"standard deviation {std:g} is negative, too small or too large", remedy)
         entries[key] = (value, std)
     return {label: _shape_set(path, label, entries, names[label]) for label, entries in tables.items()}
 

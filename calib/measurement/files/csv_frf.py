@@ -12,7 +12,7 @@ from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.measurement.files.csv_format import FREQ_LIMIT, VALUE_LIMIT, parse_direction
 from calib.measurement.frf import NO_PHASE, QUANTITIES, Quantity
-from calib.measurement.frf_repeats import FRFRepeat, Key, function_name, off_axis, repeat_of
+from calib.measurement.frf_repeats import FRFRepeat, Key, common_axis, function_name, off_axis, on_axis, repeat_of
 from calib.measurement.frf_units import FRFUnits, parse_unit
 from calib.measurement.modal import DIRECTIONS
 from calib.results.table import TableRow, read_rows
@@ -26,7 +26,8 @@ def read_frfs_csv(path: Path, quantity: Quantity | None = None, unit: str | None
 
     A line holds one value of one function: its frequency in Hz, response and reference such as ``12z`` or ``12-z`` (a
     minus sign reverses the value), real and imaginary part, and the coherence, which may be absent or empty. Lines may
-    stand in any order; all functions must have the same frequencies. Comment lines state quantity and unit once::
+    stand in any order; a function may leave out lines at which it has no value, up to a quarter. Comment lines state
+    quantity and unit once::
 
         # quantity: accelerance
         # unit: g/N
@@ -54,23 +55,32 @@ def read_frfs_csv(path: Path, quantity: Quantity | None = None, unit: str | None
     found, units, notes = _stated(path, quantity, unit)
     entries: dict[Key, dict[float, tuple[complex, float, TableRow]]] = {}
     for row in rows:
-        freq, value, coherence = _entry(row)
+        freq = row.number("freq")
+        if freq == 0 and found != "receptance":
+            continue  # dropped anyway, see `repeat_of`
+        value, coherence = _entry(row, freq)
         (response, one), (reference, other) = _end(row, "response"), _end(row, "reference")
         own = entries.setdefault((response, reference), {})
         if freq in own:
             raise row.error("freq", f"this function has its line at {freq:g} Hz twice", "keep one, one file a repeat")
         own[freq] = one * other * value, coherence, row
+    if not entries:
+        raise InputError("it has no line above 0 Hz", place=path, remedy="give at least one frequency in Hz")
     _require_phase(path, entries)
-    axis, functions, coherences = np.array(sorted(next(iter(entries.values())))), {}, {}
+    lines = {key: np.array(sorted(own)) for key, own in entries.items()}
+    axis, functions, coherences = common_axis(list(lines.values())), {}, {}
     for key, own in entries.items():
-        _require_axis(path, key, own, axis)
-        ordered = [own[freq] for freq in sorted(own)]
+        if axis is None:
+            _require_axis(path, key, own, next(iter(lines.values())))
+            continue
+        ordered = [own[freq] for freq in lines[key].tolist()]
         values = np.array([value for value, _, _ in ordered])
         if not values.any():
             raise ordered[0][2].error("re", "this function is zero on every line: a dead channel", "leave it out")
-        functions[key] = values * units.factor(key)
+        functions[key] = on_axis(values * units.factor(key), lines[key], axis)
         if any(gamma == gamma for _, gamma, _ in ordered):
-            coherences[key] = np.array([gamma for _, gamma, _ in ordered])
+            coherences[key] = on_axis(np.array([gamma for _, gamma, _ in ordered]), lines[key], axis)
+    assert axis is not None
     return repeat_of(str(path), axis, found, functions, coherences, notes)
 
 
@@ -121,16 +131,14 @@ def _comments(path: Path) -> dict[str, tuple[str, Place]]:
     return said
 
 
-def _entry(row: TableRow) -> tuple[float, complex, float]:
-    """Frequency, value and coherence of a line."""
-    freq, value, coherence = row.number("freq"), complex(row.number("re"), row.number("im")), row.optional("coherence")
+def _entry(row: TableRow, freq: float) -> tuple[complex, float]:
+    """Value and coherence of a line; the coherence is checked where it is used."""
+    value, coherence = complex(row.number("re"), row.number("im")), row.optional("coherence")
     if not 0 <= freq < FREQ_LIMIT:
         raise row.error("freq", f"frequency {freq:g} Hz is outside [0, {FREQ_LIMIT:g})", "give it in Hz")
     if max(abs(value.real), abs(value.imag)) > VALUE_LIMIT:
         raise row.error("re", f"a value above {VALUE_LIMIT:g} is not plausible", "correct it")
-    if coherence == coherence and not 0 <= coherence <= 1:
-        raise row.error("coherence", f"coherence {coherence:g} is outside [0, 1]", "correct it, or leave it empty")
-    return freq, value, coherence
+    return value, coherence
 
 
 def _end(row: TableRow, column: str) -> tuple[tuple[int, str], int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from glob import glob
@@ -14,7 +15,8 @@ from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.measurement.disagreements import Pooling
 from calib.measurement.files.csv_format import ONE, read_modes_csv, read_sensor_table, read_shapes_csv
-from calib.measurement.files.uff import drop_unmeasured, read_uff
+from calib.measurement.files.uff import drop_unmeasured, in_global_axes, read_uff
+from calib.measurement.frf_units import parse_length_unit
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.places import Point, common_points
 from calib.measurement.repeats import Repeat, ShapeSet, StdOf, combine_repeats
@@ -34,6 +36,7 @@ def read_modes(
     std_of: StdOf = "mean",
     mode_names: Sequence[str] | None = None,
     pooling: Pooling = "robust",
+    length_unit: str | None = None,
     synthetic: bool = False,
 ) -> MeasuredModes:
     """Read measured modes; each file is one repeat, or a table with a column ``repeat`` holds them all.
@@ -58,6 +61,8 @@ def read_modes(
     pooling : {"robust", "plain"}
         Whether values that disagree with the other repeats are left out of mean and standard deviation, or only
         reported.
+    length_unit : str, optional
+        Of places (and of the lengths of shapes) in universal files without dataset 164, such as ``mm``; by default m.
     synthetic : bool
         True when no structure was measured.
 
@@ -94,8 +99,9 @@ def read_modes(
     read: list[Repeat]
     table = read_sensor_table(sensor_table) if sensor_table is not None else {}
     if is_uff:
-        universal = [read_uff(path) for path in paths]
-        read = drop_unmeasured([u.repeat for u in universal])
+        universal = [read_uff(path, parse_length_unit(length_unit)) for path in paths]
+        alive = drop_unmeasured([u.repeat for u in universal])
+        read = [in_global_axes(one, u.nodes) for one, u in zip(alive, universal, strict=True)]
         points = common_points([(u.repeat.source, u.points) for u in universal], table)
     else:
         read = _tables(paths, shape_paths)
@@ -157,12 +163,13 @@ def _tables(paths: Sequence[Path], shapes: Sequence[Path]) -> list[Repeat]:
     if len(tables) > 1 or ONE in tables[0]:
         # a single shapes file belongs to the mean; it is attached to the first repeat
         for k, path in enumerate(shapes):
-            own = read_shapes_csv(path, {ONE: read[k].names})
+            own = read_shapes_csv(path, {ONE: read[k].names}, read[k].left_out)
             read[k] = replace(read[k], shape_set=own[ONE])
         return read
+    left_out = {name for repeat in read for name in repeat.left_out}
     everything = tuple(dict.fromkeys(name for own in names.values() for name in own))
     for path in shapes:
-        for label, own_set in read_shapes_csv(path, {ONE: everything, **names}).items():
+        for label, own_set in read_shapes_csv(path, {ONE: everything, **names}, left_out).items():
             k = labels.index(label) if label != ONE else _complete(path, read, own_set, everything)
             if label == ONE:
                 order = [everything.index(name) for name in read[k].names]
@@ -198,6 +205,12 @@ def require_files(paths: Sequence[Path], shapes: Sequence[Path] = ()) -> bool:
     twice = next((path for k, path in enumerate(given) if path.resolve() in [p.resolve() for p in given[:k]]), None)
     if twice is not None:
         raise InputError("the file is given twice", place=twice, remedy="name every repeat once")
+    content: dict[bytes, Path] = {}
+    for path in paths:
+        earlier = content.setdefault(hashlib.sha256(path.read_bytes()).digest(), path)
+        if earlier != path:
+            words = f"it has the content of {earlier}: a copy is no repeat"
+            raise InputError(words, place=path, remedy="leave it out")
     for path in paths:
         if path.suffix.lower() not in (*UFF_SUFFIXES, ".csv"):
             raise InputError(

@@ -14,6 +14,7 @@ from calib.measurement.files.read import Named, found_files, require_files
 from calib.measurement.files.uff_frf import read_uff_frfs
 from calib.measurement.frf import QUANTITIES, MeasuredFRFs, Quantity
 from calib.measurement.frf_repeats import combine_frfs
+from calib.measurement.frf_units import parse_length_unit
 from calib.measurement.places import common_points
 from calib.measurement.sensors import place_sensors
 
@@ -25,6 +26,7 @@ def read_frfs(
     unit: str | None = None,
     sensors: str | Path | None = None,
     averages: int | None = None,
+    length_unit: str | None = None,
     synthetic: bool = False,
 ) -> MeasuredFRFs:
     r"""Read measured frequency response functions; each file is one repeat.
@@ -45,6 +47,8 @@ def read_frfs(
         files.
     averages : int, optional
         Averages behind each function of a single file, from 1; with them its coherence gives standard deviations.
+    length_unit : str, optional
+        Of places in universal files without dataset 164, such as ``mm``; by default m.
     synthetic : bool
         True when no structure was measured.
 
@@ -81,7 +85,8 @@ def read_frfs(
             remedy="leave them out: the repeats give the standard deviations",
         )  # fmt: skip
     table = read_sensor_table(table_path) if table_path is not None else {}
-    repeats = [read_uff_frfs(p, quantity, unit) if is_uff else read_frfs_csv(p, quantity, unit) for p in paths]
+    metres = parse_length_unit(length_unit)
+    repeats = [read_uff_frfs(p, quantity, unit, metres) if is_uff else read_frfs_csv(p, quantity, unit) for p in paths]
     found = combine_frfs(repeats, averages, synthetic)
     if averages is not None and not repeats[0].coherence:
         raise InputError("averages are given, but it holds no coherence", place=paths[0], remedy="leave them out")

@@ -12,6 +12,7 @@ from calib.measurement.files.csv_format import read_sensor_table
 from calib.measurement.files.csv_record import TIME, header_of, read_record_csv
 from calib.measurement.files.read import Named, found_files, require_files
 from calib.measurement.files.uff_record import TIME_RESPONSE, function_types, read_record_uff
+from calib.measurement.frf_units import parse_length_unit
 from calib.measurement.places import Point, common_points
 from calib.measurement.record import SAME_RATE, MeasuredRecord
 from calib.measurement.sensors import place_sensors
@@ -42,7 +43,12 @@ def _holds_uff(path: Path) -> bool:
 
 
 def read_records(
-    files: Named, *, unit: str | None = None, sensors: str | Path | None = None, synthetic: bool = False
+    files: Named,
+    *,
+    unit: str | None = None,
+    sensors: str | Path | None = None,
+    length_unit: str | None = None,
+    synthetic: bool = False,
 ) -> tuple[MeasuredRecord, ...]:
     r"""Read measured time records; each file is one record.
 
@@ -56,6 +62,8 @@ def read_records(
         Of translations, such as ``m/s2`` or ``g``, where the files do not state it.
     sensors : path, optional
         Table of node places in metres; it takes precedence over places in universal files.
+    length_unit : str, optional
+        Of places in universal files without dataset 164, such as ``mm``; by default m.
     synthetic : bool
         True when no structure was measured.
 
@@ -90,7 +98,7 @@ def read_records(
     read: list[MeasuredRecord] = []
     for path in paths:
         if is_uff:
-            own, places = read_record_uff(path, unit)
+            own, places = read_record_uff(path, unit, parse_length_unit(length_unit))
             points.append((str(path), places))
         else:
             own = read_record_csv(path, unit)

@@ -1,4 +1,4 @@
-"""Measured modes from universal files (UFF, UNV): datasets 55 or 2414, the nodes of 15 or 2411, the units of 164."""
+"""Measured modes from universal files (UFF, UNV): datasets 55 or 2414, with nodes and units; see `uff_nodes`."""
 
 from __future__ import annotations
 
@@ -12,30 +12,37 @@ from typing import Any
 import numpy as np
 
 from calib.errors.errors import InputError
-from calib.measurement.files.csv_format import FREQ_LIMIT, VALUE_LIMIT
+from calib.measurement.files.csv_format import FREQ_LIMIT, VALUE_LIMIT, is_rigid
 from calib.measurement.files.uff_2414 import as_dataset_55
-from calib.measurement.files.uff_blocks import MODAL, USED_KINDS, Dataset, extract_sets, halves_of_six, read_blocks
-from calib.measurement.files.uff_write import Point, write_uff
+from calib.measurement.files.uff_blocks import MODAL, Dataset, extract_sets, halves_of_six, read_blocks
+from calib.measurement.files.uff_nodes import Nodes, length_factor, nodes_of
+from calib.measurement.files.uff_write import write_uff
 from calib.measurement.modal import DIRECTIONS
+from calib.measurement.places import Doubt, Point
 from calib.measurement.repeats import Repeat, ShapeSet
 
-__all__ = ["Point", "UniversalFile", "drop_unmeasured", "read_uff", "write_uff"]
+__all__ = ["UniversalFile", "drop_unmeasured", "read_uff", "write_uff"]
 
-_PER_METRE = {1: 1.0, 2: 1 / 0.3048, 3: 1.0, 4: 1 / 0.3048, 5: 1e3, 6: 1e2, 7: 1 / 0.0254, 8: 1e3}
-"""Length factor that belongs to each unit code of dataset 164 (9 is user-defined)."""
 _DAMAGED = -1
+_ANALYSES = {1: "static", 4: "transient", 5: "frequency responses", 6: "buckling"}
+"""Analysis types that are no modes."""
 _NAME_LINE = re.compile(r"mode\s+(\S+)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class UniversalFile:
-    """Contents of one universal file: its modes, and the places of its nodes in metres (empty without dataset 15)."""
+    """Contents of one universal file: its modes in the axes of its nodes, and these nodes (none without a dataset)."""
 
     repeat: Repeat
-    points: Mapping[int, Point]
+    nodes: Nodes
+
+    @property
+    def points(self) -> Mapping[int, Point]:
+        """Places of the nodes, m."""
+        return self.nodes.points
 
 
-def read_uff(path: Path) -> UniversalFile:
+def read_uff(path: Path, length_unit: float | None = None) -> UniversalFile:
     """Read one repeat from a universal file.
 
     Modes are the datasets 55 of analysis type 2 (natural frequency in Hz and viscous damping ratio, 0 for unknown), 3
@@ -44,41 +51,63 @@ def read_uff(path: Path) -> UniversalFile:
     such as frequency responses (type 5), are skipped and noted. A mode is named by the first ID line that reads
     ``mode NAME`` (one word) provided every mode has such a line, the names differ, and they are not just the numbers
     from 1 in order; otherwise modes are numbered from 1. Nodes without a record in a mode count as not measured in it.
-    Zeros are kept here; see `drop_unmeasured`. Lengths, and with them translations, are converted to SI.
+    Zeros are kept here, see `drop_unmeasured`, and so are local axes, see `in_global_axes`. Lengths, and with them
+    translations, are converted to SI. A rigid-body mode at 0 Hz and an overdamped one are left out and noted.
 
     Parameters
     ----------
     path : Path
+    length_unit : float, optional
+        Metres per unit of length, where the file does not state it.
 
     Raises
     ------
     InputError
         For a file that cannot be read, is damaged or truncated, or holds no modes.
     """
-    blocks = read_blocks(path)
     notes: list[str] = []
-    used = _with_modes(path, [block for block in blocks if block.kind in USED_KINDS], notes)
+    blocks = read_blocks(path, notes)
+    used = _with_modes(path, [block for block in blocks if block.kind in (55, 2414)], notes)
     parts = [part for block in used for part in halves_of_six(path, block)]
     if not any(block.kind == 55 for block in parts):
-        found = ", ".join(str(kind) for kind in sorted({block.kind for block in blocks}))
-        types = sorted({_analysis_type(block) for block in blocks if block.kind == 55})
-        if types:
-            raise InputError(
-                f"its datasets 55 are of analysis type {', '.join(map(str, types))}, which are no modes",
-                place=path,
-                remedy="export normal (2) or complex (3, 7) modes",
-            )
-        raise InputError(
-            f"it holds no modes (dataset 55 or 2414), only datasets {found}",
-            place=path,
-            remedy="export the identified modes as dataset 55",
-        )
+        raise _without_modes(path, blocks)
     sets = extract_sets(path, parts)
-    per_metre = length_factor(path, parts, sets, notes)
+    per_metre = length_factor(path, blocks, notes, length_unit)
+    nodes = nodes_of(path, blocks, per_metre, notes)
     with np.errstate(all="ignore"):  # what overflows is refused as not finite
-        points = _points(path, parts, sets, per_metre, notes)
         repeat = _modes(path, parts, sets, per_metre, notes)
-    return UniversalFile(replace(repeat, notes=tuple(notes)), points)
+    return UniversalFile(replace(repeat, notes=tuple(notes)), nodes)
+
+
+def _without_modes(path: Path, blocks: Sequence[Dataset]) -> InputError:
+    """What a file without modes holds instead."""
+    held = {(block.kind, _analysis_type(block)) for block in blocks if block.kind in (55, 2414)}
+    if held:
+        what = " and ".join(f"{kind} of {_analysis(analysis)}" for kind, analysis in sorted(held))
+        words, remedy = f"it holds no modes, only datasets {what}", "export motions at nodes of modes (2, 3 or 7)"
+    else:
+        found = ", ".join(str(kind) for kind in sorted({block.kind for block in blocks}))
+        words = f"it holds no modes (dataset 55 or 2414), only datasets {found}"
+        remedy = "export the identified modes as dataset 55"
+    return InputError(words, place=path, remedy=remedy)
+
+
+def _analysis(code: int) -> str:
+    """An analysis type in words; the modal ones are those without motions at nodes."""
+    words = f"analysis type {code}"
+    if code in MODAL:
+        return f"{words} without motions at nodes"
+    return f"{words} ({_ANALYSES[code]})" if code in _ANALYSES else words
+
+
+def in_global_axes(repeat: Repeat, nodes: Nodes) -> Repeat:
+    """The repeat with its shapes turned into global axes; see `calib.measurement.files.uff_nodes.Nodes.turned`."""
+    given = repeat.shape_set
+    if given is None or not nodes.axes:
+        return repeat
+    turned = nodes.turned(dict(zip(given.sensors, given.shapes, strict=True)), repeat.source)
+    shapes = np.array(list(turned.values()))
+    return replace(repeat, shape_set=ShapeSet(given.source, tuple(turned), shapes, np.full(shapes.shape, np.nan)))
 
 
 def _with_modes(path: Path, blocks: Sequence[Dataset], notes: list[str]) -> list[Dataset]:
@@ -98,8 +127,7 @@ def _with_modes(path: Path, blocks: Sequence[Dataset], notes: list[str]) -> list
         else:
             out.append(kept)
     for (kind, analysis), count in others.items():
-        what = f"{count} dataset{'s' * (count > 1)} {kind} of analysis type {analysis}"
-        what += " (frequency responses)" if analysis == 5 else ""
+        what = f"{count} dataset{'s' * (count > 1)} {kind} of {_analysis(analysis)}"
         why = "the modes are those of its datasets 55" if kind == 2414 and modes else "they hold no mode shapes"
         notes.append(f"{path}: {what} skipped: {why}")
     return out
@@ -110,75 +138,6 @@ def _analysis_type(block: Dataset) -> int:
     at = 5 if block.kind == 55 else 8
     text = block.lines[at][10:20].strip() if len(block.lines) > at else ""
     return int(text) if text.isdecimal() and text.isascii() else _DAMAGED
-
-
-def length_factor(path: Path, blocks: Sequence[Dataset], sets: Sequence[Mapping[str, Any]], notes: list[str]) -> float:
-    """Length units of the file per metre; dividing by the factor of dataset 164 gives SI."""
-    factors = set()
-    for block, data in zip(blocks, sets, strict=True):
-        if block.kind != 164:
-            continue
-        factor, code = float(data["length"]), int(data["units_code"])
-        if not (math.isfinite(factor) and factor > 0):
-            raise block.error(path, f"the length factor of dataset 164 is {factor:g}", "correct it")
-        if code in _PER_METRE and abs(factor / _PER_METRE[code] - 1) > 1e-3:
-            raise block.error(
-                path,
-                f"dataset 164 states unit code {code} ({_PER_METRE[code]:g} units a metre) but factor {factor:g}",
-                "correct the code or the factor (code 9 for own units)",
-            )
-        factors.add(factor)
-    if len(factors) > 1:
-        raise InputError("two datasets 164 state different units", place=path, remedy="keep one of them")
-    if not factors and any(block.kind in (15, 2411) for block in blocks):
-        notes.append(f"{path}: no units (dataset 164): lengths taken as metres")
-    return factors.pop() if factors else 1.0
-
-
-def points_of(path: Path, blocks: Sequence[Dataset], per_metre: float, notes: list[str]) -> dict[int, Point]:
-    """Places of the nodes of a file in metres, from its units of length per metre."""
-    used = [block for block in blocks if block.kind in (15, 2411)]
-    sets = extract_sets(path, used)
-    with np.errstate(all="ignore"):  # what overflows is refused as not finite
-        return _points(path, used, sets, per_metre, notes)
-
-
-def _points(
-    path: Path,
-    blocks: Sequence[Dataset],
-    sets: Sequence[Mapping[str, Any]],
-    per_metre: float,
-    notes: list[str],
-) -> dict[int, Point]:
-    points: dict[int, Point] = {}
-    local = False
-    for block, data in zip(blocks, sets, strict=True):
-        if block.kind not in (15, 2411):
-            continue
-        columns = [data[key] for key in ("node_nums", "def_cs", "disp_cs", "color", "x", "y", "z")]
-        count = sum(1 for line in block.lines if line.strip()) // (1 if block.kind == 15 else 2)
-        if {len(c) for c in columns} != {count}:
-            raise block.error(
-                path, f"the dataset {block.kind} that starts here has not 7 values a node", "export it again"
-            )
-        table = np.array(columns, dtype=float).T
-        for row in table:
-            point = (row[4] / per_metre, row[5] / per_metre, row[6] / per_metre)
-            if not np.isfinite((row[0], *point)).all() or row[0] != int(row[0]) or np.max(np.abs(point)) > VALUE_LIMIT:
-                raise block.error(
-                    path,
-                    f"a node in the dataset {block.kind} that starts here is not a label and three finite coordinates",
-                    "correct it",
-                )
-            node = int(row[0])
-            here: Point = (float(point[0]), float(point[1]), float(point[2]))
-            if points.setdefault(node, here) != here:
-                raise block.error(path, f"node {node} has two places", "remove one of them")
-        # 0 and 1 both stand for the global Cartesian system
-        local = local or bool(np.any(table[:, 1:3] > 1))
-    if local:
-        notes.append(f"{path}: nodes refer to local coordinate systems, which are not read: all taken as global")
-    return points
 
 
 @dataclass(frozen=True)
@@ -194,8 +153,15 @@ def _modes(
     path: Path, blocks: Sequence[Dataset], sets: Sequence[Mapping[str, Any]], per_metre: float, notes: list[str]
 ) -> Repeat:
     modes: list[_Mode] = []
+    highest = max(_size(data) for data in sets)
+    count, kept = 0, True
     for block, data in zip(blocks, sets, strict=True):
-        if abs(block.kind) != 55:
+        if block.kind == 55:
+            count, motion = count + 1, _no_vibration(data, highest)
+            kept = motion is None
+            if motion is not None:
+                notes.append(Doubt(f"{path}, line {block.line}: mode {count} of the file is {motion}: left out"))
+        if not kept:
             continue
         values = _values(path, block, data, per_metre)
         if block.kind == -55:
@@ -206,6 +172,8 @@ def _modes(
         name = next((match.group(1) for match in matches if match), None)
         modes.append(_Mode(name, freq, damping, eigenvalue, values))
     modes = _upper_half(modes)
+    if not modes:
+        raise InputError("all of its modes are rigid-body modes or overdamped", place=path, remedy="export vibrations")
     given = [mode.name for mode in modes]
     counted = [str(k + 1) for k in range(len(given))]
     named = None not in given and len(set(given)) == len(given) and given != counted
@@ -258,6 +226,22 @@ def _values(path: Path, block: Dataset, data: Mapping[str, Any], per_metre: floa
     return values
 
 
+def _size(data: Mapping[str, Any]) -> float:
+    """Modulus of the frequency that a dataset 55 states, Hz."""
+    stated = float(data["freq"]) if data["analysis_type"] == 2 else abs(complex(data["eig"])) / (2 * math.pi)
+    return abs(stated) if math.isfinite(stated) else 0.0
+
+
+def _no_vibration(data: Mapping[str, Any], highest: float) -> str | None:
+    """What a mode is that does not vibrate, where the highest frequency of the file is given in Hz; None for others."""
+    normal = data["analysis_type"] == 2
+    if is_rigid(float(data["freq"]) if normal else _size(data), highest):
+        return f"a rigid-body motion ({_size(data):g} Hz)"
+    if not normal and complex(data["eig"]).imag == 0 and math.isfinite(complex(data["eig"]).real):
+        return f"overdamped (real eigenvalue {complex(data['eig']).real:g} 1/s)"
+    return None
+
+
 def _frequency(
     path: Path, block: Dataset, data: Mapping[str, Any], notes: list[str]
 ) -> tuple[float, float, complex | None]:
@@ -273,12 +257,6 @@ def _frequency(
         re_part, im_part = complex(data["eig"]).real, complex(data["eig"]).imag
         size = math.hypot(re_part, im_part)
         freq = size / (2 * math.pi)
-        if im_part == 0 and size > 0:
-            raise block.error(
-                path,
-                "the eigenvalue in the dataset 55 that starts here is real: no vibration mode",
-                "leave it out of the export",
-            )
         damping = -re_part / size if size > 0 else 0.0
         eigenvalue = complex(re_part, im_part)
     if not 0 < freq < FREQ_LIMIT:
@@ -292,7 +270,7 @@ def _frequency(
         raise block.error(
             path,
             f"the damping ratio in the dataset 55 that starts here is {damping:g}, outside [0, 1)",
-            "give a ratio, and a decaying mode an eigenvalue with negative real part",
+            "give a ratio (0.01 for one percent), and a decaying mode an eigenvalue with negative real part",
         )
     return freq, abs(damping), eigenvalue
 

@@ -16,7 +16,7 @@ from calib.errors.place import Place
 from calib.measurement.files.uff_sets import pyuff_faults
 
 _MARKER = b"    -1"
-USED_KINDS = (15, 55, 164, 2411, 2414)
+USED_KINDS = (15, 18, 55, 164, 781, 2411, 2414, 2420)
 """Dataset numbers whose text is kept."""
 MODAL = (2, 3, 7)
 """Analysis types that are modes: normal, complex of first order, complex of second order."""
@@ -57,14 +57,15 @@ class Dataset:
         return Place(str(path), self.line + 1, f"{self.kind:6d}")
 
 
-def read_blocks(path: Path) -> list[Dataset]:
-    """Split a universal file into its datasets.
+def read_blocks(path: Path, notes: list[str] | None = None) -> list[Dataset]:
+    """Split a universal file into its datasets; words between them, which the format allows, go to the notes.
 
     The bytes of a binary function (dataset 58b) are skipped by the count in its header line, so that no byte among them
     is taken for the end of the dataset; where that count is absent or does not lead to a '-1' line, the end is searched
     for as in any other dataset.
 
-    Raises InputError when the file is empty, is not a universal file, or a dataset is not closed (a truncated file).
+    Raises InputError when the file is empty, is not a universal file, a dataset is not closed (a truncated file), or
+    numbers stand outside of all datasets: there a '-1' line was lost.
     """
     try:
         data = path.read_bytes()
@@ -76,6 +77,7 @@ def read_blocks(path: Path) -> list[Dataset]:
     blocks: list[Dataset] = []
     begun: list[bytes] | None = None
     start = 0
+    outside: list[Place] = []
     while not lines.ended:
         line = lines.take().rstrip()
         if line == _MARKER:
@@ -87,18 +89,35 @@ def read_blocks(path: Path) -> list[Dataset]:
             if len(begun) == 1:
                 lines.pass_binary(line)
         elif line:
-            raise InputError(
-                "text outside the datasets: this is no universal file, or a '-1' line was lost",
-                place=Place(str(path), lines.number, _text(line)),
-                remedy="export it again",
-            )
+            outside.append(Place(str(path), lines.number, _text(line)))
+            if not _is_words(line):
+                raise _outside(outside[-1])
+    if outside and not (blocks or begun):
+        raise _outside(outside[0])
     if begun is not None:
         raise InputError(
             "the dataset that starts here is not closed by a '-1' line: the file is truncated",
             place=Place(str(path), start, _MARKER.decode()),
             remedy="export it again",
         )
+    if outside and notes is not None:
+        count = "1 line" if len(outside) == 1 else f"{len(outside)} lines"
+        notes.append(f"{path}, line {outside[0].line}: {count} of text outside the datasets skipped")
     return blocks
+
+
+def _is_words(line: bytes) -> bool:
+    """Whether a line outside of all datasets is text for people: neither numbers nor bytes of a lost dataset."""
+    try:
+        text = line.decode("utf-8")
+    except UnicodeDecodeError:
+        text = line.decode("latin-1")
+    return text.expandtabs().isprintable() and not all(_NUMBERS.fullmatch(entry) for entry in text.split())
+
+
+def _outside(place: Place) -> InputError:
+    words = "text outside the datasets: this is no universal file, or a '-1' line was lost"
+    return InputError(words, place=place, remedy="export it again")
 
 
 class _Lines:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,63 +13,93 @@ import pyuff
 
 from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import VALUE_LIMIT
-from calib.measurement.files.uff import length_factor, points_of
 from calib.measurement.files.uff_blocks import Dataset, extract_sets, read_blocks
+from calib.measurement.files.uff_labels import MOTIONS, Axis, force_axis, hertz, motion_axis
+from calib.measurement.files.uff_nodes import Nodes, length_factor, nodes_of
 from calib.measurement.files.uff_sets import pyuff_faults
 from calib.measurement.frf import NO_PHASE, Quantity
 from calib.measurement.frf_repeats import FRFRepeat, Key, off_axis, repeat_of
 from calib.measurement.frf_units import GRAVITY, FRFUnits, parse_unit
 from calib.measurement.modal import DIRECTIONS
+from calib.measurement.places import Doubt
 
 _FRF, _COHERENCE = 4, 6
-_MOTIONS: Mapping[int, Quantity] = {8: "receptance", 11: "mobility", 12: "accelerance"}
-"""Quantity by the data type of the numerator."""
-_FORCE = (0, 13)
-"""Data types of the denominator: unknown, excitation force."""
+_QUANTITIES: Mapping[str, Quantity] = {
+    "displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance",
+}  # fmt: skip
 _COMPLEX = (5, 6)
 _FREQUENCY = (0, 18)
 """Data types of the abscissa: unknown, frequency."""
 
 
-def read_uff_frfs(path: Path, quantity: Quantity | None = None, unit: str | None = None) -> FRFRepeat:
+def read_uff_frfs(
+    path: Path, quantity: Quantity | None = None, unit: str | None = None, length_unit: float | None = None
+) -> FRFRepeat:
     """Read one repeat from a universal file.
 
-    Every dataset 58 with a frequency response function counts; coherences are kept beside them, other functions are
-    noted. A sensor mounted against its axis (negative direction) reverses the sign. Lengths and forces are those of
-    dataset 164, accelerations in g are converted; a line at 0 Hz is dropped where the motion is no displacement. Places
-    are those of datasets 15 or 2411.
+    Every dataset 58 with a frequency response function of a motion over a force counts; coherences are kept beside
+    them, other functions, pressures and strains among them, are noted. A sensor mounted against its axis (negative
+    direction) reverses the sign. Units are those on the labels of the axes, else those of dataset 164; a line at 0 Hz
+    is dropped where the motion is no displacement, and a value that is not finite was not measured. Places and axes of
+    the nodes are those of `calib.measurement.files.uff_nodes`.
 
     Parameters
     ----------
     path : Path
     quantity : {"receptance", "mobility", "accelerance"}, optional
-        Where the file does not say; a contradiction is refused.
+        Where the file does not say, or contradicts itself; a contradiction to the file is refused.
     unit : str, optional
-        Likewise, where it has no dataset 164; see `calib.measurement.frf_units.parse_unit`.
+        Likewise, where neither labels nor dataset 164 say; see `calib.measurement.frf_units.parse_unit`.
+    length_unit : float, optional
+        Metres per unit of length, where it has no dataset 164.
 
     Raises
     ------
     InputError
-        For a file that cannot be read, without such functions, with amplitudes alone, a function twice, or lines that
-        differ between functions.
+        For a file that cannot be read, without such functions, with amplitudes alone, a function twice, a label that
+        contradicts the type of its axis, or lines that differ between functions.
     """
-    blocks = read_blocks(path)  # a truncated file would lose its last functions without a word
+    notes: list[str] = []
+    blocks = read_blocks(path, notes)  # a truncated file would lose its last functions without a word
     stated = None if unit is None else parse_unit(unit, path)
     if stated is not None:
         if quantity not in (None, stated[0]):
             raise InputError(f"{unit} is no unit of {quantity}", place=path, remedy="correct one of them")
         quantity = stated[0]
     units = _units(path, blocks)
-    notes = [] if units or stated else [f"{path}: no units (dataset 164): metres and newtons assumed"]
-    frfs, coherences = _datasets(path, notes)
-    found = {_quantity(one, quantity) for one in frfs.values()}
+    frfs, coherences = _datasets(path, quantity, notes)
+    found = {one.quantity for one in frfs.values()}
     if len(found) > 1:
         raise InputError(f"it holds {' and '.join(sorted(found))}", place=path, remedy="export one quantity")
     (own,) = found
-    functions = {key: _values(one, own, units, stated) for key, one in frfs.items()}
+    functions = {key: _values(one, units, stated, notes) for key, one in frfs.items()}
     coherence = {key: np.asarray(np.real(one.data["data"]), dtype=float) for key, one in coherences.items()}
-    points = points_of(path, blocks, 1.0 if units is None else 1 / units.length, notes)
-    return repeat_of(str(path), next(iter(frfs.values())).freq, own, functions, coherence, notes, points)
+    assumed: list[str] = []
+    per_metre = length_factor(path, blocks, assumed, length_unit)
+    nodes = nodes_of(path, blocks, per_metre, notes)
+    notes += assumed
+    functions, coherence = _in_global_axes(path, nodes, functions, coherence)
+    freq = next(iter(frfs.values())).freq
+    return repeat_of(str(path), freq, own, functions, coherence, list(dict.fromkeys(notes)), nodes.points)
+
+
+def _in_global_axes(
+    path: Path, nodes: Nodes, functions: Mapping[Key, np.ndarray], coherence: Mapping[Key, np.ndarray]
+) -> tuple[dict[Key, np.ndarray], dict[Key, np.ndarray]]:
+    """Functions with responses and references in global axes; a coherence is not that of a function turned."""
+    if not any(node in nodes.axes for key in functions for node, _ in key):
+        return dict(functions), dict(coherence)
+    half: dict[Key, np.ndarray] = {}
+    for reference in dict.fromkeys(reference for _, reference in functions):
+        own = {response: values for (response, one), values in functions.items() if one == reference}
+        half.update({(response, reference): values for response, values in nodes.turned(own, str(path)).items()})
+    out: dict[Key, np.ndarray] = {}
+    for response in dict.fromkeys(response for response, _ in half):
+        own = {reference: values for (one, reference), values in half.items() if one == response}
+        out.update({(response, reference): values for reference, values in nodes.turned(own, str(path)).items()})
+    order = [key for key in functions if key in out] + [key for key in out if key not in functions]
+    kept = {key: own for key, own in coherence.items() if not any(node in nodes.axes for node, _ in key)}
+    return {key: out[key] for key in order}, kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,34 +111,63 @@ class _Dataset:
     sign: float
     freq: np.ndarray
     data: Mapping[str, Any]
+    quantity: Quantity = "receptance"
 
 
-def _datasets(path: Path, notes: list[str]) -> tuple[dict[Key, _Dataset], dict[Key, _Dataset]]:
+def _datasets(path: Path, stated: Quantity | None, notes: list[str]) -> tuple[dict[Key, _Dataset], dict[Key, _Dataset]]:
     """FRFs and coherences on common lines; what is neither is noted."""
     frfs: dict[Key, _Dataset] = {}
     coherences: dict[Key, _Dataset] = {}
     every = _sets(path)
-    used = [_checked(path, data) for data in every if data["func_type"] in (_FRF, _COHERENCE)]
-    for one in used:
-        if off_axis(one.freq, used[0].freq).any():
-            raise InputError(
-                "its lines are not those of the first function", place=one.where,
-                remedy="export all on common frequencies",
-            )  # fmt: skip
-        kind, into = ("function", frfs) if one.data["func_type"] == _FRF else ("coherence", coherences)
-        if one.key in into:
-            remedy = "export each once, one file a repeat"
-            raise InputError(f"this {kind} is there twice", place=one.where, remedy=remedy)
-        into[one.key] = one
+    foreign: Counter[str] = Counter()
+    for data in every:
+        if data["func_type"] == _FRF and (what := _foreign(data)) is not None:
+            foreign[what] += 1
+        elif data["func_type"] == _FRF:
+            one = _checked(path, data, stated, notes)
+            _enter(one, frfs, frfs, "function")
+    for data in every:
+        # a coherence of what is skipped may have no direction
+        if data["func_type"] == _COHERENCE and all(1 <= abs(int(data[f"{end}_dir"])) <= 6 for end in ("rsp", "ref")):
+            one = _checked(path, data, None, [])
+            if one.key in frfs:
+                _enter(one, coherences, frfs, "coherence")
     if not frfs:
+        what = f"{' and '.join(sorted(foreign))}, no motion over force" if foreign else "no frequency response function"
         raise InputError(
-            "it holds no frequency response function (dataset 58 of function type 4)", place=path,
-            remedy="export the FRFs as complex dataset 58",
+            f"it holds {what} (dataset 58 of function type 4)", place=path,
+            remedy="export the FRFs of motions over forces as complex dataset 58",
         )  # fmt: skip
-    if skipped := len(every) - len(used):
+    for what, count in foreign.items():
+        notes.append(f"{path}: {_functions(count)} of {what} skipped: no motion over force")
+    if skipped := len(every) - len(frfs) - len(coherences) - foreign.total():
         what = "1 function that is neither an FRF" if skipped == 1 else f"{skipped} functions that are neither FRFs"
-        notes.append(f"{path}: {what} nor {'a coherence' if skipped == 1 else 'coherences'} skipped")
+        notes.append(f"{path}: {what} nor {'a coherence' if skipped == 1 else 'coherences'} of one skipped")
     return frfs, coherences
+
+
+def _functions(count: int) -> str:
+    return "1 function" if count == 1 else f"{count} functions"
+
+
+def _enter(one: _Dataset, into: dict[Key, _Dataset], frfs: Mapping[Key, _Dataset], kind: str) -> None:
+    """Add a dataset that is on the lines of the first function and not there yet."""
+    first = next(iter(frfs.values()), one)
+    if off_axis(one.freq, first.freq).any():
+        raise InputError(
+            "its lines are not those of the first function", place=one.where, remedy="export all on common frequencies"
+        )
+    if one.key in into:
+        raise InputError(f"this {kind} is there twice", place=one.where, remedy="export each once, one file a repeat")
+    into[one.key] = one
+
+
+def _foreign(data: Mapping[str, Any]) -> str | None:
+    """What a function is that is no motion over a force, such as ``pressure over force``; None where it may be one."""
+    moved, driven = motion_axis(data)[0].kind, force_axis(data).kind
+    if moved in (None, *MOTIONS.values()) and driven in (None, "force"):
+        return None
+    return f"{moved or 'an unknown quantity'} over {driven or 'an unknown one'}"
 
 
 def _sets(path: Path) -> list[dict[str, Any]]:
@@ -122,8 +182,7 @@ def _units(path: Path, blocks: Sequence[Dataset]) -> FRFUnits | None:
     own = [block for block in blocks if block.kind == 164]
     if not own:
         return None
-    sets = extract_sets(path, own)
-    length, forces = 1 / length_factor(path, own, sets, []), {float(data["force"]) for data in sets}
+    length, forces = 1 / length_factor(path, own, []), {float(data["force"]) for data in extract_sets(path, own)}
     if len(forces) > 1:
         raise InputError("two datasets 164 state different units", place=path, remedy="keep one of them")
     (force,) = forces
@@ -132,35 +191,35 @@ def _units(path: Path, blocks: Sequence[Dataset]) -> FRFUnits | None:
     return FRFUnits(length, length, 1 / force)
 
 
-def _checked(path: Path, data: Mapping[str, Any]) -> _Dataset:
+def _checked(path: Path, data: Mapping[str, Any], stated: Quantity | None, notes: list[str]) -> _Dataset:
     """A dataset 58 over frequency with as many values as it announces."""
     where = f"{path}, response {data['rsp_node']}, direction {data['rsp_dir']}"
     key, sign = _key(where, data)
     if int(data["abscissa_spec_data_type"]) not in _FREQUENCY:
         raise InputError("its abscissa is no frequency", place=where, remedy="export it over frequency in Hz")
-    freq = np.asarray(data["x"], dtype=float)
+    freq, count = np.asarray(data["x"], dtype=float), int(data["num_pts"])
     # pyuff reads what is there, however many values the header announces
-    if not len(freq) == np.size(data["data"]) == int(data["num_pts"]):
-        raise InputError(
-            f"it has {np.size(data['data'])} values, but announces {int(data['num_pts'])}", place=where,
-            remedy="export it again",
-        )  # fmt: skip
-    return _Dataset(where, key, sign, freq, data)
+    if not len(freq) == np.size(data["data"]) == count:
+        held = f"{np.size(data['data'])} values" if np.size(data["data"]) != count else f"{len(freq)} frequencies"
+        raise InputError(f"it has {held}, but announces {count}", place=where, remedy="export it again")
+    quantity = _quantity(where, data, stated, notes) if data["func_type"] == _FRF else "receptance"
+    return _Dataset(where, key, sign, freq * hertz(data), data, quantity)
 
 
 def _values(
-    one: _Dataset, quantity: Quantity, units: FRFUnits | None, stated: tuple[Quantity, FRFUnits] | None
+    one: _Dataset, units: FRFUnits | None, stated: tuple[Quantity, FRFUnits] | None, notes: list[str]
 ) -> np.ndarray:
-    """Values of an FRF in SI, (n_freq,), complex, of a sensor along its axis."""
+    """Values of an FRF in SI, (n_freq,), complex, of a sensor along its axis; NaN where they are not finite."""
     if int(one.data["ord_data_type"]) not in _COMPLEX:
         raise InputError("its values are real", place=one.where, remedy=NO_PHASE)
-    values = np.asarray(one.data["data"], dtype=complex)
-    if not np.all(np.abs(values) <= VALUE_LIMIT):  # NaN fails the comparison too
-        raise InputError("it holds values that are not finite", place=one.where, remedy="export it again")
-    if not values.any():
+    values = np.array(one.data["data"], dtype=complex)
+    known = np.abs(values) <= VALUE_LIMIT  # NaN fails the comparison too
+    if not known.any():
+        raise InputError("its values are not finite on any line", place=one.where, remedy="leave it out of the export")
+    if not values[known].any():
         raise InputError("it is zero on every line: a dead channel", place=one.where, remedy="leave it out")
-    in_g = quantity == "accelerance" and _in_g(one.data)
-    return one.sign * values * _in_file(one.where, in_g, units, stated).factor(one.key)
+    values[~known] = complex(np.nan, np.nan)
+    return one.sign * values * _in_file(one, units, stated, notes).factor(one.key)
 
 
 def _key(where: str, data: Mapping[str, Any]) -> tuple[Key, float]:
@@ -177,34 +236,55 @@ def _key(where: str, data: Mapping[str, Any]) -> tuple[Key, float]:
     return (ends[0], ends[1]), float(sign)
 
 
-def _quantity(one: _Dataset, stated: Quantity | None) -> Quantity:
-    moved, under = (int(one.data[f"{axis}_spec_data_type"]) for axis in ("ordinate", "orddenom"))
-    own = _MOTIONS.get(moved)
-    if under not in _FORCE:
+def _quantity(where: str, data: Mapping[str, Any], stated: Quantity | None, notes: list[str]) -> Quantity:
+    """What a function is by its type, its label, or as stated where the file says nothing or contradicts itself."""
+    axis, _ = motion_axis(data)
+    _require_force(where, force_axis(data))
+    said = [_QUANTITIES[kind] for kind in (axis.typed, axis.labelled) if kind is not None and kind in _QUANTITIES]
+    if axis.contradicts:
+        words = f"its ordinate is of the type {axis.typed}, but its label says {axis.text!r:.60}"
+        if stated is None or stated not in said:
+            raise InputError(words, place=where, remedy="correct one of them, or state quantity and unit")
+        path = where.partition(", response")[0]
+        notes.append(Doubt(f"{path}: {words.replace('its', 'an', 1)}: taken as {stated}, as stated"))
+        return stated
+    if not said and stated is None:
         raise InputError(
-            f"its denominator is of data type {under}, no force (13)", place=one.where,
-            remedy="export motion over force",
+            "neither the type of its ordinate nor its label says what was measured: it is neither displacement (8), "
+            "velocity (11) nor acceleration (12)",
+            place=where, remedy="state the quantity",
         )  # fmt: skip
-    if own is None and stated is None:
-        raise InputError(
-            f"its ordinate is of data type {moved}, which is neither displacement (8), velocity (11) nor acceleration "
-            "(12)",
-            place=one.where, remedy="state the quantity",
-        )  # fmt: skip
-    if own is not None and stated not in (None, own):
-        raise InputError(f"it says that it is {own}, not {stated}", place=one.where, remedy="correct one of them")
-    return own or stated or "receptance"
+    if said and stated not in (None, said[0]):
+        raise InputError(f"it says that it is {said[0]}, not {stated}", place=where, remedy="correct one of them")
+    return said[0] if said else stated or "receptance"
 
 
-def _in_g(data: Mapping[str, Any]) -> bool:
-    """Whether the label of the ordinate says that it is in g."""
-    return str(data.get("ordinate_axis_units_lab", "")).strip().lower().split("/")[0] in ("g", "gn")
+def _require_force(where: str, axis: Axis) -> None:
+    if axis.contradicts:
+        words = f"its denominator is of the type {axis.typed}, but its label says {axis.text!r:.60}"
+        raise InputError(words, place=where, remedy="correct one of them")
 
 
-def _in_file(where: str, in_g: bool, own: FRFUnits | None, stated: tuple[Quantity, FRFUnits] | None) -> FRFUnits:
-    """Units of one function: of the file, or else as stated, with accelerations in g or not."""
-    given = own or (FRFUnits() if stated is None else stated[1])
-    units = replace(given, motion=GRAVITY) if in_g else given
+def _in_file(
+    one: _Dataset, own: FRFUnits | None, stated: tuple[Quantity, FRFUnits] | None, notes: list[str]
+) -> FRFUnits:
+    """Units of one function: on its labels, of the file, or else as stated."""
+    axis, under = motion_axis(one.data)
+    driven = force_axis(one.data)
+    agrees = axis.labelled is None or _QUANTITIES.get(axis.labelled) == one.quantity
+    (_, moved), (_, load) = one.key
+    motion = axis.unit if agrees and not moved.startswith("r") else None
+    force = driven.unit or (under if agrees else None)
+    base = own or (FRFUnits() if stated is None else stated[1])
+    # the label of a moment states force times length
+    length = 1.0 if force is not None and load.startswith("r") else base.length
+    units = FRFUnits(motion or base.motion, length, force or base.force)
     if stated is not None and not units.agrees(stated[1]):
-        raise InputError("its unit is not the stated one", place=where, remedy="correct one of them")
+        raise InputError("its unit is not the stated one", place=one.where, remedy="correct one of them")
+    path = one.where.partition(", response")[0]
+    if own is None and stated is None and (motion is None or force is None):
+        notes.insert(0, f"{path}: no units (dataset 164): metres and newtons assumed where labels state none")
+    elif own is not None and not replace(units, motion=own.motion if motion == GRAVITY else units.motion).agrees(own):
+        words = f"its labels say {axis.text!r} over {driven.text!r}, dataset 164 other units"
+        notes.append(Doubt(f"{path}: {words}: those of the labels are used"))
     return units

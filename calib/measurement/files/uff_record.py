@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,17 +11,18 @@ import numpy as np
 import pyuff
 
 from calib.errors.errors import InputError
-from calib.measurement.files.uff import length_factor, points_of
-from calib.measurement.files.uff_blocks import extract_sets, read_blocks
+from calib.measurement.files.uff_blocks import read_blocks
+from calib.measurement.files.uff_labels import MOTIONS, motion_axis
+from calib.measurement.files.uff_nodes import length_factor, nodes_of
 from calib.measurement.files.uff_sets import pyuff_faults
-from calib.measurement.frf_units import GRAVITY
 from calib.measurement.modal import DIRECTIONS, Sensor
-from calib.measurement.places import Point
+from calib.measurement.places import Doubt, Point
 from calib.measurement.record import SAME_RATE, MeasuredRecord, Motion, even_rate, parse_motion_unit
 
 TIME_RESPONSE = 1
 """Function type of a time record."""
-_MOTIONS: Mapping[int, Motion] = {8: "displacement", 11: "velocity", 12: "acceleration"}
+SAME_UNIT = 1e-3
+"""Largest relative difference of two statements of one unit."""
 _TIME = (0, 17)
 """Data types of the abscissa: unknown, time."""
 _COMPLEX = (5, 6)
@@ -41,17 +43,22 @@ def _function_sets(path: Path, header_only: bool = False) -> list[dict[str, Any]
         return [dict(reader.read_sets(k, header_only)) for k, kind in enumerate(kinds) if int(kind) == 58]
 
 
-def read_record_uff(path: Path, unit: str | None = None) -> tuple[MeasuredRecord, dict[int, Point]]:
+def read_record_uff(
+    path: Path, unit: str | None = None, length_unit: float | None = None
+) -> tuple[MeasuredRecord, dict[int, Point]]:
     """Read a record and the places of its nodes (m) from a universal file.
 
-    Every dataset 58 of function type 1 is a sensor; other functions are noted. A sensor mounted against its axis
-    (negative direction) reverses the sign. Lengths are those of dataset 164, accelerations in g are converted.
+    Every dataset 58 of function type 1 that is a motion is a sensor; others are noted. A sensor mounted against its
+    axis (negative direction) reverses the sign. Units are those on the labels, else those of dataset 164; motions in
+    local axes are turned into global ones (see `calib.measurement.files.uff_nodes`).
 
     Parameters
     ----------
     path : Path
     unit : str, optional
-        Where the file has no dataset 164; see `calib.measurement.record.parse_motion_unit`.
+        Where neither labels nor dataset 164 say; see `calib.measurement.record.parse_motion_unit`.
+    length_unit : float, optional
+        Metres per unit of length, where the file has no dataset 164.
 
     Raises
     ------
@@ -59,54 +66,85 @@ def read_record_uff(path: Path, unit: str | None = None) -> tuple[MeasuredRecord
         For a file that cannot be read, without such functions, with a sensor twice, with samples that differ between
         sensors, or with several motions.
     """
-    blocks = read_blocks(path)
+    notes: list[str] = []
+    blocks = read_blocks(path, notes)
     every = _function_sets(path)
-    own = [data for data in every if int(data["func_type"]) == TIME_RESPONSE]
+    own, foreign = [], Counter[str]()
+    for data in every:
+        if int(data["func_type"]) == TIME_RESPONSE:
+            kind = motion_axis(data)[0].kind
+            if kind in (None, *MOTIONS.values()):
+                own.append(data)
+            else:
+                foreign[f"{kind}"] += 1
     if not own:
-        raise InputError("it holds no time record (dataset 58 of function type 1)", place=path, remedy="export records")
-    notes = [f"{path}: {len(every) - len(own)} functions that are no time records skipped"] * (len(own) < len(every))
-    units = [block for block in blocks if block.kind == 164]
-    per_metre = length_factor(path, units, extract_sets(path, units), []) if units else 1.0
+        what = f"; its records are of {' and '.join(sorted(foreign))}" if foreign else ""
+        words = f"it holds no time record of a motion (dataset 58 of function type 1){what}"
+        raise InputError(words, place=path, remedy="export records of motions")
+    if others := len(every) - len(own) - foreign.total():
+        notes.append(f"{path}: {others} functions that are no time records skipped")
+    notes += [f"{path}: {count} records of {kind} skipped: no motion" for kind, count in foreign.items()]
+    per_metre = length_factor(path, blocks, [], length_unit)
+    units = any(block.kind == 164 for block in blocks)
     stated = None if unit is None else parse_motion_unit(unit, path)
-    if not units and stated is None:
-        notes.append(f"{path}: no units (dataset 164): SI assumed")
-    sensors: list[Sensor] = []
-    columns, motions = [], set()
+    columns: dict[tuple[int, str], np.ndarray] = {}
+    motions = set()
     for data in own:
         where = f"{path}, response {data['rsp_node']}, direction {data['rsp_dir']}"
-        sensor, sign = _sensor(where, data)
-        if sensor.name in [one.name for one in sensors]:
+        end, sign = _sensor(where, data)
+        if end in columns:
             raise InputError("this sensor is there twice", place=where, remedy="export one record a file")
-        motion = _MOTIONS.get(int(data["ordinate_spec_data_type"]), None if stated is None else stated[0])
-        if stated is not None and motion != stated[0]:
-            raise InputError(f"it says that it is {motion}, not in {unit}", place=where, remedy="correct one of them")
+        motion, on_label = _motion(where, data, stated, notes)
         motions.add(motion)
         if len(motions) > 1:
             raise InputError(
                 "its motion is not that of the first sensor", place=where, remedy="give sensors of one kind a file"
             )
-        in_g = str(data.get("ordinate_axis_units_lab", "")).strip().lower() in ("g", "gn")
-        factor = GRAVITY if in_g else 1 / per_metre if units or stated is None else stated[1]
-        columns.append(sign * (1.0 if sensor.direction.startswith("r") else factor) * _samples(where, data))
-        sensors.append(sensor)
-    lengths = {len(column) for column in columns}
+        if on_label is None and not units and stated is None:
+            notes.append(f"{path}: no units (dataset 164): SI assumed")
+        factor = on_label or (1 / per_metre if units or stated is None else stated[1])
+        columns[end] = sign * (1.0 if end[1].startswith("r") else factor) * _samples(where, data)
+    lengths = {len(column) for column in columns.values()}
     rates = [_rate(f"{path}, response {data['rsp_node']}", data) for data in own]
     if len(lengths) > 1 or max(rates) > (1 + SAME_RATE) * min(rates):
         raise InputError(
             "its sensors are not sampled at the same instants", place=path, remedy="export all with one rate and length"
         )
     (motion,) = motions
+    nodes = nodes_of(path, blocks, per_metre, notes)
+    columns = nodes.turned(columns, str(path))
     record = MeasuredRecord(
-        rates[0], np.stack(columns, axis=1), tuple(sensors), motion, source=str(path), notes=tuple(notes)
-    )
-    return record, points_of(path, blocks, per_metre, [])
+        rates[0], np.stack(list(columns.values()), axis=1), tuple(Sensor(*end) for end in columns), motion,
+        source=str(path), notes=tuple(dict.fromkeys(notes)),
+    )  # fmt: skip
+    return record, dict(nodes.points)
 
 
-def _sensor(where: str, data: Mapping[str, Any]) -> tuple[Sensor, float]:
+def _motion(
+    where: str, data: Mapping[str, Any], stated: tuple[Motion, float] | None, notes: list[str]
+) -> tuple[Motion | None, float | None]:
+    """Motion of a record by its type, its label or as stated, and the SI value of the unit on its label."""
+    axis, _ = motion_axis(data)
+    said = [own for own in MOTIONS.values() if own in (axis.typed, axis.labelled)]
+    wanted = None if stated is None else stated[0]
+    if axis.contradicts:
+        words = f"its ordinate is of the type {axis.typed}, but its label says {axis.text!r:.60}"
+        if wanted not in said:
+            raise InputError(words, place=where, remedy="correct one of them, or state the unit")
+        notes.append(Doubt(f"{where}: {words}: taken as {wanted}, as stated"))
+        return wanted, axis.unit if axis.labelled == wanted else None
+    if said and wanted not in (None, said[0]):
+        raise InputError(f"it says that it is {said[0]}, not {wanted}", place=where, remedy="correct one of them")
+    if axis.unit is not None and stated is not None and abs(axis.unit / stated[1] - 1) > SAME_UNIT:
+        raise InputError("its unit is not the stated one", place=where, remedy="correct one of them")
+    return said[0] if said else wanted, axis.unit
+
+
+def _sensor(where: str, data: Mapping[str, Any]) -> tuple[tuple[int, str], float]:
     code = int(data["rsp_dir"])
     if not 1 <= abs(code) <= 6:
         raise InputError(f"its direction is {code}", place=where, remedy="give 1 to 6, negative against the axis")
-    return Sensor(int(data["rsp_node"]), DIRECTIONS[abs(code) - 1]), float(np.sign(code))
+    return (int(data["rsp_node"]), DIRECTIONS[abs(code) - 1]), float(np.sign(code))
 
 
 def _samples(where: str, data: Mapping[str, Any]) -> np.ndarray:
