@@ -3,6 +3,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from calib.execution.outcome import OUT_OF_MEMORY, WORKER_DIED, attempt
 
 # Workers import the factory by name, so it lives in a module of its own on the path.
 MODULE = """
-import os, sys, time
+import os, sys, threading, time
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +58,8 @@ def answer(values):
         return {"y": float("inf")}
     if x == -6:
         time.sleep(30)
+    if x == -7:
+        threading.Thread(target=threading.Event().wait).start()
     threads = max((p["num_threads"] for p in threadpool_info()), default=1)
     matrix = np.cos(np.arange(90000.0).reshape(300, 300) * x)
     return {
@@ -244,6 +247,16 @@ def test_a_point_that_kills_its_worker_is_a_failed_row(source, tmp_path):
     assert outcomes[2].error == WORKER_DIED and outcomes[2].transient
     assert after[0].responses["y"] == outcomes[0].responses["y"]
     assert gone(pids)
+
+
+def test_a_thread_that_the_model_leaves_running_keeps_no_process(source, tmp_path):
+    log = tmp_path / "built"
+    evaluator = Evaluator(source(str(log)), isolated=True)
+    assert evaluator.evaluate(points(-7))[0].status == "ok"
+    closing = threading.Thread(target=evaluator.close, daemon=True)  # were it to wait for ever, the test would not
+    closing.start()
+    closing.join(60.0)
+    assert not closing.is_alive() and gone([int(p) for p in log.read_text().split()])
 
 
 @pytest.mark.slow

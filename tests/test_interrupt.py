@@ -100,6 +100,25 @@ def test_nothing_but_an_interrupt_ends_a_leaving_that_takes_long():
     assert (code, out, err) == (0, "leaving\nleft in order\n", "")
 
 
+THREAD = ("import os, threading", "def never_ends():", "    {first}", "    threading.Event().wait()",
+          "threading.Thread(target=never_ends).start()", "say('the answer')", "interrupt.leave(3)")  # fmt: skip
+
+
+def test_a_thread_that_never_ends_keeps_no_process():
+    work = [line.format(first="pass") for line in THREAD]
+    assert child(0.0, work=work) == (3, "the answer\n", f"calib: {interrupt.LEFT_RUNNING}\n")
+
+
+def test_an_interrupt_after_the_answer_ends_the_process():
+    # When the main part is over; again, since Python misses a signal just before it begins to wait for a thread.
+    first = "threading.main_thread().join()\n    while not time.sleep(0.01): os.kill(os.getpid(), signal.SIGINT)"
+    assert child(NEVER, work=[part for line in THREAD for part in line.format(first=first).split("\n")]) == (
+        3,
+        "the answer\n",
+        "",
+    )
+
+
 DEAF = (
     "import sys",
     "sys.unraisablehook = lambda given: None",

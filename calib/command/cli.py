@@ -386,7 +386,9 @@ def _study(
 def main() -> None:
     """What the entry point runs when everything that it needs is imported."""
     terminal.write_to_any_code_page()
-    sys.exit(execute(sys.argv[1:]))
+    code = execute(sys.argv[1:])
+    interrupt.leave(code)
+    sys.exit(code)
 
 
 def execute(arguments: list[str]) -> int:

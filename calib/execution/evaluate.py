@@ -7,6 +7,7 @@ import math
 import multiprocessing
 import pickle
 import queue
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
@@ -274,14 +275,28 @@ class Evaluator:
         return future
 
     def _stop(self, at_once: bool) -> None:
+        """End the processes; those that have not ended within `interrupt.PATIENCE` are killed."""
         pool, self._pool = self._pool, None
         if pool is None:
             return
-        if at_once:
-            # The executor can only wait for running tasks; public ways to end them exist from Python 3.14 on.
-            for process in list((getattr(pool, "_processes", None) or {}).values()):
+        # The executor can only wait, for as long as it takes; public ways to end it exist from Python 3.14 on.
+        processes = list((getattr(pool, "_processes", None) or {}).values())
+        manager: threading.Thread | None = getattr(pool, "_executor_manager_thread", None)
+
+        def kill() -> None:
+            for process in processes:
                 process.kill()
-        pool.shutdown(wait=True, cancel_futures=True)
+
+        if at_once:
+            kill()
+        try:
+            pool.shutdown(wait=at_once, cancel_futures=True)
+            if manager is not None:
+                manager.join(interrupt.PATIENCE)
+        finally:  # KeyboardInterrupt too
+            if manager is not None and manager.is_alive():
+                kill()
+                manager.join()
 
 
 def failed(values: Mapping[str, float], error: str, seconds: float = 0.0, trace: str = "") -> Outcome:

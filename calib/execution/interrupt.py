@@ -1,4 +1,4 @@
-"""Ctrl-C, handled exactly once.
+"""Ctrl-C, handled exactly once, and the end of a process that something keeps from ending.
 
 A second press must not disturb the shutdown that the first one has started. Nor may the first be lost: Python's
 KeyboardInterrupt vanishes where compiled code calls a Python function and discards its exception (NumPy does while it
@@ -11,6 +11,7 @@ import contextlib
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from types import FrameType
@@ -20,6 +21,7 @@ CODE = 130
 WORDS = "interrupted; the same command again completes it"
 PATIENCE = 5.0
 """Seconds a command has to shut down; an interrupt after them ends the process at once."""
+LEFT_RUNNING = "the model has left running what does not end by itself; it was ended"
 LOOK = 0.1
 """Seconds between two checks of whether the raised interrupt is still being handled."""
 
@@ -33,8 +35,11 @@ class _Press:
     def begin(self) -> None:
         self.raised_at: float | None = None
         self.answered = self.watching = self.held = self.waiting = False
+        self.code: int | None = None
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:
+        if self.code is not None:
+            os._exit(self.code)
         if self.held:
             self.waiting = True
             return
@@ -101,6 +106,30 @@ def held() -> Iterator[None]:
 def command_over() -> None:
     """The command is over: no interrupt is raised any more while the process ends."""
     _press.answer()
+
+
+def leave(code: int) -> None:
+    """Everything is said and written: the process ends within `PATIENCE`, or at the next interrupt, with that code.
+
+    A thread of the user's model that never ends, or a process that it has started, would keep it for ever.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, or none
+            stream.flush()
+    _press.code = code
+    end_within(PATIENCE, code, f"calib: {LEFT_RUNNING}\n")
+
+
+def end_within(seconds: float, code: int, words: str = "") -> None:
+    """End this process with a code unless it has ended by then; ``words`` go to the error stream."""
+
+    def end() -> None:
+        time.sleep(seconds)
+        with contextlib.suppress(OSError):
+            os.write(2, words.encode())
+        os._exit(code)
+
+    threading.Thread(target=end, daemon=True).start()
 
 
 def pressed() -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import multiprocessing.util
 import os
 import platform
 import signal
@@ -19,6 +20,7 @@ from typing import Any
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
 from calib.errors.errors import InputError
+from calib.execution.interrupt import end_within
 from calib.execution.outcome import Function, Outcome, attempt
 
 Source = Callable[[], Function]
@@ -130,6 +132,7 @@ def start(source: Source, board: Board) -> None:
     """Initialize a worker process; a model that cannot be built is reported by every task."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     leave_with_parent()
+    leave_after_work()
     try:
         _Worker.function = built(source)
     except (InputError, RuntimeError) as fault:
@@ -148,6 +151,16 @@ def _leave_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
+
+
+LEAVING = 1.0
+"""Seconds a worker process has to end after its last task."""
+
+
+def leave_after_work() -> None:
+    """When its work is over, end this process within `LEAVING`: a thread of the model that never ends would keep it."""
+    # Called before Python waits for threads and processes that a model has started.
+    multiprocessing.util.Finalize(None, end_within, args=(LEAVING, 0), exitpriority=sys.maxsize)
 
 
 def ready(number: int, values: Mapping[str, float]) -> Outcome:

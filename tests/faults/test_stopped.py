@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from calib.command import cli
+from calib.execution import interrupt
 from calib.report.figures import Figures
 
 FOLDER = Path("results/mast")
@@ -170,6 +171,16 @@ def test_two_runs_at_once_on_one_ledger(mast, runner, left, whole):
     runs = [runner.fork("calibrate", "mast", "--workers", "1") for _ in range(2)]
     assert [run.wait() for run in runs] == [0, 0], [run.err for run in runs]
     assert left(FOLDER) == whole[0]
+
+
+@pytest.mark.slow
+def test_a_thread_that_a_model_leaves_running_does_not_keep_the_command(mast, runner):
+    """The matrices are made in the command's own process."""
+    model = mast / "model.py"
+    model.write_text("import threading\nthreading.Thread(target=threading.Event().wait).start()\n" + model.read_text())
+    run = runner.command("compare", "mast")
+    assert run.wait() == 0 and "Found:" in run.out
+    assert interrupt.LEFT_RUNNING in run.err and run.nobody_left()
 
 
 SLOWLY = """
