@@ -133,7 +133,8 @@ SPEED = {  # memory, time, processes; results are the same
     "structure/eigenproblem/solve_dense.py": "_FEW _LARGE",
     "study/study_file.py": "_KEPT",
     "execution/team.py": "_MOST _WORTH _TO_START _LARGE",
-    "execution/worker.py": "_KEPT",
+    "execution/temporary.py": "_WITHOUT_LOCK",
+    "execution/worker.py": "LEAVING _KEPT",
 }
 
 WORDS = {  # lengths of lists and lines, and the levels that sentences and tables state

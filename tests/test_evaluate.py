@@ -17,7 +17,7 @@ from calib.execution.outcome import OUT_OF_MEMORY, WORKER_DIED, attempt
 
 # Workers import the factory by name, so it lives in a module of its own on the path.
 MODULE = """
-import os, sys, threading, time
+import os, signal, subprocess, sys, threading, time
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +58,12 @@ def answer(values):
         return {"y": float("inf")}
     if x == -6:
         time.sleep(30)
+    if x in (-8, -9):
+        os.kill(os.getpid(), signal.SIGTERM)
+    if x == -9:
+        raise EvaluationError("the solver has ended")
+    if x == -10:
+        return {"code": subprocess.run(["sh", "-c", "kill -TERM $$"]).returncode}
     if x == -7:
         threading.Thread(target=threading.Event().wait).start()
     threads = max((p["num_threads"] for p in threadpool_info()), default=1)
@@ -247,6 +253,15 @@ def test_a_point_that_kills_its_worker_is_a_failed_row(source, tmp_path):
     assert outcomes[2].error == WORKER_DIED and outcomes[2].transient
     assert after[0].responses["y"] == outcomes[0].responses["y"]
     assert gone(pids)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the system has no such signals")
+def test_a_worker_leaves_requests_to_end_to_its_parent_and_the_programs_of_a_model_do_not(source):
+    with Evaluator(source(), isolated=True) as evaluator:
+        program, fine, ended = evaluator.evaluate(points(-10, -8, -9))
+    assert program.responses == {"code": -signal.SIGTERM}
+    assert fine.status == "ok"
+    assert ended.error == WORKER_DIED and ended.transient  # of the request, not of the point
 
 
 def test_a_thread_that_the_model_leaves_running_keeps_no_process(source, tmp_path):

@@ -18,9 +18,9 @@ CHILD = """\
 import signal, time
 from calib.execution import interrupt
 
-def hand(times=1):
+def hand(times=1, sign=signal.SIGINT):
     for _ in range(times):
-        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(sign)
 
 def say(words):
     print(words, flush=True)
@@ -63,9 +63,10 @@ def child(patience, *leaving, work=("hand()", "say('nothing was raised')"), time
 @pytest.fixture
 def handled():
     """Sets the process' handler for the time of a test."""
-    before = signal.getsignal(signal.SIGINT)
+    before = {sign: signal.getsignal(sign) for sign in (signal.SIGINT, *interrupt.END_REQUESTS)}
     yield lambda handler: signal.signal(signal.SIGINT, handler)
-    signal.signal(signal.SIGINT, before)
+    for sign, handler in before.items():
+        signal.signal(sign, handler)
 
 
 def test_installing_the_handler_twice_is_installing_it_once(handled):
@@ -83,8 +84,19 @@ def test_another_handler_is_left_alone(handled, own):
     assert signal.getsignal(signal.SIGINT) is own
 
 
-def test_the_first_interrupt_is_raised_and_later_ones_are_ignored():
-    code, out, err = child(NEVER, "hand(5)", "say('left in order')")
+@pytest.mark.parametrize("sign", interrupt.END_REQUESTS)
+def test_a_request_to_end_is_an_interrupt_also_where_the_keyboard_is_ignored(handled, sign):
+    """As in the background of a shell."""
+    handled(signal.SIG_IGN)
+    signal.signal(sign, signal.SIG_DFL)
+    interrupt.once()
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    assert signal.getsignal(sign) == interrupt._press.interrupt
+
+
+@pytest.mark.parametrize("sign", ["signal.SIGINT", "signal.SIGTERM"])
+def test_the_first_interrupt_is_raised_and_later_ones_are_ignored(sign):
+    code, out, err = child(NEVER, f"hand(5, {sign})", "say('left in order')", work=[f"hand(1, {sign})"])
     assert (code, out, err) == (0, "leaving\nleft in order\n", "")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from calib.errors.errors import EvaluationError, InputError
-from calib.execution import tasks, team
+from calib.execution import tasks, team, temporary
 from calib.execution.tasks import each, in_this_process, shared_by
 from calib.execution.team import Team
 
@@ -286,7 +286,7 @@ def test_where_no_other_process_can_be_started_all_is_done_here(module, monkeypa
         raise OSError("No space left on device")
 
     if fault == "folder":
-        monkeypatch.setattr(team.tempfile, "TemporaryDirectory", no_space)
+        monkeypatch.setattr(temporary.tempfile, "TemporaryDirectory", no_space)
     monkeypatch.setattr(team, "ProcessPoolExecutor", Full)
     with Team(2) as one:
         assert one(module.who, None, range(8)) == [os.getpid()] * 8

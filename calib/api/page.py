@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +16,7 @@ from calib.analyses.provenance.record import assumptions_of, limits_table, made_
 from calib.api.protocols import Solved
 from calib.correlation.modal.expansion import orthogonality
 from calib.errors.errors import InputError
+from calib.execution.temporary import TemporaryFolder
 from calib.experiment import ModalTest, Test
 from calib.experiment.test import Model, test_place
 from calib.inference.cases import CaseResult
@@ -111,9 +111,9 @@ def write_pages(fit: Solved, path: Path) -> tuple[Path, ...]:
     out = []
     for model, test in pairs:
         where = path if len(pairs) == 1 else path.with_name(f"{path.stem}_{test.name}{path.suffix}")
-        with tempfile.TemporaryDirectory() as folder:
-            _write(fit, model, test, Results(Path(folder)))
-            text = page(StudyResults(Path(folder), f"{model.name} against {test.name}", test.synthetic))
+        with TemporaryFolder() as folder:
+            _write(fit, model, test, Results(folder))
+            text = page(StudyResults(folder, f"{model.name} against {test.name}", test.synthetic))
         try:
             with whole(where) as draft:
                 draft.write_text(text, encoding="utf-8")

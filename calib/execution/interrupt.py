@@ -1,4 +1,4 @@
-"""Ctrl-C, handled exactly once, and the end of a process that something keeps from ending.
+"""Ctrl-C and its like, handled exactly once, and the end of a process that something keeps from ending.
 
 A second press must not disturb the shutdown that the first one has started. Nor may the first be lost: Python's
 KeyboardInterrupt vanishes where compiled code calls a Python function and discards its exception (NumPy does while it
@@ -21,6 +21,8 @@ CODE = 130
 WORDS = "interrupted; the same command again completes it"
 PATIENCE = 5.0
 """Seconds a command has to shut down; an interrupt after them ends the process at once."""
+END_REQUESTS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name))
+"""Signals by which a batch system, a shutdown or a closed terminal ends a command: handled as Ctrl-C."""
 LEFT_RUNNING = "the model has left running what does not end by itself; it was ended"
 LOOK = 0.1
 """Seconds between two checks of whether the raised interrupt is still being handled."""
@@ -63,7 +65,7 @@ class _Press:
 
     def look(self, number: int, frame: FrameType | None) -> None:
         if not self.answered and _lost():
-            signal.raise_signal(signal.SIGINT)
+            self.interrupt(signal.SIGINT, frame)
 
     def answer(self) -> None:
         self.answered = True
@@ -79,12 +81,16 @@ def once() -> None:
 
     It is raised again where something has swallowed it, that is, where neither it nor an exception raised because of it
     is being handled. If the shutdown takes longer than `PATIENCE`, the next interrupt ends the process; worker
-    processes end with it. Where interrupts are already handled in another way, or ignored, nothing changes.
+    processes end with it. `END_REQUESTS` count as interrupts. Those that are already handled in another way, or
+    ignored, stay so.
     """
-    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        return
-    _press.begin()
-    signal.signal(signal.SIGINT, _press.interrupt)
+    mine = [sign for sign in END_REQUESTS if signal.getsignal(sign) is signal.SIG_DFL]
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        mine.append(signal.SIGINT)
+    if mine:
+        _press.begin()
+    for sign in mine:
+        signal.signal(sign, _press.interrupt)
 
 
 @contextlib.contextmanager
@@ -100,7 +106,7 @@ def held() -> Iterator[None]:
         _press.held = False
         if _press.waiting:
             _press.waiting = False
-            signal.raise_signal(signal.SIGINT)
+            _press.interrupt(signal.SIGINT, None)
 
 
 def command_over() -> None:

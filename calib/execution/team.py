@@ -7,8 +7,6 @@ import io
 import multiprocessing
 import pickle
 import queue
-import signal
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
@@ -22,6 +20,7 @@ from threadpoolctl import threadpool_limits
 from calib.errors.errors import InputError
 from calib.execution import interrupt, tasks, worker
 from calib.execution.tasks import I, R, S, Told, one_thread, unreported
+from calib.execution.temporary import TemporaryFolder
 
 _MOST = 1024
 """Tasks of one call; more are done in several."""
@@ -289,8 +288,7 @@ class _Helper:
 
 
 def _start(board: _Board) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process decides when to stop
-    worker.leave_with_parent()
+    worker.follow_parent()
     _Helper.limits = threadpool_limits(1)
     _Helper.board = board
 
@@ -324,18 +322,18 @@ class _Store:
     """Temporary folder of what a call shares; large arrays that the next call shares too are written once."""
 
     def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="calib_", ignore_cleanup_errors=True)
+        self._folder = TemporaryFolder()
         self._kept: dict[int, tuple[np.ndarray, Path]] = {}
         self._number = 0
         self._last: Path | None = None
 
     def close(self) -> None:
         self._kept = {}
-        self._folder.cleanup()
+        self._folder.close()
 
     def file(self, suffix: str) -> Path:
         self._number += 1
-        return Path(self._folder.name) / f"{self._number}{suffix}"
+        return self._folder.path / f"{self._number}{suffix}"
 
     def written(self, content: object) -> Path:
         """File of a content, without its large arrays; files of the call before that are not needed are deleted."""

@@ -14,14 +14,17 @@ import time
 import traceback
 import uuid
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from multiprocessing.context import SpawnContext
+from types import FrameType
 from typing import Any
 
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
 from calib.errors.errors import InputError
+from calib.execution import interrupt
 from calib.execution.interrupt import end_within
-from calib.execution.outcome import Function, Outcome, attempt
+from calib.execution.outcome import WORKER_DIED, Function, Outcome, attempt
 
 Source = Callable[[], Function]
 
@@ -36,7 +39,7 @@ _THREAD_VARIABLES = (
 
 @contextlib.contextmanager
 def environment(script: bool = True) -> Iterator[None]:
-    """Environment that new processes inherit: one thread for numerical libraries, and Ctrl-C blocked.
+    """Environment that new processes inherit: one thread for numerical libraries, and Ctrl-C and its like blocked.
 
     ``script`` tells whether they need definitions of the running script. If not, they do not import it: without a
     guarded main part it would run again in every process.
@@ -50,7 +53,7 @@ def _inherited() -> Iterator[None]:
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     mask = None
     if hasattr(signal, "pthread_sigmask"):
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, *interrupt.END_REQUESTS})
     try:
         yield
     finally:
@@ -126,12 +129,12 @@ class _Worker:
     limits: object = None
     board: Board
     place: int
+    end_requested = False
 
 
 def start(source: Source, board: Board) -> None:
     """Initialize a worker process; a model that cannot be built is reported by every task."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
-    leave_with_parent()
+    follow_parent()
     leave_after_work()
     try:
         _Worker.function = built(source)
@@ -141,9 +144,23 @@ def start(source: Source, board: Board) -> None:
     _Worker.board, _Worker.place = board, board.take_place()
 
 
-def leave_with_parent() -> None:
-    """From now on, end this process when its parent is gone; otherwise it would wait for tasks for ever."""
+def follow_parent() -> None:
+    """From now on, the parent alone decides when to stop, and this process ends when the parent is gone.
+
+    Otherwise it would wait for tasks for ever.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for sign in interrupt.END_REQUESTS:
+        if signal.getsignal(sign) is signal.SIG_DFL:
+            # Unlike an ignored signal, this is not inherited by programs that a model starts, and may have to end.
+            signal.signal(sign, _note_end_request)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, interrupt.END_REQUESTS)
     threading.Thread(target=_leave_with_parent, daemon=True).start()
+
+
+def _note_end_request(number: int, frame: FrameType | None) -> None:
+    _Worker.end_requested = True
 
 
 def _leave_with_parent() -> None:
@@ -175,11 +192,14 @@ def work(number: int, values: Mapping[str, float]) -> Outcome | Exception:
     assert _Worker.function is not None
     _Worker.board.note(_Worker.place, number)
     try:
-        return attempt(_Worker.function, values)
+        outcome = attempt(_Worker.function, values)
     except InputError as fault:
         return fault
     finally:
         _Worker.board.clear(_Worker.place)
+    if outcome.status == "failed" and _Worker.end_requested:  # a solver that the same request has ended, say
+        return replace(outcome, error=WORKER_DIED, trace="", at=None)
+    return outcome
 
 
 # -- tasks of a given executor -----------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib.errors.errors import InputError
+from calib.execution.temporary import clear_abandoned
 from calib.results import written
 from calib.results.former_names import RECORD, TABLES
 
@@ -56,6 +57,7 @@ class Results:
         InputError when it cannot be written, holds a study, or holds files without the log of what calib has written.
         """
         home = root / study_name
+        clear_abandoned()
         for path in (home, home / part) if part else (home,):
             _refuse_foreign(path)
         for path in (home, home / part) if part else (home,):

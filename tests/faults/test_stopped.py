@@ -106,14 +106,14 @@ def interrupted(start, press):
     raise AssertionError("no run could be interrupted")
 
 
-def press(run):
-    """Ctrl-C, as a terminal sends it."""
-    time.sleep(0.05)  # into the work; any moment will do
-    run.send(signal.SIGINT, everybody=True)
-
-
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.slow)])
-def test_interrupted_by_the_keyboard(mast, runner, left, drafts, workers, whole):
+def test_interrupted_by_the_keyboard_or_a_batch_system(mast, runner, left, drafts, workers, sign, whole):
+    def press(run):
+        """As a terminal or a batch system sends it."""
+        time.sleep(0.05)  # into the work; any moment will do
+        run.send(sign, everybody=True)
+
     run = interrupted(lambda: runner.fork("calibrate", "mast", "--workers", workers), press)
     assert told_of_the_interruption(run.err)
     assert run.nobody_left() and drafts(Path("results")) == [] and not Path("calib-error.log").exists()

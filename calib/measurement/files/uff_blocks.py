@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import pyuff
 
 from calib.errors.errors import InputError
 from calib.errors.place import Place
+from calib.execution.temporary import TemporaryFolder
 from calib.measurement.files.uff_sets import pyuff_faults
 
 _MARKER = b"    -1"
@@ -235,8 +235,8 @@ def extract_sets(path: Path, blocks: Sequence[Dataset]) -> list[dict[str, Any]]:
         what = f"the dataset {abs(block.kind)} that starts here cannot be read ({words})"
         return block.error(path, what, "export it again")
 
-    with tempfile.TemporaryDirectory() as folder, pyuff_faults(fault):
-        copy = Path(folder) / "copy.uff"
+    with TemporaryFolder() as folder, pyuff_faults(fault):
+        copy = folder / "copy.uff"
         copy.write_text(text, encoding="utf-8", newline="\n")
         reader = pyuff.UFF(str(copy))
         if [int(kind) for kind in reader.get_set_types()] != [abs(block.kind) for block in blocks]:
