@@ -37,7 +37,7 @@ from calib.results.answer import Answer
 from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.results.table import read_table
-from calib.results.written import is_own
+from calib.results.written import is_own, require_unchanged
 from calib.sensitivity.rules import RULES
 from calib.sensitivity.selection import Assessment, assess
 from calib.sensitivity.spearman import noise_floor
@@ -216,6 +216,7 @@ def selecting(study: LoadedStudy, home: Results) -> LoadedStudy:
             place=study.file,
             remedy=f"run 'calib sensitivity {shell_argument(study.file)}' first",
         )
+    require_unchanged(path, f"run 'calib sensitivity {shell_argument(study.file)}' again")
     names, assessed = selected_in(path)
     if differing := sorted(set(study.sensitivity_space.free_names) ^ set(assessed)):
         raise InputError(

@@ -13,6 +13,7 @@ from calib.problem.space import ParameterSpace
 from calib.results.json_file import read_json
 from calib.results.results import Results
 from calib.results.table import read_table
+from calib.results.written import require_unchanged
 from calib.study.study import LoadedStudy
 from calib.study.study_file import shell_argument, study_file
 from calib.study.study_text import read_settings
@@ -90,6 +91,8 @@ def _values(study: LoadedStudy, folder: Results) -> Found | None:
     if outdated_selection(study, folder):
         return None
     remedy = f"run 'calib calibrate {shell_argument(study.file)}' again"
+    for name in ("summary.json", "parameters.csv"):
+        require_unchanged(folder.path / name, remedy)
     summary = read_json(folder.path / "summary.json", {"fingerprint": str, "best_case": str}, remedy=remedy)
     chosen = selecting(study, folder)
     if summary.get("fingerprint") != fingerprint(chosen):

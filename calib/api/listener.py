@@ -44,6 +44,9 @@ class Listener:
     def other_state(self, rows: int) -> None:
         """Number of stored evaluations that belong to another state of the study."""
 
+    def damaged(self, rows: int) -> None:
+        """Number of stored rows that were found damaged, and computed again where they were needed."""
+
     def compared(self, study: LoadedStudy, answer: ComparisonResult, folder: Results) -> None:
         """Model and measurement were compared."""
 

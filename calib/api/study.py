@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from calib.missing.findings import ExplanationResult
     from calib.problem.effect import Effect
     from calib.report.style import Format, Width
+    from calib.results.ledger import Ledger
     from calib.study.several import AnyStudy
     from calib.study.study import LoadedStudy as Loaded
 
@@ -245,7 +247,7 @@ class Study:
         self.listener.begins(loaded, "propose")
         with (
             self.listener.progress() as step,
-            with_stored_modes(loaded, lambda: places.ledger_of(loaded, root)) as kept,
+            with_stored_modes(loaded, lambda: self._ledger(loaded)) as kept,
         ):
             homes = {one.test: places.results_of(one, root) for one in loaded.studies}
             found = proposal.propose(kept, self.folder, wanted, step, homes)
@@ -327,13 +329,22 @@ class Study:
         self.listener.compared(loaded, answer, self.folder)
         return answer
 
+    @contextmanager
+    def _ledger(self, study: AnyStudy) -> Iterator[Ledger]:
+        """The ledger of a study; how many of its rows are damaged is told when it is closed."""
+        with places.ledger_of(study, self.results) as ledger:
+            try:
+                yield ledger
+            finally:
+                self.listener.damaged(ledger.damaged)
+
     def _sensitivity(self) -> Sensitivity:
         from calib.analyses.reduction import fingerprints
         from calib.analyses.sensitivity import sensitivity
 
         loaded, root = self.one, self.results
         self.listener.begins(loaded, "sensitivity")
-        with places.ledger_of(loaded, root) as ledger, self.listener.progress() as step:
+        with self._ledger(loaded) as ledger, self.listener.progress() as step:
             self.listener.other_state(ledger.other_fingerprints(*fingerprints(loaded, places.results_of(loaded, root))))
             answer = sensitivity(loaded, self.folder, ledger, self.workers, self.quick, step)
         self.listener.sampled(loaded, answer, self.folder)
@@ -344,7 +355,7 @@ class Study:
 
         loaded, workers, quick = self.one, self.workers, self.quick
         self.listener.begins(loaded, f"sensitivity, {method.capitalize()}")
-        with places.ledger_of(loaded, self.results) as ledger, self.listener.progress() as step:
+        with self._ledger(loaded) as ledger, self.listener.progress() as step:
             answer = screen(loaded, self.folder, ledger, method, workers, quick, ignore_constraints, step)
         self.listener.screened(answer, self.folder)
         return answer
@@ -363,7 +374,7 @@ class Study:
         self.listener.begins(loaded, "calibrate")
         folder = places.results_of(loaded, root, quick, case, method)
         homes = {one.test: places.results_of(one, root) for one in loaded.studies}
-        with places.ledger_of(loaded, root) as ledger, self.listener.progress() as step:
+        with self._ledger(loaded) as ledger, self.listener.progress() as step:
             known = [mark for one in loaded.studies for mark in fingerprints(one, homes[one.test])]
             self.listener.other_state(ledger.other_fingerprints(*known))
             folders = {one.test: places.results_of(one, root, quick, case, method) for one in loaded.studies}
@@ -387,7 +398,7 @@ class Study:
         with (
             self.listener.progress() as step,
             places.tasks_shared(self.workers),
-            with_stored_modes(loaded, lambda: places.ledger_of(loaded, root)) as kept,
+            with_stored_modes(loaded, lambda: self._ledger(loaded)) as kept,
         ):
             homes = {one.test: places.results_of(one, root) for one in loaded.studies}
             answer = explain(kept, self.folder, step, homes, {s.one.test: s.folder for s in self.tests})

@@ -77,6 +77,12 @@ class _Printing(Listener):
             rest = f"{belong} to another state of model or measurement; {they} kept but not used."
             self._add(Words(f"{count(rows, 'earlier evaluation')} {rest}", when="always"))
 
+    def damaged(self, rows: int) -> None:
+        if rows:
+            were, they = ("was", "it counts") if rows == 1 else ("were", "they count")
+            stored = count(rows, "stored row")
+            self._add(Warned(f"{stored} of the ledger {were} changed since calib wrote it; {they} as not evaluated."))
+
     # -- results -------------------------------------------------------------------------------------------------------
 
     def compared(self, study: LoadedStudy, answer: ComparisonResult, folder: Results) -> None:

@@ -7,15 +7,14 @@ import os
 import platform
 import re
 import shutil
+import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import IO
 
-try:
+if sys.platform != "win32":  # there, an open file cannot be deleted: that is the lock
     import fcntl
-except ImportError:  # Windows, where an open file cannot be deleted: that is the lock
-    fcntl = None  # type: ignore[assignment]
 
 LOCK = "in_use.lock"
 """File in a temporary folder that its process keeps locked: the lock ends with the process, however that ends."""
@@ -73,7 +72,7 @@ def _is_abandoned(folder: Path) -> bool:
     lock = folder / LOCK
     if not lock.is_file():
         return time.time() - folder.stat().st_mtime > _WITHOUT_LOCK
-    if fcntl is None:
+    if sys.platform == "win32":
         lock.unlink()
         return True
     with lock.open("rb") as file:
@@ -83,7 +82,7 @@ def _is_abandoned(folder: Path) -> bool:
 
 def _locked(folder: Path) -> IO[bytes] | None:
     """The open lock of a folder; None where the file system has no locks, and the folder counts as one without."""
-    if fcntl is None:
+    if sys.platform == "win32":
         return (folder / LOCK).open("wb")
     draft = folder / f"{LOCK}.part"
     file = draft.open("wb")

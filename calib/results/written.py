@@ -14,9 +14,12 @@ from contextvars import ContextVar
 from itertools import count
 from pathlib import Path
 
+from calib.errors.errors import InputError
+
 LOG = "written.sha256"
 DRAFT = ".part"
 """Suffix of every file or folder that is being written."""
+CHANGED = "it was changed after calib wrote it"
 KEPT = "_kept"
 """Added to the stem of a file that was in the way and that calib did not write."""
 
@@ -62,6 +65,31 @@ def remove(path: Path) -> None:
 def is_own(path: Path) -> bool:
     """Whether calib has written that file as it is now."""
     return path.is_file() and not path.is_symlink() and _line(_digest(path), path.name) in _logged(path.parent)
+
+
+def is_changed(path: Path) -> bool:
+    """Whether there is a file that somebody else has written or changed since; False in a folder without a log.
+
+    A table counts as unchanged where a spreadsheet has saved it with the same entries.
+    """
+    if not path.is_file() or not (path.parent / LOG).is_file() or is_own(path):
+        return False
+    known = _logged(path.parent)
+    return not any(_line(hashlib.sha256(text).hexdigest(), path.name) in known for text in _before_a_spreadsheet(path))
+
+
+def _before_a_spreadsheet(path: Path) -> Iterator[bytes]:
+    """What a table may have been before a spreadsheet saved it: with other line ends, separators, decimal commas."""
+    text = path.read_bytes().removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n")
+    yield text
+    for separator in (b";", b"\t"):
+        yield text.replace(b",", b".").replace(separator, b",")
+
+
+def require_unchanged(path: Path, remedy: str) -> None:
+    """InputError for a file that `is_changed`."""
+    if is_changed(path):
+        raise InputError(CHANGED, place=path, remedy=remedy)
 
 
 @contextlib.contextmanager

@@ -108,11 +108,11 @@ def test_the_earlier_study_runs_first_and_its_values_are_held(stages, capsys):
 def test_values_in_another_unit_are_refused(found, capsys):
     table, model = Path("results/one/parameters.csv"), Path("two/model.py")
     told = pd.read_csv(table)
-    told.assign(unit=told["unit"].where(told["parameter"] != "a", "kg")).to_csv(table, index=False)
+    Results(table.parent).write_table("parameters", told.assign(unit=["kg", *told["unit"][1:]]))
     assert cli.execute(["compare", "two"]) == 2
     said = capsys.readouterr().err
     assert "a is in kg" in said and "parameters.csv" in said
-    told.to_csv(table, index=False)
+    Results(table.parent).write_table("parameters", told)
     model.write_text(model.read_text().replace("2.0, 1.0, 3.0)", '2.0, 1.0, 3.0, "mm")'))
     assert cli.execute(["compare", "two"]) == 2
     said = capsys.readouterr().err
@@ -314,6 +314,30 @@ def test_damaged_results_are_refused_and_left_unchanged(found, capsys, file, dam
     assert cli.execute(["compare", "two"]) == 2
     told = capsys.readouterr()
     assert file in told.err and one_sentence(told.err) and path.read_text() == damaged
+
+
+@pytest.mark.parametrize("file", ["summary.json", "parameters.csv"])
+def test_results_changed_by_somebody_else_are_not_adopted(found, capsys, file, one_sentence):
+    """A value within its limits, in a table that can be read."""
+    path = Path("results/one", file)
+    changed = re.sub(r"A1,a,[^,]+", "A1,a,2.9", path.read_text()).replace('"best_case"', '"noted": 1, "best_case"')
+    assert changed != path.read_text()
+    path.write_text(changed)
+    assert cli.execute(["compare", "two"]) == 2
+    told = capsys.readouterr().err
+    assert file in told and "calib calibrate" in told and "one' again" in told and one_sentence(told)
+    assert cli.execute(["calibrate", "one"]) == 0 and cli.execute(["compare", "two"]) == 0
+
+
+def test_a_selection_changed_by_somebody_else_is_not_used(stages, capsys, one_sentence):
+    file = Path("one/study.toml")
+    file.write_text(file.read_text().replace('["a", "b"]', '"from sensitivity"') + "[sensitivity]\nsamples = 20\n")
+    assert cli.execute(["sensitivity", "one"]) == 0
+    path = Path("results/one/selection.csv")
+    path.write_text(path.read_text().replace("True", "False", 1))
+    assert cli.execute(["calibrate", "one"]) == 2
+    told = capsys.readouterr().err
+    assert "selection.csv" in told and "calib sensitivity one" in told and one_sentence(told)
 
 
 def test_results_saved_by_a_spreadsheet_are_read(found):

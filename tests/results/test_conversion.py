@@ -32,8 +32,46 @@ def test_every_bit_is_kept(former, tmp_path, with_vectors):
     for _ in range(2):  # converted, and then not again
         with Ledger.open(path) as opened:
             former.check(opened, with_vectors)
-    assert version(path) == 2 and raw(path, "PRAGMA integrity_check") == [("ok",)]
+    assert version(path) == 3 and raw(path, "PRAGMA integrity_check") == [("ok",)]
     assert [name for (name,) in raw(path, "SELECT name FROM sqlite_master") if name.startswith("former")] == []
+
+
+def without_checksums(path):
+    """Turn a ledger into one of version 2."""
+    with closing(sqlite3.connect(path)) as database:
+        for table in ("evaluation", "vector"):
+            database.execute(f"ALTER TABLE {table} DROP COLUMN checksum")
+        database.execute("PRAGMA user_version = 2")
+        database.commit()
+
+
+def test_every_bit_of_version_2_is_kept(former, tmp_path):
+    path = tmp_path / "ledger.sqlite"
+    former.write(path, True)
+    Ledger.open(path).close()
+    before = [raw(path, f"SELECT * FROM {table}") for table in ("evaluation", "vector", "history")]
+    without_checksums(path)
+    for _ in range(2):
+        with Ledger.open(path) as opened:
+            former.check(opened, True)
+            assert opened.damaged == 0
+            with pytest.raises(sqlite3.IntegrityError, match="append-only"):
+                opened._database.execute("UPDATE evaluation SET seconds = 0")
+    assert version(path) == 3 and raw(path, "PRAGMA integrity_check") == [("ok",)]
+    now = [raw(path, f"SELECT * FROM {table}") for table in ("evaluation", "vector", "history")]
+    assert now == before
+
+
+def test_a_row_of_version_2_whose_key_is_not_that_of_its_parameters_counts_as_not_there(tmp_path):
+    path = tmp_path / "ledger.sqlite"
+    outcome = Outcome({"a": 1.0}, "ok", {"r": 2.0}, "", 0.1)
+    with Ledger.open(path) as opened:
+        opened.append("f", [outcome])
+        opened._database.execute("DROP TRIGGER evaluation_stays")
+        opened._database.execute("UPDATE evaluation SET parameters = x'000000000000F0BF'")
+    without_checksums(path)
+    with Ledger.open(path) as opened:
+        assert opened.lookup("f", [point_key(outcome.values)]) == {} and opened.damaged == 1
 
 
 def test_what_a_search_asks_is_answered_as_before(former, tmp_path):

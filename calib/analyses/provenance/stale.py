@@ -17,7 +17,7 @@ from calib.errors.errors import InputError
 from calib.results.json_file import read_json
 from calib.results.results import Results
 from calib.results.table import read_table
-from calib.results.written import is_own
+from calib.results.written import is_changed, is_own
 from calib.study.study_file import StudyFile, shell_argument, study_file
 
 
@@ -28,7 +28,7 @@ class Stale:
     Attributes
     ----------
     sentences : mapping from analysis to str
-        What has changed, or that it was interrupted, and the command that repeats it.
+        What has changed, its own tables included, or that it was interrupted, and the command that repeats it.
     files : frozenset of str
         Their tables, and tables that no finished analysis wrote. A table that several analyses write belongs to the
         latest.
@@ -57,19 +57,29 @@ def stale_answers(study: StudyFile, results: Results, root: Path | None = None) 
     root : Path, optional
         Root folder of all results, for the proposed commands; None for the default.
     """
+    changed = {name for name in _ALL_FILES if is_changed(results.path / name)}
     quick = " --quick" * is_quick(study, results)
     place = "" if root is None else f" --results {shell_argument(root)}"
     sentences: dict[str, str] = {}
     writer: dict[str, str] = {}
+    again: dict[str, str] = {}
     for analysis, entry in analyses_of(results).items():
         if analysis not in WRITES:
             continue
         writer |= dict.fromkeys(WRITES[analysis], analysis)
+        options = "".join(f" {shlex.quote(option)}" for option in entry.get("options", ()))
+        again[analysis] = (
+            "so its results are not shown; run it again with: "
+            f"calib {_verb(analysis)} {shell_argument(study.file)}{options}{quick}{place}"
+        )
         if differs := _changed(study, results, analysis, entry):
-            options = "".join(f" {shlex.quote(option)}" for option in entry.get("options", ()))
+            sentences[analysis] = f"'{analysis}' was run on an earlier state of {', '.join(differs)}, {again[analysis]}"
+    for analysis in again:
+        own = sorted(file for file in changed if file == RECORD_FILE or writer.get(file) == analysis)
+        if own and analysis not in sentences:
+            were, it = ("was", "it") if len(own) == 1 else ("were", "them")
             sentences[analysis] = (
-                f"'{analysis}' was run on an earlier state of {', '.join(differs)}, so its results are not shown; run "
-                f"it again with: calib {_verb(analysis)} {shell_argument(study.file)}{options}{quick}{place}"
+                f"{', '.join(own)} of '{analysis}' {were} changed after calib wrote {it}, {again[analysis]}"
             )
     stale = {file for file, analysis in writer.items() if analysis in sentences}
     others = {file for files in WRITES.values() for file in files} - set(writer)
@@ -81,7 +91,7 @@ def stale_answers(study: StudyFile, results: Results, root: Path | None = None) 
                 f"calib {_verb(analysis)} {shell_argument(study.file)}{quick}{place}"
             )
     current = {name: entry for name, entry in analyses_of(results).items() if name in WRITES and name not in sentences}
-    return Stale(sentences, frozenset(stale | written), _other_code(current))
+    return Stale(sentences, frozenset(stale | written | others & changed), _other_code(current))
 
 
 def stale_analyses(file: Path, results: Results) -> set[str]:
@@ -92,6 +102,8 @@ def stale_analyses(file: Path, results: Results) -> set[str]:
         return set(analyses_of(results))
 
 
+RECORD_FILE = "record.json"
+_ALL_FILES = {RECORD_FILE, *(file for files in WRITES.values() for file in files)}
 _OWN = {
     analysis: frozenset(files) - {file for other, theirs in WRITES.items() if other != analysis for file in theirs}
     for analysis, files in WRITES.items()

@@ -118,6 +118,8 @@ def connected(path: Path, busy_seconds: float) -> Database:
     except sqlite3.Error as fault:
         raise _explained(fault, path) from None
     database.path = path
+    # A damaged text is read like any other: the checksum of its row tells.
+    database.text_factory = lambda text: text.decode("utf-8", "surrogateescape")
     return database
 
 

@@ -22,7 +22,15 @@ from calib.execution.outcome import Individual, Outcome, point_key
 from calib.results.ledger.conversion import convert
 from calib.results.ledger.database import Database, connected, marks
 from calib.results.ledger.history import History
-from calib.results.ledger.rows import Identifiers, RowWriter, array, blob_of_key, key_of_blob, unpacked
+from calib.results.ledger.rows import (
+    Identifiers,
+    RowWriter,
+    array,
+    blob_of_key,
+    checksum,
+    key_of_blob,
+    unpacked,
+)
 from calib.results.ledger.schema import STATE, VERSION, create, version_of
 
 _BUSY_SECONDS = 30.0
@@ -36,6 +44,8 @@ class Ledger:
     path : Path
     retried : int
         Points evaluated again since it was opened, because a process had died there or run out of memory or time.
+    damaged : int
+        Rows found since it was opened whose content has changed since they were written; they count as not there.
     """
 
     def __init__(self, database: Database):
@@ -46,6 +56,12 @@ class Ledger:
         self._rows = RowWriter(database, self._identifiers)
         self._history = History(database, self._rows)
         self._tried: set[tuple[str, str]] = set()
+        self._damaged: set[tuple[str, int]] = set()
+
+    @property
+    def damaged(self) -> int:
+        """See `Ledger`."""
+        return len(self._damaged)
 
     @staticmethod
     def open(path: Path, busy_seconds: float = _BUSY_SECONDS) -> Ledger:
@@ -95,18 +111,24 @@ class Ledger:
     # -- evaluations ---------------------------------------------------------------------------------------------------
 
     def lookup(self, fingerprint: str, keys: Iterable[str]) -> dict[str, Outcome]:
-        """Stored outcomes by key; of several attempts the last one."""
+        """Stored outcomes by key; of several attempts the last one. Damaged rows count as not there."""
         query = (
-            "SELECT key, parameter_names, parameters, response_names, responses, status, error, seconds"
-            f" FROM evaluation WHERE key IN ({{}}) AND state = {STATE} ORDER BY key, attempt"
+            "SELECT id, checksum, key, attempt, status, error, seconds, created, parameter_names, response_names,"
+            f" parameters, responses FROM evaluation WHERE key IN ({{}}) AND state = {STATE} ORDER BY key, attempt"
         )
         found: dict[str, Outcome] = {}
+        damaged: dict[int, object] = {}
         with self._database.explaining():
             for row in self._database.among(query, map(blob_of_key, keys), fingerprint):
-                key, names, parameters, responding, responses, status, error, seconds = row
-                values = unpacked(self._identifiers.names(names), parameters)
-                answer = unpacked(self._identifiers.names(responding), responses)
+                number, written, key, attempt, status, error, seconds, created, *numbers, parameters, responses = row
+                names, responding = (self._identifiers.known_names(one) for one in numbers)
+                told = (attempt, status, error, seconds, created, names, responding, parameters, responses)
+                if names is None or responding is None or written != checksum(fingerprint, key, *told):
+                    damaged[number] = key
+                    continue
+                values, answer = unpacked(names, parameters), unpacked(responding, responses)
                 found[key_of_blob(key)] = Outcome(values, status, answer, error, seconds)
+            self._damaged |= {("evaluation", n) for n, key in damaged.items() if key_of_blob(key) not in found}
         return found
 
     def append(self, fingerprint: str, outcomes: Sequence[Outcome]) -> None:
@@ -122,8 +144,7 @@ class Ledger:
             known = self.lookup(fingerprint, keys)
             for key, outcome in zip(keys, outcomes, strict=True):
                 if key not in known or known[key].transient:
-                    attempts = self._attempts(fingerprint, key) if key in known else 0
-                    self._rows.add_evaluation(fingerprint, key, attempts + 1, outcome, created)
+                    self._rows.add_evaluation(fingerprint, key, self._attempts(fingerprint, key) + 1, outcome, created)
                     known[key] = outcome
 
     def evaluate(
@@ -165,10 +186,13 @@ class Ledger:
         It is drawn with the number of such points as the seed, so that the choice depends on the content alone.
         """
         keys = self._keys(fingerprint, "ok")
-        if not keys:
-            return None
-        key = random.Random(len(keys)).choice(keys)
-        return self.lookup(fingerprint, [key])[key]
+        draw = random.Random(len(keys))
+        while keys:
+            key = draw.choice(keys)
+            if found := self.lookup(fingerprint, [key]):
+                return found[key]
+            keys.remove(key)  # it is damaged
+        return None
 
     def stored_at(self, fingerprint: str, values: Mapping[str, float]) -> str:
         """Day and time (UTC) at which a point was last evaluated; empty when it never was."""
@@ -183,7 +207,7 @@ class Ledger:
         """All points whose last attempt failed, in the order of their keys."""
         keys = self._keys(fingerprint, "failed")
         found = self.lookup(fingerprint, keys)
-        return [found[key] for key in keys if found[key].status == "failed"]
+        return [found[key] for key in keys if key in found and found[key].status == "failed"]
 
     def count(self, fingerprint: str) -> int:
         """Number of points evaluated in this state of model and measurement."""
@@ -208,7 +232,7 @@ class Ledger:
 
     def _attempts(self, fingerprint: str, key: str) -> int:
         return self._number(
-            f"SELECT COUNT(*) FROM evaluation WHERE state = {STATE} AND key = ?", fingerprint, blob_of_key(key)
+            f"SELECT MAX(attempt) FROM evaluation WHERE state = {STATE} AND key = ?", fingerprint, blob_of_key(key)
         )
 
     def _number(self, query: str, *given: object) -> int:
@@ -221,16 +245,21 @@ class Ledger:
 
     def vectors(self, fingerprint: str, key: str, names: Sequence[str]) -> dict[str, np.ndarray]:
         """Stored vectors of one point by name, such as its residual and the columns of its Jacobian."""
-        query = f"SELECT name, numbers FROM vector WHERE name IN ({{}}) AND state = {STATE} AND key = ?"
+        query = f"SELECT id, name, numbers, checksum FROM vector WHERE name IN ({{}}) AND state = {STATE} AND key = ?"
         found: dict[str, np.ndarray] = {}
         with self._database.explaining():
-            for name, numbers in self._database.among(query, names, fingerprint, blob_of_key(key)):
-                found[name] = array(numbers)
+            for number, name, numbers, written in self._database.among(query, names, fingerprint, blob_of_key(key)):
+                if written == checksum(fingerprint, blob_of_key(key), name, numbers):
+                    found[name] = array(numbers)
+                else:
+                    self._damaged.add(("vector", number))
         return found
 
     def keep_vectors(self, fingerprint: str, key: str, vectors: Mapping[str, np.ndarray]) -> None:
-        """Add vectors of one point, each (n,), in one transaction; one that is already stored stays."""
+        """Add vectors of one point, each (n,), in one transaction; one that is already stored whole stays."""
         with self._database.transaction():
+            for _, number in {one for one in self._damaged if one[0] == "vector"}:
+                self._database.execute("DELETE FROM vector WHERE id = ?", (number,))
             self._rows.add_vectors(fingerprint, key, vectors)
 
     # -- history -------------------------------------------------------------------------------------------------------
@@ -259,4 +288,4 @@ def _prepare(database: Database) -> None:
         if not version:
             create(database)
         elif version != VERSION:
-            convert(database)
+            convert(database, version)

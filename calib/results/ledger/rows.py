@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sqlite3
 import struct
@@ -36,6 +37,18 @@ def array(content: object) -> np.ndarray:
     if not isinstance(content, bytes) or len(content) % 8:
         raise sqlite3.DatabaseError("malformed numbers")
     return np.frombuffer(content, dtype="<f8").astype(float)
+
+
+def checksum(*parts: object) -> bytes:
+    """Eight bytes by which a row knows its own content: a disk, a copy or a hand may have changed it.
+
+    Of what its integers stand for, not of these: they may have been changed too.
+    """
+    digest = hashlib.blake2b(digest_size=8)
+    for part in parts:
+        content = part if isinstance(part, bytes) else repr(part).encode("utf-8", "surrogatepass")
+        digest.update(b"%d " % len(content) + content)
+    return digest.digest()
 
 
 def blob_of_key(key: str) -> bytes:
@@ -86,6 +99,13 @@ class Identifiers:
                 raise sqlite3.DatabaseError("malformed names") from None
         return self._names[number]
 
+    def known_names(self, number: object) -> tuple[str, ...] | None:
+        """The names of an integer; None where it stands for none, or they are damaged."""
+        try:
+            return self.names(number) if isinstance(number, int) else None
+        except sqlite3.DatabaseError:
+            return None
+
     def _forget(self) -> None:
         """After a rollback an integer may come to stand for other names."""
         if self._rollbacks != self._database.rollbacks:
@@ -117,23 +137,18 @@ class RowWriter:
 
     def add_evaluation(self, fingerprint: str, key: str, attempt: int, outcome: Outcome, created: int) -> None:
         """Add one evaluation, made at ``created`` (milliseconds since 1970, UTC)."""
+        told = (attempt, outcome.status, outcome.error, float(outcome.seconds), created)
+        names = tuple(outcome.values), tuple(outcome.responses)
+        numbers = packed(outcome.values.values()), packed(outcome.responses.values())
         self._database.execute(
-            "INSERT INTO evaluation (state, key, attempt, status, error, seconds, created,"
-            " parameter_names, response_names, parameters, responses) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            "INSERT INTO evaluation (state, key, attempt, status, error, seconds, created, parameter_names,"
+            " response_names, parameters, responses, checksum) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             (
-                self._identifiers.of_state(fingerprint),
-                blob_of_key(key),
-                attempt,
-                outcome.status,
-                outcome.error,
-                outcome.seconds,
-                created,
-                self._identifiers.of_names(outcome.values),
-                self._identifiers.of_names(outcome.responses),
-                packed(outcome.values.values()),
-                packed(outcome.responses.values()),
+                self._identifiers.of_state(fingerprint), blob_of_key(key), *told,
+                *map(self._identifiers.of_names, names), *numbers,
+                checksum(fingerprint, blob_of_key(key), *told, *names, *numbers),
             ),
-        )
+        )  # fmt: skip
 
     def add_individuals(
         self, run: str, fingerprint: str, rows: Iterable[tuple[int, int, str, str, float | None]]
@@ -150,6 +165,9 @@ class RowWriter:
         """Add vectors of a point by name; one that is already stored stays."""
         state, point = self._identifiers.of_state(fingerprint), blob_of_key(key)
         self._database.executemany(
-            "INSERT OR IGNORE INTO vector (state, key, name, numbers) VALUES (?, ?, ?, ?)",
-            [(state, point, name, packed_array(numbers)) for name, numbers in vectors.items()],
+            "INSERT OR IGNORE INTO vector (state, key, name, numbers, checksum) VALUES (?, ?, ?, ?, ?)",
+            [
+                (state, point, name, content, checksum(fingerprint, point, name, content))
+                for name, content in ((name, packed_array(numbers)) for name, numbers in vectors.items())
+            ],
         )

@@ -9,8 +9,8 @@ from __future__ import annotations
 from calib.errors.errors import InputError
 from calib.results.ledger.database import Database
 
-VERSION = 2
-FORMER = (1,)
+VERSION = 3
+FORMER = (1, 2)
 """Versions that are converted."""
 
 # Blobs stand last: SQLite reads a row from its front.
@@ -30,6 +30,7 @@ _TABLES = (
         response_names INTEGER NOT NULL REFERENCES names,
         parameters BLOB NOT NULL,
         responses BLOB NOT NULL,
+        checksum BLOB NOT NULL,
         UNIQUE (state, key, attempt))""",
     "CREATE TABLE run (id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE)",
     """CREATE TABLE history (
@@ -49,6 +50,7 @@ _TABLES = (
         key BLOB NOT NULL,
         name TEXT NOT NULL,
         numbers BLOB NOT NULL,
+        checksum BLOB NOT NULL,
         UNIQUE (state, key, name))""",
 )
 STATE = "(SELECT id FROM state WHERE fingerprint = ?)"
@@ -131,12 +133,22 @@ def create(database: Database) -> None:
     for statement in (*_TABLES, *_VIEWS):
         database.execute(statement)
     for table in _APPEND_ONLY:
-        for trigger, change in (("stays", "UPDATE"), ("remains", "DELETE")):
-            database.execute(
-                f"CREATE TRIGGER {table}_{trigger} BEFORE {change} ON {table}"
-                " BEGIN SELECT RAISE(ABORT, 'append-only'); END"
-            )
+        guard(database, table)
     database.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def guard(database: Database, table: str) -> None:
+    """Make a table append-only, inside a transaction."""
+    for trigger, change in (("stays", "UPDATE"), ("remains", "DELETE")):
+        database.execute(
+            f"CREATE TRIGGER {table}_{trigger} BEFORE {change} ON {table} BEGIN SELECT RAISE(ABORT, 'append-only'); END"
+        )
+
+
+def unguard(database: Database, table: str) -> None:
+    """Undo `guard`."""
+    for trigger in ("stays", "remains"):
+        database.execute(f"DROP TRIGGER IF EXISTS {table}_{trigger}")
 
 
 def version_of(database: Database) -> int:
