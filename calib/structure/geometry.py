@@ -9,6 +9,8 @@ from typing import Protocol
 import numpy as np
 import scipy.sparse as sp
 
+from calib.structure.sparse_indices import require_consistent
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -59,6 +61,10 @@ class DofMap:
     expansion: sp.csr_array
     node: np.ndarray
     direction: np.ndarray
+
+    def __post_init__(self) -> None:
+        if sp.issparse(self.expansion):
+            require_consistent(self.expansion, "model, expansion of the degrees of freedom")
 
     @property
     def n_dof(self) -> int:

@@ -15,6 +15,7 @@ from calib.errors.errors import InputError
 from calib.measurement.modal import DIRECTIONS
 from calib.problem.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term
+from calib.structure.sparse_indices import require_consistent
 
 Array: TypeAlias = (
     np.ndarray | sp.coo_array | sp.csc_array | sp.csr_array | sp.coo_matrix | sp.csc_matrix | sp.csr_matrix
@@ -185,7 +186,9 @@ def affine(
 
 def _checked(matrix: Array, dofs: DofTable, place: str) -> sp.csr_array:
     n = dofs.n_dof
-    if not sp.issparse(matrix):
+    if sp.issparse(matrix):
+        require_consistent(matrix, place)
+    else:
         matrix = numbers(matrix, place)
     if tuple(matrix.shape) != (n, n):
         raise InputError(
