@@ -39,6 +39,7 @@ from calib.experiment.test import ForwardProblem
 from calib.hypotheses.linear_start import linear_starts
 from calib.inference.cases import Case, CaseResult, run_case
 from calib.inference.genetic import GeneticSettings
+from calib.inference.integers import combinations
 from calib.inference.objective import Objective
 from calib.inference.rules import RULES
 from calib.inference.starts import Enough, UntilAgreed, never
@@ -193,11 +194,14 @@ class CaseFinder:
     def by_agreement(self, cases: Sequence[Case]) -> Iterator[tuple[CaseFound, ...]]:
         """Least squares from sampled points until the starts agree; where they do not, a genetic search from there too.
 
-        The search goes first where the study states the weights of its objective, or forbids least squares after it.
-        Several tests are not searched: least squares alone report their best fit.
+        The search goes first where the study states the weights of its objective, or forbids least squares after it,
+        and where integer parameters have more combinations than a start may fit: each start would end wherever its
+        fits are used up. Several tests are searched for their integers only; else least squares alone report their
+        best fit.
         """
         given, only = self.study.settings.calibration, self._only
-        if only and (not given.refine or {"weight_freq", "weight_mac"} & given.model_fields_set):
+        stated = only and (not given.refine or {"weight_freq", "weight_mac"} & given.model_fields_set)
+        if stated or combinations(self.study.search_space) > RULES.refits:
             yield from self.by_search(cases)
             return
         reductions = self._reductions()

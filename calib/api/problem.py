@@ -214,9 +214,10 @@ class Problem:
     ) -> Fit[Problem]:
         """Fit the parameters as a study does, and assess which of them the data determine.
 
-        By default least squares start from the nominal values and from sampled points until they agree; where they do
-        not, a genetic search follows. Models of many degrees of freedom are searched on a reduced basis that represents
-        their modes within the limits; what is reported is solved at full order.
+        By default least squares start from the nominal values and from sampled points until they agree. A genetic
+        search follows where they do not, or comes first where integer parameters have many combinations. Models of many
+        degrees of freedom are searched on a reduced basis that represents their modes within the limits; what is
+        reported is solved at full order.
 
         Parameters
         ----------

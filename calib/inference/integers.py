@@ -66,6 +66,11 @@ class MixedResult:
         return lowest.index.to_numpy(dtype=float), lowest.to_numpy(dtype=float)
 
 
+def combinations(space: ParameterSpace) -> int:
+    """Combinations of the free integer parameters within their limits; 1 without any."""
+    return math.prod(math.floor(p.upper) - math.ceil(p.lower) + 1 for p in space.free if p.integer)
+
+
 def fit_mixed(
     problem: LeastSquares,
     space: ParameterSpace,

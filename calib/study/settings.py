@@ -103,9 +103,9 @@ class CalibrationSettings(Section):
     """``[calibration]``: genetic searches from independent populations, and least squares after them."""
 
     method: Literal["auto", "genetic", "gauss-newton", "cmcf"] = "auto"
-    """Least squares from random starts until they agree, else a genetic search as well; genetic search followed by
-    least squares; least squares alone from several starts; or of FRFs the linear cross-model equations alone (Li and
-    Hong 2012), with which least squares on FRFs begin too."""
+    """Least squares from random starts until they agree, else a genetic search too, at once where integer parameters
+    have more than 25 combinations; genetic search followed by least squares; least squares alone from several starts;
+    or of FRFs the linear cross-model equations alone (Li and Hong 2012), with which least squares on FRFs begin too."""
     refine: bool = True
     """Whether least squares follow a search."""
     starts: int = Field(default=6, ge=1, le=10_000)

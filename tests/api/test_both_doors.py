@@ -1,6 +1,7 @@
 """A study in a folder and the same study as a problem in memory: one calculation, one result, nothing dropped."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import get_type_hints
 
@@ -9,9 +10,11 @@ import pandas as pd
 import pytest
 
 import calib
+from calib.analyses.calibrate import CalibrationRun, calibrated
 from calib.analyses.hypotheses_of_study import faults_of
 from calib.api.arguments import CalibrationKeys, ExplainKeys
 from calib.command.example import write_example
+from calib.results.ledger import Ledger
 from calib.study.settings import CalibrationSettings, ExplainSettings
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
@@ -103,6 +106,45 @@ def test_a_key_of_a_study_holds_in_its_problem_until_an_argument_replaces_it(tmp
     assert problem.statistics_at({}).statistics.alpha == 0.2
     fit = problem.calibrate(starts=1, alpha=0.05, progress=False)
     assert fit.statistics.alpha == 0.05 and np.isfinite(fit.statistics.misfit)
+
+
+LEVERS = """
+import calib
+
+def levers():
+    whole = [calib.Parameter(name, 3.0, 0.0, 6.0, integer=True) for name in ("a", "b")]
+    space = calib.ParameterSpace((calib.Parameter("k", 2.0, 1.0, 5.0), *whole))
+    return calib.FunctionModel("levers", space, lambda v: {
+        "ka": v["k"] * v["a"], "ab": v["a"] + v["b"] ** 2, "kb": v["k"] + v["b"],
+    })
+"""
+"""Measured at k = 3, a = 2 and b = 5."""
+
+
+def test_integers_are_searched_alike_from_both_doors(tmp_path):
+    """Two positions with 49 combinations: a search finds them, where every start would walk to them for itself."""
+    folder = tmp_path / "levers"
+    folder.mkdir()
+    (folder / "model.py").write_text(LEVERS)
+    (folder / "measured.csv").write_text("response,value,std\nka,6.0,0.05\nab,27.0,0.1\nkb,8.0,0.05\n")
+    keys = 'title = "Levers"\nmodel = "model.py:levers"\nselection = ["k", "a", "b"]\n'
+    keys += '[measurement]\nresponses = "measured.csv"\n[calibration]\npopulation = 10\ngenerations = 12\n'
+    (folder / "study.toml").write_text(keys)
+    study = calib.Study.load(folder, tmp_path / "results", workers=1, progress=False)
+    calls, problem = [], study.problem
+
+    def counted(values):
+        calls.append(values)
+        return problem.model.function(values)
+
+    mine = replace(problem, model=replace(problem.model, function=counted)).calibrate(progress=False)
+    with Ledger.in_memory() as ledger:
+        own = calibrated(study.loaded, CalibrationRun(ledger, workers=1))
+    cases = [mine.cases.best, own.best]
+    assert [case.search.asked for case in cases] == [120, 120]  # of both a search, with as many individuals
+    assert cases[0].search.values == cases[1].search.values and mine.values == own.best.statistics.values
+    assert (round(mine.values["k"], 1), mine.values["a"], mine.values["b"]) == (3.0, 2, 5)
+    assert len(calls) < 300
 
 
 def test_held_out_data_that_contradict_are_printed_in_python_too():
