@@ -7,7 +7,6 @@ from typing import Any
 
 from calib.errors.arguments import objects
 from calib.errors.errors import InputError
-from calib.experiment import ResponseTest
 from calib.structure.model import StructuralModel
 from calib.study.settings import ExplainSettings
 
@@ -15,12 +14,12 @@ from calib.study.settings import ExplainSettings
 def require_finer_mesh(
     settings: ExplainSettings, finer: Mapping[str, StructuralModel], pairs: Collection[tuple[Any, Any]]
 ) -> None:
-    """InputError where an error of the mesh is stated without any finer mesh, or one is given for scalar responses.
+    """InputError where an error of the mesh is stated without any finer mesh, or one is given for a test without.
 
     ``pairs`` are the models with their tests.
     """
     for model, test in pairs:
-        if model.name in finer and isinstance(test, ResponseTest):
+        if model.name in finer and not test.shows_mesh:
             raise InputError(f"the test {test.name} of the model {model.name} has no mesh", place="explain, finer")
     if settings.mesh_sd is not None and not finer:
         raise InputError(

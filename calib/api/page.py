@@ -17,7 +17,7 @@ from calib.api.protocols import Solved
 from calib.correlation.modal.expansion import orthogonality
 from calib.errors.errors import InputError
 from calib.execution.temporary import TemporaryFolder
-from calib.experiment import ModalTest, Test
+from calib.experiment import Test
 from calib.experiment.test import Model, test_place
 from calib.inference.cases import CaseResult
 from calib.problem.problem import Counts
@@ -55,10 +55,10 @@ def _part(fit: Solved, test: Test) -> LoadedStudy:
 
 def figures_of(fit: Solved) -> tuple[str, ...]:
     """Names of the figures that a fit can draw of at least one of its tests."""
-    modal = [test for _, test in fit.problem.pairs if isinstance(test, ModalTest)]
+    modal = [modes for _, test in fit.problem.pairs if (modes := test.fitted_modes) is not None]
     if not modal:
         return ("parameters",)
-    return FIGURES if any(test.used.has_shapes for test in modal) else ("frequency_errors", "parameters")
+    return FIGURES if any(modes.has_shapes for modes in modal) else ("frequency_errors", "parameters")
 
 
 def chosen(fit: Solved, name: str) -> tuple[Model, Test]:
@@ -83,9 +83,9 @@ def draw_figure(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
     _, selected = chosen(fit, test)
     if name == "parameters":
         return draw_parameters(_tables(fit)["parameters"], ax, prior=fit.problem.space.frame())
-    if not isinstance(selected, ModalTest):
+    if (modes := selected.fitted_modes) is None:
         raise InputError("it has no modes", place=test_place(selected), remedy="draw its parameters")
-    if name != "frequency_errors" and not selected.used.has_shapes:
+    if name != "frequency_errors" and not modes.has_shapes:
         raise InputError("no shapes were measured", place=test_place(selected), remedy="draw the frequency errors")
     before, after = compared_stages(fit, selected)
     if name == "frequency_errors":
@@ -144,8 +144,8 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
     space = fit.problem.space
     folder.write_table("parameter_space", limits_table(space, space))
     folder.write_table("assumptions", assumptions_of(model, test.assumed))
-    if isinstance(test, ModalTest) and test.modes.has_shapes:
-        folder.write_table("sensors", sensors_table(test.modes, test.held_out_sensors))
+    if (modes := test.measured_modes) is not None and modes.has_shapes:
+        folder.write_table("sensors", sensors_table(modes, test.held_out_sensors))
     answer = of_fit(fit.statistics, fit.parameters.reset_index(), {"": (before, after)})
     answer = answer if fit.calibration is None else fit.calibration.answer
     folder.write_json("record", {

@@ -77,6 +77,7 @@ class FRFTest(Test):
 
     words = "FRFs"
     can_hold_out = ("sensors", "references", "bands")
+    shows_mesh = True
 
     def __post_init__(self) -> None:
         place = require_named(self)
@@ -108,6 +109,11 @@ class FRFTest(Test):
     @property
     def measured(self) -> MeasuredFRFs:
         """Everything that was measured."""
+        return self.frfs
+
+    @property
+    def measured_frfs(self) -> MeasuredFRFs:
+        """All FRFs, held-out ones included."""
         return self.frfs
 
     @property

@@ -95,6 +95,7 @@ class ModalTest(Test):
 
     words = "modes"
     can_hold_out = ("modes", "sensors")
+    shows_mesh = True
 
     def __post_init__(self) -> None:
         place = require_named(self)
@@ -146,6 +147,16 @@ class ModalTest(Test):
     def measured(self) -> MeasuredModes:
         """Everything that was measured."""
         return self.modes
+
+    @property
+    def measured_modes(self) -> MeasuredModes:
+        """All modes, held-out ones included."""
+        return self.modes
+
+    @property
+    def fitted_modes(self) -> MeasuredModes:
+        """The modes in use."""
+        return self.used
 
     @property
     def repeats(self) -> int:

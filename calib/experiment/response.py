@@ -109,6 +109,11 @@ class ResponseTest(Test):
         return {n: t for n, t in self.measured.targets.items() if n not in self.held_out}
 
     @property
+    def fitted_responses(self) -> Targets:
+        """The scalar responses in use."""
+        return self.used
+
+    @property
     def repeats(self) -> int | None:
         """Those that the responses show, else those that are stated."""
         counted = self.measured.repeats

@@ -13,12 +13,14 @@ from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
-from calib.correlation.response.problem import FunctionProblem
+from calib.correlation.response.problem import FunctionProblem, Targets
 from calib.correlation.response.residual import ResponseResidual
 from calib.errors.arguments import names, number, values
 from calib.errors.errors import InputError
 from calib.experiment.held_out import HeldOutGroups
 from calib.measurement.disagreements import Disagreement
+from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.modal import MeasuredModes
 from calib.problem.space import ParameterSpace
 from calib.structure.function_model import FunctionModel
 from calib.structure.modal_function import ModalFunctionModel
@@ -79,6 +81,8 @@ class Test(ABC):
     """The kind in words."""
     can_hold_out: ClassVar[tuple[str, ...]]
     """Kinds of data that it can hold out, as a study's file names them."""
+    shows_mesh: ClassVar[bool] = False
+    """Whether its data show the error of a mesh, so that a finer one may be given."""
 
     @property
     @abstractmethod
@@ -120,6 +124,26 @@ class Test(ABC):
     def whole_responses(self, problem: FunctionProblem) -> FunctionProblem | None:
         """The forward problem with held-out scalar responses too, for verification; None where none are held out."""
         return None
+
+    @property
+    def measured_modes(self) -> MeasuredModes | None:
+        """All modes; None for data of other kinds."""
+        return None
+
+    @property
+    def fitted_modes(self) -> MeasuredModes | None:
+        """Modes in use; None for data of other kinds."""
+        return None
+
+    @property
+    def measured_frfs(self) -> MeasuredFRFs | None:
+        """All FRFs; None for data of other kinds."""
+        return None
+
+    @property
+    def fitted_responses(self) -> Targets:
+        """Scalar responses in use; empty for data of other kinds."""
+        return {}
 
     @property
     def unseen(self) -> HeldOutGroups:

@@ -12,7 +12,7 @@ from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.response.problem import Targets
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
-from calib.experiment import FRFTest, ModalTest, ResponseTest, Test
+from calib.experiment import Test
 from calib.experiment.held_out import HeldOutGroups
 from calib.experiment.test import ForwardProblem, Residual
 from calib.measurement.disagreements import Disagreement
@@ -128,22 +128,22 @@ class LoadedStudy(StudyFile):
     @property
     def whole(self) -> MeasuredModes | None:
         """All modes; None where scalar responses or FRFs were measured."""
-        return self.experiment.modes if isinstance(self.experiment, ModalTest) else None
+        return self.experiment.measured_modes
 
     @property
     def frfs(self) -> MeasuredFRFs | None:
         """All FRFs; None where modes or scalar responses were measured."""
-        return self.experiment.frfs if isinstance(self.experiment, FRFTest) else None
+        return self.experiment.measured_frfs
 
     @property
     def measured(self) -> MeasuredModes | None:
         """Modes in use; None where scalar responses or FRFs were measured."""
-        return self.experiment.used if isinstance(self.experiment, ModalTest) else None
+        return self.experiment.fitted_modes
 
     @property
     def targets(self) -> Targets:
         """Scalar responses in use; empty where modes or FRFs were measured."""
-        return self.experiment.used if isinstance(self.experiment, ResponseTest) else {}
+        return self.experiment.fitted_responses
 
     @property
     def pair(self) -> Residual:

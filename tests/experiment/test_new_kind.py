@@ -283,3 +283,12 @@ def test_it_stands_beside_another_kind():
 def test_what_is_no_test_is_refused_by_the_names_of_the_kinds():
     with pytest.raises(InputError, match="ModalTest or ResponseTest or FRFTest"):
         calib.Problem(chain(), 3.0)
+
+
+def test_it_is_no_test_of_modes_or_of_a_mesh():
+    fit = calib.Problem(chain(), measured()).statistics_at({})
+    assert fit.figures == ("parameters",)
+    with pytest.raises(InputError, match="it has no modes"):
+        fit.figure("mac")
+    with pytest.raises(InputError, match="has no mesh"):
+        fit.explain(finer=chain())
