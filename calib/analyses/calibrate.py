@@ -15,7 +15,8 @@ import numpy as np
 
 from calib.analyses.calibration import Calibration, Fitted, JointCalibration, best_of, summed, with_starts
 from calib.analyses.calibration_tables import noise_errors, tables_of, write_calibration, write_jointly
-from calib.analyses.case import CaseFinder, CaseFound
+from calib.analyses.case import CaseFinder
+from calib.analyses.case_found import CaseFound
 from calib.analyses.compare import ComparisonResult, compare, nominal_comparison
 from calib.analyses.every_mode import all_stages, errors_at, every_mode, every_response
 from calib.analyses.failures import reasons_sentence, stored_reasons

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import pandas as pd
 
 from calib.analyses.answers import UNTRIED, of_fit
-from calib.analyses.case import CaseFound
+from calib.analyses.case_found import CaseFound
 from calib.analyses.compare import ComparisonResult
 from calib.analyses.every_mode import contradictions
 from calib.correlation.modal.comparison import Comparison

@@ -22,7 +22,7 @@ from calib.study.study import LoadedStudy
 
 if TYPE_CHECKING:
     from calib.analyses.calibration import Calibration, JointCalibration
-    from calib.analyses.case import CaseFound
+    from calib.analyses.case_found import CaseFound
 
 
 def tables_of(

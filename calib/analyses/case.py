@@ -10,10 +10,8 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from typing import Any, TypeAlias
 
-import pandas as pd
-
+from calib.analyses.case_found import CaseFound, reported
 from calib.analyses.case_starts import Starts, Steps, evaluable, known_starts, least_squares, until_agreed
-from calib.analyses.compare import ComparisonResult, comparison_at
 from calib.analyses.explained_fit import explained_fit
 from calib.analyses.fit_statistics import (
     FitProblem,
@@ -27,7 +25,7 @@ from calib.analyses.fit_statistics import (
     fitted_at_full_order,
     statistics_at,
 )
-from calib.analyses.joint_responses import Responses, objective_for, own_values
+from calib.analyses.joint_responses import Responses, own_values
 from calib.analyses.provenance.places import QUICK_GENERATIONS, QUICK_POPULATION, Workers, open_evaluator, tasks_shared
 from calib.analyses.provenance.stored import confirm
 from calib.analyses.reduction import Reduction, reduction_of
@@ -51,57 +49,11 @@ from calib.results.results import Results
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 
-SEARCH, FITTED = "search", "least squares"
-"""Names of the points of a case."""
 Homes: TypeAlias = Mapping[str, Results]
 """Folders that keep the reduced bases of the tests, by name of the test; those of a study in memory have none."""
 
 _SEARCHED = " A genetic search followed."
 """End of the sentence on starts that do not agree."""
-
-
-@dataclass(frozen=True, eq=False)
-class CaseFound:
-    """Result of one case, from its search to the reported values.
-
-    Attributes
-    ----------
-    result : CaseResult
-        Reported values, with the misfit of the objective there; counts and time of the search, or of least squares
-        where nothing was searched.
-    search : CaseResult or None
-        Where the genetic algorithm ended; None without one.
-    statistics : FitStatistics
-        Fit statistics at the reported values.
-    answer : ComparisonResult
-        Model against measurement there.
-    points : DataFrame
-        Both criteria at the ends of the search and of least squares, at full order: ``case, point, objective,
-        sum_of_squares, prior, total``. The search minimises ``objective``, least squares minimise ``total``. One row
-        for each of the two that ran.
-    """
-
-    result: CaseResult
-    search: CaseResult | None
-    statistics: FitStatistics
-    answer: ComparisonResult
-    points: pd.DataFrame
-
-    @property
-    def name(self) -> str:
-        """Name of the case."""
-        return self.result.name
-
-    @property
-    def search_full_order(self) -> float:
-        """Misfit of the objective where the search ended, at full order whatever it worked on; NaN without a search."""
-        own = self.points.loc[self.points["point"] == SEARCH, "objective"]
-        return float(own.iloc[0]) if len(own) else math.nan
-
-    @property
-    def worsened(self) -> bool:
-        """Whether least squares raised the misfit that the search minimised by more than one percent."""
-        return self.result.misfit > 1.01 * self.search_full_order  # NaN without a search
 
 
 def objective_of(study: AnyStudy) -> Objective:
@@ -364,29 +316,6 @@ class CaseFinder:
     ) -> tuple[CaseFound, ...]:
         """A case at its final values, for every test; see `reported`."""
         return tuple(reported(one, result, statistics, search, before) for one in self.study.studies)
-
-
-def reported(
-    study: LoadedStudy,
-    result: CaseResult,
-    statistics: FitStatistics,
-    search: CaseResult | None = None,
-    before: tuple[float, float, float] = (math.nan, math.nan, math.nan),
-) -> CaseFound:
-    """The case at its final values for one test, solved at full order even if the search was reduced.
-
-    ``before`` holds the objective and the sums of squares of data and priors at the end of a search.
-    """
-    values = own_values(study, statistics.values)
-    responses = named_responses(study.problem.evaluate, values)
-    objective = objective_for(study.problem, study.settings.calibration)
-    final = replace(result, values=statistics.values, misfit=objective(responses), responses=responses)
-    points = [] if search is None else [(final.name, SEARCH, *before)]
-    if statistics.fit is not None:
-        points.append((final.name, FITTED, final.misfit, statistics.misfit, statistics.prior_misfit))
-    table = pd.DataFrame(points, columns=["case", "point", "objective", "sum_of_squares", "prior"])
-    table["total"] = table["sum_of_squares"] + table["prior"]
-    return CaseFound(final, search, statistics, comparison_at(study, values), table)
 
 
 def reduction_noted(

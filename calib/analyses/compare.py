@@ -96,17 +96,6 @@ class ComparisonResult:
         return (*(error.check for error in self.gross_errors), *sensors)
 
     @property
-    def doubts(self) -> tuple[str, ...]:
-        """What looks wrong in the measurement itself: units, signs and sensors."""
-        return tuple(f"Check this sensor: {finding.sentence}" for finding in self.sensor_findings)
-
-    @property
-    def checks(self) -> tuple[str, ...]:
-        """What is to be checked in the measurement before anything else, such as ``sensors 1z, 2z``."""
-        doubtful = list(dict.fromkeys(name for finding in self.sensor_findings for name in finding.sensors))
-        return (f"{'sensor' if len(doubtful) == 1 else 'sensors'} {listed(doubtful)}",) if doubtful else ()
-
-    @property
     def orthogonality(self) -> Orthogonality | None:
         """Mass-orthogonality of measured shapes; None without shapes, matrices or a way to expand them."""
         return self._orthogonality if isinstance(self._orthogonality, Orthogonality) else None

@@ -9,6 +9,7 @@ from calib.analyses import added
 from calib.analyses import extend as extension
 from calib.analyses.calibration import Fitted
 from calib.analyses.versions import write_versions
+from calib.api import steps
 from calib.missing.explanation import Explanation
 
 S = TypeVar("S", bound=Any)
@@ -38,7 +39,7 @@ def with_named(study: S, before: Fitted, found: Explanation) -> S | None:
     written = extension.extend_among(loaded, named.names, study.folder.path, begin_at)
     study.listener.extended(written)
     extended: S = replace(study, path=written.file, read=None)
-    after = extended._fit()
+    after = steps.fitted(extended)
     study.listener.begins(loaded, "before and after")
     for own, other in zip(study.tests, extended.tests, strict=True):
         test = own.one.test

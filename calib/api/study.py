@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from calib.analyses.provenance import places
+from calib.api import steps
 from calib.api.display import AnalysisResult, Compared
 from calib.api.listener import Listener, Showing
 from calib.api.problem import Problem
@@ -23,14 +23,9 @@ from calib.results.results import RESULTS, Results
 
 if TYPE_CHECKING:
     from calib.analyses.calibrate import Method
-    from calib.analyses.calibration import Fitted
-    from calib.analyses.compare import ComparisonResult
-    from calib.analyses.sensitivity import Screening, Sensitivity
     from calib.analyses.staged import Found
-    from calib.missing.findings import ExplanationResult
     from calib.problem.effect import Effect
     from calib.report.style import Format, Width
-    from calib.results.ledger import Ledger
     from calib.study.several import AnyStudy
     from calib.study.study import LoadedStudy as Loaded
 
@@ -117,7 +112,7 @@ class Study:
         if found is None:
             self.listener.first(study, self.path)
             own = replace(self, path=file, read=study)
-            own._fit()
+            steps.fitted(own)
             own.draw()
             found = values_found(study, self.results, self.quick)
         return found
@@ -169,7 +164,7 @@ class Study:
         """Compare models and measurements at the nominal values, without fitting."""
         answers = {}
         for study in self.tests:
-            answers[study.one.test or study.one.name] = study._compare()
+            answers[study.one.test or study.one.name] = steps.compared(study)
             study.draw()
         return Compared(answers)
 
@@ -186,7 +181,7 @@ class Study:
         """
         answers = {}
         for study in self._by(executor).tests:
-            found = study._sensitivity() if method == "ranks" else study._screen(method, ignore_constraints)
+            found = steps.sampled(study) if method == "ranks" else steps.screened(study, method, ignore_constraints)
             answers[study.one.test] = answer = AnalysisResult(found.sentences, found.table, study.folder.path, found)
             study.draw()
         if len(answers) == 1:
@@ -207,29 +202,21 @@ class Study:
         Several tests are fitted together. ``executor`` evaluates the points of searches; see `run`.
         """
         study = self._by(executor)
-        found = study._calibrate(case, method)
+        found = steps.calibrated(study, case, method)
         study._draw_tests(case, method)
         folder = places.results_of(self.loaded, self.results, self.quick, case, method)
         return AnalysisResult(found.sentences, found.verdicts, folder.path, found)
 
     def intervals(self, parameters: Sequence[str] = (), *, samples: int = 0, seed: int = 1) -> AnalysisResult:
         """Intervals of the parameters of the stored calibration; see `calib.api.fit.Fit.intervals`."""
-        from calib.analyses.intervals import IntervalsRun, intervals
-
-        loaded, root = self.loaded, self.results
-        self.listener.begins(loaded, "intervals")
-        homes = {one.test: places.results_of(one, root) for one in loaded.studies}
-        with places.ledger_of(loaded, root) as ledger, self.listener.progress() as step:
-            run = IntervalsRun(ledger, homes, self.workers, tuple(parameters), samples, seed, step)
-            found = intervals(loaded, self.folder, run, self.quick)
-        self.listener.bounded(found, self.folder)
+        found = steps.bounded(self, tuple(parameters), samples, seed)
         self.draw()
         return AnalysisResult(found.sentences, found.table, self.folder.path, found)
 
     def explain(self) -> AnalysisResult:
         """Find which effect of the study's library the model lacks."""
         with places.tasks_shared(self.workers):
-            found = self._explain()
+            found = steps.explained(self)
             self.listener.may_add(self.loaded, found.explanation)
             self._draw_tests()
         return AnalysisResult((*found.sentences, *found.notes), found.effects, self.folder.path, found)
@@ -247,7 +234,7 @@ class Study:
         self.listener.begins(loaded, "propose")
         with (
             self.listener.progress() as step,
-            with_stored_modes(loaded, lambda: self._ledger(loaded)) as kept,
+            with_stored_modes(loaded, lambda: steps.opened_ledger(self, loaded)) as kept,
         ):
             homes = {one.test: places.results_of(one, root) for one in loaded.studies}
             found = proposal.propose(kept, self.folder, wanted, step, homes)
@@ -290,11 +277,11 @@ class Study:
         from calib.api.added_effects import with_named
 
         for study in self.tests:
-            study._compare()
-            study._sensitivity()
-        before, extended = self._calibrate(), None
+            steps.compared(study)
+            steps.sampled(study)
+        before, extended = steps.calibrated(self), None
         if self.loaded.candidates:
-            extended = with_named(self, before, self._explain().explanation)
+            extended = with_named(self, before, steps.explained(self).explanation)
         with places.tasks_shared(self.workers):
             if extended is not None:
                 extended._draw_tests(report=True)
@@ -315,95 +302,6 @@ class Study:
 
         with places.tasks_shared(self.workers):
             return redraw(self.path, self.results, self.listener, formats, width)
-
-    # -- steps ---------------------------------------------------------------------------------------------------------
-
-    def _compare(self) -> ComparisonResult:
-        from calib.analyses.compare import compare
-
-        loaded = self.one
-        self.listener.begins(loaded, "compare")
-        with self.listener.progress() as step:
-            step("solving the model")
-            answer = compare(loaded, self.folder)
-        self.listener.compared(loaded, answer, self.folder)
-        return answer
-
-    @contextmanager
-    def _ledger(self, study: AnyStudy) -> Iterator[Ledger]:
-        """The ledger of a study; how many of its rows are damaged is told when it is closed."""
-        with places.ledger_of(study, self.results) as ledger:
-            try:
-                yield ledger
-            finally:
-                self.listener.damaged(ledger.damaged)
-
-    def _sensitivity(self) -> Sensitivity:
-        from calib.analyses.reduction import fingerprints
-        from calib.analyses.sensitivity import sensitivity
-
-        loaded, root = self.one, self.results
-        self.listener.begins(loaded, "sensitivity")
-        with self._ledger(loaded) as ledger, self.listener.progress() as step:
-            self.listener.other_state(ledger.other_fingerprints(*fingerprints(loaded, places.results_of(loaded, root))))
-            answer = sensitivity(loaded, self.folder, ledger, self.workers, self.quick, step)
-        self.listener.sampled(loaded, answer, self.folder)
-        return answer
-
-    def _screen(self, method: Literal["morris", "sobol"], ignore_constraints: bool) -> Screening:
-        from calib.analyses.sensitivity import screen
-
-        loaded, workers, quick = self.one, self.workers, self.quick
-        self.listener.begins(loaded, f"sensitivity, {method.capitalize()}")
-        with self._ledger(loaded) as ledger, self.listener.progress() as step:
-            answer = screen(loaded, self.folder, ledger, method, workers, quick, ignore_constraints, step)
-        self.listener.screened(answer, self.folder)
-        return answer
-
-    def _calibrate(self, case: str | None = None, method: Method | None = None) -> Fitted:
-        from calib.analyses.calibrate import calibrate, chosen_cases
-        from calib.analyses.reduction import fingerprints
-        from calib.analyses.sensitivity import selected_by_measures
-
-        root, quick = self.results, self.quick
-        chosen_cases(self.loaded, case)
-        chosen = [selected_by_measures(study.one, study.folder) for study in self.tests]
-        selected = tuple(dict.fromkeys(name for one in chosen for name in one.search_space.free_names))
-        left = self.loaded.settings.selected_by_sensitivity
-        loaded = self.loaded.each(lambda one: one.selecting(selected)) if left else self.loaded
-        self.listener.begins(loaded, "calibrate")
-        folder = places.results_of(loaded, root, quick, case, method)
-        homes = {one.test: places.results_of(one, root) for one in loaded.studies}
-        with self._ledger(loaded) as ledger, self.listener.progress() as step:
-            known = [mark for one in loaded.studies for mark in fingerprints(one, homes[one.test])]
-            self.listener.other_state(ledger.other_fingerprints(*known))
-            folders = {one.test: places.results_of(one, root, quick, case, method) for one in loaded.studies}
-            found: Fitted = calibrate(loaded, folder, ledger, self.workers, case, quick, method, step, folders, homes)
-        self.listener.calibrated(loaded, found, folder)
-        return found
-
-    def _fit(self) -> Fitted:
-        """Calibrate, after a sensitivity analysis where the study leaves the selection to it."""
-        if self.loaded.settings.selected_by_sensitivity:
-            for study in self.tests:
-                study._sensitivity()
-        return self._calibrate()
-
-    def _explain(self) -> ExplanationResult:
-        from calib.analyses.explain import explain
-        from calib.analyses.provenance.stored import with_stored_modes
-
-        loaded, root = self.loaded, self.results
-        self.listener.begins(loaded, "explain")
-        with (
-            self.listener.progress() as step,
-            places.tasks_shared(self.workers),
-            with_stored_modes(loaded, lambda: self._ledger(loaded)) as kept,
-        ):
-            homes = {one.test: places.results_of(one, root) for one in loaded.studies}
-            answer = explain(kept, self.folder, step, homes, {s.one.test: s.folder for s in self.tests})
-        self.listener.explained(loaded, answer, self.folder)
-        return answer
 
     # -- figures -------------------------------------------------------------------------------------------------------
 

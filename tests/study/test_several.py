@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 import calib
+from calib.api import steps
 from calib.api.first_test import first_test_first
 from calib.command import cli
 from calib.errors.errors import InputError
@@ -213,7 +214,7 @@ def test_functions_of_modes_in_several_tests_evaluate_no_point_again(functions_i
     (folder / "study.toml").write_text(text.replace(given, "\n".join(tests)))
     effects, counted = [], []
     for _ in range(2):
-        effects.append(calib.Study.load(folder, tmp_path / "results")._explain().effects)
+        effects.append(steps.explained(calib.Study.load(folder, tmp_path / "results")).effects)
         counted.append(len((tmp_path / "calls").read_text().splitlines()))
     pd.testing.assert_frame_equal(*effects)
     assert counted[0] > 40 and counted[1] - counted[0] <= 2  # one stored point a test, on purpose

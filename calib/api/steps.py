@@ -1,0 +1,139 @@
+"""Steps of a study in a folder: each runs one analysis with the study's ledger and folder, and tells its listener."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Literal
+
+from calib.analyses.provenance import places
+
+if TYPE_CHECKING:
+    from calib.analyses.calibrate import Method
+    from calib.analyses.calibration import Fitted
+    from calib.analyses.compare import ComparisonResult
+    from calib.analyses.intervals import Intervals
+    from calib.analyses.sensitivity import Screening, Sensitivity
+    from calib.missing.findings import ExplanationResult
+    from calib.results.ledger import Ledger
+    from calib.study.several import AnyStudy
+
+
+@contextmanager
+def opened_ledger(study: Any, loaded: AnyStudy) -> Iterator[Ledger]:
+    """The ledger of a study; how many of its rows are damaged is told when it is closed."""
+    with places.ledger_of(loaded, study.results) as ledger:
+        try:
+            yield ledger
+        finally:
+            study.listener.damaged(ledger.damaged)
+
+
+def compared(study: Any) -> ComparisonResult:
+    """The model of the only test against its measurement, at the nominal values; ``study`` is a `calib.Study`."""
+    from calib.analyses.compare import compare
+
+    loaded = study.one
+    study.listener.begins(loaded, "compare")
+    with study.listener.progress() as step:
+        step("solving the model")
+        answer = compare(loaded, study.folder)
+    study.listener.compared(loaded, answer, study.folder)
+    return answer
+
+
+def sampled(study: Any) -> Sensitivity:
+    """Rank correlations of the only test over a Latin hypercube."""
+    from calib.analyses.reduction import fingerprints
+    from calib.analyses.sensitivity import sensitivity
+
+    loaded, root = study.one, study.results
+    study.listener.begins(loaded, "sensitivity")
+    with opened_ledger(study, loaded) as ledger, study.listener.progress() as step:
+        study.listener.other_state(ledger.other_fingerprints(*fingerprints(loaded, places.results_of(loaded, root))))
+        answer = sensitivity(loaded, study.folder, ledger, study.workers, study.quick, step)
+    study.listener.sampled(loaded, answer, study.folder)
+    return answer
+
+
+def screened(study: Any, method: Literal["morris", "sobol"], ignore_constraints: bool) -> Screening:
+    """Indices of Morris or Sobol of the only test."""
+    from calib.analyses.sensitivity import screen
+
+    loaded, workers, quick = study.one, study.workers, study.quick
+    study.listener.begins(loaded, f"sensitivity, {method.capitalize()}")
+    with opened_ledger(study, loaded) as ledger, study.listener.progress() as step:
+        answer = screen(loaded, study.folder, ledger, method, workers, quick, ignore_constraints, step)
+    study.listener.screened(answer, study.folder)
+    return answer
+
+
+def calibrated(study: Any, case: str | None = None, method: Method | None = None) -> Fitted:
+    """The fit of all tests together, of the parameters that the sensitivity analysis selected where that is asked."""
+    from calib.analyses.calibrate import calibrate, chosen_cases
+    from calib.analyses.reduction import fingerprints
+
+    root, quick = study.results, study.quick
+    chosen_cases(study.loaded, case)
+    loaded = _selecting(study)
+    study.listener.begins(loaded, "calibrate")
+    folder = places.results_of(loaded, root, quick, case, method)
+    homes = {one.test: places.results_of(one, root) for one in loaded.studies}
+    with opened_ledger(study, loaded) as ledger, study.listener.progress() as step:
+        known = [mark for one in loaded.studies for mark in fingerprints(one, homes[one.test])]
+        study.listener.other_state(ledger.other_fingerprints(*known))
+        folders = {one.test: places.results_of(one, root, quick, case, method) for one in loaded.studies}
+        found: Fitted = calibrate(loaded, folder, ledger, study.workers, case, quick, method, step, folders, homes)
+    study.listener.calibrated(loaded, found, folder)
+    return found
+
+
+def _selecting(study: Any) -> AnyStudy:
+    """The study with those parameters free that its sensitivity analysis selected, where that is asked."""
+    from calib.analyses.sensitivity import selected_by_measures
+
+    chosen = [selected_by_measures(one.one, one.folder) for one in study.tests]
+    selected = tuple(dict.fromkeys(name for one in chosen for name in one.search_space.free_names))
+    by_measures = study.loaded.settings.selected_by_sensitivity
+    loaded: AnyStudy = study.loaded
+    return loaded.each(lambda one: one.selecting(selected)) if by_measures else loaded
+
+
+def bounded(study: Any, parameters: tuple[str, ...], samples: int, seed: int) -> Intervals:
+    """Intervals of the parameters about the stored calibration."""
+    from calib.analyses.intervals import IntervalsRun, intervals
+
+    loaded = _selecting(study)
+    study.listener.begins(loaded, "intervals")
+    homes = {one.test: places.results_of(one, study.results) for one in loaded.studies}
+    with opened_ledger(study, loaded) as ledger, study.listener.progress() as step:
+        run = IntervalsRun(ledger, homes, study.workers, parameters, samples, seed, step)
+        found = intervals(loaded, study.folder, run, study.quick)
+    study.listener.bounded(found, study.folder)
+    return found
+
+
+def fitted(study: Any) -> Fitted:
+    """The same, after a sensitivity analysis where the study leaves the selection to it."""
+    if study.loaded.settings.selected_by_sensitivity:
+        for one in study.tests:
+            sampled(one)
+    return calibrated(study)
+
+
+def explained(study: Any) -> ExplanationResult:
+    """Which effect of the study's library the model lacks, by all tests together."""
+    from calib.analyses.explain import explain
+    from calib.analyses.provenance.stored import with_stored_modes
+
+    loaded, root = study.loaded, study.results
+    study.listener.begins(loaded, "explain")
+    with (
+        study.listener.progress() as step,
+        places.tasks_shared(study.workers),
+        with_stored_modes(loaded, lambda: opened_ledger(study, loaded)) as kept,
+    ):
+        homes = {one.test: places.results_of(one, root) for one in loaded.studies}
+        answer = explain(kept, study.folder, step, homes, {one.one.test: one.folder for one in study.tests})
+    study.listener.explained(loaded, answer, study.folder)
+    return answer
