@@ -148,7 +148,7 @@ def of_fit(
     fits = {
         True: "The calibrated model fits the data within their standard deviation",
         False: "The calibrated model does not fit the data within their standard deviation",
-        None: "The calibrated model has as many unknowns as data, so its fit says nothing",
+        None: "The calibrated model leaves too few data to see an error of it",
     }[statistics.fits]
     changes = [of_test(test, _change(*pair)) if test else _change(*pair) for test, pair in pairs.items()]
     sure = [f"The fit has p = {statistics.p_fit:.2g}.", identified_sentence(verdicts), _AGREEMENT[agreement]]

@@ -6,7 +6,7 @@ import hashlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
 from typing import Literal, TypeAlias
@@ -128,9 +128,9 @@ def calibrated(
         home = run.homes.get(one.test)
         noted = [*finder.reduction_notes.get(one.test, ()), *(finder.agreeing if only else ())]
         notes = partial(notes_on, one, ledger, home, noted)
-        parts[one.test] = _assembled(
-            one, space, by_test[one.test], best, before[one.test], agreed, notes, ledger.retried
-        )
+        parts[one.test] = _assembled(one, by_test[one.test], best, before[one.test], agreed, notes, ledger.retried)
+    contradicted = any(part.contradictions for part in parts.values())  # which also casts doubt on joint parameters
+    parts = {test: _with_tables(part, space, contradicted) for test, part in parts.items()}
     if only:
         return next(iter(parts.values()))
     why = reasons_sentence(space, *stored_reasons(ledger, [Responses.of(study).fingerprint]))
@@ -183,7 +183,6 @@ def notes_on(study: LoadedStudy, ledger: Ledger, home: Results | None, first: Se
 
 def _assembled(
     study: LoadedStudy,
-    space: ParameterSpace,
     found: Sequence[CaseFound],
     number: int,
     before: ComparisonResult,
@@ -191,17 +190,15 @@ def _assembled(
     notes: Callable[[], Sequence[str]],
     retried: int,
 ) -> Calibration:
-    """The calibration of a test from its cases, of which one is the best.
+    """The calibration of a test from its cases, of which one is the best; without tables.
 
-    ``space`` is searched; ``agreed`` tells whether the cases found one solution: of several tests, both are for all of
+    ``agreed`` tells whether the cases found one solution: of several tests, both are for all of
     them together. ``notes`` is called last, since evaluations at the optimum may fail too.
     """
     best = found[number]
     searched = [case.search for case in found if case.search is not None]
-    fits = [(case.result, case.statistics) for case in found]
-    tables = tables_of(space, fits, best.statistics, searched, agreed.differing)
     refined = bool(searched) and study.settings.calibration.refine
-    raw = agreement(searched, space, expected_misfit(study, before)) if refined else None
+    raw = agreement(searched, study.search_space, expected_misfit(study, before)) if refined else None
     stages, modes, errors, responses = dict[str, Comparison](), None, None, None
     if before.comparison is not None and best.answer.comparison is not None:
         with suppress(EvaluationError):
@@ -213,8 +210,16 @@ def _assembled(
         errors = errors_at(study, values, ended.part(study.test), ended.active)
         responses = every_response(study, study.model.space.values, values)
     return Calibration(
-        tuple(found), best, before, tables, agreed, raw, stages, modes, errors, responses, tuple(notes()), retried
+        tuple(found), best, before, {}, agreed, raw, stages, modes, errors, responses, tuple(notes()), retried
     )
+
+
+def _with_tables(part: Calibration, space: ParameterSpace, contradicted: bool) -> Calibration:
+    """A calibration with the tables on its parameters; ``contradicted`` where held-out data of any test contradict."""
+    fits = [(case.result, case.statistics) for case in part.cases]
+    searched = [case.search for case in part.cases if case.search is not None]
+    tables = tables_of(space, fits, part.best.statistics, searched, part.agreement.differing, contradicted)
+    return replace(part, tables=tables)
 
 
 def expected_misfit(study: LoadedStudy, answer: ComparisonResult) -> float:

@@ -117,8 +117,9 @@ class Calibration:
     def parameter_sentences(self) -> tuple[str, ...]:
         """What is identified, and whether the model fits."""
         statistics = self.best.statistics
-        whole = ", ".join(statistics.whole)
-        out = [identified_sentence(self.verdicts), *statistics.identification.sentences()]
+        whole, held = ", ".join(statistics.whole), statistics.considered
+        out = [identified_sentence(self.verdicts), *held.loc[held["matters"].astype(bool), "words"]]
+        out += statistics.identification.sentences()
         if whole:
             out.append(f"Integers, assessed by how much worse their neighbours fit: {whole}.")
         if not statistics.complete:

@@ -31,21 +31,24 @@ def tables_of(
     best: FitStatistics,
     searched: Sequence[CaseResult] = (),
     differing: Mapping[str, float] | None = None,
+    contradicted: bool = False,
 ) -> dict[str, pd.DataFrame]:
     """Tables on the parameters and their identifiability after some cases, by file name.
 
-    ``differing`` are the parameters by which equally good solutions differ; see `calib.inference.agreement.Agreement`.
+    ``differing`` are the parameters by which equally good solutions differ; see `calib.inference.agreement.Agreement`;
+    ``contradicted`` tells whether held-out data contradict the best fit.
     """
-    parameters = _parameters(space, found, searched, differing)
+    parameters = _parameters(space, found, searched, differing, contradicted)
     spread = dict(zip(parameters["parameter"], parameters["spread"], strict=True))
     return {
         "parameters": parameters,
-        "verdicts": _without_whole(best.verdicts(space, spread, differing), space),
+        "verdicts": _without_whole(best.verdicts(space, spread, differing, contradicted), space),
         "suspects_calibrated": best.suspects,
         "posterior_correlation": best.identification.correlation.rename_axis("parameter").reset_index(),
         "confounded": best.identification.confounded,
         "unseen_directions": best.identification.directions,
         "predictions": best.predictions.assign(std_from=best.rests_on),
+        **({"considered": best.considered.assign(std_from=best.rests_on)} if len(best.considered) else {}),
         **({"std_by_test": best.by_test.assign(std_from=best.rests_on)} if len(best.by_test) else {}),
     }
 
@@ -55,6 +58,7 @@ def _parameters(
     found: Sequence[tuple[CaseResult, FitStatistics]],
     searched: Sequence[CaseResult],
     differing: Mapping[str, float] | None,
+    contradicted: bool,
 ) -> pd.DataFrame:
     """``parameters.csv``: reported values, how far the searches spread, and what the data determine.
 
@@ -68,7 +72,9 @@ def _parameters(
         table["spread"], table["stable"] = raw["spread"], raw["stable"]
         if any(statistics.fit is not None for _, statistics in found):
             table["search_value"], table["search_on_limit"] = raw["value"], raw["on_limit"]
-    each = [statistics.verdicts(space, {}, differing).assign(case=result.name) for result, statistics in found]
+    each = [
+        statistics.verdicts(space, {}, differing, contradicted).assign(case=result.name) for result, statistics in found
+    ]
     known = _without_whole(pd.concat(each), space)
     columns = ["case", "parameter", "on_limit", "std", "low", "high", "identified", "std_from"]
     table = table.drop(columns="on_limit").merge(known[columns], on=columns[:2], how="left")
@@ -87,7 +93,8 @@ def write_calibration(
 ) -> None:
     """Write all tables on one test and ``summary.json``; ``mark`` is the digest of what the calibration depends on."""
     begin_analysis(results, "calibrate")
-    results.remove("std_by_test.csv", "modes.csv", "data_errors.csv", "responses.csv", *ADDED, *INTERVALS)
+    gone = ("considered.csv", "std_by_test.csv", "modes.csv", "data_errors.csv", "responses.csv")
+    results.remove(*gone, *ADDED, *INTERVALS)
     write_comparison(results, answer.best.answer, "after")
     for name, table in answer.tables.items():
         results.write_table(name, table)
@@ -108,11 +115,10 @@ def write_jointly(study: AnyStudy, results: Results, answer: JointCalibration, m
     """Write the parameters and the tables on all tests together; those on one test are in its own folder."""
     best = answer.any.best
     begin_analysis(results, "calibrate")
-    results.remove(*INTERVALS)
+    results.remove("considered.csv", "data_errors.csv", *INTERVALS)
     for name, table in answer.any.tables.items():
         results.write_table(name, table)
     errors = {test: one.errors for test, one in answer.tests.items() if one.errors is not None}
-    results.remove("data_errors.csv")
     if errors:
         results.write_table("data_errors", stacked(errors).assign(std_from=best.statistics.rests_on))
     results.write_json("summary", {

@@ -13,19 +13,9 @@ from typing import Any, TypeAlias
 from calib.analyses.case_found import CaseFound, reported
 from calib.analyses.case_starts import Starts, Steps, evaluable, known_starts, least_squares, until_agreed
 from calib.analyses.explained_fit import explained_fit
-from calib.analyses.fit_statistics import (
-    FitProblem,
-    FitProgress,
-    FitStatistics,
-    Shared,
-    Terms,
-    criteria,
-    ended,
-    fit_problem,
-    fitted_at_full_order,
-    statistics_at,
-)
+from calib.analyses.fit_statistics import FitProblem, FitStatistics, Terms, fit_problem, statistics_at
 from calib.analyses.joint_responses import Responses, own_values
+from calib.analyses.least_squares import FitProgress, Shared, criteria, ended, fitted_at_full_order
 from calib.analyses.provenance.places import QUICK_GENERATIONS, QUICK_POPULATION, Workers, open_evaluator, tasks_shared
 from calib.analyses.provenance.stored import confirm
 from calib.analyses.reduction import Reduction, reduction_of
@@ -271,7 +261,7 @@ class CaseFinder:
         told: Progress = silent,
         enough: Enough = never,
     ) -> FitStatistics:
-        """See `calib.analyses.fit_statistics.fitted_at_full_order`.
+        """See `calib.analyses.least_squares.fitted_at_full_order`.
 
         ``shared`` adds the starting points that all cases share. ``counts`` counts every requested point. ``enough``
         tells after every start whether the others may be left out.

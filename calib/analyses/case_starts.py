@@ -11,7 +11,8 @@ from typing import TypeAlias
 import numpy as np
 import pandas as pd
 
-from calib.analyses.fit_statistics import FitProgress, FitStatistics
+from calib.analyses.fit_statistics import FitStatistics
+from calib.analyses.least_squares import FitProgress
 from calib.analyses.provenance.places import QUICK_SAMPLED, QUICK_STARTS
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.outcome import as_cause

@@ -1,12 +1,9 @@
-"""Least-squares fits of a study, and their fit statistics: goodness of fit, identifiability, predictions."""
+"""Fit statistics of a study: goodness of fit, identifiability, predictions."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
@@ -15,23 +12,21 @@ import pandas as pd
 import scipy.linalg as la
 
 from calib.analyses.uncertainty import assumed_words, in_one
-from calib.errors.errors import EvaluationError
-from calib.execution.stage import Progress, silent
 from calib.experiment.test import ForwardProblem
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import CaseResult
+from calib.inference.considered import At, changes_by_held, considered_table, explained_by_held
 from calib.inference.constraints import ConstraintRows, Hold, constraint_rows, holds, multipliers
 from calib.inference.gauss_newton import FitResult, Prior
 from calib.inference.identify import Identifiability, identify, posterior, prediction_interval
-from calib.inference.integers import MixedResult, fit_mixed
 from calib.inference.joint_part import COLUMNS, JointPart, joint_parts, std_by_test
-from calib.inference.region import InfeasibleError, active_limits
+from calib.inference.region import active_limits
 from calib.inference.rules import RULES
-from calib.inference.starts import Enough, never
 from calib.inference.verdicts import integer_std, parameter_verdicts
 from calib.missing.goodness import goodness, misfit_factor, overall
 from calib.missing.rules import RULES as MISSING
 from calib.missing.suspect import suspects_table
+from calib.problem.degrees_of_freedom import RULES as DOF
 from calib.problem.degrees_of_freedom import effective_dof
 from calib.problem.joint import JointProblem
 from calib.problem.problem import Counts, PairProblem
@@ -39,12 +34,8 @@ from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
 from calib.study.several import AnyStudy
 
-FitProgress = Callable[[int, int, float], None]
 Profiles: TypeAlias = Mapping[str, tuple[np.ndarray, np.ndarray]]
 FitProblem: TypeAlias = PairProblem[Any] | JointProblem
-
-LEAST_SQUARES = "least squares"
-"""Name of the stage of a fit."""
 
 
 def fit_problem(
@@ -138,6 +129,10 @@ class FitStatistics:
         Parameters with an active limit, see `calib.inference.region.active_limits`.
     held_by : mapping from str to Hold
         Limits and constraints that hold parameters, see `calib.inference.constraints.holds`.
+    considered : DataFrame
+        What held parameters whose values are uncertain add, see `calib.inference.considered.considered_table`.
+    considered_misfit : float
+        Sum of squares of the data that is left with these parameters free under their priors; it is tested.
     """
 
     values: dict[str, float]
@@ -160,14 +155,25 @@ class FitStatistics:
     parts: Mapping[str, JointPart]
     active: frozenset[str]
     held_by: Mapping[str, Hold]
+    considered: pd.DataFrame
+    considered_misfit: float
 
     def verdicts(
-        self, space: ParameterSpace, spread: Mapping[str, float], differing: Mapping[str, float] | None = None
+        self,
+        space: ParameterSpace,
+        spread: Mapping[str, float],
+        differing: Mapping[str, float] | None = None,
+        contradicted: bool = False,
     ) -> pd.DataFrame:
-        """One verdict per parameter; see `calib.inference.verdicts.parameter_verdicts`."""
+        """One verdict per parameter; see `calib.inference.verdicts.parameter_verdicts`.
+
+        ``contradicted`` tells whether held-out data contradict the fit.
+        """
+        doubts = {"misfit": self.fits is False, "held_out": contradicted, "few_data": self.dof < DOF.least}
         table = parameter_verdicts(
-            space, self.values, self.identification, spread, self.whole, self.fits, self.birge, differing, self.held_by
-        )
+            space, self.values, self.identification, spread, self.whole, self.fits, self.birge, differing, self.held_by,
+            [doubt for doubt, present in doubts.items() if present],
+        )  # fmt: skip
         more = " This rests on an assumed standard deviation." if self.assumed else ""
         words = table["sentence"].where(table["std"].isna(), table["sentence"] + more)
         return table.assign(std_from=self.rests_on, sentence=words)
@@ -208,20 +214,25 @@ class FitStatistics:
 
     @property
     def fits(self) -> bool | None:
-        """Whether the model fits within the standard deviation; None if it does with as many unknowns as data."""
+        """Whether the model fits within the standard deviation; None if it does with too few data to see an error."""
         if self.p_fit <= self.alpha:
             return False
-        return True if self.dof >= 1 else None
+        return True if self.dof >= DOF.least else None
+
+    @property
+    def _considered(self) -> str:
+        """What is left of the sum of squares where held parameters may be off, in words; empty without them."""
+        return f" ({self.considered_misfit:.4g} where held parameters may be off)" if len(self.considered) else ""
 
     @property
     def sentence(self) -> str:
         """Whether the model fits within the standard deviation, in words."""
         words = (
-            f"Sum of squares {self.misfit:.4g} in standard deviations, {max(self.dof, 0.0):.1f} effective degrees "
-            f"of freedom, p = {self.p_fit:.2g} for the worst kind of data: "
+            f"Sum of squares {self.misfit:.4g} in standard deviations{self._considered}, {max(self.dof, 0.0):.1f} "
+            f"effective degrees of freedom, p = {self.p_fit:.2g} for the worst kind of data: "
         )
         if self.fits is None:
-            return words + "as many unknowns as data, so a perfect fit says nothing about the model."
+            return words + "fewer than two are left, so that the fit cannot show an error of the model."
         rests = f", which is assumed: {self.assumed}" if self.assumed else ""
         if self.fits:
             return words + f"the model fits within the standard deviation{rests}."
@@ -232,109 +243,12 @@ class FitStatistics:
         )
 
 
-def criteria(problem: FitProblem, values: Mapping[str, float]) -> tuple[float, float]:
-    """Sums of squares of data and priors at given values; infinite where the model cannot be evaluated."""
-    names = [p.name for p in problem.space.free if not p.integer]
-    try:
-        vector = problem.residual(values)
-    except EvaluationError:
-        return math.inf, math.inf
-    own = Prior.of(problem.space).residual(values, names)
-    return float(vector @ vector), float(own @ own)
-
-
-@dataclass(frozen=True, eq=False)
-class Shared:
-    """Fits from starting points that all cases share; None where there is none, or it cannot be evaluated.
-
-    Attributes
-    ----------
-    nominal : MixedResult or None
-        From the nominal values.
-    known : MixedResult or None
-        From points that are known to fit.
-    """
-
-    nominal: MixedResult | None
-    known: MixedResult | None
-
-
-def ended(
-    problem: FitProblem, starts: Sequence[Mapping[str, float]], refits: int, told: Progress = silent
-) -> MixedResult | None:
-    """Best least-squares fit from some starts; None without one, or where none can be evaluated or is feasible."""
-    with suppress(EvaluationError, InfeasibleError):
-        step = partial(told, LEAST_SQUARES, total=1)
-        return fit_mixed(problem, problem.space, starts, refits=refits, step=step) if starts else None
-    return None
-
-
-def fitted(
-    problem: FitProblem,
-    terms: Terms,
-    starts: Sequence[Mapping[str, float]],
-    refits: int,
-    progress: FitProgress = lambda start, fits, misfit: None,
-    before: FitStatistics | None = None,
-    shared: Shared | None = None,
-    told: Progress = silent,
-    stage: str = LEAST_SQUARES,
-    enough: Enough = never,
-) -> FitStatistics:
-    """The best least-squares fit from several starts, with the limits, constraints and priors of the problem's space.
-
-    ``refits`` bounds the integer combinations tried from every start. ``before`` is an earlier fit that tried them, for
-    a final fit that tries no more. ``shared`` holds fits of the same residual from further starts: the fit from the
-    nominal values replaces the own one only if its data misfit is lower by more than `Rules.equal`, the fit from known
-    points if it is better in data and priors together. ``told`` receives the progress of the stage of that name.
-    ``enough`` tells after every start whether the others may be left out.
-    """
-    space = problem.space
-    found: MixedResult = fit_mixed(
-        problem, space, starts, refits=refits, progress=progress, step=partial(told, stage, total=1), enough=enough
-    )
-    told("identifiability")
-    if shared is not None and shared.nominal is not None:
-        found = found.joined(shared.nominal, RULES.equal)
-    if shared is not None and shared.known is not None:
-        found = found.joined(shared.known)
-    if before is not None:
-        profiles, complete = before.profiles, before.complete
-    else:
-        profiles, complete = {p.name: found.profile(p.name) for p in space.free if p.integer}, found.complete
-    return _statistics(problem, terms, found.best.values, found.best, profiles, complete, found.by_start)
-
-
-def fitted_at_full_order(
-    exact: FitProblem,
-    near: FitProblem | None,
-    terms: Terms,
-    starts: Sequence[Mapping[str, float]],
-    refits: int,
-    progress: FitProgress = lambda start, fits, misfit: None,
-    known: Sequence[Mapping[str, float]] = (),
-    shared: Shared | None = None,
-    told: Progress = silent,
-    enough: Enough = never,
-) -> FitStatistics:
-    """Least squares as in `fitted`, first on a reduced problem if there is one, then at full order.
-
-    The full-order fit starts from the best of the reduced fit and ``known``, so that it never ends above them.
-    """
-    first = exact if near is None else near
-    found = fitted(first, terms, starts, refits, progress, shared=shared, told=told, enough=enough)
-    if near is None:
-        return found
-    begin = min((found.values, *known), key=lambda values: sum(criteria(exact, values)))
-    return fitted(exact, terms, [begin], 1, before=found, told=told, stage=f"{LEAST_SQUARES} at full order")
-
-
 def statistics_at(problem: FitProblem, terms: Terms, values: Mapping[str, float]) -> FitStatistics:
     """Fit statistics at given values, without a fit."""
-    return _statistics(problem, terms, dict(values), None, {}, True)
+    return statistics_of(problem, terms, dict(values), None, {}, True)
 
 
-def _statistics(
+def statistics_of(
     problem: FitProblem,
     terms: Terms,
     values: dict[str, float],
@@ -343,17 +257,23 @@ def _statistics(
     complete: bool,
     ends: tuple[FitResult, ...] = (),
 ) -> FitStatistics:
+    """Fit statistics at some values; ``fit`` is the fit that led there, ``ends`` are those from all starts."""
     space, alpha, held_sd = problem.space, terms.alpha, terms.held_sd
     names = tuple(p.name for p in space.free if not p.integer)
     if fit is not None and fit.names == names:
         vector, slope = fit.residual, fit.jacobian
     else:
         vector, slope = problem.residual(values), problem.jacobian(values, names)
-    held = problem.jacobian(values, tuple(held_sd)) * list(held_sd.values()) if held_sd else None
     prior_sd = np.array([space[n].prior_width for n in names])
     constraints = constraint_rows(space, names, posterior(names, slope, prior_sd).covariance, held_sd)
     misfit, shift = float(vector @ vector), Prior.of(space).residual(values, names)
-    at = _Fitted.of(vector, slope, prior_sd, constraints, fit is not None and fit.converged)
+    converged = fit is not None and fit.converged
+    end = At(names, values, vector, slope, prior_sd, converged)
+    held = changes_by_held(problem, end, held_sd)
+    descent = multipliers(space, names, values, -slope.T @ vector - shift / prior_sd)
+    active = active_limits(space, names, values, descent)
+    free = explained_by_held(end, held, constraints, [name in active for name in names])
+    at = _Fitted.of(*free, constraints, converged)
     dof = effective_dof(at.slope, at.prior_sd, sum(problem.fitted_factors.values()))
     kinds, modes = goodness(at, problem)
     p_fit, birge = overall(kinds, modes), misfit_factor(kinds, modes, alpha)
@@ -364,7 +284,6 @@ def _statistics(
     identification = identify(
         space, names, slope, values=values, held=held, birge=birge, searched=fit is None, constraints=constraints
     )
-    descent = multipliers(space, names, values, -slope.T @ vector - shift / prior_sd)
     held_by = holds(
         space, names, values, identification.posterior.covariance, -slope.T @ vector - shift / prior_sd, fit is None
     )
@@ -380,7 +299,9 @@ def _statistics(
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
         predictions=predictions, fit=fit, ends=ends, suspects=suspected,
         assumed=terms.assumed, by_test=by_test, parts=parts,
-        active=active_limits(space, names, values, descent), held_by=held_by,
+        active=active, held_by=held_by,
+        considered=considered_table(space, end, held, held_sd, constraints, birge),
+        considered_misfit=float(free[0] @ free[0]),
     )  # fmt: skip
 
 
@@ -398,6 +319,7 @@ class _Fitted:
         """The fit in parameters whose priors are independent where constraints count as data beside them."""
         if not len(constraints.slope):
             return cls(residual, slope, prior_sd, converged)
-        root = la.qr(np.vstack([constraints.slope * prior_sd, np.eye(len(prior_sd))]), mode="r")[0][: len(prior_sd)]
+        beside = np.hstack([constraints.slope, constraints.held]) * prior_sd
+        root = la.qr(np.vstack([beside, np.eye(len(prior_sd))]), mode="r")[0][: len(prior_sd)]
         own = la.solve_triangular(root, (slope * prior_sd).T, trans="T").T
         return cls(residual, own, np.ones(len(prior_sd)), converged)

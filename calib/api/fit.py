@@ -49,14 +49,15 @@ class Fit(Displayed, Generic[P]):
 
     Examples
     --------
-    The natural frequency, here squared, determines the ratio of stiffness to mass, not both:
+    The natural frequency, here squared and measured three times, determines the ratio of stiffness to mass, not both:
 
     >>> import calib
     >>> space = calib.ParameterSpace((
     ...     calib.Parameter("k", 3.0, 1.0, 9.0, "kN/m"), calib.Parameter("m", 1.0, 0.1, 5.0, "kg"),
     ... ))
-    >>> model = calib.FunctionModel("oscillator", space, lambda v: {"w2": 1e3 * v["k"] / v["m"]})
-    >>> problem = calib.Problem(model, calib.ResponseTest({"w2": (4000.0, 40.0)}))
+    >>> model = calib.FunctionModel("oscillator", space, lambda v: {f"w2_{n}": 1e3 * v["k"] / v["m"] for n in "abc"})
+    >>> measured = {"w2_a": (4000.0, 40.0), "w2_b": (3970.0, 40.0), "w2_c": (4020.0, 40.0)}
+    >>> problem = calib.Problem(model, calib.ResponseTest(measured))
     >>> problem.calibrate(["k"]).parameters["identified"].to_dict()
     {'k': True}
     >>> problem.calibrate().parameters["identified"].to_dict()

@@ -19,6 +19,9 @@ from calib.study.study_file import StudyFile
 ERRORS = ("rows", "rms", "of a correctly specified model", "p")
 ERRORS_TITLE = "Errors in standard deviations:"
 _WHY = {
+    "misfit": "the model does not fit",
+    "held_out": "held-out data contradict",
+    "few_data": "too few data to see a model error",
     "wide": "std too large",
     "prior": "rests on the prior",
     "limit": "on its limit",

@@ -24,6 +24,11 @@ class Rules:
     narrow : float
         Largest standard deviation of a linear constraint, over that of its sum without it, with which the constraint
         counts as data; see `calib.inference.constraints.constraint_rows`.
+    considered : float
+        Smallest share of the variance of a fitted parameter that a held one adds where it is named.
+    linear : float
+        Largest error of the shift of an estimate by a held parameter, in its standard deviations, up to which the shift
+        counts as linear.
     confounded : float
         Absolute posterior correlation from which two parameters count as confounded.
     trades : float
@@ -61,6 +66,8 @@ class Rules:
     none: float = 0.01
     by_data: float = 0.5
     narrow: float = 1.0
+    considered: float = 0.2
+    linear: float = 0.25
     confounded: float = 0.9
     trades: float = 0.5
     seen: float = 1.0

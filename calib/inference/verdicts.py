@@ -14,6 +14,12 @@ from calib.inference.identify import Identifiability, faults, needed_std
 from calib.inference.rules import RULES
 from calib.problem.space import Parameter, ParameterSpace
 
+DOUBTS = {
+    "misfit": "the model does not fit, so that the standard deviations do not hold",
+    "held_out": "held-out data contradict the model, so that the standard deviations do not hold",
+    "few_data": "fewer than two effective degrees of freedom are left, too few to see an error of the model",
+}
+"""Why no parameter of a fit is identified, whatever its standard deviation."""
 WIDE = 1.96
 """Half-width of an interval of 95 % in standard deviations."""
 
@@ -57,6 +63,7 @@ def parameter_verdicts(
     birge: float = 1.0,
     differing: Mapping[str, float] | None = None,
     held_by: Mapping[str, Hold] | None = None,
+    doubts: Sequence[str] = (),
 ) -> pd.DataFrame:
     """Verdict and sentence for every free parameter.
 
@@ -79,6 +86,8 @@ def parameter_verdicts(
         `calib.inference.agreement.Agreement`: none of them is identified, however small its standard deviation at one.
     held_by : mapping, optional
         Limits and constraints that hold parameters, see `calib.inference.constraints.holds`.
+    doubts : sequence of str
+        Why no parameter is identified, of `DOUBTS`.
 
     Returns
     -------
@@ -88,7 +97,7 @@ def parameter_verdicts(
         unknown.
         ``low, high`` is the interval of 95 %, of one side where a limit or constraint holds the parameter.
         ``not_identified`` holds the reasons of `calib.inference.identify.faults`, ``constraint`` for a parameter that a
-        constraint holds, and ``solutions`` for one by which equally good solutions differ.
+        constraint holds, ``solutions`` for one by which equally good solutions differ, and the doubts.
         A limit is suggested half a range further out; a limit of 0 is physical
         and stays.
     """
@@ -115,6 +124,8 @@ def parameter_verdicts(
         hold = (held_by or {}).get(p.name)
         if hold is not None and hold.by and not math.isnan(std):
             why, identified = (*why, "constraint"), False
+        if doubts and not math.isnan(std):
+            why, identified = (*doubts, *why), False
         low, high = _interval(p, values[p.name], math.nan if p.integer else std, hold)
         # Correlations are those of the reported solution: they say nothing on the distance to another one.
         others = [] if identified else found.confounded_with(p.name)
@@ -168,6 +179,9 @@ def identified_sentence(verdicts: pd.DataFrame) -> str:
     assessed = verdicts[verdicts["identified"].notna()]
     bad = assessed.loc[~assessed["identified"].astype(bool), "parameter"].tolist()
     count = f"{len(assessed) - len(bad)} of {len(assessed)} parameters are identified"
+    first = [str(why).split(", ")[0] for why in assessed["not_identified"]] if "not_identified" in assessed else []
+    if first and set(first) <= set(DOUBTS):
+        return f"{count}: {DOUBTS[first[0]]}."
     return count + (f"; not {', '.join(bad)}." if bad else ".")
 
 
@@ -253,6 +267,7 @@ def _reasons(
 ) -> list[str]:
     given = "less than 1" if share < 0.01 else f"only {100 * share:.0f}"
     words = {
+        **DOUBTS,
         "wide": f"standard deviation {std:.3g}{scale}, more than is needed, {needed:.3g}{scale}{wider}",
         "prior": f"the data give {given} % of the information on it",
         "limit": f"a limit holds it{held}",

@@ -122,18 +122,43 @@ def test_a_parameter_without_influence_is_not_identified_by_its_prior(line):
 def test_a_parameter_at_its_limit_is_not_identified(line):
     table = line(48.0 + 51.0 * np.arange(8)).verdicts.set_index("parameter")
     assert table["std"]["b"] < 0.02 * table["needed"]["b"] and table["on_limit"]["b"]
-    assert not table["identified"]["b"] and table["not_identified"]["b"] == "limit"
+    assert not table["identified"]["b"] and table["not_identified"]["b"] == "misfit, limit"
 
 
-def test_a_rejected_model_identifies_parameters_with_the_standard_deviation_scaled_by_the_birge_ratio(line):
-    """Alternating errors of 8, against a stated standard deviation of 0.1."""
+def test_a_rejected_model_has_no_identified_parameter(line):
+    """Alternating errors of 8, against a stated standard deviation of 0.1; the Birge ratio scales what is told."""
     good, bad = line(around(0.1)), line(around(0.1) + 8.0 * (-1.0) ** np.arange(8))
     assert bad.best.statistics.fits is False
     scale = bad.best.statistics.birge
     assert scale == pytest.approx(np.sqrt(bad.best.statistics.misfit / 6), rel=1e-3) and scale > 50
     before, after = (found.verdicts.set_index("parameter") for found in (good, bad))
     np.testing.assert_allclose(after["std"], scale * before["std"], rtol=0.03)  # the priors help a little
-    assert before["identified"].all()
+    assert before["identified"].all() and not after["identified"].any()
+    assert after["not_identified"].tolist() == ["misfit", "misfit"]
+    assert (bad.parameters["identified"] == False).all()  # noqa: E712
+    sentence = next(words for words in bad.sentences if "parameters are identified" in words)
+    assert sentence.startswith("0 of 2") and sentence in bad.answer.sure and "do not hold" in sentence
+
+
+def test_with_fewer_than_two_degrees_of_freedom_a_model_error_cannot_be_seen(line):
+    """Three values of a line: one degree of freedom is left, and the fit is good."""
+    three, four = line(around(0.1, n=3)), line(around(0.1, n=4))
+    assert three.best.statistics.dof == pytest.approx(1.0, abs=1e-3) and three.best.statistics.fits is None
+    assert four.best.statistics.dof == pytest.approx(2.0, abs=1e-3) and four.best.statistics.fits is True
+    assert four.verdicts["identified"].all()
+    assert three.verdicts["not_identified"].tolist() == ["few_data", "few_data"]
+    assert "error of the model" in three.sentences[0] and "Measure more" in three.answer.then
+
+
+def test_a_model_that_held_out_data_contradict_has_no_identified_parameter(line):
+    """Held out is what lies far off the line; the rest fits."""
+    y = around(0.1)
+    y[7] += 9.0
+    found = line(y, more='[held_out]\nresponses = ["y_7"]')
+    assert found.best.statistics.fits is True and found.contradictions
+    assert found.verdicts["not_identified"].tolist() == ["held_out", "held_out"]
+    assert not found.parameters["identified"].any()
+    assert "held-out data contradict" in found.sentences[0]
 
 
 def test_without_a_fit_no_datum_is_suspected(line, tmp_path):

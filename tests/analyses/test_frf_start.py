@@ -9,7 +9,8 @@ import pytest
 import scipy.sparse as sp
 
 import calib
-from calib.analyses.fit_statistics import Terms, fitted
+from calib.analyses.fit_statistics import Terms
+from calib.analyses.least_squares import fitted
 from calib.correlation.frf.nuisance import ChannelError
 from calib.hypotheses.linear_start import linear_start, linear_starts
 from calib.measurement.modal import Sensor

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from calib.analyses.calibrate import calibrate
-from calib.analyses.fit_statistics import Terms, fit_problem, fitted
+from calib.analyses.fit_statistics import Terms, fit_problem
+from calib.analyses.least_squares import fitted
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors

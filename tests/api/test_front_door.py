@@ -72,8 +72,9 @@ def test_modes_are_compared_and_fitted_as_in_the_study(rig, tmp_path):
 def test_a_parameter_is_identified_where_starts_that_fit_equally_well_agree(discriminated, unrendered, tmp_path):
     """Both roots of ``y = 1`` fit; only an accurate z discriminates between them."""
     space = calib.ParameterSpace((calib.Parameter("a", 0.5, -3.0, 3.0),))
-    model = calib.FunctionModel("square", space, lambda v: {"y": v["a"] ** 2, "z": 1 + 0.01 * v["a"]})
-    problem = calib.Problem(model, calib.ResponseTest({"y": (1.0, 0.01), "z": (1.01, 0.001 if discriminated else 0.1)}))
+    model = calib.FunctionModel("square", space, lambda v: {"y": v["a"] ** 2, "x": v["a"] ** 2, "z": 1 + 0.01 * v["a"]})
+    measured = {"y": (1.0, 0.01), "x": (1.0, 0.01), "z": (1.01, 0.001 if discriminated else 0.1)}
+    problem = calib.Problem(model, calib.ResponseTest(measured))
     assert problem.calibrate(starts=1).agreement.verdict == "one case"  # one start says nothing
     fit = problem.calibrate(starts=6)
     assert {np.sign(end.values["a"]) for end in fit.statistics.ends} == {-1.0, 1.0}

@@ -1,0 +1,120 @@
+"""Least-squares fits of a study, from several starts and at full order."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+
+from calib.analyses.fit_statistics import FitProblem, FitStatistics, Terms, statistics_of
+from calib.errors.errors import EvaluationError
+from calib.execution.stage import Progress, silent
+from calib.inference.gauss_newton import Prior
+from calib.inference.integers import MixedResult, fit_mixed
+from calib.inference.region import InfeasibleError
+from calib.inference.rules import RULES
+from calib.inference.starts import Enough, never
+
+FitProgress = Callable[[int, int, float], None]
+
+LEAST_SQUARES = "least squares"
+"""Name of the stage of a fit."""
+
+
+def criteria(problem: FitProblem, values: Mapping[str, float]) -> tuple[float, float]:
+    """Sums of squares of data and priors at given values; infinite where the model cannot be evaluated."""
+    names = [p.name for p in problem.space.free if not p.integer]
+    try:
+        vector = problem.residual(values)
+    except EvaluationError:
+        return math.inf, math.inf
+    own = Prior.of(problem.space).residual(values, names)
+    return float(vector @ vector), float(own @ own)
+
+
+@dataclass(frozen=True, eq=False)
+class Shared:
+    """Fits from starting points that all cases share; None where there is none, or it cannot be evaluated.
+
+    Attributes
+    ----------
+    nominal : MixedResult or None
+        From the nominal values.
+    known : MixedResult or None
+        From points that are known to fit.
+    """
+
+    nominal: MixedResult | None
+    known: MixedResult | None
+
+
+def ended(
+    problem: FitProblem, starts: Sequence[Mapping[str, float]], refits: int, told: Progress = silent
+) -> MixedResult | None:
+    """Best least-squares fit from some starts; None without one, or where none can be evaluated or is feasible."""
+    with suppress(EvaluationError, InfeasibleError):
+        step = partial(told, LEAST_SQUARES, total=1)
+        return fit_mixed(problem, problem.space, starts, refits=refits, step=step) if starts else None
+    return None
+
+
+def fitted(
+    problem: FitProblem,
+    terms: Terms,
+    starts: Sequence[Mapping[str, float]],
+    refits: int,
+    progress: FitProgress = lambda start, fits, misfit: None,
+    before: FitStatistics | None = None,
+    shared: Shared | None = None,
+    told: Progress = silent,
+    stage: str = LEAST_SQUARES,
+    enough: Enough = never,
+) -> FitStatistics:
+    """The best least-squares fit from several starts, with the limits, constraints and priors of the problem's space.
+
+    ``refits`` bounds the integer combinations tried from every start. ``before`` is an earlier fit that tried them, for
+    a final fit that tries no more. ``shared`` holds fits of the same residual from further starts: the fit from the
+    nominal values replaces the own one only if its data misfit is lower by more than `Rules.equal`, the fit from known
+    points if it is better in data and priors together. ``told`` receives the progress of the stage of that name.
+    ``enough`` tells after every start whether the others may be left out.
+    """
+    space = problem.space
+    found: MixedResult = fit_mixed(
+        problem, space, starts, refits=refits, progress=progress, step=partial(told, stage, total=1), enough=enough
+    )
+    told("identifiability")
+    if shared is not None and shared.nominal is not None:
+        found = found.joined(shared.nominal, RULES.equal)
+    if shared is not None and shared.known is not None:
+        found = found.joined(shared.known)
+    if before is not None:
+        profiles, complete = before.profiles, before.complete
+    else:
+        profiles, complete = {p.name: found.profile(p.name) for p in space.free if p.integer}, found.complete
+    return statistics_of(problem, terms, found.best.values, found.best, profiles, complete, found.by_start)
+
+
+def fitted_at_full_order(
+    exact: FitProblem,
+    near: FitProblem | None,
+    terms: Terms,
+    starts: Sequence[Mapping[str, float]],
+    refits: int,
+    progress: FitProgress = lambda start, fits, misfit: None,
+    known: Sequence[Mapping[str, float]] = (),
+    shared: Shared | None = None,
+    told: Progress = silent,
+    enough: Enough = never,
+) -> FitStatistics:
+    """Least squares as in `fitted`, first on a reduced problem if there is one, then at full order.
+
+    The full-order fit starts from the best of the reduced fit and ``known``, so that it never ends above them.
+    """
+    first = exact if near is None else near
+    found = fitted(first, terms, starts, refits, progress, shared=shared, told=told, enough=enough)
+    if near is None:
+        return found
+    begin = min((found.values, *known), key=lambda values: sum(criteria(exact, values)))
+    return fitted(exact, terms, [begin], 1, before=found, told=told, stage=f"{LEAST_SQUARES} at full order")
