@@ -70,7 +70,7 @@ class Added:
 
 def to_add(found: Explanation) -> CandidateFit | None:
     """The fit with the named effects if the verdict leaves no competing model; None otherwise."""
-    if found.verdict not in NAMED or found.chosen is None:
+    if found.verdict not in NAMED or found.chosen is None or found.granted or found.mistakable:
         return None
     return found.chosen if set(found.equally_good) == set(found.chosen.names) else None
 
@@ -83,6 +83,11 @@ def nothing_added(found: Explanation) -> str:
     )
     if found.steps is not None and found.steps.competing:
         pairs = "; and between ".join(f"{name} and {other}" for name, other in found.steps.competing)
+        untold = f"These data cannot discriminate between {pairs}, so nothing is added: inspect the structure."
+    if found.verdict in NAMED and found.granted:
+        return "The measurement has faults beside what the model lacks: correct them first, so that nothing is added."
+    if found.mistakable:
+        pairs = "; and between ".join(f"{name} and {other}" for name, other in found.mistakable)
         untold = f"These data cannot discriminate between {pairs}, so nothing is added: inspect the structure."
     named = " and ".join(() if found.chosen is None else found.chosen.names)
     if is_simpler_form(found):

@@ -35,6 +35,7 @@ from calib.missing.pattern import BY_TEST
 from calib.missing.settings import Settings, require_modes
 from calib.missing.verdict import GROUPS as UNSEEN_GROUPS
 from calib.missing.verdict import NO_DOUBTS, Doubts
+from calib.problem.candidate import Candidate
 from calib.problem.effect import Effect
 from calib.problem.joint import TEST, of_test
 from calib.results.results import Results
@@ -98,6 +99,7 @@ def explanation_of(
         adapter, study.settings.explain, study.file, started, mesh_words(mesh_sd), progress, doubts_of(tests)
     )  # fmt: skip
     taken = dict.fromkeys(note for one in tests for note in uncertain_note(one))
+    adapter = granting(adapter, answer.explanation)
     figures = answer.figures if mesh_sd is None else answer.figures | {"mesh_sd": mesh_sd}
     fits = explained_fits(study, answer.explanation, answer.richer)
     tables, notes = answer.tables | {TABLE: fits}, (*answer.notes, *taken)
@@ -173,9 +175,15 @@ def explain_tests(
 ) -> ExplanationResult:
     """The decision about tests with its findings, whoever asks; arguments as in `decision` and `findings`."""
     decided = decision(adapter, settings, place, progress)
+    adapter = granting(adapter, decided)
     answer = findings(adapter, decided, started, supposed, correctable, progress, doubts)
     failures = reasons(adapter.failed())[:SHOWN]
     return replace(answer, traces=tuple(reason.first.trace for reason in failures if reason.first.trace))
+
+
+def granting(adapter: Adapter, found: Explanation) -> Adapter:
+    """The adapter whose base model has the faults of the measurement that an explanation tells among its parameters."""
+    return adapter.granting([fault.name for fault in found.granted]) if found.granted else adapter
 
 
 def decision(
@@ -280,7 +288,7 @@ def explanation_summary(study: AnyStudy, answer: ExplanationResult) -> dict[str,
         "nearly": is_simpler_form(found),
         "measurement_fault": None if found.fault is None else _local_perturbation(found.fault),
         "faults": 0 if check.faults is None else len(set(check.faults.owners)),
-        "blamed": [_local_perturbation(t) for t in found.blamed],
+        "blamed": [_local_perturbation(t, fault) for fault, t in found.faulty],
         "wrong_datum": None if found.datum is None else _wrong_datum(found, found.datum),
         "evaluations": found.evaluations,
         "begun_anew": found.begun_anew,
@@ -290,8 +298,8 @@ def explanation_summary(study: AnyStudy, answer: ExplanationResult) -> dict[str,
     }
 
 
-def _local_perturbation(perturbation: CandidateFit) -> dict[str, object]:
-    change = local_perturbation(perturbation)
+def _local_perturbation(perturbation: CandidateFit, of: Candidate | None = None) -> dict[str, object]:
+    change = local_perturbation(perturbation, of)
     unit = change.effect.magnitude.unit
     return {"name": change.effect.name, "value": change.value, "low": change.low, "high": change.high, "unit": unit}
 

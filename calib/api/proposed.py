@@ -73,7 +73,7 @@ def proposed(study: AnyStudy, found: Explanation, rank: int, progress: bool) -> 
             remedy="propose for a problem of one model",
         )  # fmt: skip
     if found.verdict not in OPEN:
-        named = (*found.credible, *(fault.names[0] for fault in found.blamed))
+        named = (*found.credible, *(fault.name for fault, _ in found.faulty))
         return Proposed(ProposalResult(None, not_sought(found.verdict, named, "add what was named: with_named()")))
     with in_python("propose", progress) as step:
         return Proposed(compose_for(study, None, ProposalStart.of(found), count, step))

@@ -184,6 +184,8 @@ class ModelHypotheses(Generic[P]):
         holds may be missing.
     without : tuple of str
         Effects of the variants that are not candidates.
+    granted : tuple of str
+        Faults of the measurement whose magnitudes are among the parameters of the base model.
     counts : Counts
         Points requested from all fit problems.
     """
@@ -192,6 +194,7 @@ class ModelHypotheses(Generic[P]):
     variants: ModelVariants
     space: ParameterSpace
     without: tuple[str, ...] = ()
+    granted: tuple[str, ...] = ()
     counts: Counts = field(init=False, repr=False, default_factory=Counts)
     _fit_problems: dict[tuple[str, ...], VariantProblem[P]] = field(init=False, repr=False, default_factory=dict)
     _failures: dict[str, Failure] = field(init=False, repr=False, default_factory=dict)
@@ -214,7 +217,16 @@ class ModelHypotheses(Generic[P]):
         Where a test offers none, those of the model count as local perturbations.
         """
         own: tuple[Candidate, ...] = tuple(self.pair.faults)
-        return (*own, *(e for e in self.variants.perturbations if e.of_measurement)) if own else ()
+        every = (*own, *(e for e in self.variants.perturbations if e.of_measurement)) if own else ()
+        return tuple(e for e in every if e.name not in self.granted)
+
+    def granting(self, faults: tuple[str, ...]) -> Self:
+        """The same with some faults granted; evaluations are counted together."""
+        more = tuple(p for e in self.faults if e.name in faults for p in e.parameters)
+        space = ParameterSpace((*self.space.parameters, *more), self.space.constraints)
+        out = replace(self, space=space, granted=(*self.granted, *faults))
+        object.__setattr__(out, "counts", self.counts)
+        return out
 
     def with_more(self, effects: Sequence[Effect]) -> ModelHypotheses[P]:
         """The same with further effects."""

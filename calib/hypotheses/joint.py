@@ -66,6 +66,11 @@ class JointAdapter:
         """The fewest of any test."""
         return min(adapter.left_out_std for adapter in self.adapters.values())
 
+    def granting(self, faults: Sequence[str]) -> JointAdapter:
+        """Each test with those of the faults that it may have."""
+        own = {test: [e.name for e in one.hypotheses.faults if e.name in faults] for test, one in self.adapters.items()}
+        return JointAdapter.of({test: adapter.granting(own[test]) for test, adapter in self.adapters.items()})
+
     def notes(self) -> list[str]:
         """The notes of every test."""
         return list(prefixed({test: adapter.notes() for test, adapter in self.adapters.items()}))

@@ -101,6 +101,7 @@ class ModalAdapter(OneTest):
             fitted.problem, self._whole(candidate_fit.names, fitted.problem.model), fit.values, fit.names,
             fit.prior_sd, fitted.floors, self.hypotheses.std_dof, scale, self.facts.held_sd, fit.others, fit.active,
             self._modes.get(_key(candidate_fit)),
+            [fault for fault in self.hypotheses.pair.faults if fault.name in self.hypotheses.granted],
         )  # fmt: skip
 
     def full_residual(self, one: CandidateFit) -> np.ndarray:

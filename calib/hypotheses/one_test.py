@@ -125,6 +125,10 @@ class OneTest(ABC):
         pair = replace(hypotheses.pair, problem=replace(hypotheses.pair.problem, mesh=mesh))
         return replace(self, hypotheses=replace(hypotheses, pair=pair, space=space))
 
+    def granting(self, faults: Sequence[str]) -> Self:
+        """The same with faults of the measurement among the parameters of its base model."""
+        return replace(self, hypotheses=self.hypotheses.granting(tuple(faults))) if faults else self
+
     def with_effects(self, effects: Sequence[Effect]) -> ModelHypotheses[Any]:
         """Its hypotheses with further effects."""
         return self.hypotheses.with_more(effects)

@@ -10,6 +10,7 @@ import pandas as pd
 
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.modal.comparison import Comparison
+from calib.correlation.modal.faults import ModalFault
 from calib.correlation.modal.held_out import group_table, held_out_errors
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
@@ -133,6 +134,7 @@ def modal_errors(
     others: OtherRows | None = None,
     active: Collection[str] = (),
     solved: Modes | None = None,
+    faults: Sequence[ModalFault] = (),
 ) -> pd.DataFrame:
     """Errors of a fitted modal model by group of data, rms in standard deviations.
 
@@ -163,6 +165,8 @@ def modal_errors(
         Parameters with an active limit; they stay there when a mode is left out.
     solved : Modes, optional
         Of the model at these values, which is then not solved again.
+    faults : sequence of ModalFault
+        Faults of the used data whose magnitudes are among the values. Held-out data are compared as they were measured.
 
     Returns
     -------
@@ -170,8 +174,8 @@ def modal_errors(
         ``group, rows, rms, expected, p, unpaired``; groups ``fit``, ``left_out`` (each mode predicted from all others),
         ``held_out_sensors``, ``held_out_modes``. ``expected`` is what a correctly specified model would show.
     """
-    residual = ModalResidual(fitted, floors)
-    found = fitted.compare(values, solved)
+    residual = ModalResidual(fitted, floors, faults=tuple(faults))
+    found = residual.solve(values, solved)
     vector = residual.of(found) / scale
     jacobian = residual.slope_of(found, names, residual.derivatives(found, names)) / scale
     others = others or none_beside(len(names), len(held_sd))
@@ -183,6 +187,10 @@ def modal_errors(
     held_out = pd.DataFrame(columns=[*ERROR_COLUMNS, "chi2", "dof"])
     if whole is not None:
         uncertain, covariance = modal_covariance(residual, found, jacobian, names, prior_sd, scale, held_sd, others)
+        own_faults = {fault.name for fault in faults}
+        kept = [k for k, name in enumerate(uncertain) if name not in own_faults]
+        uncertain, covariance = tuple(uncertain[k] for k in kept), covariance[np.ix_(kept, kept)]
+        values = {name: value for name, value in values.items() if name not in own_faults}
         held_out = held_out_errors(
             fitted, whole, values, uncertain, covariance / scale**2, floors, finite or None, solved=found.modes
         )

@@ -6,13 +6,27 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 from calib.inference.gauss_newton import FitResult
 from calib.inference.rules import RULES
 
 Enough: TypeAlias = Callable[[Sequence[FitResult | None]], bool]
 """Whether the starts tried so far suffice, from the end of each; None for one that cannot be evaluated."""
+
+
+class Ended(Protocol):
+    """The end of a fit."""
+
+    @property
+    def misfit(self) -> float:
+        """Sum of squares."""
+        ...
+
+    @property
+    def converged(self) -> bool:
+        """Whether it is an optimum."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -35,7 +49,7 @@ class Optima:
     lowest: int
 
     @classmethod
-    def of(cls, ends: Sequence[FitResult | None]) -> Optima:
+    def of(cls, ends: Sequence[Ended | None]) -> Optima:
         """Count them."""
         ended = sorted(end.misfit for end in ends if end is not None and end.converged)
         apart = [k for k, (low, high) in enumerate(pairwise(ended), 1) if high - low > RULES.equal]

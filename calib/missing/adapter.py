@@ -46,6 +46,10 @@ class Adapter(Protocol):
         """Whether the error of a mesh shows in what was measured; of several tests each is asked by itself."""
         ...
 
+    def granting(self, faults: Sequence[str]) -> Adapter:
+        """The same with faults of the measurement among the parameters of its base model."""
+        ...
+
     def with_effects(self, effects: Sequence[Effect]) -> Hypotheses:
         """Its hypotheses with further effects beside those of its library."""
         ...

@@ -57,7 +57,7 @@ def blamed(
     by ``margin``, after the number of faults and of effects is taken off.
     """
     fault = found.fault
-    if fault is None or fault.implausible or not _outweighs(fits, found, best, margin):
+    if fault is None or fault.implausible or not outweighs(fits, found, best, margin):
         return None
     adequacy = tests_of(fits, found, fault)
     return _told(fits, found, fault, adequacy, singles) if adequate(fits, adequacy) else None
@@ -76,7 +76,7 @@ def fault_first(fits: Refits, found: Explanation, candidate_fits: Sequence[Candi
     steps = () if found.steps is None else tuple(step.candidate_fit for step in found.steps.steps[1:])
     best = max((*candidate_fits, *steps), key=lambda t: t.ln_evidence, default=None)
     held = limit_of(fault.fit, fault.effects[0].magnitude) is not None
-    if held or not _outweighs(fits, found, best, RULES.credible):
+    if held or not outweighs(fits, found, best, RULES.credible):
         return None
     singles = [t for t in candidate_fits if len(t.names) == 1]
     return _told(fits, found, fault, tests_of(fits, found, fault), singles, candidate_fits)
@@ -89,7 +89,7 @@ def mistakable(found: Explanation, one: CandidateFit) -> CandidateFit | None:
     form is exact, and the evidence between the two rests on that.
     """
     for fault in found.faults:
-        if getattr(fault.effects[0], "kind", "") == DAMPING and not fault.implausible and _alike(found, fault, one):
+        if getattr(fault.effects[0], "kind", "") == DAMPING and not fault.implausible and alike(found, fault, one):
             return fault
     return None
 
@@ -97,7 +97,7 @@ def mistakable(found: Explanation, one: CandidateFit) -> CandidateFit | None:
 # -- what is asked of a fault ------------------------------------------------------------------------------------------
 
 
-def _outweighs(fits: Refits, found: Explanation, best: CandidateFit | None, margin: float) -> bool:
+def outweighs(fits: Refits, found: Explanation, best: CandidateFit | None, margin: float) -> bool:
     """Whether the evidence for the best fault exceeds that of anything else, for so many of each."""
     fault, h = found.fault, fits.hypotheses
     if fault is None or not h.faults:
@@ -134,15 +134,15 @@ def _told(
         found, candidate_fits=tuple(candidate_fits or singles), datum=None, fault_adequacy=adequacy,
         evaluations=fits.hypotheses.evaluations, measured_scale=measured_scale(fits, found.base, fault),
     )  # fmt: skip
-    alike = [t for t in singles if not t.implausible and _alike(found, fault, t)]
-    if alike:
-        chosen = tests_of(fits, found, alike[0])
-        names = tuple(t.names[0] for t in alike)
-        return replace(found, verdict="indistinguishable", chosen=alike[0], chosen_adequacy=chosen, credible=names)
+    like = [t for t in singles if not t.implausible and alike(found, fault, t)]
+    if like:
+        chosen = tests_of(fits, found, like[0])
+        names = tuple(t.names[0] for t in like)
+        return replace(found, verdict="indistinguishable", chosen=like[0], chosen_adequacy=chosen, credible=names)
     return replace(found, verdict="measurement", chosen=None, chosen_adequacy=None, place=_place(fits, found, fault))
 
 
-def _alike(found: Explanation, fault: CandidateFit, one: CandidateFit) -> bool:
+def alike(found: Explanation, fault: CandidateFit, one: CandidateFit) -> bool:
     """Whether an effect is nearly collinear with a fault and explains much of what it does."""
     much = found.ln_bayes(one) > max(RULES.by_far * found.ln_bayes(fault), RULES.credible)
     direction, named = _direction(found, fault), found.base_adequacy.named
@@ -163,11 +163,11 @@ def _place(fits: Refits, found: Explanation, fault: CandidateFit) -> CandidateFi
     direction, local = _direction(found, fault), found.base_adequacy.perturbations
     if direction is None or not local.owners:
         return None
-    like = np.where(np.abs(local.unit.T @ direction) > RULES.confounded, local.magnitude, -np.inf)
-    if not like.max() ** 2 / 2 > RULES.by_far * found.ln_bayes(fault) or not np.isfinite(like.max()):
+    near = np.where(np.abs(local.unit.T @ direction) > RULES.confounded, local.magnitude, -np.inf)
+    if not near.max() ** 2 / 2 > RULES.by_far * found.ln_bayes(fault) or not np.isfinite(near.max()):
         return None
     with fits.allowance.uncharged():
-        one = fits.local(local.owners[int(np.argmax(like))], found.base, local, fault)
+        one = fits.local(local.owners[int(np.argmax(near))], found.base, local, fault)
     return one if one is not None and found.ln_bayes(one) > RULES.by_far * found.ln_bayes(fault) else None
 
 

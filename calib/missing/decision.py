@@ -15,7 +15,8 @@ from calib.missing.blame import blamed, fault_first, ln_of, mistakable, tests_of
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group, grouped
 from calib.missing.effect_pairs import fit_pairs, no_worse, singles_from_pairs
-from calib.missing.explanation import Explanation
+from calib.missing.explanation import SEVERAL, Explanation
+from calib.missing.granted import with_fault
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.place import takes_enough, told_place
 from calib.missing.refits import Refits, near_to
@@ -111,6 +112,7 @@ class _Decision:
             verdict="nothing_detectable", base=base, base_adequacy=adequacy, groups=groups, candidate_fits=(),
             perturbation=None, chosen=None, chosen_adequacy=None, credible=(), noise_scale=fits.scale,
             measured_scale=measured_scale(fits, base), evaluations=hypotheses.evaluations, alpha=alpha,
+            granted=fits.granted,
         )  # fmt: skip
         if adequacy.passes(alpha):
             return found
@@ -136,8 +138,8 @@ class _Decision:
             better, tried = self.better_base(found, lead, settled or told is not None, adequacy)
             found = replace(found, base_starts=tried)
             if better is not base:
-                again = self.explanation({}, better.fit.values, rebased + 1)
-                return replace(again, base_starts=again.base_starts + max(tried, 1))
+                anew = self.explanation({}, better.fit.values, rebased + 1)
+                return replace(anew, base_starts=anew.base_starts + max(tried, 1))
         if told is not None:
             return replace(told, base_starts=found.base_starts)
         doubted = found.measured_scale > RULES.guard and not starts
@@ -153,6 +155,9 @@ class _Decision:
         lead = self.moved(lead, able, base)
         if self.accepted(lead, needed):
             return self.named(found, lead)
+        together = None if starts else with_fault(fits, found, lead.singles, lead.best, lead.adequacy, _again)
+        if together is not None:
+            return together
         pairs = fit_pairs(fits, lead.best, lead.adequacy.named, lead.singles, able)
         again = singles_from_pairs(fits, base, lead.singles, pairs)
         if again is not lead.singles:
@@ -265,7 +270,11 @@ class _Decision:
         if self.fits.settings.budget > 0 and led_astray(found.base, found.base_adequacy):
             with self.fits.allowance.uncharged():
                 found = with_faults(found, restarted_faults(self.fits, found.base, found.faults))
-        told = blamed(self.fits, found, (), None, 0.0) or fault_first(self.fits, found, ())
+        told = (
+            blamed(self.fits, found, (), None, 0.0)
+            or with_fault(self.fits, found, (), None, None, _again)
+            or fault_first(self.fits, found, ())
+        )
         if told is not None:
             return told
         verdict = "none_explains" if found.base_adequacy.p_family <= found.alpha else "misfit_unlocated"
@@ -323,6 +332,9 @@ class _Decision:
             credible=credible, fault=fault, datum=datum, evaluations=self.fits.hypotheses.evaluations,
         )  # fmt: skip
         if done.names_something:
+            singles = [t for t in done.singles if verdict in SEVERAL and t.names[0] in chosen.names]
+            like = ((t.names[0], one.names[0]) for t in singles if (one := mistakable(done, t)) is not None)
+            done = replace(done, mistakable=tuple(like))
             return done.unconfirmed() if done.uncontested else done
         return replace(done, place=told_place(self.fits, done))
 
@@ -372,6 +384,10 @@ class _Decision:
         near = [t for t in credible if t.ln_evidence > credible[0].ln_evidence - RULES.credible]
         distinct = {frozenset(leader[name] for name in t.names) for t in near}
         return tuple(near) if len(distinct) == 1 else ()
+
+
+def _again(fits: Refits, begin: Mapping[str, float]) -> Explanation:
+    return _Decision(fits).explanation({}, begin)
 
 
 def _first(lead: _Lead, pair: CandidateFit) -> list[CandidateFit]:

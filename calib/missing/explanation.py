@@ -11,6 +11,7 @@ from calib.missing.collinear import Group
 from calib.missing.rules import RULES
 from calib.missing.steps import StepwiseSearch
 from calib.missing.suspect import COLUMNS
+from calib.problem.candidate import Candidate
 
 SEVERAL = ("two_effects", "several_effects")
 """Verdicts that name several effects together."""
@@ -72,6 +73,11 @@ class Explanation:
         Tests of the fault of the verdict ``measurement``, or of one that cannot be told from an effect.
     base_starts : int
         Further points from which the base model was fitted, because it was rejected or pulled.
+    granted : tuple of Candidate
+        Faults of the measurement that the verdict tells beside its effects, or beside its fault: their magnitudes are
+        among the parameters of every fit.
+    mistakable : tuple of (str, str)
+        A fault that is told, and an effect that is nearly collinear with it: in its place it explains about as well.
     steps : StepwiseSearch or None
         The stepwise search for several effects; None where one was enough or where none had strong evidence.
     """
@@ -98,6 +104,8 @@ class Explanation:
     steps: StepwiseSearch | None = None
     place: CandidateFit | None = None
     base_starts: int = 0
+    granted: tuple[Candidate, ...] = ()
+    mistakable: tuple[tuple[str, str], ...] = ()
 
     def ln_bayes(self, candidate_fit: CandidateFit | WrongDatum) -> float:
         """Log Bayes factor of a candidate fit, or of a wrong datum, against the base model."""
@@ -144,6 +152,8 @@ class Explanation:
         """Faults of the verdict ``measurement``, best first: all that explain about as well; empty for another one."""
         if self.verdict != "measurement" or self.fault is None:
             return ()
+        if self.granted:
+            return (self.fault,)
         near = self.fault.ln_evidence - RULES.credible
         return tuple(t for t in self.faults if t.ln_evidence > near and (t is self.fault or not t.implausible))
 
@@ -162,6 +172,18 @@ class Explanation:
         """Effects and measurement faults that explain about as well as the best, in words."""
         fault = () if self.fault is None else self.fault.names
         return (*self.credible, *fault, *(() if self.datum is None else (self.datum.in_words,)))
+
+    @property
+    def last(self) -> CandidateFit:
+        """The fit that the verdict rests on: with what is named, with the fault that is told, or of the base model."""
+        if self.names_something and self.chosen is not None:
+            return self.chosen
+        return self.fault if self.verdict == "measurement" and self.fault is not None else self.base
+
+    @property
+    def faulty(self) -> tuple[tuple[Candidate, CandidateFit], ...]:
+        """Faults of the measurement that the verdict holds for certain, each with the fit that gives its magnitude."""
+        return (*((e, self.last) for e in self.granted), *((t.effects[0], t) for t in self.blamed))
 
     @property
     def singles(self) -> tuple[CandidateFit, ...]:

@@ -168,7 +168,7 @@ def findings(
     added = (
         at_limits,
         correction_offered(found, correctable),
-        "" if found.blamed or found.verdict == "effect" else suspect_sentence(found.suspects),
+        "" if found.faulty or found.verdict == "effect" else suspect_sentence(found.suspects),
         accuracy_sentence(accuracy, found.alpha),
         "" if differing is None else differing.sentence(found.alpha),
         places_sentence(placed),
@@ -246,13 +246,12 @@ def _acting(found: Explanation, tables: Mapping[str, pd.DataFrame]) -> list[tupl
 
 def correction_offered(found: Explanation, correctable: Callable[[str], bool]) -> str:
     """How the data can be corrected for the fault that is named, in words; empty where none is or none can be."""
-    fault = next(iter(found.blamed), None)
-    if fault is None or not correctable(fault.names[0]):
+    told = found.faulty if found.granted else found.faulty[:1]
+    if not told or not all(correctable(fault.name) for fault, _ in told):
         return ""
-    (name,) = fault.names
+    by = ", ".join(f'"{fault.name}" = {one.fit.values[fault.name]:.3g}' for fault, one in told)
     return (
-        f'Or correct what was read, while the files stay as they are: write corrected = {{ "{name}" = '
-        f"{fault.fit.values[name]:.3g} }} under [measurement]."
+        f"Or correct what was read, while the files stay as they are: write corrected = {{ {by} }} under [measurement]."
     )
 
 
@@ -266,7 +265,8 @@ def _confirmed(adapter: Adapter, found: Explanation) -> tuple[Explanation, pd.Da
     stages = {"before": found.base} | ({} if found.chosen is None else {last: found.chosen})
     errors, notes, figures = adapter.errors(stages, found.noise_scale)
     errors = errors[_ERRORS]
-    against = found.names_something and bool(contradicting(errors, last))
+    # Held-out data have the faults of the measurement too, so that they contradict nothing beside them.
+    against = found.names_something and not found.granted and bool(contradicting(errors, last))
     if against and found.verdict == "indistinguishable":
         alternatives = [*found.singles, *([] if found.fault is None else [found.fault])]
         credible = (*found.credible, *(() if found.fault is None else found.fault.names))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 
@@ -61,6 +61,10 @@ class Hypotheses(Labelled, Protocol):
 
     def fit_problem(self, names: tuple[str, ...]) -> FitProblem:
         """The model with the named effects or perturbations added, and the named faults of the measurement."""
+        ...
+
+    def granting(self, faults: tuple[str, ...]) -> Self:
+        """The same with the magnitudes of some faults among the parameters of the base model; they compete no more."""
         ...
 
     def linear_start(self, names: tuple[str, ...], values: Mapping[str, float]) -> dict[str, float] | None:

@@ -62,6 +62,13 @@ class JointHypotheses(JointRows):
             self._fit_problems[key] = JointProblem(problems, {test: self._possible(test) for test in self.parts})
         return self._fit_problems[key]
 
+    def granting(self, faults: tuple[str, ...]) -> JointHypotheses:
+        """The same with the magnitudes of some faults among the parameters of the tests that may have them."""
+        own = {test: tuple(e.name for e in part.faults if e.name in faults) for test, part in self.parts.items()}
+        return JointHypotheses(
+            {test: part.granting(own[test]) if own[test] else part for test, part in self.parts.items()}
+        )
+
     def linear_start(self, names: tuple[str, ...], values: Mapping[str, float]) -> dict[str, float] | None:
         """Values from linear solutions of all tests that have one; None where none has."""
         fit_problem = self.fit_problem(names)

@@ -156,6 +156,8 @@ class LinearisedFit:
 
         The pull of a fitted magnitude by its prior is not a misfit that another effect should explain.
         """
+        if not any(name in names for name in self.names):
+            return self
         moved = np.where([name in names for name in self.names], 0.0, self.shift)
         return replace(self, shift=moved)
 

@@ -75,16 +75,16 @@ class LocalPerturbation:
         return f"{self.effect.part}, about {100 * abs(self.value):.0f} % {word} [{low:.0f}, {high:.0f}]"
 
 
-def local_perturbation(candidate_fit: CandidateFit) -> LocalPerturbation:
-    """Magnitude and interval of a fitted local perturbation."""
-    (effect,) = candidate_fit.effects
+def local_perturbation(candidate_fit: CandidateFit, of: Candidate | None = None) -> LocalPerturbation:
+    """Magnitude and interval of a fitted local perturbation: the only one of a fit, or the one that is given."""
+    effect = of or candidate_fit.effects[0]
     p, (value, std) = effect.magnitude, candidate_fit.magnitude(effect.name)
     return LocalPerturbation(effect, value, max(value - WIDE * std, p.lower), min(value + WIDE * std, p.upper))
 
 
-def fault_words(candidate_fit: CandidateFit) -> str:
+def fault_words(candidate_fit: CandidateFit, of: Candidate | None = None) -> str:
     """A fitted fault of the measurement in words, such as ``sensor 12y reads 10 % low (95 %: -12 to -8 %)``."""
-    found = local_perturbation(candidate_fit)
+    found = local_perturbation(candidate_fit, of)
     if found.effect.told is None:
         return found.in_words
     unit = found.effect.magnitude.unit

@@ -51,6 +51,8 @@ class Refits:
         Factor on the standard deviation.
     progress : callable
         Receives a description of the current step.
+    granted : tuple of Candidate
+        Faults of the measurement whose magnitudes are among the parameters of the base model.
     allowance : Allowance
         The evaluation budget; other settings or another scale have their own.
     """
@@ -59,12 +61,17 @@ class Refits:
     settings: Settings
     scale: float
     progress: Progress
+    granted: tuple[Candidate, ...] = ()
     allowance: Allowance = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(
             self, "allowance", Allowance(self.hypotheses, self.settings.budget, RULES.beyond * self.settings.budget)
         )
+
+    def with_granted(self, fault: Candidate) -> Refits:
+        """The same with a fault of the measurement in the base model, and a budget of its own."""
+        return replace(self, hypotheses=self.hypotheses.granting((fault.name,)), granted=(*self.granted, fault))
 
     @cached_property
     def by_name(self) -> Mapping[str, Candidate]:
@@ -89,6 +96,7 @@ class Refits:
         def fit_problem(name: str) -> FitProblem:
             return self.fit_problem((*fit.effects, name))
 
+        fit = fit.granting([fault.name for fault in self.granted])
         library = {e.name for e in self.hypotheses.effects}
         effects = [e for e in candidates if e.name in library]
         with self.allowance.uncharged():
@@ -224,7 +232,8 @@ class Refits:
 
     def _candidate_fit(self, names: tuple[str, ...], fit: LinearisedFit) -> CandidateFit:
         effects = tuple(self.by_name[n] for n in names)
-        return CandidateFit(effects, fit, ln_evidence(fit, effects), implausible(fit, effects))
+        added = (*effects, *self.granted)
+        return CandidateFit(effects, fit, ln_evidence(fit, added), implausible(fit, added))
 
     def starts(self, fit: LinearisedFit, found: Scores, name: str) -> list[dict[str, float]]:
         """Starts for the fit of an effect: one step from a fit, for the best points of its grid."""

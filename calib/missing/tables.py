@@ -19,7 +19,7 @@ from calib.missing.local import WIDE, fault_words, local_perturbation
 from calib.missing.plausible import parameter_pulls
 from calib.missing.rules import RULES
 from calib.missing.score import correlation, noise_limit
-from calib.problem.candidate import Candidate
+from calib.problem.candidate import NOWHERE, Candidate
 
 UNTESTED = "not tested: the model fails with it"
 
@@ -166,10 +166,12 @@ def confounding_table(found: Explanation) -> pd.DataFrame:
 
 def pull_table(found: Explanation) -> pd.DataFrame:
     """Pulls of the parameters of the base model and of the model with the chosen effects; see `parameter_pulls`."""
-    parts = [parameter_pulls(found.base.fit).assign(model="base")]
+    parts = [parameter_pulls(found.base.fit, found.granted).assign(model="base")]
     if found.chosen is not None:
         parts.append(
-            parameter_pulls(found.chosen.fit, found.chosen.effects).assign(model=" + ".join(found.chosen.names))
+            parameter_pulls(found.chosen.fit, (*found.chosen.effects, *found.granted)).assign(
+                model=" + ".join(found.chosen.names)
+            )
         )
     table = pd.concat(parts, ignore_index=True)
     return table[["model", *[c for c in table.columns if c != "model"]]]
@@ -225,8 +227,8 @@ def faults_table(found: Explanation, places: Places, candidates: Mapping[str, Ca
     scores = found.base_adequacy.faults
     if scores is None:
         return pd.DataFrame(columns=list(FAULT_COLUMNS))
-    fits, blamed = {t.names[0]: t for t in found.faults}, {t.names[0] for t in found.blamed}
-    rows: list[dict[str, object]] = []
+    fits, blamed = {t.names[0]: t for t in found.faults}, {e.name for e, _ in found.faulty}
+    rows: list[dict[str, object]] = [_granted(found, e) for e in found.granted]
     for k, name in enumerate(scores.owners):
         kind, (x, y, z), sensor = places[name]
         size, p = float(scores.size[k]), candidates[name].magnitude
@@ -247,6 +249,18 @@ def faults_table(found: Explanation, places: Places, candidates: Mapping[str, Ca
     table = pd.DataFrame(rows).assign(limit=noise_limit(scores.magnitude))
     order = np.argsort(-table["score"].abs().to_numpy(dtype=float), kind="stable")
     return table.iloc[order][list(FAULT_COLUMNS)].reset_index(drop=True)
+
+
+def _granted(found: Explanation, fault: Candidate) -> dict[str, object]:
+    """Row of a fault whose magnitude is among the parameters; its score is that of the fitted magnitude."""
+    value, std = found.last.magnitude(fault.name)
+    change, (x, y, z) = local_perturbation(found.last, fault), getattr(fault, "place", NOWHERE)
+    return {
+        "fault": fault.name, "kind": getattr(fault, "kind", ""), "sensor": getattr(fault, "sensor", ""),
+        "x": x, "y": y, "z": z, "unit": fault.magnitude.unit, "score": value / std, "unabsorbed": math.nan,
+        "magnitude": value, "low": change.low, "high": change.high, "magnitude_min": RULES.detectable * std,
+        "ln_bayes": math.nan, "fitted": True, "blamed": True, "told": fault_words(found.last, fault),
+    }  # fmt: skip
 
 
 def perturbations_table(found: Explanation, places: Places) -> pd.DataFrame:

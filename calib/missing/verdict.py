@@ -23,6 +23,8 @@ from calib.missing.verdict_words import (
     WORST,
     VerdictWords,
     as_it_is,
+    beside_faults,
+    check_faults,
     collinear,
     effect_words,
     family,
@@ -164,11 +166,10 @@ def verdict_of(
     sure += supposed
     if (found.names_something and not found.remains) or found.verdict == "nothing_detectable":
         doubts = NO_DOUBTS  # with a gross error in them the data would not fit
-    headline = " ".join((*doubts.sentences, words.found))
+    headline = " ".join(filter(None, (*doubts.sentences, words.found, beside_faults(found))))
     check = f"Check first: {'; '.join(doubts.checks)}." if doubts.checks else ""
-    answer = Answer(
-        headline, *(" ".join(filter(None, some)) for some in (sure, (check, words.then, pointed, short)))
-    )  # fmt: skip
+    then = (check, words.then, check_faults(found), pointed, short)
+    answer = Answer(headline, *(" ".join(filter(None, some)) for some in (sure, then)))
     return Verdict(answer, tuple(filter(None, (answer.found, answer.sure, words.then, pointed, *support))))
 
 

@@ -75,12 +75,16 @@ def near_limit(found: Explanation, effects: pd.DataFrame) -> tuple[str, ...]:
 
 def misfit_words(found: Explanation) -> str:
     """How improbable the misfit of the base model would be if nothing were missing."""
-    return f"If nothing were missing: {family(found)}."
+    return f"{_if_nothing(found)}: {family(found)}."
 
 
 def misfit_in_short(found: Explanation) -> str:
     """The same for the summary."""
-    return f"If nothing were missing: {family_in_short(found)}."
+    return f"{_if_nothing(found)}: {family_in_short(found)}."
+
+
+def _if_nothing(found: Explanation) -> str:
+    return "If only the measurement were wrong so" if found.granted else "If nothing were missing"
 
 
 def family_in_short(found: Explanation) -> str:
@@ -275,7 +279,9 @@ def _counts(found: Explanation) -> tuple[int, int, int]:
 
 
 def on_measurement(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
-    """A fault of the measurement is named: which, how sure that is, what to check."""
+    """A fault of the measurement is named, or several are: which, how sure that is, what to check."""
+    if found.granted:
+        return _faults_together(found)
     assert found.fault is not None and found.fault_adequacy is not None
     (e,) = found.fault.effects
     first, *others = [fault_words(t) for t in found.blamed] or [fault_words(found.fault)]
@@ -305,6 +311,46 @@ def on_measurement(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
             f"has {p_words(after.p_fit)}.",
             f"It takes for granted: {with_full_stop(e.lacks)}",
         ),
+    )
+
+
+def _faults_together(found: Explanation) -> VerdictWords:
+    """Several faults of the measurement, or one that is needed beside others, with nothing left over."""
+    phrases = [fault_words(one, fault) for fault, one in found.faulty]
+    checks = " ".join(dict.fromkeys(with_full_stop(fault.look_for) for fault, _ in found.faulty))
+    after = found.base_adequacy if found.fault is None else found.fault_adequacy
+    assert after is not None
+    them = "it" if len(phrases) == 1 else "them"
+    return VerdictWords(
+        f"The measurement is what does not fit: {'; and '.join(phrases)}. {instead_of_faults(found)}".strip(),
+        f"Each is needed beside the others. {fit_in_short(after, found.alpha, them)}",
+        f"{checks} Correct the measurement, or take it out, before the model is changed; nothing is added to it.",
+        (misfit_words(found),),
+    )
+
+
+def beside_faults(found: Explanation) -> str:
+    """Faults of the measurement that are told beside effects, or that may be in the place of one; empty without any."""
+    if not found.names_something:
+        return ""
+    if not found.granted:
+        return instead_of_faults(found)
+    phrases = "; and ".join(fault_words(found.last, fault) for fault in found.granted)
+    return f"The measurement does not fit either: {phrases}. {instead_of_faults(found)}".strip()
+
+
+def check_faults(found: Explanation) -> str:
+    """What to check of the measurement, for the faults that are told beside effects; empty without any."""
+    if not (found.granted and found.names_something):
+        return ""
+    return " ".join(dict.fromkeys(with_full_stop(fault.look_for) for fault in found.granted))
+
+
+def instead_of_faults(found: Explanation) -> str:
+    """Effects that explain about as well in the place of a fault that is told, or the reverse, in words."""
+    return " ".join(
+        f"In the place of {one}, {other} explains about as well: these data cannot tell which."
+        for one, other in found.mistakable
     )
 
 

@@ -15,7 +15,7 @@ from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
 from calib.missing.rules import RULES
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter, ParameterSpace
-from tests.missing.verdict_cases import every_verdict
+from tests.missing.verdict_cases import dressed, every_verdict
 
 
 @dataclass(frozen=True)
@@ -93,6 +93,11 @@ class Toy:
         known = {e.name: e for e in (*self.effects, *self.perturbations, *self.faults)}
         more = tuple(p for n in names for p in known[n].parameters)
         return ToyProblem(self, ParameterSpace(self.base.parameters + more, self.base.constraints))
+
+    def granting(self, faults: tuple[str, ...]) -> Toy:
+        more = tuple(p for e in self.faults if e.name in faults for p in e.parameters)
+        base = ParameterSpace(self.base.parameters + more, self.base.constraints)
+        return replace(self, base=base, faults=tuple(e for e in self.faults if e.name not in faults), count=self.count)
 
     def unpaired(self, names: tuple[str, ...], values: Mapping[str, float]) -> frozenset[str]:
         return frozenset()
@@ -237,6 +242,28 @@ def toy() -> Callable[..., Toy]:
             sd=np.ones(n),
             curvature=curvature,
         )
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def faulty(toy: Callable[..., Toy]) -> Callable[..., Toy]:
+    """A toy whose measurement may have the faults F0.. of random local directions."""
+
+    def make(number: int = 6, kind: str = "gain", **more: int) -> Toy:
+        made = toy(effects=4, perturbations=6, **more)
+        rng = np.random.default_rng(7)
+        modes = np.array([row.mode for row in made.rows])
+        columns, faults = dict[str, np.ndarray](), list[Effect]()
+        for k in range(number):
+            column = rng.standard_normal(len(made.rows)) * np.where(np.isin(modes, [f"M{k}", f"M{k + 1}"]), 1.0, 0.1)
+            columns[f"F{k}"] = 8.0 * column / np.linalg.norm(column)
+            one = effect(f"F{k}", signed=True)
+            look = replace(one, look_for="Check its mounting.")
+            object.__setattr__(look, "of_measurement", True)
+            object.__setattr__(look, "kind", kind)
+            faults.append(look)
+        return dressed(replace(made, columns={**made.columns, **columns}, faults=tuple(faults)))
 
     return make
 

@@ -9,32 +9,10 @@ from calib.missing.decision import decide
 from calib.missing.tables import effects_table
 from calib.missing.verdict import Doubts, verdict_of
 from tests.missing.test_restarts import TRUTH, turning
-from tests.missing.verdict_cases import dressed, errors, text_of
+from tests.missing.verdict_cases import errors, text_of
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 CANNOT = "Model or measurement is wrong, and these data cannot tell which"
-
-
-@pytest.fixture
-def faulty(toy, make_effect):
-    """A toy whose measurement may have the faults F0.. of random local directions."""
-
-    def make(number=6, kind="gain", **more):
-        made = toy(effects=4, perturbations=6, **more)
-        rng = np.random.default_rng(7)
-        modes = np.array([row.mode for row in made.rows])
-        columns, faults = {}, []
-        for k in range(number):
-            column = rng.standard_normal(len(made.rows)) * np.where(np.isin(modes, [f"M{k}", f"M{k + 1}"]), 1.0, 0.1)
-            columns[f"F{k}"] = 8.0 * column / np.linalg.norm(column)
-            one = make_effect(f"F{k}", signed=True)
-            look = replace(one, look_for="Check its mounting.")
-            object.__setattr__(look, "of_measurement", True)
-            object.__setattr__(look, "kind", kind)
-            faults.append(look)
-        return dressed(replace(made, columns={**made.columns, **columns}, faults=tuple(faults)))
-
-    return make
 
 
 def beside(made, seed=3):

@@ -1,0 +1,105 @@
+"""Effects and faults of the measurement together: a fault that stands out is granted, and all is decided anew."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.missing.blame import alike, outweighs
+from calib.missing.candidate_fit import AdequacyTests, CandidateFit
+from calib.missing.explanation import NAMED, Explanation
+from calib.missing.place import takes_enough
+from calib.missing.plausible import limit_of
+from calib.missing.refits import Refits
+from calib.missing.rules import RULES
+from calib.missing.score import Scores
+from calib.problem.candidate import Candidate
+
+Again = Callable[[Refits, Mapping[str, float]], Explanation]
+"""The decision with other hypotheses, from given values of the base model."""
+
+
+def with_fault(
+    fits: Refits,
+    found: Explanation,
+    singles: Sequence[CandidateFit],
+    best: CandidateFit | None,
+    tests: AdequacyTests | None,
+    again: Again,
+) -> Explanation | None:
+    """Explanation with one more fault of the measurement among the parameters of the base model; None without one.
+
+    A fault is granted in one of two cases: it beats every effect by 20:1 and takes a share of the misfit
+    (`DecisionRules.least_share`), so that it comes before them; or, beside the best effect, it is predicted to explain
+    more of what is left than any further effect, by 20:1, and enough for so many faults. The decision is then taken
+    anew with the fault in the base model, which may grant a further one, up to `DecisionRules.most_effects`. Its answer
+    counts if it leaves nothing over, and if every fault that was granted is needed in it.
+
+    Parameters
+    ----------
+    fits : Refits
+    found : Explanation
+        So far, with its competing explanations.
+    singles : sequence of CandidateFit
+        Fits of single effects.
+    best : CandidateFit or None
+        The leading effect; None without any.
+    tests : AdequacyTests or None
+        Of its fit.
+    again : callable
+    """
+    if len(fits.granted) >= RULES.most_effects or not fits.hypotheses.faults:
+        return None
+    taken = _first(fits, found, best) or (None if best is None or tests is None else _beside(fits, best, tests))
+    if taken is None:
+        return None
+    fault, values = taken
+    fits.announce(f"deciding with {fault.title}")
+    granting = fits.with_granted(fault)
+    told = again(granting, {name: value for name, value in values.items() if name in granting.fit_problem(()).space})
+    if told.verdict == "nothing_detectable":
+        told = replace(told, verdict="measurement")
+    explains = told.verdict in (*NAMED, "indistinguishable") or (told.verdict == "measurement" and not told.remains)
+    if not explains or not _needed(fits, told, fault):
+        return None
+    alone = next((t for t in found.faults if t.names == (fault.name,)), None)
+    like = () if alone is None else tuple(t.names[0] for t in singles if not t.implausible and alike(found, alone, t))
+    return replace(told, mistakable=(*((fault.name, name) for name in like), *told.mistakable))
+
+
+def _first(fits: Refits, found: Explanation, best: CandidateFit | None) -> tuple[Candidate, Mapping[str, float]] | None:
+    """A fault that comes before every effect, with the values of its fit."""
+    fault = found.fault
+    if fault is None or not takes_enough(found, fault) or not outweighs(fits, found, best, RULES.credible):
+        return None
+    (one,) = fault.effects
+    return None if limit_of(fault.fit, one.magnitude) is not None else (one, fault.fit.values)
+
+
+def _beside(fits: Refits, best: CandidateFit, tests: AdequacyTests) -> tuple[Candidate, Mapping[str, float]] | None:
+    """The fault that explains most of what an effect leaves, with the values after one step from its fit."""
+    faults = tests.faults
+    if faults is None or not faults.owners:
+        return None
+    k = int(np.argmax(faults.magnitude))
+    gain = float(faults.magnitude[k]) ** 2 / 2
+    others = max(_largest(tests.named), _largest(tests.perturbations)) ** 2 / 2
+    if gain <= 2 * RULES.credible + math.log(len(faults.owners)) or gain < others + RULES.credible:
+        return None
+    name = faults.owners[k]
+    return fits.by_name[name], fits.starts(best.fit, faults, name)[0]
+
+
+def _largest(scores: Scores) -> float:
+    return max(float(scores.magnitude.max(initial=0.0)), 0.0)
+
+
+def _needed(fits: Refits, told: Explanation, fault: Candidate) -> bool:
+    """Whether the magnitude of a granted fault is significant among so many in the fit that the verdict rests on."""
+    fit = told.last.fit
+    k = fit.names.index(fault.name)
+    size = abs(fit.values[fault.name]) / math.sqrt(float(fit.covariance[k, k]))
+    return size**2 / 2 > RULES.credible + math.log(len(fits.hypotheses.faults))
