@@ -14,6 +14,7 @@ from calib.analyses.compare import comparison_at
 from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.hypotheses_of_study import adapter_of, perturbations_of
+from calib.analyses.intervals import calibrated_values
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.state import ADDED, EXPLAINED, PROPOSED
 from calib.analyses.uncertain import uncertain_note, with_uncertain
@@ -74,7 +75,8 @@ def explain(
         When there are too few measured data.
     """
     tests = study.studies
-    adapter, answer = explanation_of(study, progress, {one.test: homes.get(one.test, results) for one in tests})
+    of_test = {one.test: homes.get(one.test, results) for one in tests}
+    adapter, answer = explanation_of(study, progress, of_test, stored_calibration(study, results))
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
     of_all = {name: table for name, table in answer.tables.items() if TEST not in table or name in (BY_TEST, BETWEEN)}
     parts, whole = by_test(adapter, answer), replace(answer, tables=of_all)
@@ -86,9 +88,15 @@ def explain(
 
 
 def explanation_of(
-    study: AnyStudy, progress: Progress = silent, homes: Mapping[str, Results] = MappingProxyType({})
+    study: AnyStudy,
+    progress: Progress = silent,
+    homes: Mapping[str, Results] = MappingProxyType({}),
+    begin: Mapping[str, float] | None = None,
 ) -> tuple[Adapter, ExplanationResult]:
-    """The same without writing anything, with the adapter that it rests on; a study in memory has no ``homes``."""
+    """The same without writing anything, with the adapter that it rests on; a study in memory has no ``homes``.
+
+    ``begin`` are the values of a calibration, from which the fit of the model as it is begins.
+    """
     tests = study.studies
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
     if any(one.measured is not None for one in tests):
@@ -96,7 +104,7 @@ def explanation_of(
     started, mesh_sd = time.perf_counter(), study.settings.explain.mesh_sd
     adapter = adapter_for(study, None, progress, homes)
     answer = explain_tests(
-        adapter, study.settings.explain, study.file, started, mesh_words(mesh_sd), progress, doubts_of(tests)
+        adapter, study.settings.explain, study.file, started, mesh_words(mesh_sd), progress, doubts_of(tests), begin
     )  # fmt: skip
     taken = dict.fromkeys(note for one in tests for note in uncertain_note(one))
     adapter = granting(adapter, answer.explanation)
@@ -104,6 +112,14 @@ def explanation_of(
     fits = explained_fits(study, answer.explanation, answer.richer)
     tables, notes = answer.tables | {TABLE: fits}, (*answer.notes, *taken)
     return adapter, replace(answer, tables=tables, notes=notes, figures=figures)
+
+
+def stored_calibration(study: AnyStudy, results: Results) -> dict[str, float] | None:
+    """Values of the calibration of the study as it is, from its results; None without one."""
+    try:
+        return calibrated_values(study, results)
+    except InputError:
+        return None
 
 
 def adapter_for(study: AnyStudy, results: Results | None, progress: Progress, homes: Mapping[str, Results]) -> Adapter:
@@ -172,9 +188,10 @@ def explain_tests(
     supposed: Sequence[str] = (),
     progress: Progress = silent,
     doubts: Doubts = NO_DOUBTS,
+    begin: Mapping[str, float] | None = None,
 ) -> ExplanationResult:
     """The decision about tests with its findings, whoever asks; arguments as in `decision` and `findings`."""
-    decided = decision(adapter, settings, place, progress)
+    decided = decision(adapter, settings, place, progress, begin)
     adapter = granting(adapter, decided)
     answer = findings(adapter, decided, started, supposed, correctable, progress, doubts)
     failures = reasons(adapter.failed())[:SHOWN]
@@ -187,11 +204,15 @@ def granting(adapter: Adapter, found: Explanation) -> Adapter:
 
 
 def decision(
-    adapter: Adapter, requested: ExplainSettings, place: str | Path, progress: Progress = silent
+    adapter: Adapter,
+    requested: ExplainSettings,
+    place: str | Path,
+    progress: Progress = silent,
+    begin: Mapping[str, float] | None = None,
 ) -> Explanation:
     """The decision with the settings of a study; InputError, with the study's place, where no model can be fitted."""
     settings = Settings(
-        requested.alpha, requested.refits, requested.merge, requested.seed, adapter.budget_of_fits
+        requested.alpha, requested.refits, requested.merge, requested.seed, adapter.budget_of_fits, begin
     )  # fmt: skip
     try:
         return engine.decide(adapter.hypotheses, settings, progress)

@@ -227,7 +227,7 @@ def intervals(
     InputError
         Where the study is not calibrated as it is now.
     """
-    found = intervals_at(study, _calibrated_values(study, results), run)
+    found = intervals_at(study, calibrated_values(study, results), run)
     begin_analysis(results, "intervals")
     results.remove(*INTERVALS)
     results.write_table("intervals", found.table)
@@ -242,8 +242,8 @@ def intervals(
     return found
 
 
-def _calibrated_values(study: AnyStudy, results: Results) -> dict[str, float]:
-    """Values of the best case of the stored calibration."""
+def calibrated_values(study: AnyStudy, results: Results) -> dict[str, float]:
+    """Values of the best case of the stored calibration; InputError where it is missing or of another state."""
     remedy = f"run it first: calib calibrate {shell_argument(study.file)}"
     if not (results.has("summary.json") and results.has("verdicts.csv")):
         raise InputError("the study was not calibrated yet", place=study.file, remedy=remedy)

@@ -169,6 +169,7 @@ def explained(
     finer: Finer,
     reduction: bool | Mapping[str, Any] | None,
     progress: bool,
+    begin: Mapping[str, float] | None = None,
 ) -> Explained[P]:
     """See `calib.api.problem.Problem.explain`."""
     library, models = library_of(problem, effects), [model for model, _ in problem.by_model]
@@ -179,5 +180,5 @@ def explained(
     require_finer_mesh(settings.explain, meshes, problem.pairs)
     study = problem.study(settings, library, meshes)
     with reporting("explain", progress) as step:
-        _, answer = explanation_of(study, step)
+        _, answer = explanation_of(study, step, begin=begin)
     return Explained(problem, library, answer, settings, meshes)

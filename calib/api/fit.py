@@ -185,10 +185,10 @@ class Fit(Displayed, Generic[P]):
         progress: bool = True,
         **keys: Unpack[ExplainKeys],
     ) -> Explained[P]:
-        """See `calib.Problem.explain`."""
+        """See `calib.Problem.explain`; the fit of the models as they are is not repeated: it begins at this one."""
         from calib.api.explained import explained
 
-        return explained(self.problem, effects, keys, finer, reduction, progress)
+        return explained(self.problem, effects, keys, finer, reduction, progress, self.values)
 
     def intervals(
         self,

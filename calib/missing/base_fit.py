@@ -7,24 +7,30 @@ from collections.abc import Mapping
 from calib.errors.errors import EvaluationError
 from calib.inference.starts import Optima
 from calib.missing.candidate_fit import CandidateFit
+from calib.missing.goodness import overall_p
 from calib.missing.linearised_fit import LinearisedFit, nearest_whole
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.problem.sampling import sample
 
 
-def calibrated(fits: Refits, start: Mapping[str, float] | None) -> CandidateFit:
-    """The base model, fitted from a start, or else from the nominal values and from a linear solution, if any.
+def calibrated(fits: Refits, start: Mapping[str, float] | None, only: bool = False) -> CandidateFit:
+    """The base model, fitted from a start, and else from the nominal values and from a linear solution, if any.
 
-    The better fit counts; without a start the most promising integers are tried.
+    The better fit counts. No other start is tried where there is only the given one, or where it leaves an adequate
+    fit, such as that of a calibration; from the nominal values the most promising integers are tried.
     """
     fits.announce("calibrating the base model")
-    fit_problem = fits.fit_problem(())
-    begin = dict(start) if start else nearest_whole(fit_problem, fit_problem.space.values)
-    linear = None if start else fits.hypotheses.linear_start((), begin)
-    starts = [begin] if linear is None else [linear, begin]
-    whole = 0 if fits.spent(RULES.early) else 1
-    return min((fits.candidate_fit((), one, whole) for one in starts), key=lambda found: found.fit.misfit)
+    fit_problem, whole = fits.fit_problem(()), 0 if fits.spent(RULES.early) else 1
+    known = None if start is None else fits.candidate_fit((), {**fit_problem.space.values, **start}, whole)
+    if known is not None:
+        adequate = not known.implausible and overall_p(known.fit, fits.hypotheses) > fits.settings.alpha
+        if only or adequate:
+            return known
+    begin = nearest_whole(fit_problem, fit_problem.space.values)
+    linear = fits.hypotheses.linear_start((), begin)
+    found = [fits.candidate_fit((), one, whole) for one in ([begin] if linear is None else [linear, begin])]
+    return min(found if known is None else [known, *found], key=lambda one: one.fit.misfit)
 
 
 def nested(fits: Refits, base: CandidateFit, larger: CandidateFit | None) -> CandidateFit:

@@ -99,7 +99,8 @@ class _Decision:
             How often a better base fit has made the decision begin again.
         """
         fits, hypotheses, alpha = self.fits, self.fits.hypotheses, self.fits.settings.alpha
-        base = fits.finished(calibrated(fits, starts.get(()) or begin))
+        only = bool(starts) or rebased > 0 or bool(fits.granted)
+        base = fits.finished(calibrated(fits, starts.get(()) or begin, only))
         able, named = self.candidates(base)
         adequacy = adequacy_of(fits, base, named)
         better = base if starts or adequacy.passes(alpha) else fits.finished(fits.beside_whole(base))

@@ -22,8 +22,8 @@ KEYS = {
     "study", "synthetic", "verdict", "sentence", "sentences", "notes", "alpha", "p_family", "p_fit", "credible_set",
     "effects", "chosen", "chosen_values", "adequacy_p", "adequacy_p_family", "adequacy_p_fit", "noise_scale",
     "measured_noise_scale", "local_perturbations", "local_perturbation", "evaluations", "begun_anew",
-    "accuracy", "std_assumed", "accuracy_that_explains", "misfit_at", "measurement_fault", "wrong_datum", "refused",
-    "nearly",
+    "accuracy", "std_assumed", "accuracy_that_explains", "place", "misfit_at", "measurement_fault", "wrong_datum",
+    "refused", "nearly",
     "faults", "blamed", "evaluations_intervals", "evaluations_recommendation", "errors", "seconds",
 }  # fmt: skip
 

@@ -100,6 +100,18 @@ def test_a_second_fit_of_the_base_model_is_told(cases):
     assert "from 3 further points too" in text_of(replace(found, base_starts=3))
 
 
+def test_a_poor_calibration_is_no_better_than_the_nominal_values(toy):
+    """The better of both counts: a search may have ended anywhere."""
+    one = dressed(rippled(toy)).drawn(np.random.default_rng(1), {"P0": 0.2, "P1": 0.2, "P2": 0.1})
+    fits = of(one)
+    poor, good = calibrated(fits, {**one.base.values, "P0": 1.8}, only=True), calibrated(fits, None)
+    assert poor.fit.misfit > good.fit.misfit + 500
+    assert calibrated(fits, {**one.base.values, "P0": 1.8}).fit.misfit == pytest.approx(good.fit.misfit, abs=0.1)
+    counted = one.count[0]
+    again = calibrated(fits, good.fit.values)
+    assert again.fit.misfit == pytest.approx(good.fit.misfit, abs=0.1) and one.count[0] - counted <= 3
+
+
 # -- accuracy that neighbouring values share ---------------------------------------------------------------------------
 
 

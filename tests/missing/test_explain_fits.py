@@ -126,7 +126,7 @@ def test_the_second_best_point_of_a_grid_is_tried_too(toy):
 
 
 def test_fits_start_where_a_linear_model_ends(toy):
-    """Two for the base model, one for each fitted effect, perturbation and refinement, two to see the base is lowest."""
+    """Two for the base model, one for each fitted effect, perturbation and refinement, two to confirm the base."""
     toy = toy().drawn(np.random.default_rng(7), {"E1": 1.5})
     decide(toy)
     assert toy.evaluations <= 8
