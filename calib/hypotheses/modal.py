@@ -224,7 +224,8 @@ def _key(one: CandidateFit) -> _Key:
 
 def _solved(problems: Mapping[tuple[str, ...], ModalProblem], at: tuple[tuple[str, ...], Mapping[str, float]]) -> Modes:
     names, values = at
-    return problems[names].solve(values)
+    problem = problems[names]
+    return problem.solve({name: value for name, value in values.items() if name in problem.model.space})
 
 
 def _named(candidate_fit: CandidateFit) -> str:

@@ -177,7 +177,11 @@ def modal_errors(
     residual = ModalResidual(fitted, floors, faults=tuple(faults))
     found = residual.solve(values, solved)
     vector = residual.of(found) / scale
-    jacobian = residual.slope_of(found, names, residual.derivatives(found, names)) / scale
+    if faults:
+        jacobian = residual.slope(values, names, lambda at: found if dict(at) == dict(values) else residual.solve(at))
+    else:
+        jacobian = residual.slope_of(found, names, residual.derivatives(found, names))
+    jacobian = jacobian / scale
     others = others or none_beside(len(names), len(held_sd))
     modes = [row.mode for row in residual.rows]
     at_limit = [name in active for name in names]

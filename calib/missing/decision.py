@@ -18,6 +18,7 @@ from calib.missing.effect_pairs import fit_pairs, no_worse, singles_from_pairs
 from calib.missing.explanation import SEVERAL, Explanation
 from calib.missing.granted import with_fault
 from calib.missing.hypotheses import Hypotheses
+from calib.missing.partial import minor_beside, minor_of
 from calib.missing.place import takes_enough, told_place
 from calib.missing.refits import Refits, near_to
 from calib.missing.restarts import led_astray, restarted, restarted_faults
@@ -227,7 +228,7 @@ class _Decision:
         needed = max(lead.singles[0].ln_evidence + second, self.unlike_effects(found))
         pairs = self.fits.settled(pairs, RULES.credible)
         pair = self.pair(pairs, needed, found.groups)
-        if not pair:
+        if not pair or minor_beside(found, lead.singles, pair[0]):
             return None
         adequacy = adequacy_of(self.fits, pair[0], beside(self.fits, pair[0], able))
         if not (adequate(self.fits, adequacy) and predicts(self.fits, pair[0], found.base)):
@@ -252,7 +253,7 @@ class _Decision:
     def several(self, found: Explanation, lead: _Lead, pairs: Sequence[CandidateFit] = ()) -> Explanation | None:
         """Explanation by the effects of a stepwise search, with those as good in their place; None without."""
         steps = found.steps
-        if steps is None or not steps.explains:
+        if steps is None or not steps.explains or minor_beside(found, lead.singles, steps.last.candidate_fit):
             return None
         last = steps.last
         if last.candidate_fit.ln_evidence <= self.unlike_effects(found):
@@ -292,6 +293,7 @@ class _Decision:
         strong = lead.best.ln_evidence > needed and not lead.best.implausible and takes_enough(found, lead.best)
         if strong and lead.adequacy.p_family <= alpha:
             verdict = "partial"
+            found = replace(found, minor=minor_of(found, lead.singles, pairs[:1]))
         elif found.base_adequacy.p_family > alpha:
             verdict = "misfit_unlocated"  # a bad fit in which nothing stands out is not a systematic misfit
         return self.done(found, (*lead.singles, *pairs), verdict, lead.best, lead.adequacy)

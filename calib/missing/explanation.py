@@ -78,6 +78,9 @@ class Explanation:
         among the parameters of every fit.
     mistakable : tuple of (str, str)
         A fault that is told, and an effect that is nearly collinear with it: in its place it explains about as well.
+    minor : tuple of str
+        Further effects that would leave nothing over beside the chosen one, too small to be named; see
+        `calib.missing.partial.minor_beside`.
     steps : StepwiseSearch or None
         The stepwise search for several effects; None where one was enough or where none had strong evidence.
     """
@@ -106,6 +109,7 @@ class Explanation:
     base_starts: int = 0
     granted: tuple[Candidate, ...] = ()
     mistakable: tuple[tuple[str, str], ...] = ()
+    minor: tuple[str, ...] = ()
 
     def ln_bayes(self, candidate_fit: CandidateFit | WrongDatum) -> float:
         """Log Bayes factor of a candidate fit, or of a wrong datum, against the base model."""

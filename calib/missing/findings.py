@@ -144,8 +144,10 @@ def findings(
     # Evaluations for intervals and recommendation are counted apart from those of the decision.
     recommended = adapter.hypotheses.evaluations
     progress("discretisation error")
-    discretisation = adapter.discretisation_error(found)
+    discretisation = None if found.granted else adapter.discretisation_error(found)  # once the data are corrected
     detailed = detailed_fits(adapter, found, progress)
+    if found.granted:
+        notes = ["Held-out data are compared as they were measured, with the faults that are told.", *notes]
     notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *notes]
     facts, places, labels = adapter.facts, adapter.places(), adapter.labels()
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
@@ -282,7 +284,8 @@ def _next(
     adapter: Adapter, found: Explanation, effects: pd.DataFrame, progress: Progress
 ) -> tuple[pd.DataFrame, Recommendation | None]:
     """The recommended next measurement, as a table and in words."""
-    design = adapter.design(found, progress)
+    # A measurement with faults is corrected first: what to measure beside it is asked of the corrected one.
+    design = None if found.granted else adapter.design(found, progress)
     if design is None:
         return pd.DataFrame(columns=list(RECOMMENDATION_COLUMNS)), None
     table = recommend(design)

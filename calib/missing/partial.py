@@ -21,15 +21,48 @@ def is_simpler_form(found: Explanation) -> bool:
     """Whether a partial explanation is that of an effect which the library lists in a simpler form than the real one.
 
     It is far ahead (`is_far_ahead`), and nothing further is predicted to lower the sum of squares by more than
-    `DecisionRules.little` of what it did.
+    `DecisionRules.little` of what it did, or what does is minor beside it (`minor_beside`).
     """
     best, adequacy = found.chosen, found.chosen_adequacy
     if found.verdict != "partial" or best is None or adequacy is None or not is_far_ahead(found):
         return False
+    if found.minor:
+        return True
     decrease = found.base.fit.misfit - best.fit.misfit
     return (
         max(_decreases(adequacy.named, adequacy.perturbations, adequacy.faults), default=0.0) < RULES.little * decrease
     )
+
+
+def minor_beside(found: Explanation, singles: Sequence[CandidateFit], together: CandidateFit) -> tuple[str, ...]:
+    """Effects of a fit with several that are minor beside the first of them; empty unless all others are.
+
+    A unit that is built otherwise than the library lists it leaves something, which a further effect of almost no size
+    takes. Minor is an effect that has less than `DecisionRules.minor_size` of its plausible magnitude, while all that
+    are beside the first one gain less than `DecisionRules.minor_gain` of its log evidence.
+
+    Parameters
+    ----------
+    found : Explanation
+    singles : sequence of CandidateFit
+        Fits of single effects.
+    together : CandidateFit
+    """
+    own = [t for t in singles if t.names[0] in together.names]
+    if not own:
+        return ()
+    first = max(own, key=lambda t: t.ln_evidence)
+    if together.ln_evidence - first.ln_evidence >= RULES.minor_gain * found.ln_bayes(first):
+        return ()
+    others = [e for e in together.effects if e.name not in first.names]
+    small = all(abs(together.magnitude(e.name)[0]) < RULES.minor_size * e.plausible for e in others)
+    return tuple(e.name for e in others) if small else ()
+
+
+def minor_of(found: Explanation, singles: Sequence[CandidateFit], pairs: Sequence[CandidateFit]) -> tuple[str, ...]:
+    """The same of a pair that leaves nothing over, or of the end of a stepwise search; empty without either."""
+    ended = () if found.steps is None or not found.steps.explains else (found.steps.last.candidate_fit,)
+    return next((own for t in (*pairs, *ended) if (own := minor_beside(found, singles, t))), ())
 
 
 def is_far_ahead(found: Explanation) -> bool:

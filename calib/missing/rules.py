@@ -96,6 +96,11 @@ class DecisionRules:
     least_share : float
         Least part of the base model's sum of squares that a place which is told takes, and the effect of a partial
         explanation.
+    minor_size : float
+        Part of its plausible magnitude below which a further effect is small.
+    minor_gain : float
+        Part of the log evidence of the first effect below which a further one gains little. One that is small and
+        gains little beside a first is not named: the first has another form than listed.
     most_effects : int
         Effects that a stepwise search may take in.
     further : int
@@ -186,6 +191,8 @@ class DecisionRules:
     leaves: float = 5.0
     little: float = 0.02
     least_share: float = 0.02
+    minor_size: float = 0.25
+    minor_gain: float = 0.3
     most_effects: int = 4
     further: int = 3
     stepped: float = 1.0

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from calib.missing.decision import decide
-from calib.missing.partial import is_simpler_form, remainder_of
+from calib.missing.partial import is_simpler_form, minor_beside, remainder_of
+from tests.missing.verdict_cases import dressed, text_of
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 
@@ -87,3 +88,39 @@ def test_nothing_is_told_where_nothing_is_known_or_for_another_verdict(inside):
     left = remainder_of(found, {}, [], [""] * len(modes))
     assert left.near is None and not left.sentence
     assert remainder_of(replace(found, verdict="none_explains"), places(0.3), [(0.0, 0.0, 0.0)], modes) is None
+
+
+def otherwise(toy, small):
+    """E1 as it is really built, which differs from the listed form by ``small`` of what E2 does."""
+    made = toy(effects=3, perturbations=6)
+    hidden = made.columns["E1"] + small * made.columns["E2"]
+    return dressed(replace(made, columns={**made.columns, "hidden": hidden}))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_second_effect_of_almost_no_size_is_not_named_beside_the_first(toy, seed):
+    """It would leave nothing over; but the first is only built otherwise than listed."""
+    found = decide(otherwise(toy, 0.14).drawn(np.random.default_rng(seed), {"hidden": 5.0}))
+    # By its plausible size of 1 the second stands by itself.
+    assert abs(found.steps.last.candidate_fit.magnitude("E2")[0]) > 0.4
+    assert found.verdict == "two_effects" and found.minor == ()
+    large = replace_size(otherwise(toy, 0.14), "E2", 6.0)
+    found = decide(large.drawn(np.random.default_rng(seed), {"hidden": 5.0}))
+    assert found.verdict == "partial" and found.minor == ("E2",) and is_simpler_form(found)
+    assert found.chosen.names == ("E1",) and found.credible == ()
+    text = text_of(found)
+    assert "something like a lack of E1, but not exactly that" in text and "lack of E2" not in text
+
+
+def replace_size(made, name, size):
+    """The toy with another plausible size of one effect."""
+    changed = tuple(
+        replace(e, magnitude=replace(e.magnitude, upper=50 * size, prior_sd=size)) if e.name == name else e
+        for e in made.effects
+    )
+    return replace(made, effects=changed)
+
+
+def test_two_real_effects_are_named_whatever_the_second_gains(cases):
+    found = cases["two_effects"]
+    assert minor_beside(found, found.singles, found.chosen) == () and found.minor == ()
