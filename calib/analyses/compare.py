@@ -151,6 +151,12 @@ class ComparisonResult:
         lost = unpaired_table(found)
         if lost["looks_rigid"].any():
             out.append(unpaired_sentence(lost, "The model"))
+        if found.modes.groups:
+            close = "; ".join(" and ".join(str(j + 1) for j in group) for group in found.modes.groups)
+            out.append(
+                f"Model modes closer in frequency than the measurement can tell: {close}. Their directions mean "
+                "nothing: they are turned to the measured shapes inside the motion that they span."
+            )
         if found.crossings:
             met = [f"{a} and {b}" for a, b in found.crossings]
             out.append(f"The order of the model modes differs from the measured one: {', '.join(met)} cross.")

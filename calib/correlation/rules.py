@@ -53,6 +53,11 @@ class CompareRules:
         Relative tolerance of such a factor to a known one: a sign, or units.
     gross_order : float
         Most that another order of omega may leave of the disagreement without one, for it to be told.
+    subspace_reach : float
+        Model modes closer than this, in standard deviations of the difference of two measured frequencies, are
+        compared by the subspace that they span.
+    subspace_seen : float
+        Least singular value, over the largest, of a motion of such modes that the sensors see.
     rigid_left : float
         Largest residual power of a rigid-body shape, per remaining degree of freedom; a random shape leaves about 1.
     rigid_spare : int
@@ -99,6 +104,8 @@ class CompareRules:
     gross_frac: float = 0.95
     gross_near: float = 0.05
     gross_order: float = 0.25
+    subspace_reach: float = 2.0
+    subspace_seen: float = 0.1
     rigid_left: float = 0.1
     rigid_spare: int = 3
     corrections_tried: int = 12

@@ -42,6 +42,8 @@ class Modes:
         Real, mass-normalised, for an undamped model; complex for a damped one (displacement part of the state vector,
         ``psi^T (2 lambda M + C) psi = 1``).
     excluded : tuple of ExcludedEigenvalue
+    groups : tuple of tuple of int
+        Modes that were turned inside the subspace that they span, where single directions mean nothing.
     """
 
     natural_freq: np.ndarray
@@ -49,6 +51,7 @@ class Modes:
     damping_ratio: np.ndarray
     shapes: np.ndarray
     excluded: tuple[ExcludedEigenvalue, ...] = ()
+    groups: tuple[tuple[int, ...], ...] = ()
 
     @property
     def n_modes(self) -> int:
@@ -58,9 +61,11 @@ class Modes:
     def subset(self, index: Sequence[int] | np.ndarray) -> Modes:
         """Some of the modes, in the order of the indices; the excluded eigenvalues stay."""
         index = np.asarray(index, dtype=int)
+        place = {int(j): k for k, j in enumerate(index)}
+        groups = (tuple(place[j] for j in group if j in place) for group in self.groups)
         return Modes(
             self.natural_freq[index], self.damped_freq[index], self.damping_ratio[index], self.shapes[:, index],
-            self.excluded,
+            self.excluded, tuple(group for group in groups if len(group) > 1),
         )  # fmt: skip
 
     @property

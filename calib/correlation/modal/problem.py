@@ -16,6 +16,7 @@ from calib.correlation.modal import pairing as pairs
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.order import Costs
 from calib.correlation.modal.pairing import Pairing
+from calib.correlation.modal.subspaces import turned_to_measured
 from calib.correlation.standard_deviations import assumed_deviations, known_std
 from calib.errors.errors import EvaluationError, InputError
 from calib.measurement.mac import mac
@@ -32,7 +33,7 @@ from calib.structure.reduction.reduced import ReducedModel
 RESPONSES = ("natural_freq", "damped_freq", "damping_ratio", "mac", "emac", "margin")
 """Responses of every measured mode, named like ``mac_1B``."""
 
-_DEFINITION = "modal responses 2"
+_DEFINITION = "modal responses 3"
 """Part of the fingerprint; increment it whenever the same modes would give other responses."""
 
 DAMPING_MAX = 0.95
@@ -260,10 +261,11 @@ class ModalProblem:
         complete, count = self._complete(values), self.mode_count
         modes = self.solve(values) if solved is None or solved.n_modes != count else solved
         if modes.n_modes < count:
-            words = f"the model {self.model.name} has only {modes.n_modes} vibration modes, {count} were requested"
-            raise EvaluationError(words)
+            has = f"the model {self.model.name} has only {modes.n_modes} vibration modes"
+            raise EvaluationError(f"{has}, {count} were requested")
         sensor_shapes = self.sensor_rows @ modes.shapes
         if self.measured.has_shapes:
+            modes, sensor_shapes = turned_to_measured(self, complete, modes, sensor_shapes)
             shares = self.energy_shares(complete, modes)
             pairing, mac_matrix, emac_matrix = self.pair(self.measured.shapes, sensor_shapes, shares, modes)
         else:
@@ -283,6 +285,7 @@ class ModalProblem:
         shares: np.ndarray,
         modes: Modes,
         threshold: float | None = None,
+        known: np.ndarray | None = None,
     ) -> tuple[Pairing, np.ndarray, np.ndarray]:
         """Pairs of measured shapes and model modes.
 
@@ -297,13 +300,15 @@ class ModalProblem:
         modes : Modes
         threshold : float, optional
             Instead of the problem's own.
+        known : ndarray (n_measured, n_model), optional
+            Instead of the MAC of single shapes.
 
         Returns
         -------
         pairing : Pairing
         mac, emac : ndarray (n_measured, n_model)
         """
-        mac_matrix = mac(shapes, sensor_shapes)
+        mac_matrix = mac(shapes, sensor_shapes) if known is None else known
         emac_matrix = pairs.emac(mac_matrix, shares)
         pairing = pairs.pair_by_shape(
             mac_matrix,

@@ -27,7 +27,7 @@ from calib.structure.modes import Modes
 _LEAST_RATIO = 1e-6
 """Lower bound of model damping ratios, which keeps their logarithm finite."""
 
-_DEFINITION = "modal residual 1"
+_DEFINITION = "modal residual 2"
 """Part of the fingerprint; increment it whenever the same modes would give another residual or derivative."""
 
 

@@ -194,7 +194,9 @@ def eigen_derivatives(
     as right-hand sides (Nelson 1976; the bordered form after Friswell and Adhikari 2000). The border holds all solved
     eigenvalues within 10 % of the mode's own, conjugates included, so that close modes do not spoil the solution; their
     contribution is added as ``-psi_j (psi_j^T F)/(lambda_i - lambda_j)``. Eigenvalues closer than 1e-7 count as
-    repeated: if a parameter couples them, the shapes have no derivative and the mode is flagged.
+    repeated: if a parameter couples them, the shapes have no derivative and the mode is flagged. Modes that were turned
+    inside a subspace (`Modes.groups`) have the derivatives of their Rayleigh quotients, and of their shapes the part
+    that leaves the subspace.
 
     Undamped modes use ``Z = K - omega^2 M`` and ``phi^T M phi = 1`` in real arithmetic; a damping matrix that is 0 but
     has a derivative adds an imaginary part.
@@ -258,7 +260,7 @@ class _Damped:
         upper = eigenvalues(modes)
         self.eigenvalues = np.concatenate([upper, upper.conj()])
         self.all = np.hstack([modes.shapes, modes.shapes.conj()])
-        self.shape_type = complex
+        self.shape_type, self.groups = complex, modes.groups
 
     def of(self, i: int, without_shape: bool) -> tuple[np.ndarray, np.ndarray, bool]:
         """Derivatives of lambda (n_params,) and psi (n_dof, n_params), and whether the mode is regular."""
@@ -268,10 +270,15 @@ class _Damped:
         near = np.flatnonzero(gap <= NEIGHBOUR * abs(lam))
         near = np.concatenate([[i], near[near != i]])
         group, others = self.all[:, near], self.eigenvalues[near]
-        same = gap[near] <= REPEATED * abs(lam)
+        turned, scale = np.isin(near, _group_of(self.groups, i)), 1.0 + 0j
+        if turned.any():  # a turned shape has its unit norm to first order in the damping only
+            scale = np.sqrt(psi @ (2 * lam * (self.m @ psi) + self.c @ psi))
+            psi, force, group[:, 0] = psi / scale, force / scale, psi / scale
+        same = turned | (gap[near] <= REPEATED * abs(lam))
         group[:, same] = _orthogonal(group[:, same], 2 * lam * self.m + self.c)
         part = group.T @ force
-        regular = not _coupled(part[same], group[:, same], force)
+        free = same & ~(turned & (near != i))
+        regular = not _coupled(part[free], group[:, free], force)
         slope = -part[0]
         if not regular:
             return _mean_slope(group[:, same], self.slopes, lam), np.zeros_like(force), False
@@ -286,7 +293,7 @@ class _Damped:
                 rest -= np.outer(group[:, j], part[j] / (lam - others[j]))
         norm = np.array([psi @ (2 * lam * (dm @ psi) + dc @ psi) for _, dc, dm in self.slopes])
         own = -0.5 * (2 * slope * (psi @ inertia[:, 0]) + norm) - border[:, 0] @ rest
-        return slope, rest + np.outer(psi, own), good
+        return slope, (rest + np.outer(psi, own)) * scale, good
 
 
 class _Undamped:
@@ -295,6 +302,7 @@ class _Undamped:
     def __init__(self, stiffness: Matrix, damping: Matrix, mass: Matrix, slopes: list[Any], modes: Modes):
         self.k, self.m, self.slopes, self.all = stiffness, mass, slopes, modes.shapes
         self.omega = 2 * np.pi * modes.natural_freq
+        self.groups = modes.groups
         self.shape_type: type = complex if any(_has_entries(dc) for _, dc, _ in slopes) else float
 
     def of(self, i: int, without_shape: bool) -> tuple[np.ndarray, np.ndarray, bool]:
@@ -309,8 +317,10 @@ class _Undamped:
         near = np.concatenate([[i], near[near != i]])
         group = self.all[:, near]
         part = group.T @ force
-        same = gap[near] <= REPEATED * omega
-        regular = not _coupled(part[same], group[:, same], force)
+        turned = np.isin(near, _group_of(self.groups, i))
+        same = turned | (gap[near] <= REPEATED * omega)
+        free = same & ~(turned & (near != i))
+        regular = not _coupled(part[free], group[:, free], force)
         # d(omega^2) = phi^T F = -2 lambda dlambda
         slope = 0.5j * part[0] / omega
         if not regular:
@@ -324,6 +334,11 @@ class _Undamped:
                 rest += np.outer(group[:, j], part[j] / (omega**2 - self.omega[near[j]] ** 2))
         own = -0.5 * np.array([phi @ (dm @ phi) for _, _, dm in self.slopes]) - border[:, 0] @ rest
         return slope, rest + np.outer(phi, own), good
+
+
+def _group_of(groups: Sequence[tuple[int, ...]], i: int) -> list[int]:
+    """All modes of the subspace in which a mode was turned; none for a single one."""
+    return next((list(group) for group in groups if i in group), [])
 
 
 def _small_as_dense(matrix: Matrix) -> Matrix:
