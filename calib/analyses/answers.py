@@ -202,8 +202,8 @@ def _next(
 
 
 def _change(before: _Compared, after: _Compared) -> str:
-    label = "mean error" if before.comparison is None else "mean frequency error"
-    words = f"{label} {100 * before.mean_freq_error:.2f} % -> {100 * after.mean_freq_error:.2f} %"
+    label, basis = ("mean error", "") if before.comparison is None else ("mean frequency error", " (|lambda|/2pi)")
+    words = f"{label} {100 * before.mean_freq_error:.2f} % -> {100 * after.mean_freq_error:.2f} %{basis}"
     if not math.isnan(after.mean_mac):
         allowed = "" if np.isnan(after.noise_mac) else f" (noise allows {after.noise_mac:.3f})"
         words += (

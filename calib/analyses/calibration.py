@@ -199,7 +199,10 @@ class JointCalibration:
         out = [*self.doubts, *self.any.parameter_sentences, *self.any.case_sentences, *self.notes]
         for test, answer in self.tests.items():
             before, after = answer.before.mean_freq_error, answer.best.answer.mean_freq_error
-            out.append(of_test(test, f"mean absolute error {100 * before:.2f} % before, {100 * after:.2f} % after."))
+            of = "" if answer.before.comparison is None else " of natural frequencies (|lambda|/2pi)"
+            out.append(
+                of_test(test, f"mean absolute error{of} {100 * before:.2f} % before, {100 * after:.2f} % after.")
+            )
             out += [of_test(test, words) for words in (*answer.contradictions, *answer.notes)]
         return tuple(out)
 

@@ -48,7 +48,9 @@ def all_stages(study: LoadedStudy, before: Comparison, after: Comparison) -> dic
 
 
 def every_mode(study: LoadedStudy, stages: Mapping[str, Comparison]) -> pd.DataFrame:
-    """Damped frequencies of all measured modes at every stage.
+    """Damped frequencies (``Im lambda/2pi``) of all measured modes at every stage, and their errors.
+
+    The mean frequency error of a calibration is of natural frequencies (``|lambda|/2pi``).
 
     Parameters
     ----------
@@ -77,12 +79,21 @@ def every_mode(study: LoadedStudy, stages: Mapping[str, Comparison]) -> pd.DataF
 
 
 def with_held_out(study: LoadedStudy, used: Comparison) -> Comparison:
-    """A comparison of the used data, with held-out modes paired with the remaining model modes; see `all_stages`."""
+    """A comparison of the used data, with held-out modes paired with the remaining model modes; see `all_stages`.
+
+    MAC, EMAC and margin of used modes stay those of the used sensors, as they are told elsewhere; of held-out modes
+    they are over all sensors.
+    """
     whole = study.whole_problem()
     if whole is None or not study.settings.held_out.modes:
         return used
     solved = used.modes if used.model is whole.model else None
-    return replace(whole, override={**whole.override, **_partners(used)}).compare(used.values, solved)
+    found = replace(whole, override={**whole.override, **_partners(used)}).compare(used.values, solved)
+    own = [found.measured.names.index(name) for name in used.measured.names]
+    criteria = {name: getattr(found.pairing, name).copy() for name in ("mac", "emac", "margin")}
+    for name, values in criteria.items():
+        values[own] = getattr(used.pairing, name)
+    return replace(found, pairing=replace(found.pairing, **criteria))
 
 
 def _partners(used: Comparison) -> Mapping[str, int]:

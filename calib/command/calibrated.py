@@ -157,7 +157,10 @@ def _changes(result: Calibration) -> Iterator[Rows]:
             for r in result.modes.to_dict("records")
         ]
         heads = [f"{kind} {stage}" for kind in ("error", "MAC") for stage in stages]
-        yield Rows.of("Damped frequencies of every measured mode:", ("mode", "measured Hz", *stages, *heads), rows)
+        title = "Damped frequencies (Im lambda/2pi) of every measured mode, and their errors:"
+        if result.modes["held_out"].any():
+            title = title[:-1] + "; MAC over the sensors used, of held-out modes over all:"
+        yield Rows.of(title, ("mode", "measured Hz", *stages, *heads), rows)
     elif result.responses is not None:
         rows = [
             (

@@ -97,7 +97,7 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapp
     ax.margins(x=0.08)
     ax.grid(axis="x")
     ax.tick_params(axis="y", length=0)
-    ax.set_xlabel("error, model − measured (%)")
+    ax.set_xlabel("error of the damped frequency, model − measured (%)")
     # In one column, so that it stays clear of the headings at the right.
     ax.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2)
     return ax

@@ -90,10 +90,10 @@ def _calibrated(results: StudyResults) -> list[tuple[str, str]]:
         compared = results.compared("before")
         if compared is None or not compared["freq_error"].notna().any():
             return []
-        out = [("mean frequency error, nothing fitted", f"{percent(compared['freq_error'].abs().mean())} %")]
+        out = [("mean frequency error (|λ|/2π), nothing fitted", f"{percent(compared['freq_error'].abs().mean())} %")]
         mac = compared["mac"].mean()
         return out if pd.isna(mac) else [*out, ("mean MAC, nothing fitted", fixed(mac, 3))]
-    label = "mean frequency error" if results.kind == "modes" else "mean error"
+    label = "mean frequency error (|λ|/2π)" if results.kind == "modes" else "mean error"
     criterion = "FRAC" if results.kind == "frf" else "MAC"
     errors = [figures[f"mean_freq_error_{stage}"] for stage in ("before", "after")]
     added = results.added if results.added_effects else {}
