@@ -13,10 +13,6 @@ from calib.modal_analysis.rules import RULES
 
 PAIR = "it differs between functions as a mixture of two modes does, which lie closer than their widths"
 """Why a pole is refused that stands for two modes."""
-WIDTH_LINES = 3
-"""Lines within a half-power width that a resonance needs."""
-MODE_LINES = 20
-"""Lines a resonance that a band needs."""
 
 
 def complex_shape(collinearity: float, deviation: float, n_references: int) -> str:
@@ -112,16 +108,16 @@ def none_counts(frfs: MeasuredFRFs, reasons: Sequence[tuple[float, str]]) -> Inp
 def _finer(frfs: MeasuredFRFs) -> str:
     """What a measurement needs in which no pole is stable."""
     found, spacing = frfs.resonances(), float(np.median(np.diff(frfs.freq)))
-    coarse = [one for one in found if one.width < WIDTH_LINES * spacing]
+    coarse = [one for one in found if one.width < RULES.width_lines * spacing]
     if coarse:
         return (
-            f"measure with finer lines: at {hz([one.freq for one in coarse])} fewer than {WIDTH_LINES} lie within a "
-            f"half-power width; or {INSTEAD}"
+            f"measure with finer lines: at {hz([one.freq for one in coarse])} fewer than {RULES.width_lines} lie "
+            f"within a half-power width; or {INSTEAD}"
         )
-    if len(frfs.freq) < MODE_LINES * len(found):
+    if len(frfs.freq) < RULES.mode_lines * len(found):
         return (
             f"give a wider band or finer lines: {len(frfs.freq)} lines hold {len(found)} resonances, and each needs "
-            f"{MODE_LINES}; or {INSTEAD}"
+            f"{RULES.mode_lines}; or {INSTEAD}"
         )
     return INSTEAD
 

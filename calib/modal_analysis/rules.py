@@ -41,6 +41,18 @@ class IdentifyRules:
     excess_sure : float
         Standard deviations by which the sum of squared errors around a mode must exceed its expectation to count as
         misfit: one in three million by chance, while a search looks at a few dozen modes.
+    width_lines, mode_lines : int
+        Lines that a resonance needs within its half-power width, and in a band each: where no pole is stable, fewer
+        are told.
+    own_freq_reach, own_damping_reach : float
+        Prior standard deviations of a function's own pole: of its frequency in half half-power widths, of the logarithm
+        of its damping ratio. They keep functions in check that hardly show a mode.
+    own_seen : float
+        Largest standard deviation of a function's own pole, over that of the prior, with which it counts.
+    pair_widths : float
+        Lines around a pair of poles by which it is told from one that moves, in half-power widths to both sides.
+    pair_surely : float
+        Difference of two values of the information criterion that is beyond doubt.
     functions_least : int
         Fewest functions that show a mode by which its scatter between functions is judged.
     scatter_chance : float
@@ -99,6 +111,13 @@ class IdentifyRules:
     compared_lines: int = 5
     excess_most: float = 0.1
     excess_sure: float = 5.0
+    width_lines: int = 3
+    mode_lines: int = 20
+    own_freq_reach: float = 1.0
+    own_damping_reach: float = 0.5
+    own_seen: float = 0.5
+    pair_widths: float = 5.0
+    pair_surely: float = 40.0
     functions_least: int = 3
     scatter_chance: float = 1e4
     scatter_least: float = 1e-3

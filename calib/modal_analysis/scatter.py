@@ -19,17 +19,8 @@ from calib.modal_analysis.rules import RULES
 
 STEPS = 3
 """Gauss-Newton steps of a function's own poles, which lie within their half-power widths."""
-FREQ_REACH, DAMPING_REACH = 1.0, 0.5
-"""Prior standard deviations of a function's own pole: of its frequency in half half-power widths, of the logarithm of
-its damping ratio. They keep functions in check that hardly show a mode."""
-PAIR_WIDTHS = 5.0
-"""Lines around a pair of poles by which they are told from one that moves, in half-power widths to both sides."""
 PAIR_START = 0.3
 """Distance from one pole at which a pair in its place starts, in half half-power widths."""
-CLEARLY = 40.0
-"""Difference of two values of the information criterion beyond doubt."""
-SEEN = 0.5
-"""Largest standard deviation of a function's own pole, over that of the prior, with which it counts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +63,10 @@ def scatter(frfs: MeasuredFRFs, model: ModalFRFModel, n_modes: int) -> Scatter:
     n, start = len(model.poles), _logs(model.poles)
     free = np.concatenate([np.arange(n_modes), n + np.arange(n_modes)])
     ratio = np.exp(start[n : n + n_modes])
-    reach = np.concatenate([FREQ_REACH * ratio, np.full(n_modes, DAMPING_REACH)])
+    reach = np.concatenate([RULES.own_freq_reach * ratio, np.full(n_modes, RULES.own_damping_reach)])
     own = [_own_poles(frfs, one, start, free, reach) for one in functions]
     moved, variance = (np.array(part) for part in zip(*own, strict=True))
-    seen = variance < (SEEN * reach) ** 2
+    seen = variance < (RULES.own_seen * reach) ** 2
     between, mean, std = np.zeros(n_modes), np.zeros(2 * n_modes), _common_std(frfs, model, functions)[free]
     tau = np.zeros(2 * n_modes)
     for k in range(n_modes):
@@ -106,11 +97,13 @@ def scatter(frfs: MeasuredFRFs, model: ModalFRFModel, n_modes: int) -> Scatter:
 
 
 def without_split(frfs: MeasuredFRFs, poles: np.ndarray, lengths: Sequence[int]) -> np.ndarray:
-    """Which stable poles remain when each pair that is one mode, moving between functions, is taken for one.
+    """Which stable poles remain when those that are one mode, moving between functions, are taken for one.
 
-    Of two poles closer than a half-power width the one that is stable at fewer orders is left out on trial. It stays
-    out when the other with a value of its own in each function describes the FRFs better than both by the Bayesian
-    information criterion (Schwarz 1978): each adds about as many parameters.
+    Of poles in a group, each closer than a half-power width to another, those stable at most orders are kept on trial,
+    first one, then more. Their number is right when they, with values of their own in each function, describe the FRFs
+    as well as all of the group by the Bayesian information criterion (Schwarz 1978): poles in a function and further
+    poles with their residues add about as many parameters. For small movements both describe the same; then fewer
+    poles count, and `hidden_pairs` tells whether the others move as much.
 
     Parameters
     ----------
@@ -128,35 +121,24 @@ def without_split(frfs: MeasuredFRFs, poles: np.ndarray, lengths: Sequence[int])
     kept = list(range(len(poles)))
     if len(frfs.functions) < RULES.functions_least:
         return np.array(kept, dtype=int)
-    for one, other in _close_pairs(poles):
-        if one in kept and other in kept:
-            weaker = min((one, other), key=lambda k: lengths[k])
-            window, near = _around(frfs, poles, kept, (one, other))
-            both, single = poles[near], poles[[k for k in near if k != weaker]]
-            if _is_one_mode(window, both, single):
-                kept.remove(weaker)
+    for group in _groups(poles):
+        window, near = _around(frfs, poles, group)
+        ranked = sorted(group, key=lambda k: -lengths[k])
+        for count in range(1, len(group)):
+            single = [k for k in near if k not in ranked[count:]]
+            together = _cost(window, poles[near], False, len(group) - count)
+            if _cost(window, poles[single], True, count) < together + RULES.pair_surely:
+                kept = [k for k in kept if k not in ranked[count:]]
+                break
     return np.array(kept, dtype=int)
-
-
-def _around(
-    frfs: MeasuredFRFs, poles: np.ndarray, kept: Sequence[int], pair: tuple[int, int]
-) -> tuple[MeasuredFRFs, list[int]]:
-    """FRFs around a pair of poles, and the poles there."""
-    size, width = np.abs(poles) / (2 * np.pi), -poles.real / np.pi
-    reach, own = PAIR_WIDTHS * width[list(pair)].max(), size[list(pair)]
-    lines = np.sort(np.abs(frfs.freq - own.mean()))
-    reach = max(reach, float(lines[min(RULES.lines_least, len(lines)) - 1]))
-    low, high = max(own.min() - reach, float(frfs.freq[0])), min(own.max() + reach, float(frfs.freq[-1]))
-    return frfs.in_band(low, high), [k for k in kept if low <= size[k] <= high]
 
 
 def hidden_pairs(frfs: MeasuredFRFs, poles: np.ndarray, between: np.ndarray) -> tuple[int, ...]:
     """Which poles that differ between functions stand for two modes, of which each function holds its own mixture.
 
-    Two common poles in their places then describe the FRFs better than one in each function, by the criterion of
-    `without_split`. Small differences are described equally well by both. Drift and masses move all resonances, though:
-    one that differs `RULES.scatter_alone` times as much as the others do in the median is taken for two modes unless
-    its movement is clearly the better description.
+    Drift and masses move all resonances. One that differs `RULES.scatter_alone` times as much as the others do in the
+    median is taken for two modes unless its movement describes the FRFs clearly better than two common poles; a
+    resonance without others is, where these are clearly the better description.
 
     Parameters
     ----------
@@ -168,39 +150,58 @@ def hidden_pairs(frfs: MeasuredFRFs, poles: np.ndarray, between: np.ndarray) -> 
     """
     found = []
     for k in np.flatnonzero(between > 0).tolist():
-        window, near = _around(frfs, poles, range(len(poles)), (k, k))
-        others = poles[[m for m in near if m != k]]
-        both = poles[k] + 1j * np.array([-1.0, 1.0]) * PAIR_START * abs(poles[k].real)
-        rest = np.delete(np.nan_to_num(between), k)
-        alone = len(rest) > 0 and between[k] > RULES.scatter_alone * np.median(rest)
-        if not _is_one_mode(window, np.append(others, both), poles[near], CLEARLY if alone else 0.0):
+        others = np.delete(np.nan_to_num(between), k)
+        if len(others) and between[k] <= RULES.scatter_alone * np.median(others):
+            continue
+        window, near = _around(frfs, poles, [k])
+        pair = poles[k] + 1j * np.array([-1.0, 1.0]) * PAIR_START * abs(poles[k].real)
+        both = np.append(poles[[m for m in near if m != k]], pair)
+        margin = RULES.pair_surely * (-1 if len(others) else 1)
+        if _cost(window, poles[near], True, 1) > _cost(window, both, False, 1) + margin:
             found.append(k)
     return tuple(found)
 
 
-def _is_one_mode(frfs: MeasuredFRFs, both: np.ndarray, single: np.ndarray, margin: float = 0.0) -> bool:
-    """Whether fewer poles that move between functions describe FRFs better than one more that does not.
+def _groups(poles: np.ndarray) -> list[list[int]]:
+    """Indices of poles that are closer than a half-power width, of the wider, to another of their group."""
+    groups: list[list[int]] = []
+    for k in np.argsort(np.abs(poles)).tolist():
+        near = (
+            group for group in groups
+            if any(abs(abs(poles[k]) - abs(poles[m])) < -2 * min(poles[k].real, poles[m].real) for m in group)
+        )  # fmt: skip
+        if (group := next(near, None)) is None:
+            groups.append([k])
+        else:
+            group.append(k)
+    return [group for group in groups if len(group) > 1]
 
-    ``margin`` is by how much the criterion must be smaller.
+
+def _around(frfs: MeasuredFRFs, poles: np.ndarray, group: Sequence[int]) -> tuple[MeasuredFRFs, list[int]]:
+    """FRFs around a group of poles, and all poles there."""
+    size, width = np.abs(poles) / (2 * np.pi), -poles.real / np.pi
+    own = size[list(group)]
+    lines = np.sort(np.abs(frfs.freq - own.mean()))
+    reach = max(
+        RULES.pair_widths * width[list(group)].max(), float(lines[min(2 * RULES.lines_least, len(lines)) - 1])
+    )  # fmt: skip
+    low, high = max(own.min() - reach, float(frfs.freq[0])), min(own.max() + reach, float(frfs.freq[-1]))
+    return frfs.in_band(low, high), [k for k in range(len(poles)) if low <= size[k] <= high]
+
+
+def _cost(frfs: MeasuredFRFs, poles: np.ndarray, moving: bool, count: int) -> float:
+    """Information criterion of a model with these poles, of which ``count`` are in question.
+
+    They move between functions, or are further common ones with their residues.
     """
-    n, rows = len(frfs.functions), 2 * sum(len(one.lines) for one in frfs.functions)
-    residual, _ = projected(frfs, most_likely_model(frfs, both).poles, weighed(frfs))
-    moving = scatter(frfs, most_likely_model(frfs, single), len(single)).squares
-    # a pole and its residues, against the poles of the other one in each function
-    costs = [
-        rows * np.log(max(squares, 1e-300)) + parameters * np.log(rows)
-        for squares, parameters in ((float(residual @ residual), 2 + 2 * n), (moving, 2 * n))
-    ]
-    return bool(costs[1] < costs[0] - margin)
-
-
-def _close_pairs(poles: np.ndarray) -> list[tuple[int, int]]:
-    """Pairs of poles closer than the half-power width of the wider, closest first."""
-    size, width = np.abs(poles), -2 * poles.real
-    pairs = [
-        (abs(size[i] - size[j]) / max(width[i], width[j]), i, j) for i in range(len(poles)) for j in range(i)
-    ]  # fmt: skip
-    return [(i, j) for apart, i, j in sorted(pairs) if apart < 1]
+    model, n = most_likely_model(frfs, poles), len(frfs.functions)
+    rows = 2 * sum(len(one.lines) for one in frfs.functions)
+    if moving:
+        squares, parameters = scatter(frfs, model, len(poles)).squares, 2 * n * count
+    else:
+        residual, _ = projected(frfs, model.poles, weighed(frfs))
+        squares, parameters = float(residual @ residual), (2 + 2 * n) * count
+    return float(rows * np.log(max(squares, 1e-300)) + parameters * np.log(rows))
 
 
 def _logs(poles: np.ndarray) -> np.ndarray:
