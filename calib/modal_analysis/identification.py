@@ -44,7 +44,7 @@ class Identification:
         functions of one measurement, or from leaving out parts of the one record.
     of : {"FRFs", "records"}
         What they were identified from; of records ``curves`` are half-spectra, in the squared unit a Hz, and an order
-        of ``poles`` is a number of states, not of pole pairs.
+        of ``poles`` is a number of states, two a mode.
     """
 
     modes: MeasuredModes

@@ -28,7 +28,7 @@ from calib.modal_analysis.model import ModalFRFModel, fit_residues, most_likely_
 from calib.modal_analysis.poles import poles_by_order
 from calib.modal_analysis.scatter import hidden_pairs, scatter, without_split
 from calib.modal_analysis.spread import Spread, aligned, both_parts, jackknife
-from calib.modal_analysis.stabilisation import Chain, pole_chains, pole_table, stable
+from calib.modal_analysis.stabilisation import Chain, orders_needed, pole_chains, pole_table, stable, with_accepted
 
 
 def modes_from_frfs(
@@ -83,21 +83,25 @@ def modes_from_frfs(
     """
     if frfs.freq[0] == 0:
         frfs = frfs.in_band(frfs.lowest_freq, float(frfs.freq[-1]))
-    whole = _identified(frfs)
+    whole = _identified(frfs, accept)
     n = len(whole.chains)
     if not n:
         raise none_counts(frfs, [])
     moving = scatter(frfs, whole.model, n)
     checked = adequacy(frfs, replace(whole.model, synthesised=moving.synthesised), n)
     mpc, mpd = phase_collinearity(whole.shapes)
-    pairs = hidden_pairs(frfs, whole.model.poles[:n], moving.between)
+    pairs = hidden_pairs(frfs, whole.model.poles[:n], moving)
+    few = [len(chain.orders) < whole.orders_needed for chain in whole.chains]
     why = [
-        one.refused or (PAIR if k in pairs else "") or complex_shape(mpc[k], mpd[k], len(frfs.references))
+        (f"stable at {len(whole.chains[k].orders)} orders only" if few[k] else "")
+        or one.refused
+        or (PAIR if k in pairs else "")
+        or complex_shape(mpc[k], mpd[k], len(frfs.references))
         for k, one in enumerate(checked)
     ]
     spread = Spread(moving.freq_std, moving.damping_std, _shapes_over_orders(frfs, whole))
     if len(repeats) > 1:
-        over, lacking = _jackknife(frfs, whole, [_in_order(one, frfs) for one in repeats])
+        over, lacking = _jackknife(frfs, whole, [_in_order(one, frfs) for one in repeats], accept)
         spread = _over_repeats(over, spread, [one.residual_std for one in checked])
         why = [
             own or ("not stable when one of the repeats is left out" if k in lacking else "")
@@ -166,6 +170,7 @@ class _Identified:
     model: ModalFRFModel
     shapes: np.ndarray
     rank_one: np.ndarray
+    orders_needed: float
 
     @property
     def natural_freq(self) -> np.ndarray:
@@ -177,12 +182,13 @@ class _Identified:
         return np.asarray(-own.real / np.abs(own))
 
 
-def _identified(frfs: MeasuredFRFs) -> _Identified:
+def _identified(frfs: MeasuredFRFs, accept: Sequence[float] = ()) -> _Identified:
     poles = poles_by_order(frfs)
-    every = pole_chains(frfs, poles)
-    chains = stable(every, len(poles))
+    every, needed = pole_chains(frfs, poles), orders_needed(len(poles))
+    chains = with_accepted(every, stable(every, len(poles)), accept)
     if not chains:
-        return _Identified(every, chains, fit_residues(frfs, np.zeros(0, complex)), np.zeros((0, 0)), np.zeros(0))
+        none = fit_residues(frfs, np.zeros(0, complex))
+        return _Identified(every, chains, none, np.zeros((0, 0)), np.zeros(0), needed)
     starts = np.array([chain.pole for chain in chains])
     left = without_split(frfs, starts, [len(chain.orders) for chain in chains])
     chains, starts = tuple(chains[k] for k in left), starts[left]
@@ -193,7 +199,7 @@ def _identified(frfs: MeasuredFRFs) -> _Identified:
     ranked = np.concatenate([order, np.arange(len(chains), len(model.poles))])
     return _Identified(
         every, tuple(chains[k] for k in order), model.reordered(ranked), shapes[:, order],
-        np.array([rank_one(residues[k])[2] for k in order]),
+        np.array([rank_one(residues[k])[2] for k in order]), needed,
     )  # fmt: skip
 
 
@@ -236,12 +242,14 @@ def _places(repeat: MeasuredFRFs, own: Sequence[Sensor], wanted: Sequence[Sensor
     return np.array([names.index(sensor.name) for sensor in wanted])
 
 
-def _jackknife(frfs: MeasuredFRFs, whole: _Identified, repeats: Sequence[MeasuredFRFs]) -> tuple[Spread, set[int]]:
+def _jackknife(
+    frfs: MeasuredFRFs, whole: _Identified, repeats: Sequence[MeasuredFRFs], accept: Sequence[float]
+) -> tuple[Spread, set[int]]:
     """Standard deviations over the repeats, and the modes that some set of all repeats but one lacks."""
     n, values = len(repeats), np.array([one.values for one in repeats])
     less = float(np.sqrt(n / (n - 1)))
     without = [
-        _identified(replace(frfs, values=np.delete(values, k, axis=0).mean(axis=0), std=frfs.std * less))
+        _identified(replace(frfs, values=np.delete(values, k, axis=0).mean(axis=0), std=frfs.std * less), accept)
         for k in range(n)
     ]
     try:

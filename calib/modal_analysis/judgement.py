@@ -38,7 +38,7 @@ def accepted_modes(
     ----------
     accept : sequence of float
         Natural frequencies, Hz; each is that of the nearest refused mode within its half-power width, or
-        `RULES.accepted_reach` of it.
+        `RULES.accepted_reach` of it. FRFs then also hold poles that are stable at few orders.
     freq, damping : ndarray (n_modes,)
         Hz and ratios of all stable modes.
     why : sequence of str

@@ -121,7 +121,7 @@ class IdentifyRules:
     functions_least: int = 3
     scatter_chance: float = 1e4
     scatter_least: float = 1e-3
-    scatter_alone: float = 5.0
+    scatter_alone: float = 3.0
     mpc_least: float = 0.5
     residual_told: float = 5.0
     accepted_reach: float = 0.01

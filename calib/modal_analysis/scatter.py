@@ -32,6 +32,8 @@ class Scatter:
     between : ndarray (n_modes,)
         Relative standard deviation of the natural frequency between functions, beyond noise; 0 where it is not sure,
         NaN where fewer than `RULES.functions_least` functions show the mode.
+    possible : ndarray (n_modes,)
+        What the same might be, sure or not: the estimate and the noise of one function in quadrature.
     poles : ndarray (n_modes,), complex
         rad/s: the mean over the functions where they differ, else the common pole.
     freq_std, damping_std : ndarray (n_modes,)
@@ -45,6 +47,7 @@ class Scatter:
     """
 
     between: np.ndarray
+    possible: np.ndarray
     poles: np.ndarray
     freq_std: np.ndarray
     damping_std: np.ndarray
@@ -67,14 +70,16 @@ def scatter(frfs: MeasuredFRFs, model: ModalFRFModel, n_modes: int) -> Scatter:
     own = [_own_poles(frfs, one, start, free, reach) for one in functions]
     moved, variance = (np.array(part) for part in zip(*own, strict=True))
     seen = variance < (RULES.own_seen * reach) ** 2
-    between, mean, std = np.zeros(n_modes), np.zeros(2 * n_modes), _common_std(frfs, model, functions)[free]
+    between, possible = np.zeros(n_modes), np.zeros(n_modes)
+    mean, std = np.zeros(2 * n_modes), _common_std(frfs, model, functions)[free]
     tau = np.zeros(2 * n_modes)
     for k in range(n_modes):
         here = np.flatnonzero(seen[:, k])
         if len(here) < RULES.functions_least:
-            between[k] = np.nan
+            between[k] = possible[k] = np.nan
             continue
         found, q = _random_effects(moved[here, k], variance[here, k])
+        possible[k] = np.sqrt(found**2 + np.median(variance[here, k]))
         sure = chi2.sf(q, len(here) - 1) * RULES.scatter_chance < 1 and found > RULES.scatter_least * ratio[k]
         if not sure:
             continue
@@ -92,7 +97,8 @@ def scatter(frfs: MeasuredFRFs, model: ModalFRFModel, n_modes: int) -> Scatter:
     poles = poles_of(shifted)[:n_modes]
     size = np.abs(poles)
     return Scatter(
-        between, poles, std[:n_modes] * size / (2 * np.pi), std[n_modes:] * -poles.real / size, synthesised, squares
+        between, possible, poles, std[:n_modes] * size / (2 * np.pi), std[n_modes:] * -poles.real / size, synthesised,
+        squares,
     )  # fmt: skip
 
 
@@ -133,10 +139,10 @@ def without_split(frfs: MeasuredFRFs, poles: np.ndarray, lengths: Sequence[int])
     return np.array(kept, dtype=int)
 
 
-def hidden_pairs(frfs: MeasuredFRFs, poles: np.ndarray, between: np.ndarray) -> tuple[int, ...]:
+def hidden_pairs(frfs: MeasuredFRFs, poles: np.ndarray, found: Scatter) -> tuple[int, ...]:
     """Which poles that differ between functions stand for two modes, of which each function holds its own mixture.
 
-    Drift and masses move all resonances. One that differs `RULES.scatter_alone` times as much as the others do in the
+    Drift and masses move all resonances. One that differs `RULES.scatter_alone` times as much as the others may in the
     median is taken for two modes unless its movement describes the FRFs clearly better than two common poles; a
     resonance without others is, where these are clearly the better description.
 
@@ -145,21 +151,22 @@ def hidden_pairs(frfs: MeasuredFRFs, poles: np.ndarray, between: np.ndarray) -> 
     frfs : MeasuredFRFs
     poles : ndarray (n_modes,), complex
         rad/s.
-    between : ndarray (n_modes,)
-        See `Scatter`.
+    found : Scatter
+        Of these poles.
     """
-    found = []
-    for k in np.flatnonzero(between > 0).tolist():
-        others = np.delete(np.nan_to_num(between), k)
-        if len(others) and between[k] <= RULES.scatter_alone * np.median(others):
+    pairs = []
+    for k in np.flatnonzero(found.between > 0).tolist():
+        others = np.delete(found.possible, k)
+        others = others[np.isfinite(others)]
+        if len(others) and found.between[k] <= RULES.scatter_alone * np.median(others):
             continue
         window, near = _around(frfs, poles, [k])
         pair = poles[k] + 1j * np.array([-1.0, 1.0]) * PAIR_START * abs(poles[k].real)
         both = np.append(poles[[m for m in near if m != k]], pair)
         margin = RULES.pair_surely * (-1 if len(others) else 1)
         if _cost(window, poles[near], True, 1) > _cost(window, both, False, 1) + margin:
-            found.append(k)
-    return tuple(found)
+            pairs.append(k)
+    return tuple(pairs)
 
 
 def _groups(poles: np.ndarray) -> list[list[int]]:

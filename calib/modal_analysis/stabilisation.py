@@ -105,6 +105,11 @@ def _scores(poles: np.ndarray, residues: np.ndarray, chains: Sequence[Chain], fi
     return np.where(near & (agreement >= RULES.stable_mac), agreement, 0.0)
 
 
+def orders_needed(n_orders: int) -> float:
+    """At how many of all orders a chain counts as a mode."""
+    return max(RULES.orders_least, RULES.orders_share * n_orders)
+
+
 def stable(chains: Sequence[Chain], n_orders: int) -> tuple[Chain, ...]:
     """Chains that count as modes, in ascending frequency.
 
@@ -112,13 +117,36 @@ def stable(chains: Sequence[Chain], n_orders: int) -> tuple[Chain, ...]:
     within a half-power width of each other with residues of a MAC of `RULES.stable_mac` the longer one counts: the
     other is the same mode again.
     """
-    least = max(RULES.orders_least, RULES.orders_share * n_orders)
+    least = orders_needed(n_orders)
     long = sorted((c for c in chains if len(c.orders) >= least), key=lambda c: -len(c.orders))
     kept: list[Chain] = []
     for one in long:
         if not any(_same(one, other) for other in kept):
             kept.append(one)
     return tuple(sorted(kept, key=lambda c: abs(c.pole)))
+
+
+def with_accepted(chains: Sequence[Chain], counted: Sequence[Chain], accept: Sequence[float]) -> tuple[Chain, ...]:
+    """Chains that count, and the longest one near each accepted frequency, Hz, where none of these lies.
+
+    Near is within a half-power width, or `RULES.accepted_reach`.
+    """
+    kept = list(counted)
+    for wanted in accept:
+        near = [c for c in chains if len(c.orders) > 1 and abs(_freq(c) - wanted) <= reach_of(c.pole)]
+        if near and not any(abs(_freq(c) - wanted) <= reach_of(c.pole) for c in kept):
+            kept.append(max(near, key=lambda c: len(c.orders)))
+    return tuple(sorted(kept, key=lambda c: abs(c.pole)))
+
+
+def reach_of(pole: complex) -> float:
+    """How far from a pole, rad/s, an accepted frequency may be, Hz."""
+    size = abs(pole) / (2 * np.pi)
+    return float(max(-pole.real / np.pi, RULES.accepted_reach * size))
+
+
+def _freq(chain: Chain) -> float:
+    return float(abs(chain.pole) / (2 * np.pi))
 
 
 def _same(one: Chain, other: Chain) -> bool:

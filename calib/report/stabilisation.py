@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import string
+import textwrap
+
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
 from calib.report.style import BLUE, GREY, MEASURED, REST, legend_above, new_figure
 from calib.report.svg import hover_points
+
+LETTERS = string.ascii_lowercase
+"""Of refused modes in the picture, which has no room for more."""
+LINE = 110
+"""Characters of a line below the picture."""
 
 
 def stabilisation_figure(
@@ -22,7 +30,8 @@ def stabilisation_figure(
     curves : DataFrame
         Columns ``freq`` (Hz), ``measured`` and ``synthesised``, root mean squares over all functions.
     fit : DataFrame
-        Columns ``mode`` (empty where it was refused) and ``freq`` (Hz) of every stable mode.
+        Columns ``mode`` (empty where it was refused), ``freq`` (Hz), ``refused`` (why) and ``note`` of every stable
+        mode.
     unit : str
         Of the functions.
     of : {"FRFs", "records"}
@@ -32,8 +41,10 @@ def stabilisation_figure(
     -------
     Figure
         Upper panel the orders, lower panel the functions; lines at the modes that count, dashed ones at those refused.
+        What was refused, or accepted although refused, bears a letter, by which the reason stands below.
     """
-    figure = new_figure(5.2)
+    reasons = _reasons(fit)
+    figure = new_figure(5.2 + 0.15 * sum(words.count("\n") + 1 for _, words in reasons))
     orders, functions = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     named = poles["mode"] != ""
     looks = (
@@ -49,15 +60,36 @@ def stabilisation_figure(
     for row in fit.itertuples():
         for ax in (orders, functions):
             ax.axvline(row.freq, color=BLUE if row.mode else GREY, linestyle="-" if row.mode else "--", linewidth=0.6)
+    for letter, (freq, _) in zip(LETTERS, reasons, strict=False):
+        orders.annotate(
+            letter, (freq, 1.0), (4, -3), xycoords=("data", "axes fraction"), textcoords="offset points", va="top",
+            fontsize=9, fontweight="bold", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
+        )  # fmt: skip
     for column, label, colour, line in (
         ("measured", "measured", MEASURED, "-"),
         ("synthesised", "synthesised from the modes", BLUE, "--"),
     ):
         functions.semilogy(curves["freq"], np.maximum(curves[column], 1e-300), line, color=colour, label=label)
-    orders.set_ylabel("order (pole pairs)" if of == "FRFs" else "order (states)")
+    orders.set_ylabel("order (poles)" if of == "FRFs" else "order (states)")
     functions.set_ylabel(f"rms of all {'functions' if of == 'FRFs' else 'half-spectra'} ({unit})")
     functions.set_xlabel("frequency (Hz)")
+    if reasons:
+        below = [f"{letter}  {words}" for letter, (_, words) in zip(LETTERS, reasons, strict=False)]
+        functions.annotate(
+            "\n".join(below), (0.0, 0.0), (0, -34), xycoords="axes fraction", textcoords="offset points", va="top",
+            fontsize=8,
+        )  # fmt: skip
     functions.set_xlim(curves["freq"].iloc[0], curves["freq"].iloc[-1])
     for ax in (orders, functions):
         legend_above(ax)
     return figure
+
+
+def _reasons(fit: pd.DataFrame) -> list[tuple[float, str]]:
+    """Frequency, Hz, and the words of each mode that is refused or bears a note, as many as there are letters."""
+    out = []
+    for row in fit.to_dict("records"):
+        if words := row["refused"] or row["note"]:
+            head = f"{row['freq']:.4g} Hz{' refused' if row['refused'] else ''}"
+            out.append((float(row["freq"]), textwrap.fill(f"{head}: {words}", LINE, subsequent_indent="    ")))
+    return out[: len(LETTERS)]

@@ -52,6 +52,27 @@ def test_the_tables_are_a_measurement_that_calib_reads(chain, tmp_path, capsys):
     assert len(pd.read_csv(into / "modes.csv")) == 2
 
 
+@pytest.mark.slow
+def test_a_refused_mode_is_kept_on_request_and_the_reason_travels(tmp_path, capsys):
+    frfs, _ = WORLDS.pair_test(0.03, 0.1)
+    path = tmp_path / "pair.csv"
+    rows = [
+        f"{f},{r.name},{e.name},{v.real},{v.imag}"
+        for j, e in enumerate(frfs.references) for i, r in enumerate(frfs.responses)
+        for f, v in zip(frfs.freq, frfs.values[:, i, j], strict=True)
+    ]  # fmt: skip
+    path.write_text("\n".join(["# unit: (m/s2)/N", "freq,response,reference,re,im", *rows]), encoding="utf-8")
+    assert asked(path, "--synthetic", "--into", tmp_path / "none") == 2
+    assert asked(path, "--synthetic", "--into", tmp_path / "none", "--accept", "14", "--accept", "7") == 2
+    assert "7 Hz" in capsys.readouterr().err
+    assert asked(path, "--synthetic", "--into", tmp_path / "out", "--accept", "14") == 0
+    said, table = capsys.readouterr().out, pd.read_csv(tmp_path / "out/modes.csv")
+    note = table["note"].dropna().iloc[0]
+    again = calib.read_modes(tmp_path / "out/modes.csv", shapes=tmp_path / "out/shapes.csv", synthetic=True)
+    assert any(note in one for one in again.notes) and "14" in said
+    assert {"mpc", "mpd"} <= set(table.columns) and table["freq_std"].notna().all()
+
+
 def test_results_never_go_where_other_files_are(chain, capsys):
     before = sorted(chain.iterdir())
     assert asked(*chain.glob("repeat_*.uff"), "--into", chain) == 2

@@ -97,8 +97,8 @@ def test_one_pole_of_two_modes_is_told_from_one_that_moves():
     close = measured(true=pair, damping=np.array([0.01, 0.01]), noise=0.001)
     middle = poles(np.array([52.07]), np.array([0.0101]))
     found = scatter(close, most_likely_model(close, middle), 1)
-    assert found.between[0] > 0 and hidden_pairs(close, middle, found.between) == (0,)
-    assert hidden_pairs(measured(moved=1e-3), poles(), scattered(1e-3).between) == ()
+    assert found.between[0] > 0 and hidden_pairs(close, middle, found) == (0,)
+    assert hidden_pairs(measured(moved=1e-3), poles(), scattered(1e-3)) == ()
 
 
 def test_two_functions_tell_no_scatter():

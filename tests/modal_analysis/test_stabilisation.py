@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.modal_analysis.stabilisation import Chain, pole_chains, pole_table, stable
+from calib.modal_analysis.stabilisation import Chain, pole_chains, pole_table, stable, with_accepted
 from calib.study.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -85,3 +85,15 @@ def test_the_table_of_the_diagram_holds_every_pole():
     assert len(table) == 7 and table["mode"].tolist().count(1) == 6
     odd = table[table["freq"] > 20]
     assert not odd["stable"].any() and odd["mode"].tolist() == [0] and odd["damping"].iloc[0] == pytest.approx(0.2)
+
+
+def test_an_accepted_frequency_keeps_the_longest_chain_near_it_where_none_counts():
+    one = np.array([1.0, 2.0]) + 0j
+    chains = [a_chain(pole(f, 0.01), n, one) for f, n in ((10.0, 12), (30.0, 3), (30.1, 2), (50.0, 1))]
+    counted = stable(chains, 12)
+
+    def freqs(*accept):
+        return [round(float(c.natural_freq[0]), 6) for c in with_accepted(chains, counted, accept)]
+
+    assert freqs() == freqs(10.05) == freqs(20.0) == freqs(50.0) == [10.0]
+    assert freqs(30.2) == [10.0, 30.0]
