@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,8 +20,12 @@ SMALLEST_STEP = 1e-8
 """Relative change of poles and of the sum of squares at which `most_likely_model` ends."""
 
 
-BEYOND, BEYOND_DAMPING = 1.1, 0.05
-"""Where the poles outside the band start: over its ends, and their damping ratio."""
+BEYOND = (1.001, 1.005, 1.02, 1.1)
+"""Where the poles outside the band may start: over its ends."""
+BEYOND_DAMPING = 0.05
+"""Their damping ratio, or that of the modes inside."""
+BEYOND_LINES = 300
+"""Lines by which the start is chosen, at least."""
 FARTHEST = 1.0
 """Farthest that they go, as a logarithm: e times the highest line; a series describes what lies beyond."""
 
@@ -98,8 +102,28 @@ def most_likely_model(frfs: MeasuredFRFs, poles: np.ndarray) -> ModalFRFModel:
     ModalModel
         With the poles in the same order, then the two outside the band.
     """
-    ends = 2 * np.pi * np.array([frfs.freq[0] / BEYOND, frfs.freq[-1] * BEYOND])
-    return _refined_model(frfs, np.concatenate([poles, ends * (1j - BEYOND_DAMPING)]), free=len(poles))
+    return _refined_model(frfs, np.concatenate([poles, _beyond(frfs, poles)]), free=len(poles))
+
+
+def _beyond(frfs: MeasuredFRFs, poles: np.ndarray) -> np.ndarray:
+    """The start of the poles outside the band, one below and one above: those that describe the FRFs best.
+
+    A resonance that lies just outside has a start near it, from which alone it is found.
+    """
+    few = slice(None, None, max(len(frfs.freq) // BEYOND_LINES, 1))
+    thin = replace(frfs, freq=frfs.freq[few], values=frfs.values[few], std=frfs.std[few])
+    functions = weighed(thin)
+    inside = float(np.median(-poles.real / np.abs(poles))) if len(poles) else BEYOND_DAMPING
+    tried = [(share, ratio) for share in BEYOND[::-1] for ratio in {BEYOND_DAMPING, inside}]
+    ends = 2 * np.pi * np.array([frfs.freq[0] / BEYOND[-1], frfs.freq[-1] * BEYOND[-1]]) * (1j - BEYOND_DAMPING)
+    for k, (line, sign) in enumerate(((frfs.freq[0], -1), (frfs.freq[-1], 1))):
+        each = [2 * np.pi * line * share**sign * (1j - ratio) for share, ratio in tried]
+        squares = []
+        for one in each:
+            residual, _ = projected(thin, np.concatenate([poles, np.where(np.arange(2) == k, one, ends)]), functions)
+            squares.append(float(residual @ residual))
+        ends[k] = each[int(np.argmin(squares))]
+    return ends
 
 
 def refined_again(frfs: MeasuredFRFs, model: ModalFRFModel, further: complex) -> ModalFRFModel:
