@@ -58,6 +58,7 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "structure/eigenproblem/solve_dense.py": "_SHIFT",
     "structure/elongations.py": "_ELASTIC",
     "structure/mounted.py": "_AT_POINT",
+    "structure/null_space.py": "_SHIFT _MORE",
     "structure/soundness.py": "_ROUNDING",
     "structure/reduction/static_reduction.py": "_SINGULAR _ALIKE",
 }
@@ -75,6 +76,7 @@ ACCURACY = {  # of solutions, reduced bases and differences, which are checked a
     "structure/reduction/growth.py": "SAFETY POD _STATIC _COLUMNS VERIFIED",
     "structure/reduction/mode_target.py": "_NEAR _REFINED",
     "structure/mounted.py": "GROWN_SAG",
+    "structure/null_space.py": "_NAMED",
     "structure/relaxation.py": "BRANCHES _BEYOND _LINES",
     "structure/rubber.py": "_MOST_LOSS",
     "structure/eigenproblem/solve_dense.py": "ACCURACY",

@@ -22,6 +22,7 @@ from calib.structure.energy import strain_energy, strain_energy_shares
 from calib.structure.geometry import DofMap, Locator, Mesh, NodeLocator
 from calib.structure.matrices import DofTable, Terms, affine, require_mass, require_used, two_columns
 from calib.structure.modes import Modes
+from calib.structure.null_space import without_null
 from calib.structure.places import ModelPlace, model_places
 
 
@@ -137,7 +138,9 @@ class StructuralModel(Analytic):
         Each matrix is one (n_dof, n_dof) array, dense or sparse, or a mapping of named ones that add up. A matrix named
         like a parameter is multiplied by it; ``(matrix, "parameter")`` and ``(matrix, {"parameter": power, ...})`` set
         the multiplier explicitly. Values are those of the parameters in SI (N/m for a parameter in kN/m). Of a
-        symmetric matrix one triangle is enough. Mass may be singular and the structure free.
+        symmetric matrix one triangle is enough. Mass may be singular and the structure free. Rows, and motions of
+        several rows, that have neither stiffness nor mass are fixed, and told among the `assumptions`; frequencies do
+        not depend on them.
 
         Parameters
         ----------
@@ -183,6 +186,7 @@ class StructuralModel(Analytic):
         matrices = {kind: matrix for kind, (matrix, _) in read.items()}
         require_used(space, list(matrices.values()), name)
         require_mass(matrices["mass"](space.si(space.values)), table, name)
+        matrices, table, dropped = without_null(matrices, space.si(space.values), table, name)
         place = {label: k for k, label in enumerate(table.labels)}
         segments = two_columns(lines, f"model {name}, lines", "(node, node)")
         ends = [[_index(node, place, name) for node in line] for line in segments]
@@ -200,7 +204,8 @@ class StructuralModel(Analytic):
                 Assumption(f"{kind} {key!r}", "symmetric", "-", "one triangle was given and has been mirrored")
                 for kind, (_, completed) in read.items()
                 for key in completed
-            ),
+            )
+            + tuple(Assumption(item, value, "-", reason) for item, value, reason in dropped),
             labels=table.labels,
             stiffness=matrices["stiffness"],
             damping=matrices["damping"],

@@ -53,6 +53,11 @@ class ModelRules:
         MAC below which a successor is a different mixture of modes: it gives a frequency derivative, but no shape's.
     halvings : int
         Number of times a path with apparent crossings is halved where modes without shapes are tracked.
+    null_pivot : float
+        Pivot of stiffness and mass, scaled to a diagonal of 1, above which no motion without either is looked for.
+    null_force : float
+        Force on such a motion, over that of its entries without their signs, below which it has none: exports have 13
+        digits.
     crossed : float
         Largest 1 - MAC of a crossing accepted at once, over that of the weakest coupling the shortest step resolves.
     """
@@ -78,6 +83,8 @@ class ModelRules:
     smooth: float = 0.9
     halvings: int = 5
     crossed: float = 0.25
+    null_pivot: float = 1e-6
+    null_force: float = 1e-12
 
 
 RULES = ModelRules()

@@ -63,7 +63,7 @@ def test_modes_are_matched_by_name_when_every_repeat_names_them():
     out = combine_repeats([repeat(shapes), turned])
     np.testing.assert_allclose(out.freq_std, 0.0)
     np.testing.assert_allclose(out.shape_std, 0.0, atol=1e-14)
-    unnamed = combine_repeats([repeat(shapes), repeat(shapes, names=("1", "2", "3"), named=False)])
+    unnamed = combine_repeats([repeat(shapes), repeat(2 * shapes, names=("1", "2", "3"), named=False)])
     np.testing.assert_allclose(unnamed.shape_std, 0.0, atol=1e-14)
     assert combine_repeats([repeat(shapes), turned], mode_names=("p", "q", "r")).names == ("p", "q", "r")
 

@@ -55,14 +55,14 @@ def read_modes_csv(path: Path) -> dict[str, Repeat]:
     """
     found: dict[str, dict[str, tuple[float, float, float, float]]] = {}
     notes: dict[str, list[str]] = {}
-    rigid: dict[str, dict[str, float]] = {}
+    rigid: dict[str, dict[str, TableRow]] = {}
     optional = ("freq_std", "damping", "damping_std", "repeat", "mpc", "mpd", "note")
     rows = read_rows(path, ("mode", "freq", "freq_kind"), optional)
     highest = max(abs(row.number("freq")) for row in rows)
     for row in rows:
         name, modes = row.text("mode"), found.setdefault(_label(row), {})
         if is_rigid(row.number("freq"), highest):
-            rigid.setdefault(_label(row), {})[name] = row.number("freq")
+            rigid.setdefault(_label(row), {})[name] = row
             continue
         if name in modes:
             raise row.error("mode", f"mode {name!r} appears twice", "give every mode one line, or one a repeat")
@@ -88,9 +88,13 @@ def read_modes_csv(path: Path) -> dict[str, Repeat]:
     for label, modes in found.items():
         left = rigid.get(label, {})
         source = _source(path, label)
-        words = (Doubt(f"{source}: mode {n} is a rigid-body motion ({f:g} Hz): left out") for n, f in left.items())
+        words = (
+            Doubt(f"{source}: mode {n} is a rigid-body motion ({row.number('freq'):g} Hz): left out")
+            for n, row in left.items()
+        )
         if not modes:
-            raise InputError("it holds rigid-body motions alone", place=source, remedy="give vibrations")
+            row = next(iter(left.values()))
+            raise row.error("freq", "all modes are rigid-body motions", "give at least one vibration in Hz")
         freqs, freq_stds, dampings, damping_stds = np.array(list(modes.values())).T.copy()
         out[label] = Repeat(
             source, tuple(modes), True, freqs, freq_stds, dampings, damping_stds, None,

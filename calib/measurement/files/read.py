@@ -205,12 +205,6 @@ def require_files(paths: Sequence[Path], shapes: Sequence[Path] = ()) -> bool:
     twice = next((path for k, path in enumerate(given) if path.resolve() in [p.resolve() for p in given[:k]]), None)
     if twice is not None:
         raise InputError("the file is given twice", place=twice, remedy="name every repeat once")
-    content: dict[bytes, Path] = {}
-    for path in paths:
-        earlier = content.setdefault(hashlib.sha256(path.read_bytes()).digest(), path)
-        if earlier != path:
-            words = f"it has the content of {earlier}: a copy is no repeat"
-            raise InputError(words, place=path, remedy="leave it out")
     for path in paths:
         if path.suffix.lower() not in (*UFF_SUFFIXES, ".csv"):
             raise InputError(
@@ -220,6 +214,16 @@ def require_files(paths: Sequence[Path], shapes: Sequence[Path] = ()) -> bool:
     if len(kinds) > 1:
         raise InputError("universal files and CSV are mixed", place=paths[0], remedy="give all repeats in one format")
     return kinds.pop()
+
+
+def require_no_copies(paths: Sequence[Path]) -> None:
+    """InputError for a file that has the content of an earlier one under another name."""
+    content: dict[bytes, Path] = {}
+    for path in paths:
+        earlier = content.setdefault(hashlib.sha256(path.read_bytes()).digest(), path)
+        if earlier != path:
+            words = f"it has the content of {earlier}: a copy is no repeat"
+            raise InputError(words, place=path, remedy="leave it out")
 
 
 def _check_arguments(paths: Sequence[Path], shapes: Sequence[Path], repeats: int | None, std_of: str) -> bool:
@@ -242,4 +246,5 @@ def _check_arguments(paths: Sequence[Path], shapes: Sequence[Path], repeats: int
             place=paths[0],
             remedy="leave it out, or give the number behind a single file",
         )
+    require_no_copies(paths)
     return is_uff

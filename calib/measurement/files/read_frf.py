@@ -10,7 +10,7 @@ from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import read_sensor_table
 from calib.measurement.files.csv_frf import read_frfs_csv
-from calib.measurement.files.read import Named, found_files, require_files
+from calib.measurement.files.read import Named, found_files, require_files, require_no_copies
 from calib.measurement.files.uff_frf import read_uff_frfs
 from calib.measurement.frf import QUANTITIES, MeasuredFRFs, Quantity
 from calib.measurement.frf_repeats import combine_frfs
@@ -84,6 +84,7 @@ def read_frfs(
             f"averages are given beside {len(paths)} repeats", place="measurement",
             remedy="leave them out: the repeats give the standard deviations",
         )  # fmt: skip
+    require_no_copies(paths)
     table = read_sensor_table(table_path) if table_path is not None else {}
     metres = parse_length_unit(length_unit)
     repeats = [read_uff_frfs(p, quantity, unit, metres) if is_uff else read_frfs_csv(p, quantity, unit) for p in paths]

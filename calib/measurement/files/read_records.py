@@ -10,7 +10,7 @@ from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import read_sensor_table
 from calib.measurement.files.csv_record import TIME, header_of, read_record_csv
-from calib.measurement.files.read import Named, found_files, require_files
+from calib.measurement.files.read import Named, found_files, require_files, require_no_copies
 from calib.measurement.files.uff_record import TIME_RESPONSE, function_types, read_record_uff
 from calib.measurement.frf_units import parse_length_unit
 from calib.measurement.places import Point, common_points
@@ -92,6 +92,7 @@ def read_records(
     """
     paths = found_files(files)
     is_uff = require_files(paths)
+    require_no_copies(paths)
     table_path = None if sensors is None else path_of(sensors, "sensors")
     table = read_sensor_table(table_path) if table_path is not None else {}
     points: list[tuple[str, dict[int, Point]]] = []

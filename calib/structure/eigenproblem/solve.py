@@ -16,6 +16,7 @@ from calib.structure.eigenproblem.eigenvalues import RotationalShare, damped_mod
 from calib.structure.eigenproblem.inertia import count_below, symmetric_factor
 from calib.structure.eigenproblem.krylov import lowest_eigenpairs, start_vector
 from calib.structure.modes import Modes
+from calib.structure.null_space import common_null_space, motions_in_words
 
 DENSE_LIMIT = 80
 """Up to this many degrees of freedom dense LAPACK is faster and more robust than Arnoldi iteration."""
@@ -83,6 +84,9 @@ def solve_modes(
             return _real_modes(stiffness, mass, count, shift, rotational_share)
         return _complex_modes(stiffness, damping, mass, count, shift, rotational_share)
     except (la.LinAlgError, spla.ArpackError, RuntimeError) as fault:
+        if null := len(common_null_space(stiffness, mass)[0]):
+            words = f"common null space: {motions_in_words(null)} with neither stiffness nor mass"
+            raise EvaluationError(words) from fault
         if isinstance(fault, EvaluationError):
             raise
         raise EvaluationError(f"the eigenproblem could not be solved ({fault})") from fault
