@@ -32,9 +32,11 @@ def _percent(measured: MeasuredModes) -> str:
     known = measured.damping_ratio[np.isfinite(measured.damping_ratio)]
     if len(known) < RULES.doubt_modes or known.min() < RULES.percent_damping:
         return ""
+    low, high = f"{known.min():.3g}", f"{known.max():.3g}"
+    size = low if low == high else f"{low} to {high}"
     return (
-        f"The damping ratios look like percent: {known.min():.3g} to {known.max():.3g} in all {len(known)} modes. "
-        "Damping is a ratio, 0.01 for one percent."
+        f"The damping ratios look like percent: {size} in all {len(known)} modes. Damping is a ratio, 0.01 for one "
+        "percent."
     )
 
 

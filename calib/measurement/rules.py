@@ -27,6 +27,10 @@ class ReadRules:
         Fewest repeats of which the same value to the last digit is told.
     absent_lines : float
         Largest share of the lines of all functions that one function may lack.
+    in_hertz : float
+        Largest relative deviation from 2 pi of the factor by which modal A and B tell eigenvalues in Hz.
+    gap_lines : int
+        Lines in a row that are interpolated where every function is needed on every line.
     local_axis : float
         Cosine below which a local axis has no part in a global direction, 0.6 degrees: sensors are mounted no better.
     farthest_freq : float
@@ -117,6 +121,8 @@ class ReadRules:
     shape_std_most: float = 1.0
     same_repeats: int = 3
     absent_lines: float = 0.25
+    in_hertz: float = 0.01
+    gap_lines: int = 2
     local_axis: float = 0.01
     farthest_freq: float = 0.1
     same_mac: float = 0.5

@@ -11,6 +11,7 @@ import pandas as pd
 from calib.errors.errors import InputError
 from calib.measurement.alignment import scaled
 from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.frf_parts import without_gaps
 from calib.measurement.mac import most_real, phase_collinearity
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.modal_analysis.adequacy import adequacy, resonances_without_mode
@@ -81,6 +82,8 @@ def modes_from_frfs(
     >>> found.modes.natural_freq.round(3), found.modes.damping_ratio.round(4)
     (array([3.183]), array([0.02]))
     """
+    frfs = without_gaps(frfs)
+    repeats = [without_gaps(one, frfs) for one in repeats]
     if frfs.freq[0] == 0:
         frfs = frfs.in_band(frfs.lowest_freq, float(frfs.freq[-1]))
     whole = _identified(frfs, accept)

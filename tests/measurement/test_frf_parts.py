@@ -1,12 +1,15 @@
 """Parts of measured FRFs: those in use and each group of held-out ones, every entry in one of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.frf_parts import BANDS, REFERENCES, SENSORS, HeldOutFRFs
+from calib.measurement.frf_parts import BANDS, REFERENCES, SENSORS, HeldOutFRFs, without_gaps
 from calib.measurement.modal import Sensor
+from calib.measurement.places import Doubt
 
 FREQ = np.arange(1.0, 11.0)
 EVERY = {(f, r, q) for f in FREQ for r in ("1z", "2z", "3z") for q in ("1z", "3z")}
@@ -98,3 +101,24 @@ def test_the_first_entry_that_is_not_there_is_named_by_field_and_position(held_o
     assert found is not None
     where, fault = found
     assert where == at and isinstance(fault, InputError) and words in fault.problem and fault.remedy
+
+
+def test_gaps_are_cut_at_the_ends_and_interpolated_within():
+    """A measurement without a first line, and with single lines that one function lacks."""
+    freq = np.arange(1.0, 41.0)
+    values = np.stack([2 * freq + 1j * freq**2, 3 - 1j * freq], axis=1)[:, :, None]
+    holed = values.copy()
+    holed[0] = holed[20, 0] = holed[7:9, 1] = np.nan
+    ends = (Sensor(1, "x"), Sensor(2, "x"))
+    frfs = MeasuredFRFs(freq, ends, ends[:1], "receptance", holed, np.ones(holed.shape))
+    found = without_gaps(frfs)
+    np.testing.assert_array_equal(found.freq, freq[1:])
+    np.testing.assert_allclose(found.values[:, 1], values[1:, 1], rtol=1e-12)  # linear in frequency
+    np.testing.assert_allclose(found.values[19, 0], 2 * 21 + 1j * (20**2 + 22**2) / 2)
+    assert sum(isinstance(note, Doubt) for note in found.notes) == 3 and np.isfinite(found.std).all()
+    holed[30:33, 0] = np.nan
+    longer = without_gaps(replace(frfs, values=holed))
+    assert np.isnan(longer.values[29:32, 0]).all() and np.isfinite(longer.values[:, 1]).all()
+    first = replace(frfs, values=np.where(freq[:, None, None] == 2.0, np.nan, values))
+    assert without_gaps(first, found).freq[0] == 2.0 and np.isfinite(without_gaps(first, found).values).all()
+    assert without_gaps(replace(frfs, values=values)).freq[0] == 1.0

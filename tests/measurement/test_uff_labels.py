@@ -224,3 +224,25 @@ def test_records_follow_their_labels_and_leave_out_what_is_no_motion(written):
     assert any("pressure skipped" in note for note in record.notes)
     with pytest.raises(InputError, match="label says 'Velocity m/s'"):
         read_records(written(one(wave[0], ordinate=(12, "Velocity", "m/s"), **common)))
+
+
+@pytest.mark.parametrize("with_b", [True, False])
+@pytest.mark.parametrize("in_hertz", [True, False])
+def test_eigenvalues_in_hertz_are_noticed_by_modal_a(tmp_path, in_hertz, with_b):
+    """Modal A is 2 i omega of the damped mode where the modal mass is 1, modal B is -lambda A."""
+    path, text = tmp_path / "m.unv", ""
+    for root in (-1.2 + 80j, -3.0 + 190j):
+        a = 2j * root.imag
+        b = -root * a if with_b else 0j
+        written = root / (2 * np.pi) if in_hertz else root
+        numbers = (written.real, written.imag, a.real, a.imag, b.real, b.imag)
+        one = modes_text([1.0], kind=3).splitlines()
+        at = next(k for k, line in enumerate(one) if line.startswith("  1.00000E+00  1.00000E+00"))
+        one[at] = "".join(f"{x:13.5E}" for x in numbers)
+        text += "\n".join(one) + "\n"
+    path.write_text(text)
+    found = read_modes(path)
+    size = np.abs([-1.2 + 80j, -3.0 + 190j])
+    np.testing.assert_allclose(found.natural_freq, size / (2 * np.pi), rtol=1e-5)
+    np.testing.assert_allclose(found.damping_ratio, [1.2, 3.0] / size, rtol=1e-4)
+    assert any("in Hz" in said for said in doubts_of(found)) == in_hertz

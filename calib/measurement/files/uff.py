@@ -20,6 +20,7 @@ from calib.measurement.files.uff_write import write_uff
 from calib.measurement.modal import DIRECTIONS
 from calib.measurement.places import Doubt, Point
 from calib.measurement.repeats import Repeat, ShapeSet
+from calib.measurement.rules import RULES
 
 __all__ = ["UniversalFile", "drop_unmeasured", "read_uff", "write_uff"]
 
@@ -153,6 +154,11 @@ def _modes(
     path: Path, blocks: Sequence[Dataset], sets: Sequence[Mapping[str, Any]], per_metre: float, notes: list[str]
 ) -> Repeat:
     modes: list[_Mode] = []
+    if in_hertz := _eigenvalues_in_hertz(sets):
+        words = "its eigenvalues are in Hz by their modal A and B, not in rad/s as the format asks"
+        notes.append(Doubt(f"{path}: {words}: multiplied by 2 pi"))
+        roots = {k: {"eig": 2 * math.pi * complex(sets[k]["eig"])} for k in in_hertz}
+        sets = [{**one, **roots.get(k, {})} for k, one in enumerate(sets)]
     highest = max(_size(data) for data in sets)
     count, kept = 0, True
     for block, data in zip(blocks, sets, strict=True):
@@ -224,6 +230,21 @@ def _values(path: Path, block: Dataset, data: Mapping[str, Any], per_metre: floa
                 raise block.error(path, words, "export it again")
             values[node, DIRECTIONS[code]] = value
     return values
+
+
+def _eigenvalues_in_hertz(sets: Sequence[Mapping[str, Any]]) -> set[int]:
+    """Complex modes, as indices of the sets, if all that can tell have eigenvalues in Hz.
+
+    Modal B is -lambda times modal A, with lambda in rad/s; without B modal A is 2 i omega where the modal mass is 1.
+    """
+    modes = [k for k, one in enumerate(sets) if one["analysis_type"] in (3, 7) and abs(complex(one["eig"])) > 0]
+    votes = []
+    for k in modes:
+        root, a, b = (complex(sets[k][key]) for key in ("eig", "modal_a", "modal_b"))
+        ratio = abs(b) / abs(a * root) if a and b else abs(a) / (2 * abs(root.imag)) if a and root.imag else math.nan
+        if math.isfinite(ratio) and (b or abs(ratio / (2 * math.pi) - 1) < RULES.in_hertz):
+            votes.append(abs(ratio / (2 * math.pi) - 1) < RULES.in_hertz)
+    return set(modes) if votes and all(votes) else set()
 
 
 def _size(data: Mapping[str, Any]) -> float:
