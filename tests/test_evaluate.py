@@ -17,7 +17,7 @@ from calib.execution.outcome import OUT_OF_MEMORY, WORKER_DIED, attempt
 
 # Workers import the factory by name, so it lives in a module of its own on the path.
 MODULE = """
-import os, signal, subprocess, sys, threading, time
+import logging, os, signal, subprocess, sys, threading, time, warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,6 +64,8 @@ def answer(values):
         raise EvaluationError("the solver has ended")
     if x == -10:
         return {"code": subprocess.run(["sh", "-c", "kill -TERM $$"]).returncode}
+    if x == -11:
+        warnings.warn("of a library"), logging.getLogger("library").warning("of a library")
     if x == -7:
         threading.Thread(target=threading.Event().wait).start()
     threads = max((p["num_threads"] for p in threadpool_info()), default=1)
@@ -112,6 +114,13 @@ def gone(pids):
 # -- one point ---------------------------------------------------------------------------------------------------------
 
 
+class Silent(Exception):
+    """An exception that fails to say why it was raised."""
+
+    def __str__(self):
+        raise ValueError("no text")
+
+
 def fails(fault):
     def function(values):
         raise fault
@@ -130,6 +139,8 @@ RAISED = fails.__code__.co_firstlineno + 2
         (ZeroDivisionError("zero"), "ZeroDivisionError: zero"),
         (KeyError("k"), "KeyError: 'k'"),
         (SystemExit(4), "SystemExit: 4"),
+        (SystemExit(), "SystemExit"),
+        (Silent(), "Silent: its text cannot be made"),
         (MemoryError(), OUT_OF_MEMORY),
     ],
 )
@@ -262,6 +273,12 @@ def test_a_worker_leaves_requests_to_end_to_its_parent_and_the_programs_of_a_mod
     assert program.responses == {"code": -signal.SIGTERM}
     assert fine.status == "ok"
     assert ended.error == WORKER_DIED and ended.transient  # of the request, not of the point
+
+
+def test_warnings_of_libraries_do_not_reach_the_terminal(source, capfd):
+    with Evaluator(source(), isolated=True) as evaluator:
+        assert evaluator.evaluate(points(-11))[0].status == "ok"
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_thread_that_the_model_leaves_running_keeps_no_process(source, tmp_path):

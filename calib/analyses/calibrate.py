@@ -127,14 +127,16 @@ def calibrated(
     for one in study.studies:
         home = run.homes.get(one.test)
         noted = [*finder.reduction_notes.get(one.test, ()), *(finder.agreeing if only else ())]
-        notes = partial(notes_on, one, ledger, home, noted)
-        parts[one.test] = _assembled(one, by_test[one.test], best, before[one.test], agreed, notes, ledger.retried)
+        why = partial(why_failed_in, one, ledger, home)
+        parts[one.test] = _assembled(
+            one, by_test[one.test], best, before[one.test], agreed, noted, why, ledger.retried
+        )
     contradicted = any(part.contradictions for part in parts.values())  # which also casts doubt on joint parameters
     parts = {test: _with_tables(part, space, contradicted) for test, part in parts.items()}
     if only:
         return next(iter(parts.values()))
-    why = reasons_sentence(space, *stored_reasons(ledger, [Responses.of(study).fingerprint]))
-    return JointCalibration(parts, (*finder.agreeing, *([why] if why else [])))
+    failed = reasons_sentence(space, *stored_reasons(ledger, [Responses.of(study).fingerprint]))
+    return JointCalibration(parts, (*finder.agreeing, *([failed] if failed else [])), failed)
 
 
 def calibrate(
@@ -172,13 +174,12 @@ def calibrate(
     return answer
 
 
-def notes_on(study: LoadedStudy, ledger: Ledger, home: Results | None, first: Sequence[str]) -> list[str]:
-    """The given notes, then the commonest reasons why points of a study failed."""
+def why_failed_in(study: LoadedStudy, ledger: Ledger, home: Results | None) -> str:
+    """The commonest reasons why points of a study failed; empty where none did."""
     # Failures of a function of modes are counted once, at its responses: a point without modes has none either.
     modes = set(ledger_keys_of_modes(study.problem, study.library_digest))
     answering = [one for one in fingerprints(study, home) if one not in modes]
-    why = reasons_sentence(study.sensitivity_space, *stored_reasons(ledger, answering))
-    return [*first, *([why] if why else [])]
+    return reasons_sentence(study.sensitivity_space, *stored_reasons(ledger, answering))
 
 
 def _assembled(
@@ -187,13 +188,14 @@ def _assembled(
     number: int,
     before: ComparisonResult,
     agreed: Agreement,
-    notes: Callable[[], Sequence[str]],
+    notes: Sequence[str],
+    why_failed: Callable[[], str],
     retried: int,
 ) -> Calibration:
     """The calibration of a test from its cases, of which one is the best; without tables.
 
-    ``agreed`` tells whether the cases found one solution: of several tests, both are for all of
-    them together. ``notes`` is called last, since evaluations at the optimum may fail too.
+    ``agreed`` tells whether the cases found one solution: of several tests, both are for all of them together.
+    ``why_failed`` is called last, since evaluations at the optimum may fail too.
     """
     best = found[number]
     searched = [case.search for case in found if case.search is not None]
@@ -209,8 +211,10 @@ def _assembled(
         ended = best.statistics
         errors = errors_at(study, values, ended.part(study.test), ended.active)
         responses = every_response(study, study.model.space.values, values)
+    why = why_failed()
+    told = (*notes, *([why] if why else []))
     return Calibration(
-        tuple(found), best, before, {}, agreed, raw, stages, modes, errors, responses, tuple(notes()), retried
+        tuple(found), best, before, {}, agreed, raw, stages, modes, errors, responses, told, retried, why
     )
 
 

@@ -53,6 +53,8 @@ class Calibration:
     retried : int
         Points evaluated again since the command began; see `calib.results.ledger.Ledger`. The results do not depend on
         it.
+    why_failed : str
+        Why evaluations failed, which is among the notes too; empty where none did.
     """
 
     cases: tuple[CaseFound, ...]
@@ -67,6 +69,7 @@ class Calibration:
     responses: pd.DataFrame | None = None
     notes: tuple[str, ...] = ()
     retried: int = 0
+    why_failed: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -152,11 +155,14 @@ class JointCalibration:
     tests : mapping from str to Calibration
         The results for each test: its comparisons before and after, and its errors. The parameters are joint.
     notes : tuple of str
-        How many starts agreed.
+        How many starts agreed, and why evaluations failed.
+    why_failed : str
+        The latter alone; empty where none did.
     """
 
     tests: Mapping[str, Calibration]
     notes: tuple[str, ...] = ()
+    why_failed: str = ""
 
     @property
     def any(self) -> Calibration:

@@ -55,9 +55,10 @@ def calibrated_entries(study: StudyFile, result: Fitted) -> list[Entry]:
     if isinstance(result, JointCalibration):
         return [
             *map(Warned, result.doubts),
+            *_failed(result),
             *_parameters(result.any),
             _by_test(result.any.best.statistics.by_test),
-            *(Words(sentence) for sentence in result.sentences if sentence not in result.doubts),
+            *(Words(words) for words in result.sentences if words not in {*result.doubts, result.why_failed}),
             *_retried(result.any),
             *suspects(result.any.best.statistics.suspects),
             Rows.of(ERRORS_TITLE, ("test", "data", *ERRORS), _of_tests(result), left=("data",)),
@@ -65,6 +66,7 @@ def calibrated_entries(study: StudyFile, result: Fitted) -> list[Entry]:
     best, held = result.best, study.settings.held_out
     out: list[Entry] = [
         *map(Warned, dict.fromkeys((*result.doubts, *best.answer.warnings))),
+        *_failed(result),
         *_retried(result),
         *_parameters(result),
         *_changes(result),
@@ -72,7 +74,7 @@ def calibrated_entries(study: StudyFile, result: Fitted) -> list[Entry]:
     if result.errors is not None and (held.modes or held.sensors or held.responses):
         rows = [(WORDS[r["group"]], *errors_row(r)) for r in result.errors.to_dict("records")]
         out.append(Rows.of(ERRORS_TITLE, ("data", *ERRORS), rows))
-    told = {*result.doubts, *best.answer.warnings, *result.contradictions}
+    told = {*result.doubts, *best.answer.warnings, *result.contradictions, result.why_failed}
     out += [Words(sentence) for sentence in result.sentences if sentence not in told]
     out += [
         *suspects(best.statistics.suspects),
@@ -105,6 +107,10 @@ def _of_tests(result: JointCalibration) -> Iterator[tuple[str, ...]]:
     for test, one in result.tests.items():
         for r in [] if one.errors is None else one.errors.to_dict("records"):
             yield test, WORDS[r["group"]], *errors_row(r)
+
+
+def _failed(result: Fitted) -> list[Warned]:
+    return [Warned(result.why_failed)] if result.why_failed else []
 
 
 def _retried(result: Calibration) -> list[Words]:

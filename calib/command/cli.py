@@ -385,7 +385,10 @@ def _study(
 
 def main() -> None:
     """What the entry point runs when everything that it needs is imported."""
+    from calib.execution.worker import quiet_libraries
+
     terminal.write_to_any_code_page()
+    quiet_libraries()
     code = execute(sys.argv[1:])
     interrupt.leave(code)
     sys.exit(code)
@@ -407,7 +410,7 @@ def execute(arguments: list[str]) -> int:
         code = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
         if code == interrupt.CODE:
             terminal.complain(interrupt.WORDS)
-        return code
+        return code or int(terminal.output_lost())
     except InputError as fault:
         terminal.complain_of_input(fault, arguments)
         return 2
@@ -417,7 +420,7 @@ def execute(arguments: list[str]) -> int:
             return interrupt.CODE
         terminal.complain_of_unexpected(fault, arguments)
         return 1
-    return 0
+    return int(terminal.output_lost())
 
 
 if __name__ == "__main__":

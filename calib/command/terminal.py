@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import contextlib
 import io
 import math
 import os
@@ -12,12 +13,14 @@ import traceback
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from calib.api.progress import ERR
 from calib.errors.errors import InputError
 from calib.errors.place import WIDEST, excerpt
+from calib.execution.outcome import words_of
 from calib.results.answer import LABEL
 from calib.results.version import __version__
 
@@ -27,7 +30,30 @@ NARROWEST = 40
 """Columns below which a line is not wrapped further."""
 
 _FREE = sys.stdout.isatty() or "COLUMNS" in os.environ
-_out = Console(highlight=False, markup=False, emoji=False, soft_wrap=True, width=None if _FREE else WIDTH)
+
+
+class _Output(Console):
+    """Standard output; what cannot be written any more is left out, and noted."""
+
+    lost = ""
+
+    def print(self, *given: Any, **more: Any) -> None:
+        """As `rich.console.Console.print`."""
+        if self.lost:
+            return
+        try:
+            super().print(*given, **more)
+        except OSError as fault:
+            self.lost = fault.strerror or type(fault).__name__
+            with contextlib.suppress(OSError, ValueError):  # so that nothing complains again at the end
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+    def on_broken_pipe(self) -> None:
+        """Called while the fault is handled; Rich would end the command."""
+        raise
+
+
+_out = _Output(highlight=False, markup=False, emoji=False, soft_wrap=True, width=None if _FREE else WIDTH)
 
 _PLAIN = str.maketrans({"\u2212": "-", "\u2013": "-", "\u2014": "-", "\u2192": "->", "\u00d7": "x", "\u2026": "..."})
 """For streams whose code page has no such characters."""
@@ -84,6 +110,13 @@ def complain(text: str) -> None:
     ERR.print(f"calib: {text}")
 
 
+def output_lost() -> bool:
+    """Whether a part of what the command had to say could not be written, which is told."""
+    if _out.lost:
+        complain(f"standard output cannot be written ({_out.lost}): what the command had to say is incomplete")
+    return bool(_out.lost)
+
+
 def complain_of_input(fault: InputError, arguments: list[str]) -> None:
     """A sentence on bad input, then the line of the user's file where it is known.
 
@@ -100,7 +133,7 @@ def complain_of_unexpected(fault: Exception, arguments: list[str]) -> None:
     """One line on an unexpected failure; its traceback goes to a log in the current directory."""
     log = _log(" ".join(arguments), traceback.format_exc())
     if log is not None:
-        complain(f"unexpected {type(fault).__name__}: {fault}; the details are in {log}")
+        complain(f"unexpected {words_of(fault)}; the details are in {log}")
 
 
 def tell_traces(asked: str, traces: Sequence[str]) -> None:

@@ -89,7 +89,7 @@ def attempt(function: Function, values: Mapping[str, float]) -> Outcome:
     except MemoryError:
         error = OUT_OF_MEMORY
     except EvaluationError as fault:
-        error = _one_line(str(fault)) or "it cannot be evaluated"
+        error = _one_line(words_of(fault).partition(": ")[2]) or "it cannot be evaluated"
         trace, at = "\n".join(getattr(fault, "__notes__", ())), fault.at or raised_at(fault)
     except BaseException as fault:  # sys.exit, or a panic in foreign code, must not end the study
         error, trace = error_line(fault), "".join(traceback.format_exception(fault))[-_TRACE:]
@@ -127,9 +127,18 @@ def as_cause(fault: EvaluationError) -> EvaluationError | None:
     return fault if getattr(fault, "__notes__", ()) else None
 
 
+def words_of(fault: BaseException) -> str:
+    """Type and text of an exception of any class: it may have no text, or fail to make one."""
+    try:
+        text = str(fault)
+    except Exception:  # of the user's own `__str__`
+        text = "its text cannot be made"
+    return f"{type(fault).__name__}: {text}" if text.strip() else type(fault).__name__
+
+
 def error_line(fault: BaseException) -> str:
     """An exception on one line, with file and line of the user's code that raised it."""
-    words, at = f"{type(fault).__name__}: {fault}", raised_at(fault)
+    words, at = words_of(fault), raised_at(fault)
     if at is None or isinstance(fault, SyntaxError):  # its message has the place
         return _one_line(words)
     return _one_line(words) + f" ({os.path.basename(at.file)}, line {at.line})"

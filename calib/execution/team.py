@@ -289,6 +289,7 @@ class _Helper:
 
 def _start(board: _Board) -> None:
     worker.follow_parent()
+    worker.quiet_libraries()
     _Helper.limits = threadpool_limits(1)
     _Helper.board = board
 

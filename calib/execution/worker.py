@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import multiprocessing
 import multiprocessing.util
 import os
@@ -13,6 +14,7 @@ import threading
 import time
 import traceback
 import uuid
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from multiprocessing.context import SpawnContext
@@ -24,7 +26,7 @@ from threadpoolctl import ThreadpoolController, threadpool_limits
 from calib.errors.errors import InputError
 from calib.execution import interrupt
 from calib.execution.interrupt import end_within
-from calib.execution.outcome import WORKER_DIED, Function, Outcome, attempt
+from calib.execution.outcome import WORKER_DIED, Function, Outcome, attempt, words_of
 
 Source = Callable[[], Function]
 
@@ -87,7 +89,7 @@ def built(source: Source) -> Function:
         raise
     except Exception as fault:
         # A user's set-up may raise anything, and an exception of a class of its own may not survive the way back.
-        failure = RuntimeError(f"the model cannot be built in a worker: {type(fault).__name__}: {fault}")
+        failure = RuntimeError(f"the model cannot be built in a worker: {words_of(fault)}")
         failure.add_note(traceback.format_exc())
         raise failure from None
 
@@ -135,6 +137,7 @@ class _Worker:
 def start(source: Source, board: Board) -> None:
     """Initialize a worker process; a model that cannot be built is reported by every task."""
     follow_parent()
+    quiet_libraries()
     leave_after_work()
     try:
         _Worker.function = built(source)
@@ -178,6 +181,16 @@ def leave_after_work() -> None:
     """When its work is over, end this process within `LEAVING`: a thread of the model that never ends would keep it."""
     # Called before Python waits for threads and processes that a model has started.
     multiprocessing.util.Finalize(None, end_within, args=(LEAVING, 0), exitpriority=sys.maxsize)
+
+
+def quiet_libraries() -> None:
+    """Warnings of libraries and of a user's model do not reach the terminal, unless ``python -W`` asks for them.
+
+    Nor do log records that nobody handles.
+    """
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
+    logging.getLogger().addHandler(logging.NullHandler())
 
 
 def ready(number: int, values: Mapping[str, float]) -> Outcome:

@@ -11,7 +11,7 @@ import csv
 import difflib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -205,7 +205,7 @@ def read_table(
             ]
             _require(sheet, column, fine, cells, "a number")
             out[column] = np.array(found, dtype=float)
-    _require_unique(sheet, key)
+    _require_unique(sheet, key, {name for name, values in out.items() if values.dtype == np.dtype(float)})
     return pd.DataFrame(out)
 
 
@@ -339,6 +339,12 @@ def _check_header(
             raise InputError(f"column {name!r} is missing", place=place, remedy=remedy or "add it")
 
 
+def _as_number(cell: str, comma: bool) -> str:
+    """One text for all spellings of a number."""
+    value = None if _unknown(cell) else number_of(cell, comma)
+    return cell if value is None else repr(value + 0.0)  # -0.0 is 0.0
+
+
 def _unknown(cell: str) -> bool:
     return cell.lower() in ("", "nan")
 
@@ -355,13 +361,15 @@ def _require(sheet: _Sheet, column: str, fine: Sequence[bool], cells: Sequence[s
         )
 
 
-def _require_unique(sheet: _Sheet, columns: Sequence[str]) -> None:
+def _require_unique(sheet: _Sheet, columns: Sequence[str], numbers: Collection[str]) -> None:
+    """No entries of some columns occur together twice; numbers are compared as such: ``0.0`` is ``0``."""
     if not columns:
         return
     where = [sheet.header.index(column) for column in columns]
     seen: set[tuple[str, ...]] = set()
     for line, cells, text in zip(sheet.lines, sheet.cells, sheet.texts, strict=True):
-        key = tuple(cells[k] for k in where)
+        given = zip(columns, (cells[k] for k in where), strict=True)
+        key = tuple(_as_number(cell, sheet.comma) if name in numbers else cell for name, cell in given)
         if key in seen:
             raise InputError(
                 f"column {', '.join(columns)!r} holds {', '.join(map(shortened, key))} twice",
