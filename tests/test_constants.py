@@ -163,6 +163,9 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
     "missing/goodness.py": "_LEAST",
     "execution/outcome.py": "_TRACE",
     "api/progress.py": "SPARSE OFTEN _BAR _STEADY",
+    "api/entries/compared.py": "WORST _FUNCTIONS",
+    "api/entries/entry.py": "MOST WARNINGS WIDTH NARROWEST",
+    "api/entries/explained.py": "EFFECTS",
 }
 
 FORMATS = {  # units, codes of files, and what a file may hold

@@ -87,12 +87,6 @@ class Intervals:
         return pd.concat([one.frame for one in self.profiles], ignore_index=True)
 
     @property
-    def display_table(self) -> pd.DataFrame:
-        """Both intervals of each parameter, and what the data alone say."""
-        columns = ["parameter", "value", "unit", "lower", "upper", "linear_lower", "linear_upper", "kind"]
-        return self.table[columns].rename(columns={"kind": "by the data"})
-
-    @property
     def sentences(self) -> tuple[str, ...]:
         """One for each parameter, then on samples, then what all rests on."""
         each = tuple(f"{p}: {s}" for p, s in zip(self.table["parameter"], self.table["sentence"], strict=True))

@@ -13,6 +13,7 @@ import pandas as pd
 
 from calib.analyses.compare import ComparisonResult, comparison_at
 from calib.analyses.joint_responses import own_values
+from calib.api.entries.entry import Entry, Words, html_of, lines_of
 from calib.api.pairs import reporting
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.expansion import By, ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
@@ -22,6 +23,11 @@ from calib.results.answer import LABEL
 
 if TYPE_CHECKING:
     from calib.api.protocols import ProblemLike
+    from calib.study.study import LoadedStudy
+
+
+_ALL = ".entries has all"
+"""Where further rows and warnings are."""
 
 
 class Displayed(ABC):
@@ -38,41 +44,30 @@ class Displayed(ABC):
         """The main table."""
 
     @property
-    def display_table(self) -> pd.DataFrame:
-        """The columns of `table` that are printed."""
-        return self.table
-
-    @property
     def lines(self) -> Mapping[str, str]:
         """The answer by the labels of its lines, the last of which tells where the rest is; empty without an answer."""
         return {}
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Doubts that must not be missed, printed below the answer."""
+    def entries(self) -> Sequence[Entry]:
+        """Warnings, tables and paragraphs that the command prints below the answer too; empty where it has none."""
         return ()
 
     def __str__(self) -> str:
         words = [f"{label}:".ljust(LABEL) + text for label, text in self.lines.items()] or list(self.sentences)
-        table = self.display_table
-        told = "\n".join([*words, *self.warnings])
-        if not len(table):
-            return told
-        return f"{told}\n\n{table.to_string(index=False, float_format='%.4g', na_rep='')}"
+        below = [line for line, _ in lines_of(self.entries, False, _ALL)] or self._table_lines()
+        return "\n".join([*words, *below])
 
     def _repr_html_(self) -> str:
         answer = "".join(f"<p><b>{label}:</b> {escape(text)}</p>" for label, text in self.lines.items())
         words = answer or "".join(f"<p>{escape(sentence)}</p>" for sentence in self.sentences)
-        words += "".join(f"<p>{escape(sentence)}</p>" for sentence in self.warnings)
-        return words + str(self.display_table.to_html(index=False, float_format=lambda v: f"{v:.4g}", na_rep=""))
+        if self.entries:
+            return words + html_of(self.entries, _ALL)
+        return words + str(self.table.to_html(index=False, float_format=lambda v: f"{v:.4g}", na_rep=""))
 
-
-_MODE_COLUMNS = {
-    "mode": "mode", "model_mode": "model mode", "natural_freq_measured": "measured Hz",
-    "natural_freq_model": "model Hz", "freq_error": "error", "damping_ratio_measured": "damping",
-    "damping_ratio_model": "model damping", "mac": "MAC",
-}  # fmt: skip
-"""Columns of compared modes that are printed, with their heads."""
+    def _table_lines(self) -> list[str]:
+        table = self.table
+        return ["", table.to_string(index=False, float_format="%.4g", na_rep="")] if len(table) else []
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,6 +78,8 @@ class Compared(Displayed):
     ----------
     by_test : mapping from str to ComparisonResult
         By name of the test.
+    studies : mapping from str to LoadedStudy
+        The tests with their models, likewise.
 
     Examples
     --------
@@ -96,6 +93,7 @@ class Compared(Displayed):
     """
 
     by_test: Mapping[str, ComparisonResult]
+    studies: Mapping[str, LoadedStudy]
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -109,15 +107,6 @@ class Compared(Displayed):
         return stacked(tables) if len(tables) > 1 else next(iter(tables.values()))
 
     @property
-    def display_table(self) -> pd.DataFrame:
-        """Of modes the frequencies, damping ratios and MAC of each pair, as far as they are known."""
-        table = self.table
-        if "natural_freq_model" not in table:
-            return table
-        kept = [name for name in ("test", *_MODE_COLUMNS) if name in table and table[name].notna().any()]
-        return table[kept].rename(columns=_MODE_COLUMNS)
-
-    @property
     def lines(self) -> Mapping[str, str]:
         """The answer by the labels of its lines, of several tests test by test, and where the rest is."""
         several, out = len(self.by_test) > 1, dict[str, str]()
@@ -128,12 +117,11 @@ class Compared(Displayed):
         return {**out, "Evidence": ".sentences, .table; all in .by_test"}
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Doubtful units, pairs and sensors."""
-        return prefixed({
-            name: [*answer.warnings, *(f"Check this sensor: {f.sentence}" for f in answer.sensor_findings)]
-            for name, answer in self.by_test.items()
-        })  # fmt: skip
+    def entries(self) -> tuple[Entry, ...]:
+        """What the command prints below the answer, test by test."""
+        from calib.api.entries.compared import compared_entries
+
+        return by_test({name: compared_entries(self.studies[name], answer) for name, answer in self.by_test.items()})
 
     def orthogonality(self, test: str = "", by: By | None = None) -> Orthogonality:
         """Mass-orthogonality of the measured shapes, to the model's and among themselves.
@@ -198,14 +186,13 @@ class Compared(Displayed):
 
 def compared(problem: ProblemLike, values: Mapping[str, float] | None) -> Compared:
     """See `calib.api.problem.Problem.compare`; ``values`` of all parameters, by default the nominal ones."""
-    study = problem.study()
+    studies = {one.experiment.name: one for one in problem.study().studies}
     with reporting("compare", False):
-        return Compared({
-            one.experiment.name: comparison_at(
-                one, one.model.space.values if values is None else own_values(one, values)
-            )
-            for one in study.studies
-        })  # fmt: skip
+        found = {
+            name: comparison_at(one, one.model.space.values if values is None else own_values(one, values))
+            for name, one in studies.items()
+        }
+    return Compared(found, studies)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -222,12 +209,15 @@ class AnalysisResult(Displayed):
         Folder of all tables and figures.
     of : object
         The full result, such as a `calib.analyses.calibrate.Calibration`; of several tests by themselves by test.
+    printed : tuple of Entry
+        The entries.
     """
 
     words: tuple[str, ...]
     rows: pd.DataFrame
     folder: Path
     of: Any
+    printed: tuple[Entry, ...]
 
     @property
     def lines(self) -> Mapping[str, str]:
@@ -244,8 +234,20 @@ class AnalysisResult(Displayed):
         """The main table."""
         return self.rows
 
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """What the command prints below the answer."""
+        return self.printed
+
     def __repr__(self) -> str:
         return f"AnalysisResult({len(self.rows)} rows in {self.folder})"
+
+
+def by_test(entries: Mapping[str, Sequence[Entry]]) -> tuple[Entry, ...]:
+    """Entries of every test, of several below its name."""
+    if len(entries) == 1:
+        return tuple(next(iter(entries.values())))
+    return tuple(e for test, own in entries.items() for e in (Words(f"\nTest {test}", when="always"), *own))
 
 
 def _remarks(answer: ComparisonResult) -> list[str]:

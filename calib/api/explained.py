@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeAlias
 
@@ -13,6 +13,7 @@ from calib.analyses.explain import explanation_of
 from calib.analyses.propose import RANKED
 from calib.api.arguments import explain_settings
 from calib.api.display import Displayed
+from calib.api.entries.entry import Entry
 from calib.api.finer_mesh import finer_of, require_finer_mesh
 from calib.api.pairs import library_of, reporting
 from calib.api.proposed import Proposed, proposed
@@ -96,9 +97,11 @@ class Explained(Displayed, Generic[P]):
         return {**self.explanation.answer.labelled, "Evidence": f"{rest}; all in .explanation"}
 
     @property
-    def display_table(self) -> pd.DataFrame:
-        """Empty: the answer names what counts."""
-        return pd.DataFrame()
+    def entries(self) -> Sequence[Entry]:
+        """What the command prints below the answer."""
+        from calib.api.entries.explained import explained_entries
+
+        return explained_entries(self.problem.study(self.settings, self.effects, self.finer), self.explanation)
 
     @property
     def sentences(self) -> tuple[str, ...]:

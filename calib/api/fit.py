@@ -18,6 +18,7 @@ from calib.analyses.joint_responses import own_values
 from calib.analyses.provenance.places import tasks_shared
 from calib.api.arguments import ExplainKeys, calibration_settings
 from calib.api.display import Compared, Displayed, compared
+from calib.api.entries.entry import Entry
 from calib.api.pairs import ledger_or_memory, reporting
 from calib.api.protocols import Effects, Finer, P
 from calib.api.search import Searched
@@ -130,6 +131,13 @@ class Fit(Displayed, Generic[P]):
         return {**self.answer.labelled, "Evidence": f"{rest}{', '.join(self.figures)}"}
 
     @property
+    def entries(self) -> Sequence[Entry]:
+        """What the command prints below the answer; empty for statistics at given values."""
+        from calib.api.entries.calibrated import calibrated_entries
+
+        return [] if self.calibration is None else calibrated_entries(self.problem.study(), self.calibration)
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """Goodness of fit, held-out data that contradict, agreement and notes, then identifiability one by one."""
         each = tuple(f"{name}: {sentence}" for name, sentence in self.parameters["sentence"].items())
@@ -174,7 +182,8 @@ class Fit(Displayed, Generic[P]):
         if self.calibration is None:
             return compared(self.problem, self.values)
         tests = self.problem.study().studies
-        return Compared({one.experiment.name: self.calibration.seen(one.test).best.answer for one in tests})
+        found = {one.experiment.name: self.calibration.seen(one.test).best.answer for one in tests}
+        return Compared(found, {one.experiment.name: one for one in tests})
 
     def explain(
         self,
@@ -292,9 +301,11 @@ class FitIntervals(Displayed):
         return self.of.table
 
     @property
-    def display_table(self) -> pd.DataFrame:
-        """Both intervals of each parameter, and what the data alone say."""
-        return self.of.display_table
+    def entries(self) -> Sequence[Entry]:
+        """What the command prints below the answer."""
+        from calib.api.entries.calibrated import interval_entries
+
+        return interval_entries(self.of)
 
     def figure(self) -> Figure:
         """Draw the profiles."""

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from calib.missing.findings import ExplanationResult
     from calib.report.html.write import Page
     from calib.results.results import Results
+    from calib.study.several import AnyStudy
     from calib.study.study import LoadedStudy
     from calib.study.study_file import StudyFile
 
@@ -50,19 +51,16 @@ class Listener:
     def compared(self, study: LoadedStudy, answer: ComparisonResult, folder: Results) -> None:
         """Model and measurement were compared."""
 
-    def sampled(self, study: LoadedStudy, answer: Sensitivity, folder: Results) -> None:
+    def sampled(self, study: LoadedStudy, answer: Sensitivity | Screening, folder: Results) -> None:
         """A sensitivity analysis by rank correlations is done."""
 
-    def screened(self, answer: Screening, folder: Results) -> None:
-        """A sensitivity analysis by Morris or Sobol is done."""
-
-    def calibrated(self, study: StudyFile, answer: Fitted, folder: Results) -> None:
+    def calibrated(self, study: AnyStudy, answer: Fitted, folder: Results) -> None:
         """Parameters were fitted."""
 
     def bounded(self, answer: Intervals, folder: Results) -> None:
         """Intervals of the fitted parameters were computed."""
 
-    def explained(self, study: StudyFile, answer: ExplanationResult, folder: Results) -> None:
+    def explained(self, study: AnyStudy, answer: ExplanationResult, folder: Results) -> None:
         """An explanation is done."""
 
     def may_add(self, study: StudyFile, found: Explanation) -> None:

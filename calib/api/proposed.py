@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
 
 from calib.analyses.propose import ProposalResult, ProposalStart, compose_for
 from calib.api.display import Displayed
+from calib.api.entries.entry import Entry
 from calib.api.progress import in_python
 from calib.errors.arguments import integer
 from calib.errors.errors import InputError
@@ -54,6 +55,13 @@ class Proposed(Displayed):
     def lines(self) -> Mapping[str, str]:
         """The same in three lines, and where the rest is."""
         return {**self.result.answer.labelled, "Evidence": ".table; .effects and their .code"}
+
+    @property
+    def entries(self) -> Sequence[Entry]:
+        """What the command prints below the answer."""
+        from calib.api.entries.proposed import proposed_entries
+
+        return proposed_entries(self.result)
 
     @property
     def table(self) -> pd.DataFrame:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -12,9 +12,11 @@ import pandas as pd
 from calib.analyses.sensitivity import Sensitivity, sampled, screened
 from calib.api.arguments import with_keys
 from calib.api.display import Displayed
+from calib.api.entries.entry import Entry
 from calib.api.pairs import ledger_or_memory, reporting
 from calib.api.protocols import ProblemLike
 from calib.execution.executor import Injected
+from calib.study.several import AnyStudy
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -25,6 +27,8 @@ class Assessed(Displayed):
     ----------
     answer : Sensitivity or Screening
         All measures with their noise floors and samples; the latter of Morris' and Sobol's methods.
+    study : LoadedStudy or JointStudy
+        The models and tests that were sampled.
 
     Examples
     --------
@@ -41,6 +45,7 @@ class Assessed(Displayed):
     """
 
     answer: Any
+    study: AnyStudy
 
     @property
     def samples(self) -> pd.DataFrame:
@@ -93,6 +98,13 @@ class Assessed(Displayed):
         return {**self.answer.answer.labelled, "Evidence": evidence}
 
     @property
+    def entries(self) -> Sequence[Entry]:
+        """What the command prints below the answer."""
+        from calib.api.entries.compared import sensitivity_entries
+
+        return sensitivity_entries(self.study, self.answer)
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """The samples behind the measures, and the selection."""
         found: tuple[str, ...] = self.answer.sentences
@@ -118,5 +130,6 @@ def assessed(
     workers = None if executor is None else Injected.of(executor)
     with reporting("sensitivity", progress) as step, ledger_or_memory(problem.ledger) as ledger:
         if method == "ranks":
-            return Assessed(sampled(study, ledger, workers, progress=step))
-        return Assessed(screened(study, ledger, method, workers, ignore_constraints=ignore_constraints, progress=step))
+            return Assessed(sampled(study, ledger, workers, progress=step), study)
+        found = screened(study, ledger, method, workers, ignore_constraints=ignore_constraints, progress=step)
+        return Assessed(found, study)

@@ -64,7 +64,7 @@ def screened(study: Any, method: Literal["morris", "sobol"], ignore_constraints:
     study.listener.begins(loaded, f"sensitivity, {method.capitalize()}")
     with opened_ledger(study, loaded) as ledger, study.listener.progress() as step:
         answer = screen(loaded, study.folder, ledger, method, workers, quick, ignore_constraints, step)
-    study.listener.screened(answer, study.folder)
+    study.listener.sampled(loaded, answer, study.folder)
     return answer
 
 

@@ -7,11 +7,11 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from calib.analyses.provenance import places
 from calib.api import steps
-from calib.api.display import AnalysisResult, Compared
+from calib.api.display import AnalysisResult, Compared, by_test
 from calib.api.listener import Listener, Showing
 from calib.api.problem import Problem
 from calib.errors.arguments import integer
@@ -162,11 +162,12 @@ class Study:
 
     def compare(self) -> Compared:
         """Compare models and measurements at the nominal values, without fitting."""
-        answers = {}
+        answers, studies = {}, {}
         for study in self.tests:
-            answers[study.one.test or study.one.name] = steps.compared(study)
+            name = study.one.test or study.one.name
+            answers[name], studies[name] = steps.compared(study), study.one
             study.draw()
-        return Compared(answers)
+        return Compared(answers, studies)
 
     def sensitivity(
         self,
@@ -179,16 +180,19 @@ class Study:
 
         Each test is analysed by itself. ``executor`` evaluates the points; see `run`.
         """
-        answers = {}
+        from calib.api.entries.compared import sensitivity_entries
+
+        answers, entries = dict[str, Any](), {}
         for study in self._by(executor).tests:
             found = steps.sampled(study) if method == "ranks" else steps.screened(study, method, ignore_constraints)
-            answers[study.one.test] = answer = AnalysisResult(found.sentences, found.table, study.folder.path, found)
+            answers[study.one.test], entries[study.one.test] = found, sensitivity_entries(study.one, found)
             study.draw()
+        printed = by_test(entries)
         if len(answers) == 1:
-            return answer
-        table = stacked({test: one.rows for test, one in answers.items()})
-        words = prefixed({test: one.words for test, one in answers.items()})
-        return AnalysisResult(words, table, self.folder.path, {test: one.of for test, one in answers.items()})
+            return AnalysisResult(found.sentences, found.table, self.tests[0].folder.path, found, printed)
+        table = stacked({test: one.table for test, one in answers.items()})
+        words = prefixed({test: one.sentences for test, one in answers.items()})
+        return AnalysisResult(words, table, self.folder.path, answers, printed)
 
     def calibrate(
         self,
@@ -201,25 +205,33 @@ class Study:
 
         Several tests are fitted together. ``executor`` evaluates the points of searches; see `run`.
         """
+        from calib.api.entries.calibrated import calibrated_entries
+
         study = self._by(executor)
         found = steps.calibrated(study, case, method)
         study._draw_tests(case, method)
         folder = places.results_of(self.loaded, self.results, self.quick, case, method)
-        return AnalysisResult(found.sentences, found.verdicts, folder.path, found)
+        printed = tuple(calibrated_entries(self.loaded, found))
+        return AnalysisResult(found.sentences, found.verdicts, folder.path, found, printed)
 
     def intervals(self, parameters: Sequence[str] = (), *, samples: int = 0, seed: int = 1) -> AnalysisResult:
         """Intervals of the parameters of the stored calibration; see `calib.api.fit.Fit.intervals`."""
+        from calib.api.entries.calibrated import interval_entries
+
         found = steps.bounded(self, tuple(parameters), samples, seed)
         self.draw()
-        return AnalysisResult(found.sentences, found.table, self.folder.path, found)
+        return AnalysisResult(found.sentences, found.table, self.folder.path, found, tuple(interval_entries(found)))
 
     def explain(self) -> AnalysisResult:
         """Find which effect of the study's library the model lacks."""
+        from calib.api.entries.explained import explained_entries
+
         with places.tasks_shared(self.workers):
             found = steps.explained(self)
             self.listener.may_add(self.loaded, found.explanation)
             self._draw_tests()
-        return AnalysisResult((*found.sentences, *found.notes), found.effects, self.folder.path, found)
+        printed = tuple(explained_entries(self.loaded, found))
+        return AnalysisResult((*found.sentences, *found.notes), found.effects, self.folder.path, found, printed)
 
     def propose(self, rank: int | None = None) -> AnalysisResult:
         """Compose effects that explain what no effect of the library explains, after `explain`.
@@ -228,6 +240,7 @@ class Study:
         """
         from calib.analyses import propose as proposal
         from calib.analyses.provenance.stored import with_stored_modes
+        from calib.api.entries.proposed import proposed_entries
 
         wanted = proposal.RANKED if rank is None else integer(rank, 1, "rank")
         loaded, root = self.loaded, self.results
@@ -240,7 +253,7 @@ class Study:
             found = proposal.propose(kept, self.folder, wanted, step, homes)
         self.listener.proposed(loaded, found, self.folder, root)
         words = (found.answer.found, found.answer.sure, *found.sentences)
-        return AnalysisResult(words, found.table, self.folder.path, found)
+        return AnalysisResult(words, found.table, self.folder.path, found, tuple(proposed_entries(found)))
 
     def extend(self, effects: Sequence[str], into: str | Path) -> Study:
         """Write a new study whose model also has the named effects; this one stays as it is."""

@@ -95,11 +95,12 @@ class CalibrationMethod(StrEnum):
 @app.command(short_help="Write an annotated example study.")
 def new(folder: NewFolder, verbose: Verbose = False) -> None:
     """Write an annotated example study with its own model and data."""
+    from calib.api.entries.entry import count
     from calib.command.example import write_example
     from calib.study.study_file import shell_argument
 
     written = write_example(folder)
-    terminal.say(f"Written: {folder}, an example study of {terminal.count(len(written), 'file')}.")
+    terminal.say(f"Written: {folder}, an example study of {count(len(written), 'file')}.")
     for path in written if verbose else ():
         terminal.say(f"  {path}")
     terminal.say(f"Run it with: calib run {shell_argument(folder)}")
@@ -146,9 +147,8 @@ def modes(
     Writes modes.csv and shapes.csv for a study, and the stabilisation diagram. Poles count that are stable over model
     orders and whichever repeat is left out; no pole is picked by hand. Time records need: pip install 'calib[ambient]'.
     """
+    from calib.api.entries.identified import identified_entries
     from calib.api.modes import identify_modes
-    from calib.command.entries import tell_entries
-    from calib.command.identified import identified_entries
     from calib.execution.tasks import one_thread
 
     with one_thread():
@@ -156,7 +156,7 @@ def modes(
             files, into, sensors=sensors, quantity=None if quantity is None else quantity.value, unit=unit,
             averages=averages, band=band, accept=accept or (), synthetic=synthetic,
         )  # fmt: skip
-    tell_entries(identified_entries(written), verbose)
+    terminal.tell_entries(identified_entries(written), verbose)
 
 
 @app.command(short_help="Compare model and measurement without fitting.")

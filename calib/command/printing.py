@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 
@@ -17,10 +17,11 @@ from calib.analyses.propose import ProposalResult
 from calib.analyses.sensitivity import Screening, Sensitivity
 from calib.analyses.versions import Versions
 from calib.api import progress
+from calib.api.entries import calibrated, compared, explained, proposed
+from calib.api.entries.entry import Entry, Warned, Words, count
 from calib.api.listener import Listener
-from calib.command import calibrated, compared, explained, proposed, terminal
-from calib.command.entries import AnalysisEntries, Entry, Warned, Words, tell_answer, tell_entries
-from calib.command.terminal import count, say
+from calib.command import terminal
+from calib.command.terminal import say, tell_answer, tell_entries
 from calib.execution.stage import Progress
 from calib.missing.explanation import Explanation
 from calib.missing.findings import ExplanationResult
@@ -28,11 +29,35 @@ from calib.report.html.write import Page
 from calib.results.answer import Answer
 from calib.results.results import Results
 from calib.structure.reduction.cache import basis_cache
+from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile, shell_argument
 
 _OF_RUN = ("explain", "before and after")
 """Steps of a run whose tables follow its answer; without them those of the last calibration do."""
+
+
+@dataclass(frozen=True)
+class AnalysisEntries:
+    """What one analysis has to say.
+
+    Attributes
+    ----------
+    verb : str
+    title : str
+        Line above it.
+    answer : Answer or None
+        None where the analysis has none of its own.
+    place : Path or None
+        Its report or its tables.
+    entries : tuple of Entry
+    """
+
+    verb: str
+    title: str
+    answer: Answer | None = None
+    place: Path | None = None
+    entries: tuple[Entry, ...] = ()
 
 
 class _Printing(Listener):
@@ -89,19 +114,17 @@ class _Printing(Listener):
         place = folder.path / "comparison_before.csv"
         self._answered(answer.answer, place, compared.compared_entries(study, answer, folder))
 
-    def sampled(self, study: LoadedStudy, answer: Sensitivity, folder: Results) -> None:
-        self._answered(answer.answer, folder.path / "selection.csv", compared.of_samples(study, answer))
+    def sampled(self, study: LoadedStudy, answer: Sensitivity | Screening, folder: Results) -> None:
+        name = "selection" if isinstance(answer, Sensitivity) else answer.method
+        self._answered(answer.answer, folder.path / f"{name}.csv", compared.sensitivity_entries(study, answer))
 
-    def screened(self, answer: Screening, folder: Results) -> None:
-        self._answered(answer.answer, folder.path / f"{answer.method}.csv", compared.screening_entries(answer))
-
-    def calibrated(self, study: StudyFile, answer: Fitted, folder: Results) -> None:
+    def calibrated(self, study: AnyStudy, answer: Fitted, folder: Results) -> None:
         self._answered(answer.answer, folder.path / "verdicts.csv", calibrated.calibrated_entries(study, answer))
 
     def bounded(self, answer: Intervals, folder: Results) -> None:
         self._answered(answer.answer, folder.path / "intervals.csv", calibrated.interval_entries(answer))
 
-    def explained(self, study: StudyFile, answer: ExplanationResult, folder: Results) -> None:
+    def explained(self, study: AnyStudy, answer: ExplanationResult, folder: Results) -> None:
         self._answered(
             answer.answer, folder.path / "effects.csv", explained.explained_entries(study, answer, self.verb == "run")
         )
@@ -115,7 +138,8 @@ class _Printing(Listener):
         self._add(*proposed.may_propose(study, found))
 
     def proposed(self, study: StudyFile, result: ProposalResult, folder: Results, root: Path) -> None:
-        self._answered(result.answer, folder.path / "proposals.csv", proposed.proposed_entries(result, root))
+        entries = [*proposed.proposed_entries(result), *proposed.written_entries(result, root)]
+        self._answered(result.answer, folder.path / "proposals.csv", entries)
 
     def extended(self, written: Extension) -> None:
         self._add(*explained.of_extension(written, self.verb == "run"))

@@ -5,29 +5,23 @@ from __future__ import annotations
 import codecs
 import contextlib
 import io
-import math
 import os
 import sys
-import textwrap
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
+from calib.api.entries.entry import NARROWEST, WIDTH, Entry, lines_of, wrapped
 from calib.api.progress import ERR
 from calib.errors.errors import InputError
 from calib.errors.place import WIDEST, excerpt
 from calib.execution.outcome import words_of
-from calib.results.answer import LABEL
+from calib.results.answer import LABEL, Answer
 from calib.results.version import __version__
-
-WIDTH = 120
-"""Columns of tables that do not go to a terminal, unless the environment variable ``COLUMNS`` tells another number."""
-NARROWEST = 40
-"""Columns below which a line is not wrapped further."""
 
 _FREE = sys.stdout.isatty() or "COLUMNS" in os.environ
 
@@ -96,13 +90,8 @@ def _wrapped(text: str, indent: int = 0) -> str:
     """Text in lines that fit the terminal; the first begins after ``indent`` columns, the others are indented so."""
     if not _out.is_terminal or indent + len(text) <= _out.width:
         return text
-    lines = _lines(text, max(_out.width - indent, NARROWEST))
+    lines = wrapped(text, max(_out.width - indent, NARROWEST))
     return f"\n{' ' * indent}".join(lines)
-
-
-def _lines(text: str, width: int) -> list[str]:
-    """Text broken between words; a word longer than the width has a line to itself."""
-    return textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False) or [""]
 
 
 def complain(text: str) -> None:
@@ -163,38 +152,15 @@ def tell_kept(paths: Sequence[Path]) -> None:
         say(f"\nKept under another name, since calib did not write it or it was changed since: {path}")
 
 
-def count(number: int, thing: str) -> str:
-    """A number of things, singular or plural."""
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+def tell_answer(answer: Answer, place: Path | None) -> None:
+    """Print an answer in four lines."""
+    for label, text in answer.labelled.items():
+        labelled(label, text)
+    if place is not None:
+        labelled("Report" if place.suffix == ".html" else "Results", str(place))
 
 
-def decimals(value: float, digits: int) -> str:
-    """A number with the given number of decimals, never -0; empty for NaN."""
-    return "" if math.isnan(value) else f"{value:z.{digits}f}"
-
-
-def table(heads: Sequence[str], rows: Iterable[Sequence[str]], left: Sequence[str] = ()) -> None:
-    """Print a table; the first column and those in ``left`` are left-aligned.
-
-    Cells wrap between words. Where even that is too wide, each row is told in a paragraph.
-    """
-    cells = [list(row) for row in rows]
-    columns = [[head, *(row[k] for row in cells)] for k, head in enumerate(heads)]
-    least = [max(len(word) for cell in column for word in cell.split() or [""]) for column in columns]
-    room = _out.width - 2 * (len(heads) - 1)
-    if sum(least) > room:
-        for first, *others in cells:
-            told = "; ".join(f"{head} {cell}" for head, cell in zip(heads[1:], others, strict=True) if cell)
-            say(f"{heads[0]} {first}: {told}")
-        return
-    widths = [max(map(len, column)) for column in columns]
-    while sum(widths) > room:
-        widest = max((k for k in range(len(widths)) if widths[k] > least[k]), key=lambda k: widths[k])
-        widths[widest] -= 1
-    sides = [str.ljust if k == 0 or name in left else str.rjust for k, name in enumerate(heads)]
-    for number, row in enumerate([heads, *cells]):
-        parts = [_lines(cell, width) for cell, width in zip(row, widths, strict=True)]
-        for k in range(max(map(len, parts))):
-            line = [side(part[k] if k < len(part) else "", width)
-                    for part, side, width in zip(parts, sides, widths, strict=True)]  # fmt: skip
-            _out.print("  ".join(line).rstrip(), style="bold" if number == 0 else None)
+def tell_entries(entries: Sequence[Entry], verbose: bool) -> None:
+    """Print warnings first, then the other entries; on request all of them."""
+    for text, style in lines_of(entries, verbose, "-v shows all", _out.width):
+        say(text, style)

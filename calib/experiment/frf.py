@@ -127,6 +127,13 @@ class FRFTest(Test):
         return self.held_out
 
     @property
+    def held_out_words(self) -> str:
+        """Sensors, references and bands, those of which some are held out."""
+        bands = [f"{low:g} to {high:g} Hz" for low, high in self.held_out_bands]
+        by_kind = {"sensors": self.held_out, "references": self.held_out_references, "bands": bands}
+        return "; ".join(f"{kind} {', '.join(names)}" for kind, names in by_kind.items() if names)
+
+    @property
     def used(self) -> MeasuredFRFs:
         """The FRFs in use, without held-out ones."""
         return self._parts[0]

@@ -168,6 +168,14 @@ class ModalTest(Test):
         """Sensors that no fit uses."""
         return tuple(name for name in self.held_out if name not in self.modes.names)
 
+    @property
+    def held_out_words(self) -> str:
+        """Modes and sensors."""
+        if not self.held_out:
+            return ""
+        modes = [name for name in self.held_out if name in self.modes.names]
+        return f"modes {', '.join(modes) or 'none'}; sensors {', '.join(self.held_out_sensors) or 'none'}"
+
     @cached_property
     def used(self) -> MeasuredModes:
         """The modes in use, without held-out data."""

@@ -161,6 +161,11 @@ class Test(ABC):
         return ()
 
     @property
+    def held_out_words(self) -> str:
+        """What no fit uses, in words; empty where nothing is held out."""
+        return ", ".join(self.held_out)
+
+    @property
     def beside(self) -> Self:
         """The test as one of several; parameters of its own, where it has some, then bear its name."""
         return self

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from calib.analyses.explain import explain, write_explanation
-from calib.command.explained import _predictions
+from calib.api.entries.explained import _predictions
 from calib.results.results import Results
 from calib.study.study import LoadedStudy
 

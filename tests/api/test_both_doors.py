@@ -13,6 +13,7 @@ import calib
 from calib.analyses.calibrate import CalibrationRun, calibrated
 from calib.analyses.hypotheses_of_study import faults_of
 from calib.api.arguments import CalibrationKeys, ExplainKeys
+from calib.command import cli
 from calib.command.example import write_example
 from calib.results.ledger import Ledger
 from calib.study.settings import CalibrationSettings, ExplainSettings
@@ -73,6 +74,32 @@ def test_an_explanation_is_the_same(doors):
     assert mine.explanation.notes == own.notes
     for name in ("pulls", "misfit_kinds", "candidate_fits", "next_measurement"):
         same(mine.explanation.tables[name], own.tables[name], 1e-5)
+
+
+VERBS = {
+    "compare": lambda problem, library: problem.compare(),
+    "sensitivity": lambda problem, library: problem.sensitivity(progress=False),
+    "calibrate": lambda problem, library: problem.calibrate(progress=False),
+    "explain": lambda problem, library: problem.explain(library, progress=False),
+}
+
+
+@pytest.mark.parametrize(
+    "verb", ["compare", "calibrate", *(pytest.param(v, marks=pytest.mark.slow) for v in ("sensitivity", "explain"))]
+)
+def test_the_command_and_python_print_the_same(verb, tmp_path, capsys):
+    """Below the answer, whose last line names a folder or an attribute; a command may add what to type next."""
+    folder = STUDIES / QUICK[0]
+    assert cli.execute([verb, str(folder), "--results", str(tmp_path)]) == 0
+    out = capsys.readouterr().out.replace("-v shows all", ".entries has all")
+    command = [line for line in out.splitlines() if line]
+    study = calib.Study.load(folder, tmp_path / "other", workers=1, progress=False)
+    python = [line for line in str(VERBS[verb](study.problem, study.effects)).splitlines() if line]
+    assert [line.split(":")[0] for line in python[:4]] == ["Found", "How sure", "Next", "Evidence"]
+    assert command[1:4] == python[:3] and command[4].startswith("Results:")
+    typed = [line for line in command[5:] if line not in python]
+    assert len(python) > 6 and [line for line in python[4:] if line not in command] == []
+    assert all(line.split(": ")[-1].startswith("calib ") for line in typed)
 
 
 def test_set_ups_are_suspected_from_both_doors(tmp_path):

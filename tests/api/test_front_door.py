@@ -208,15 +208,15 @@ def test_an_accuracy_that_comes_with_the_modes_is_told(rig):
 def test_results_print_their_table_with_every_number(rig):
     found = rig.compare()
     for text in (str(found), found._repr_html_()):
-        assert all(f"{value:.4g}" in text for value in found.table["natural_freq_model"])
+        assert all(f"{value:.3f}" in text for value in found.table["natural_freq_model"])
     fit = rig.statistics_at({})
     assert all(name in str(fit) for name in fit.parameters.index)
     assert "<table" in fit._repr_html_() and "\n" not in repr(fit) + repr(rig) + repr(found)
 
 
-def test_an_explanation_prints_its_answer_in_four_lines(explained):
+def test_an_explanation_prints_its_answer_first(explained):
     answer, lines = explained.explanation.answer, str(explained).split("\n")
-    assert [line[10:] for line in lines[:3]] == [answer.found, answer.sure, answer.then] and len(lines) == 4
+    assert [line[10:] for line in lines[:3]] == [answer.found, answer.sure, answer.then]
     assert all(hasattr(explained, name) for name in re.findall(r"\.(\w+)", lines[3]))
     html = explained._repr_html_()
     assert escape(answer.found) in html and "<table" in html

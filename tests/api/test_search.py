@@ -200,7 +200,7 @@ def test_what_matters_is_selected_and_can_be_fitted():
     only = problem.sensitivity(["q"], samples=50)
     assert list(only.table["parameter"]) == ["q"] and only.spearman.loc["q", "b"] == 1.0
     for text in (str(found), found._repr_html_()):
-        assert all(f"{value:.4g}" in text for value in found.table["max_variance_share"])
+        assert all(f"{value:.2f}" in text for value in found.table["max_variance_share"])
     assert "\n" not in repr(found)
 
 

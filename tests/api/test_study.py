@@ -59,7 +59,7 @@ def test_the_posterior_correlation_is_that_of_the_covariance(rig):
 
 def test_what_is_shown_is_in_the_table(rig):
     compared, _, calibrated = rig[1]
-    assert all(f"{value:.4g}" in str(compared) for value in compared.table["natural_freq_model"])
+    assert all(f"{value:.3f}" in str(compared) for value in compared.table["natural_freq_model"])
     answer = calibrated.of.answer
     assert [line[10:] for line in str(calibrated).split("\n\n")[0].split("\n")] == [
         *answer.plain.values(),

@@ -13,8 +13,9 @@ from rich.console import Console
 
 from calib.analyses import explain as explaining
 from calib.analyses.sensitivity import Screening
+from calib.api.entries.entry import Rows, decimals
+from calib.api.entries.explained import _predictions, _steps
 from calib.command import cli, terminal
-from calib.command.explained import _predictions, _steps
 from calib.command.printing import printing
 from calib.results.results import Results
 
@@ -25,7 +26,7 @@ def test_a_parameter_of_which_no_response_is_known_is_told_as_such(tmp_path, cap
         columns=["parameter", "response", "mu_star"],
     ).assign(trajectories=3, dropped=0)
     with printing("sensitivity") as listener:
-        listener.screened(Screening("morris", table, 12, ""), Results(tmp_path))
+        listener.sampled(None, Screening("morris", table, 12, ""), Results(tmp_path))
     first, second = (line.split() for line in capsys.readouterr().out.splitlines() if line[:2] in ("a ", "b "))
     assert first == ["b", "0.75", "y"] and second == "a no response: too few are known, or none changes".split()
 
@@ -114,7 +115,7 @@ def test_no_word_of_a_table_is_cut(wide, width):
         ("c", "", "", ""),
     ]
     stream = wide(width)
-    terminal.table(heads, rows, left=("remark",))
+    terminal.tell_entries([Rows.of("", heads, rows, left=("remark",))], False)
     text = plain(stream.getvalue())
     told = text.split()
     for word in {word for row in rows for cell in row for word in cell.split()}:
@@ -142,7 +143,7 @@ def test_what_was_found_is_told_even_if_a_later_step_fails(guyed, monkeypatch, c
 
 
 def test_a_number_that_rounds_to_zero_has_no_sign():
-    assert [terminal.decimals(value, 1) for value in (-0.04, 0.04, -0.06, float("nan"))] == [
+    assert [decimals(value, 1) for value in (-0.04, 0.04, -0.06, float("nan"))] == [
         "0.0",
         "0.0",
         "-0.1",

@@ -1,4 +1,4 @@
-"""What a calibration prints."""
+"""What a calibration has to say."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ import pandas as pd
 from calib.analyses.added import WORDS
 from calib.analyses.calibration import Calibration, Fitted, JointCalibration
 from calib.analyses.intervals import Intervals
-from calib.command.compared import held_out, more_on_pairs, pair_entries
-from calib.command.entries import Entry, Rows, Warned, Words
-from calib.command.terminal import count, decimals
+from calib.api.entries.compared import held_out, more_on_pairs, pair_entries
+from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
 from calib.missing.local import unit_words
-from calib.study.study_file import StudyFile
+from calib.study.several import AnyStudy
 
 ERRORS = ("rows", "rms", "of a correctly specified model", "p")
 ERRORS_TITLE = "Errors in standard deviations:"
@@ -50,7 +49,7 @@ def _ends(row: Mapping[Any, Any], which: str) -> str:
     return " to ".join("limit" if end != end else f"{end:.4g}" for end in ends)
 
 
-def calibrated_entries(study: StudyFile, result: Fitted) -> list[Entry]:
+def calibrated_entries(study: AnyStudy, result: Fitted) -> list[Entry]:
     """A calibration against one test or several."""
     if isinstance(result, JointCalibration):
         return [
@@ -63,7 +62,7 @@ def calibrated_entries(study: StudyFile, result: Fitted) -> list[Entry]:
             *suspects(result.any.best.statistics.suspects),
             Rows.of(ERRORS_TITLE, ("test", "data", *ERRORS), _of_tests(result), left=("data",)),
         ]
-    best, held = result.best, study.settings.held_out
+    best, held_out_words = result.best, list(held_out(study))
     out: list[Entry] = [
         *map(Warned, dict.fromkeys((*result.doubts, *best.answer.warnings))),
         *_failed(result),
@@ -71,14 +70,14 @@ def calibrated_entries(study: StudyFile, result: Fitted) -> list[Entry]:
         *_parameters(result),
         *_changes(result),
     ]
-    if result.errors is not None and (held.modes or held.sensors or held.responses):
+    if result.errors is not None and held_out_words:
         rows = [(WORDS[r["group"]], *errors_row(r)) for r in result.errors.to_dict("records")]
         out.append(Rows.of(ERRORS_TITLE, ("data", *ERRORS), rows))
     told = {*result.doubts, *best.answer.warnings, *result.contradictions, result.why_failed}
     out += [Words(sentence) for sentence in result.sentences if sentence not in told]
     out += [
         *suspects(best.statistics.suspects),
-        *map(Words, held_out(study)),
+        *map(Words, held_out_words),
         _cases(result),
         *_points(result),
         pair_entries(best.answer, f"After calibration (case {best.name}):", when="verbose"),

@@ -1,13 +1,12 @@
-"""What the identification of modes prints."""
+"""What the identification of modes has to say."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from typing import Any
 
+from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
 from calib.api.modes import Written
-from calib.command.entries import Entry, Rows, Warned, Words
-from calib.command.terminal import count, decimals
 
 
 def identified_entries(written: Written) -> list[Entry]:

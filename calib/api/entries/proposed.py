@@ -1,4 +1,4 @@
-"""What the search for proposals prints, and what follows from it."""
+"""What the search for proposals has to say, and what follows from it."""
 
 from __future__ import annotations
 
@@ -7,21 +7,30 @@ from pathlib import Path
 from typing import Any
 
 from calib.analyses.propose import FILE, ProposalResult
-from calib.command.entries import Entry, Rows, Warned, Words
-from calib.command.terminal import count, decimals
+from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
 from calib.missing.explanation import OPEN, Explanation
 from calib.missing.local import unit_words
 from calib.results.results import RESULTS
 from calib.study.study_file import StudyFile, shell_argument
 
 
-def proposed_entries(result: ProposalResult, root: Path) -> list[Entry]:
-    """Proposals and where their code is; ``root`` is the root folder of all results."""
+def proposed_entries(result: ProposalResult) -> list[Entry]:
+    """Proposals."""
     rows = [_row(r) for r in result.table.to_dict("records")]
     heads = ("", "effect", "kind", "at", "magnitude, 95 %", "ln Bayes", "of", "remark")
     title = "Proposals, best first by ln Bayes less ln of the number of its kind:"
     out: list[Entry] = [Rows.of(title, heads, rows, left=("effect", "kind", "at", "remark"))]
     out += [Words(sentence, when="always") for sentence in result.sentences]
+    if result.proposals is not None:
+        found = result.proposals
+        work = f"{count(found.tested, 'composition')} tested, {count(found.evaluations, 'model evaluation')}"
+        out.append(Words(f"{work}, {result.seconds:.0f} s."))
+    return out
+
+
+def written_entries(result: ProposalResult, root: Path) -> list[Entry]:
+    """Where their code is, and what to do with it; ``root`` is the root folder of all results."""
+    out: list[Entry] = []
     if result.aside is not None:
         there = "The study that was there had been changed, and is" if result.folder else "Earlier proposals are"
         out.append(Warned(f"{there} kept as {result.aside}."))
@@ -33,10 +42,6 @@ def proposed_entries(result: ProposalResult, root: Path) -> list[Entry]:
             Words(f"Test them with: calib explain {study}{place}", when="always"),
             Words(f"Add one with: calib extend {study} {first} --into FOLDER", when="always"),
         ]
-    if result.proposals is not None:
-        found = result.proposals
-        work = f"{count(found.tested, 'composition')} tested, {count(found.evaluations, 'model evaluation')}"
-        out.append(Words(f"{work}, {result.seconds:.0f} s."))
     return out
 
 

@@ -1,4 +1,4 @@
-"""What an explanation prints, and what follows from it."""
+"""What an explanation has to say, and what follows from it."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from typing import Any
 from calib.analyses.added import WORDS, Added, by_group, to_add
 from calib.analyses.extend import Extension
 from calib.analyses.versions import Versions
-from calib.command.calibrated import ERRORS, errors_row, suspects
-from calib.command.compared import held_out
-from calib.command.entries import Entry, Rows, Warned, Words
-from calib.command.terminal import count, decimals
+from calib.api.entries.calibrated import ERRORS, errors_row, suspects
+from calib.api.entries.compared import held_out
+from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
 from calib.missing.findings import ExplanationResult
 from calib.missing.local import unit_words
 from calib.missing.pattern import BY_TEST
@@ -22,7 +21,7 @@ from calib.missing.recommendation import rounded
 from calib.missing.steps_table import STEPS, STEPS_ERRORS
 from calib.problem.joint import TEST, of_test
 from calib.results.results import Results
-from calib.study.study_file import StudyFile
+from calib.study.several import AnyStudy
 
 EFFECTS = 5
 """Effects that are shown unless all are asked for."""
@@ -30,7 +29,7 @@ _MORE = ("z", "unabsorbed", "smallest visible")
 """Columns that are shown on request only."""
 
 
-def explained_entries(study: StudyFile, result: ExplanationResult, followed: bool = False) -> list[Entry]:
+def explained_entries(study: AnyStudy, result: ExplanationResult, followed: bool = False) -> list[Entry]:
     """An explanation; ``followed`` by errors before and after, if its effects are added."""
     found, answer = result.explanation, result.answer
     told = {answer.found, answer.sure}

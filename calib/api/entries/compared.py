@@ -1,4 +1,4 @@
-"""What a comparison and a sensitivity analysis print."""
+"""What a comparison and a sensitivity analysis have to say."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ from typing import Any
 from calib.analyses.compare import ComparisonResult
 from calib.analyses.provenance.record import assumptions_table, check_repeats
 from calib.analyses.sensitivity import Screening, Sensitivity
-from calib.command.entries import Entry, Rows, Warned, When, Words
-from calib.command.terminal import count, decimals
+from calib.api.entries.entry import Entry, Rows, Warned, When, Words, count, decimals
 from calib.measurement.places import Doubt
 from calib.missing.local import unit_words
 from calib.results.results import Results
+from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
-from calib.study.study_file import StudyFile
 
 _FUNCTIONS = 24
 """FRFs that are printed; the table in the results folder has all."""
@@ -23,8 +22,8 @@ WORST = 6
 """Rows of the largest deviations; the table in the results folder has all."""
 
 
-def compared_entries(study: LoadedStudy, result: ComparisonResult, folder: Results) -> list[Entry]:
-    """A comparison without a fit."""
+def compared_entries(study: LoadedStudy, result: ComparisonResult, folder: Results | None = None) -> list[Entry]:
+    """A comparison without a fit; ``folder`` has its tables."""
     out: list[Entry] = [
         *map(Words, held_out(study)),
         *(Words(f"Measurement: {note}.") for note in study.experiment.notes if not isinstance(note, Doubt)),
@@ -44,10 +43,8 @@ def compared_entries(study: LoadedStudy, result: ComparisonResult, folder: Resul
         out.append(Rows.of("Largest deviations:", heads, rows, ("what", "verdict"), most=WORST))
     assumed = assumptions_table(study)
     if len(assumed):
-        where = folder.path / "assumptions.csv"
-        out.append(
-            Words(f"\nAssumed, not published or measured ({count(len(assumed), 'item')}; the reasons are in {where}):")
-        )
+        where = "" if folder is None else f"; the reasons are in {folder.path / 'assumptions.csv'}"
+        out.append(Words(f"\nAssumed, not published or measured ({count(len(assumed), 'item')}{where}):"))
     for row in assumed.to_dict("records"):
         out.append(Words(f"  {row['item']}: {row['value']}{unit_words(row['unit'])}"))
     return out
@@ -102,21 +99,19 @@ def more_on_pairs(result: ComparisonResult) -> Iterator[Rows]:
         yield Rows.of("How certain the pairs are:", ("mode", "MAC", "EMAC", "margin"), rows, when="verbose")
 
 
-def held_out(study: StudyFile) -> Iterator[str]:
+def held_out(study: AnyStudy) -> Iterator[str]:
     """What is held out, in words."""
-    for part in study.parts:
-        held, of = part.settings.held_out, f" in test {part.test}" if part.test != study.test else ""
-        if held.modes or held.sensors:
-            modes, sensors = (", ".join(names) or "none" for names in (held.modes, held.sensors))
-            yield f"Held out{of}, never fitted: modes {modes}; sensors {sensors}."
-        if held.references or held.bands:
-            bands = ", ".join(f"{low:g} to {high:g} Hz" for low, high in held.bands) or "none"
-            yield f"Held out{of}, never fitted: references {', '.join(held.references) or 'none'}; bands {bands}."
-        if held.responses:
-            yield f"Held out{of}, never fitted: {', '.join(held.responses)}."
+    for one in study.studies:
+        if words := one.experiment.held_out_words:
+            yield f"Held out{f' in test {one.test}' if one.test != study.test else ''}, never fitted: {words}."
 
 
-def of_samples(study: LoadedStudy, result: Sensitivity) -> list[Entry]:
+def sensitivity_entries(study: AnyStudy, result: Sensitivity | Screening) -> list[Entry]:
+    """A sensitivity analysis by any method."""
+    return _samples(study, result) if isinstance(result, Sensitivity) else _screening(result)
+
+
+def _samples(study: AnyStudy, result: Sensitivity) -> list[Entry]:
     """A sensitivity analysis by rank correlations."""
     measures = ("max_spearman", "max_partial", "max_variance_share")
     table = result.assessment.selection.sort_values("selected", ascending=False, kind="stable").to_dict("records")
@@ -130,12 +125,12 @@ def of_samples(study: LoadedStudy, result: Sensitivity) -> list[Entry]:
         Rows.of("Why:", ("parameter", "why"), reasons, ("why",), when="verbose"),
         *(Words(sentence) for sentence in result.sentences if sentence != result.why_failed),
     ]
-    if study.model.space.constraints:
+    if any(one.model.space.constraints for one in study.studies):
         out.append(Words("Constraints correlate the sampled parameters; Spearman's coefficients alone may mislead."))
     return out
 
 
-def screening_entries(result: Screening) -> list[Entry]:
+def _screening(result: Screening) -> list[Entry]:
     """A sensitivity analysis by Morris or Sobol."""
     size = "mu_star" if result.method == "morris" else "ST"
     names = result.table["parameter"].drop_duplicates()
