@@ -132,7 +132,7 @@ def test_a_flag_that_a_table_may_lack_is_read_as_a_flag(tmp_path):
 
 def test_two_spellings_of_one_number_are_one_entry(tmp_path):
     path = write(tmp_path, "freq,value\n0,1\n5,2\n0.0,3\n")
-    with pytest.raises(InputError, match="'0.0' twice") as caught:
+    with pytest.raises(InputError, match=r"'0\.0' twice") as caught:
         read_table(path, [], ["freq", "value"], unique="freq")
     assert caught.value.at.line == 4
     named = write(tmp_path, "case,value\n1,1\n1.0,2\n", "named.csv")

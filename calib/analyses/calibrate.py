@@ -128,9 +128,7 @@ def calibrated(
         home = run.homes.get(one.test)
         noted = [*finder.reduction_notes.get(one.test, ()), *(finder.agreeing if only else ())]
         why = partial(why_failed_in, one, ledger, home)
-        parts[one.test] = _assembled(
-            one, by_test[one.test], best, before[one.test], agreed, noted, why, ledger.retried
-        )
+        parts[one.test] = _assembled(one, by_test[one.test], best, before[one.test], agreed, noted, why, ledger.retried)
     contradicted = any(part.contradictions for part in parts.values())  # which also casts doubt on joint parameters
     parts = {test: _with_tables(part, space, contradicted) for test, part in parts.items()}
     if only:

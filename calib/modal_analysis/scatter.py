@@ -255,7 +255,7 @@ def _random_effects(values: np.ndarray, variance: np.ndarray) -> tuple[float, fl
 
 def _common_std(frfs: MeasuredFRFs, model: ModalFRFModel, functions: Sequence[Weighed]) -> np.ndarray:
     """Standard deviations of the logarithms of all poles, (2 n_poles,)."""
-    normal, noise, lines, apart = 0.0, 0.0, 0.0, 0.0
+    normal, noise, lines, apart = (np.zeros(()) for _ in range(4))
     for one in functions:
         residual, slope = projected(frfs, model.poles, [one])
         own, pull = slope.T @ slope, slope.T @ residual
