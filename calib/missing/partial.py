@@ -38,8 +38,9 @@ def minor_beside(found: Explanation, singles: Sequence[CandidateFit], together: 
     """Effects of a fit with several that are minor beside the first of them; empty unless all others are.
 
     A unit that is built otherwise than the library lists it leaves something, which a further effect of almost no size
-    takes. Minor is an effect that has less than `DecisionRules.minor_size` of its plausible magnitude, while all that
-    are beside the first one gain less than `DecisionRules.minor_gain` of its log evidence.
+    takes. Minor is an effect that has less than `DecisionRules.minor_size` of its plausible magnitude, and of what the
+    first one has of its own, while all that are beside the first one gain less than `DecisionRules.minor_gain` of its
+    log evidence.
 
     Parameters
     ----------
@@ -54,9 +55,9 @@ def minor_beside(found: Explanation, singles: Sequence[CandidateFit], together: 
     first = max(own, key=lambda t: t.ln_evidence)
     if together.ln_evidence - first.ln_evidence >= RULES.minor_gain * found.ln_bayes(first):
         return ()
-    others = [e for e in together.effects if e.name not in first.names]
-    small = all(abs(together.magnitude(e.name)[0]) < RULES.minor_size * e.plausible for e in others)
-    return tuple(e.name for e in others) if small else ()
+    shares = {e.name: abs(together.magnitude(e.name)[0]) / e.plausible for e in together.effects}
+    most = RULES.minor_size * min(shares.pop(first.names[0]), 1.0)
+    return tuple(shares) if all(share < most for share in shares.values()) else ()
 
 
 def minor_of(found: Explanation, singles: Sequence[CandidateFit], pairs: Sequence[CandidateFit]) -> tuple[str, ...]:

@@ -97,7 +97,7 @@ class DecisionRules:
         Least part of the base model's sum of squares that a place which is told takes, and the effect of a partial
         explanation.
     minor_size : float
-        Part of its plausible magnitude below which a further effect is small.
+        Part of its plausible magnitude, and of what the first effect has of its own, below which a further is small.
     minor_gain : float
         Part of the log evidence of the first effect below which a further one gains little. One that is small and
         gains little beside a first is not named: the first has another form than listed.

@@ -60,7 +60,7 @@ def pulled(toy, seed):
 def test_two_effects_that_predict_left_out_modes_worse_are_not_named(toy, seed, monkeypatch):
     one = pulled(toy, seed)
     assert not decide(one).names_something  # one mode alone is wrong, which explains as much
-    monkeypatch.setattr("calib.missing.decision.wrong_datum", lambda *given: None)
+    monkeypatch.setattr("calib.missing.blame.wrong_datum", lambda *given: None)
     found = decide(one)
     (pair,) = [t for t in found.candidate_fits if set(t.names) == {"E0", "E1"}]
     rises = error(one, pair) > error(one, found.base)
