@@ -153,7 +153,7 @@ class JointAdapter:
     def between(self, found: Explanation) -> Differences:
         """Which shared parameter differs between the tests, with the best explanation so far."""
         best = next(iter(found.blamed), found.chosen or found.base)
-        return differences(best.fit, self.hypotheses, self.facts.seed)
+        return differences(best.fit, self.hypotheses, self.facts.seed, found.alpha)
 
     def failing(self) -> set[str]:
         """Effects with which a model of any test failed somewhere."""

@@ -215,8 +215,10 @@ def findings(
         verdict.answer, sure=f"{verdict.answer.sure} {at_limits}".strip(),
         then=f"{verdict.answer.then} {detailed_next(detailed)}".strip(),
     )  # fmt: skip
+    answer = answer if differing is None else differing.told(answer, found.alpha, found.names_something)
+    sentences = dict.fromkeys((answer.found, *verdict.sentences, *filter(None, added)))
     return ExplanationResult(
-        found, answer, (*verdict.sentences, *filter(None, added)), tuple(notes), effects,
+        found, answer, tuple(sentences), tuple(notes), effects,
         errors.assign(std_from="assumed" if facts.assumed else "stated"), tables, figures,
         time.perf_counter() - started, richer=detailed,
     )  # fmt: skip

@@ -9,6 +9,8 @@ from scipy.stats import kstest
 import calib
 from calib.missing.between_tests import differences
 from calib.missing.linearised_fit import LinearisedFit
+from calib.problem.joint import JointProblem
+from calib.results.answer import Answer
 
 NAMES = ("a", "b", "only")
 PRIOR = np.array([0.5, 2.0, 1.0])
@@ -23,13 +25,31 @@ def columns(sizes, seed=1):
     return slope, owner
 
 
-def fitted(slope, data):
+class Linear:
+    """One test with a linear response."""
+
+    def __init__(self, slope, data):
+        parameters = (calib.Parameter(n, 0.0, -9.0, 9.0, "kg", prior_sd=s) for n, s in zip(NAMES, PRIOR, strict=True))
+        self.space, self.slope, self.data = calib.ParameterSpace(tuple(parameters)), slope, data
+        self.rows = [SimpleNamespace(mode="", kind="response", sensor=f"r{k}") for k in range(len(data))]
+
+    def residual(self, values):
+        return self.data - self.slope @ [values[name] for name in NAMES]
+
+    def jacobian(self, values, names):
+        return -self.slope[:, [NAMES.index(name) for name in names]]
+
+
+def joint(slope, data, owner):
+    return JointProblem({t: Linear(slope[owner == t], data[owner == t]) for t in dict.fromkeys(owner)})
+
+
+def fitted(slope, data, owner):
     """The exact fit of a linear model to whitened data, priors centred on 0."""
     wide, right = np.vstack([slope, np.diag(1 / PRIOR)]), np.concatenate([data, np.zeros(3)])
     theta = np.linalg.lstsq(wide, right, rcond=None)[0]
-    space = calib.ParameterSpace(tuple(calib.Parameter(n, 0.0, -9.0, 9.0, "kg") for n in NAMES))
     return LinearisedFit(
-        effects=(), fit_problem=SimpleNamespace(space=space), names=NAMES, values=dict(zip(NAMES, theta, strict=True)),
+        effects=(), fit_problem=joint(slope, data, owner), names=NAMES, values=dict(zip(NAMES, theta, strict=True)),
         residual=data - slope @ theta, slope=slope, prior_sd=PRIOR, shift=theta / PRIOR,
     )  # fmt: skip
 
@@ -40,7 +60,7 @@ def rows_of(owner):
 
 
 def asked(slope, owner, data):
-    return differences(fitted(slope, data), rows_of(owner), seed=1)
+    return differences(fitted(slope, data, owner), rows_of(owner), seed=1, alpha=0.01)
 
 
 @pytest.mark.parametrize("sizes", [(8, 6), (8, 6, 7)])
@@ -77,7 +97,7 @@ def test_what_differs_is_named_with_its_size():
     assert (first["parameter"], first["test"]) == ("b", "t2") and found.p < 0.01
     assert first["change_low"] < 1.5 < first["change_high"]
     said = found.sentence(0.01)
-    assert "b differs" in said and "t2" in said and "kg" in said
+    assert "b in t2" in said and "kg" in said and not found.table["differs"][1:].any() and found.p_left > 0.01
     assert found.sentence(0.0).startswith("No parameter differs")
 
 
@@ -88,3 +108,42 @@ def test_the_p_value_is_uniform_where_nothing_differs():
         data = slope @ (PRIOR * rng.standard_normal(3)) + rng.standard_normal(len(slope))
         p.append(asked(slope, owner, data).p)
     assert kstest(p, "uniform").pvalue > 0.01
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_all_that_differ_are_named_with_the_sizes_of_a_joint_fit(seed):
+    """Single scores would give each the effect of both."""
+    slope, owner = columns((12, 11), seed)
+    slope[:, 1] += 0.8 * slope[:, 0]  # much alike
+    slope *= 3.0
+    true = {"a": 0.6, "b": -0.9}
+    extra = sum(np.where(owner == "t1", size * slope[:, NAMES.index(name)], 0.0) for name, size in true.items())
+    data = slope @ [0.2, 1.0, 0.0] + extra + np.random.default_rng(seed + 50).standard_normal(len(slope))
+    found = asked(slope, owner, data)
+    named = found.table[found.table["differs"]].set_index("parameter")
+    assert set(named.index) == {"a", "b"} and found.alternatives == ()
+    for name, size in true.items():
+        std = (named.loc[name, "change_high"] - named.loc[name, "change_low"]) / (2 * 1.96)
+        assert abs(named.loc[name, "change"] - size) < 4 * std and std < 0.1
+
+
+def test_parameters_that_act_alike_cannot_be_told_apart():
+    slope, owner = columns((8, 6, 7))
+    slope[owner != "t0", 1] = 1.001 * slope[owner != "t0", 0]
+    data = slope @ [0.2, 0.5, 0.0] + np.where(owner == "t2", 1.5 * slope[:, 0], 0.0)
+    found = asked(slope, owner, data + np.random.default_rng(3).standard_normal(len(slope)))
+    assert found.p < 0.01 and found.alternatives
+    said = found.sentence(0.01)
+    assert "cannot be told apart" in said and "a in t2" in said + found.alternatives[0] and "b" in said
+
+
+def test_what_differs_is_the_answer_where_nothing_else_is_named():
+    slope, owner = columns((8, 6, 7))
+    data = slope @ [0.2, 1.0, 0.0] + np.where(owner == "t2", 1.5 * slope[:, 1], 0.0)
+    found, answer = asked(slope, owner, data), Answer("The model lacks something.", "p = 0.001.", "Look there.")
+    told = found.told(answer, 0.01, named=False)
+    assert told.found == found.sentence(0.01) and "b in t2" in told.then
+    assert found.told(answer, 0.01, named=True).found == answer.found
+    assert "b in t2" in found.told(answer, 0.01, named=True).sure
+    nothing = asked(slope, owner, slope @ [0.2, 1.0, 0.0])
+    assert nothing.told(answer, 0.01, named=False) == answer
