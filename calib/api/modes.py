@@ -94,7 +94,9 @@ def identify_modes(
         return whole.in_band(*(band or (whole.lowest_freq, whole.freq[-1])))
 
     frfs = read(paths, averages)
-    repeats = [replace(read([path], None), source=path.name) for path in paths] if len(paths) > 1 else []
+    repeats = (
+        [replace(read([path], None), source=path.name) for path in paths] if frfs.n_repeats == len(paths) > 1 else []
+    )
     found = modes_from_frfs(frfs, repeats, accept=accept)
     unit = frfs.unit(frfs.responses[0], frfs.references[0])
     return Written(found, _write(found, unit, into))

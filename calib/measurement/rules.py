@@ -94,6 +94,8 @@ class ReadRules:
     above_noise : float
         Least power of a resonance over the mean power of the noise: noise alone exceeds it once in 20 000 lines of a
         single function, ``exp(-10)``, and less often in sums over several.
+    setup_scale : float
+        Largest relative difference of what two set-ups of FRFs have in common: beyond it one has another sensitivity.
     check_sensors : int
         With fewer sensors that move, a wrong one cannot be identified.
     check_gain : float
@@ -153,6 +155,7 @@ class ReadRules:
     resonance_widths: float = 5.0
     prominence: float = 6.0
     above_noise: float = 10.0
+    setup_scale: float = 0.2
     check_sensors: int = 4
     check_gain: float = 0.002
     check_evidence: float = 8.0

@@ -286,7 +286,7 @@ def _measured(
         "contradict each other, not from repeated tests",
     }[std_from]
     freq, damping = freq[list(kept)], damping[list(kept)]
-    notes = (words, *([] if _by_response(frfs) else ["shapes at the references, by reciprocity"]))
+    notes = (words, *frfs.notes, *([] if _by_response(frfs) else ["shapes at the references, by reciprocity"]))
     return MeasuredModes(
         names=tuple(str(k) for k in range(1, len(kept) + 1)), natural_freq=freq,
         damped_freq=freq * np.sqrt(1 - damping**2), freq_std=spread.freq[list(kept)], damping_ratio=damping,

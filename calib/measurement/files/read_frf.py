@@ -13,7 +13,7 @@ from calib.measurement.files.csv_frf import read_frfs_csv
 from calib.measurement.files.read import Named, found_files, require_files, require_no_copies
 from calib.measurement.files.uff_frf import read_uff_frfs
 from calib.measurement.frf import QUANTITIES, MeasuredFRFs, Quantity
-from calib.measurement.frf_repeats import combine_frfs
+from calib.measurement.frf_setups import combine_setups
 from calib.measurement.frf_units import parse_length_unit
 from calib.measurement.places import common_points
 from calib.measurement.sensors import place_sensors
@@ -29,7 +29,9 @@ def read_frfs(
     length_unit: str | None = None,
     synthetic: bool = False,
 ) -> MeasuredFRFs:
-    r"""Read measured frequency response functions; each file is one repeat.
+    r"""Read measured frequency response functions; each file is one repeat, or a set-up with functions of its own.
+
+    Set-ups are merged and scaled by the functions that they share; see `calib.measurement.frf_setups.combine_setups`.
 
     Parameters
     ----------
@@ -88,7 +90,7 @@ def read_frfs(
     table = read_sensor_table(table_path) if table_path is not None else {}
     metres = parse_length_unit(length_unit)
     repeats = [read_uff_frfs(p, quantity, unit, metres) if is_uff else read_frfs_csv(p, quantity, unit) for p in paths]
-    found = combine_frfs(repeats, averages, synthetic)
+    found = combine_setups(repeats, averages, synthetic)
     if averages is not None and not repeats[0].coherence:
         raise InputError("averages are given, but it holds no coherence", place=paths[0], remedy="leave them out")
     points = common_points([(one.source, one.points) for one in repeats], table)
