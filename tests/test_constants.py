@@ -93,6 +93,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "correlation/modal/order.py": "_STEP",
     "inference/cases.py": "FAILED",
     "measurement/frf_repeats.py": "_RANGE _NAMED",
+    "measurement/files/csv_frf.py": "LARGE",
     "missing/accuracy.py": "GRID",
     "missing/competing.py": "_TESTS",
     "missing/discrepancy.py": "_LEAST _POINTS",

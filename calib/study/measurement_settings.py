@@ -92,6 +92,9 @@ class MeasurementSettings(Section):
     unit: str | None = None
     """Unit of FRFs of translations under forces, such as ``"(m/s2)/N"`` or ``"g/N"``, where their files do not
     state it."""
+    channels: tuple[str, ...] = ()
+    """Response and reference of each FRF, such as ``"12z/3z"``, in the order of the file, or of the files of one
+    function each, where these do not name them."""
     length_unit: Literal["m", "cm", "mm", "um", "in", "ft"] | None = None
     """Unit of places in universal files that do not state it (dataset 164); by default m."""
     band: Pair | None = None

@@ -153,6 +153,7 @@ class StudyFile:
                 unit=given.unit,
                 sensors=sensors,
                 averages=given.averages,
+                channels=given.channels,
                 length_unit=given.length_unit,
                 synthetic=given.synthetic,
             )

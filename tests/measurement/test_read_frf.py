@@ -188,6 +188,39 @@ def test_contradictions_of_arguments_and_files_are_refused(write):
         read_frfs(path, sensors=write("node,x,y,z\n77,0,0,0\n", "far.csv"))
 
 
+def test_a_large_table_is_read_at_once_and_to_the_same_digits(write, monkeypatch):
+    """What is wrong in it is still told by its line."""
+    rows = table(
+        {**FUNCTIONS, ("4-z", "1z"): FUNCTIONS["2z", "1z"]},
+        columns="freq,response,reference,re,im,coherence",
+        extra=",0.8",
+    )
+    lines = [*rows.splitlines()[:2], "0,2z,1z,,,", *reversed(rows.splitlines()[2:])]
+    path = write("\n".join(lines) + "\n# the end\n")
+    slow = read_frfs_csv(path)
+    monkeypatch.setattr("calib.measurement.files.csv_frf.LARGE", 10)
+    monkeypatch.setattr("calib.measurement.files.csv_frf.read_rows", lambda *_: pytest.fail("read line by line"))
+    fast = read_frfs_csv(path)
+    np.testing.assert_array_equal(fast.freq, slow.freq)
+    assert list(fast.functions) == list(slow.functions) and fast.notes == slow.notes
+    for key, values in slow.functions.items():
+        np.testing.assert_array_equal(fast.functions[key], values)
+        np.testing.assert_array_equal(fast.coherence[key], slow.coherence[key])
+    monkeypatch.undo()
+    monkeypatch.setattr("calib.measurement.files.csv_frf.LARGE", 10)
+    for wrong in (
+        "7,2q,1z,1,1,1",
+        "7,2z,1z,nan,1,1",
+        lines[5],
+        "7,2z,1z,1e200,1,1",
+        "7,2z,1z,1,1,1,1",
+        "-7,2z,1z,1,1,1",
+    ):
+        with pytest.raises(InputError) as caught:
+            read_frfs_csv(write("\n".join([*lines, wrong]) + "\n"))
+        assert caught.value.at.line == len(lines) + 1
+
+
 # -- universal files ---------------------------------------------------------------------------------------------------
 
 

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.measurement.files.csv_format import FREQ_LIMIT, VALUE_LIMIT, parse_direction
+from calib.measurement.files.csv_record import header_of
+from calib.measurement.files.frf_columns import is_wide, read_columns, read_function_files
 from calib.measurement.frf import NO_PHASE, QUANTITIES, Quantity
 from calib.measurement.frf_repeats import FRFRepeat, Key, common_axis, function_name, off_axis, on_axis, repeat_of
 from calib.measurement.frf_units import FRFUnits, parse_unit
@@ -21,7 +26,23 @@ _PLACE = re.compile(r"(\d{1,10})\s*([+-]?[a-zA-Z]+)", re.ASCII)
 _STATED = re.compile(r"#\s*(quantity|unit)\s*[:=]\s*(.*?)[\s,;]*", re.IGNORECASE)
 
 
-def read_frfs_csv(path: Path, quantity: Quantity | None = None, unit: str | None = None) -> FRFRepeat:
+def read_columns_frfs(
+    paths: Sequence[Path], channels: Sequence[str], quantity: Quantity | None = None, unit: str | None = None
+) -> FRFRepeat:
+    """Read one repeat from a wide table, or from as many text files as there are channels, one function each.
+
+    See `calib.measurement.files.frf_columns.read_columns`; quantity and unit as for `read_frfs_csv`.
+    """
+    found, units, notes = _stated(paths[0], quantity, unit)
+    read = read_columns(paths[0], channels) if len(paths) == 1 else read_function_files(paths, channels)
+    axis, functions, coherence = read
+    functions = {key: values * units.factor(key) for key, values in functions.items()}
+    return repeat_of(", ".join(map(str, paths)), axis, found, functions, coherence, notes)
+
+
+def read_frfs_csv(
+    path: Path, quantity: Quantity | None = None, unit: str | None = None, channels: Sequence[str] = ()
+) -> FRFRepeat:
     """Read one repeat from a table ``freq, response, reference, re, im, coherence``.
 
     A line holds one value of one function: its frequency in Hz, response and reference such as ``12z`` or ``12-z`` (a
@@ -41,6 +62,9 @@ def read_frfs_csv(path: Path, quantity: Quantity | None = None, unit: str | None
     quantity : {"receptance", "mobility", "accelerance"}, optional
     unit : str, optional
         Where the file does not state them; a contradiction is refused.
+    channels : sequence of str, optional
+        Of a table with the functions side by side, such as ``12z/3z``, where its columns do not name them; see
+        `read_columns_frfs`.
 
     Raises
     ------
@@ -48,6 +72,14 @@ def read_frfs_csv(path: Path, quantity: Quantity | None = None, unit: str | None
         With file, line and column, for anything that is not such a table: amplitudes alone, no quantity, an unknown
         unit, an entry given twice, frequencies that differ between functions, a dead channel.
     """
+    if channels or is_wide(header_of(path)[0]):
+        return read_columns_frfs([path], channels, quantity, unit)
+    if (large := _large_table(path)) is not None:
+        found, units, notes = _stated(path, quantity, unit)
+        if (sorted_lines := _of_large(large, found)) is not None:
+            axis = common_axis([freq for freq, _, _ in sorted_lines.values()])
+            if axis is not None:
+                return _on_axis(path, axis, found, units, notes, sorted_lines)
     rows = read_rows(path, ("freq", "response", "reference"), ("re", "im", "coherence"))
     for column in ("re", "im"):
         if column not in rows[0].cells:
@@ -67,21 +99,83 @@ def read_frfs_csv(path: Path, quantity: Quantity | None = None, unit: str | None
     if not entries:
         raise InputError("it has no line above 0 Hz", place=path, remedy="give at least one frequency in Hz")
     _require_phase(path, entries)
-    lines = {key: np.array(sorted(own)) for key, own in entries.items()}
-    axis, functions, coherences = common_axis(list(lines.values())), {}, {}
+    lines: dict[Key, _Lines] = {}
     for key, own in entries.items():
-        if axis is None:
-            _require_axis(path, key, own, next(iter(lines.values())))
-            continue
-        ordered = [own[freq] for freq in lines[key].tolist()]
+        ordered = [own[freq] for freq in sorted(own)]
         values = np.array([value for value, _, _ in ordered])
         if not values.any():
             raise ordered[0][2].error("re", "this function is zero on every line: a dead channel", "leave it out")
-        functions[key] = on_axis(values * units.factor(key), lines[key], axis)
-        if any(gamma == gamma for _, gamma, _ in ordered):
-            coherences[key] = on_axis(np.array([gamma for _, gamma, _ in ordered]), lines[key], axis)
+        lines[key] = np.array(sorted(own)), values, np.array([gamma for _, gamma, _ in ordered])
+    axis = common_axis([freq for freq, _, _ in lines.values()])
+    if axis is None:
+        for key, own in entries.items():
+            _require_axis(path, key, own, next(iter(lines.values()))[0])
     assert axis is not None
-    return repeat_of(str(path), axis, found, functions, coherences, notes)
+    return _on_axis(path, axis, found, units, notes, lines)
+
+
+_Lines = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Frequencies in ascending order, values and coherences of a function, (n_lines,) each."""
+LARGE = 20_000
+"""Lines from which a table is read at once; what is wrong in it is looked for line by line."""
+
+
+def _on_axis(
+    path: Path, axis: np.ndarray, found: Quantity, units: FRFUnits, notes: Sequence[str], lines: Mapping[Key, _Lines]
+) -> FRFRepeat:
+    functions = {key: on_axis(values * units.factor(key), freq, axis) for key, (freq, values, _) in lines.items()}
+    coherence = {key: on_axis(own, freq, axis) for key, (freq, _, own) in lines.items() if np.isfinite(own).any()}
+    return repeat_of(str(path), axis, found, functions, coherence, notes)
+
+
+def _large_table(path: Path) -> pd.DataFrame | None:
+    """A table of many lines separated by commas; None for another one, and for anything that is not plain."""
+    header, separator = header_of(path)
+    named = {"freq", "response", "reference", "re", "im"}
+    if separator != "," or len(set(header)) < len(header) or not named <= set(header) <= {*named, "coherence"}:
+        return None
+    try:
+        with path.open("rb") as file:
+            if sum(chunk.count(b"\n") for chunk in iter(lambda: file.read(1 << 20), b"")) < LARGE:
+                return None
+        with warnings.catch_warnings():
+            # the default of older versions is not exact to the last digit, newer ones deprecate the choice
+            warnings.filterwarnings("ignore", message="The 'float_precision' argument")
+            table = pd.read_csv(
+                path, comment="#", encoding="utf-8-sig", float_precision="round_trip", skipinitialspace=True,
+                dtype={"response": "category", "reference": "category"}, keep_default_na=False, na_values=[""],
+            )  # fmt: skip
+    except (OSError, TypeError, ValueError):  # pandas' own errors among them
+        return None
+    numbers = [column for column in table.columns if column not in ("response", "reference")]
+    plain = all(table[column].dtype.kind in "if" for column in numbers) and list(table.columns) == header
+    return table if plain and isinstance(table.index, pd.RangeIndex) else None
+
+
+def _of_large(table: pd.DataFrame, found: Quantity) -> dict[Key, _Lines] | None:
+    """Lines by function; None where one is wrong, which is then told by its line."""
+    if found != "receptance":
+        table = table[table["freq"] != 0]
+    values = table["re"].to_numpy(dtype=float) + 1j * table["im"].to_numpy(dtype=float)
+    freq = table["freq"].to_numpy(dtype=float)
+    coherence = table["coherence"].to_numpy(dtype=float) if "coherence" in table else np.full(len(table), np.nan)
+    parts = np.maximum(np.abs(values.real), np.abs(values.imag))
+    fine = np.all((freq >= 0) & (freq < FREQ_LIMIT)) and np.all(parts <= VALUE_LIMIT)
+    if not len(table) or not fine or (np.all(values.imag == 0) and np.all(values.real >= 0)):
+        return None
+    out: dict[Key, _Lines] = {}
+    grouped: Mapping[Any, Any] = table.groupby(["response", "reference"], observed=True, sort=False).indices
+    for names, indices in grouped.items():
+        rows = np.asarray(indices)
+        ends = [_end_of(str(name).strip()) for name in names]
+        order = rows[np.argsort(freq[rows], kind="stable")]
+        if ends[0] is None or ends[1] is None:
+            return None
+        (response, one), (reference, other) = ends[0], ends[1]
+        if (response, reference) in out or np.any(np.diff(freq[order]) <= 0) or not values[order].any():
+            return None
+        out[response, reference] = freq[order], one * other * values[order], coherence[order]
+    return out
 
 
 def _stated(path: Path, quantity: Quantity | None, unit: str | None) -> tuple[Quantity, FRFUnits, tuple[str, ...]]:
@@ -120,7 +214,7 @@ def _stated(path: Path, quantity: Quantity | None, unit: str | None) -> tuple[Qu
 def _comments(path: Path) -> dict[str, tuple[str, Place]]:
     """What comment lines say of quantity and unit, and where."""
     said: dict[str, tuple[str, Place]] = {}
-    for number, line in enumerate(path.read_text("utf-8-sig").splitlines(), start=1):
+    for number, line in enumerate(path.read_text("utf-8-sig", errors="replace").splitlines(), start=1):
         match = _STATED.fullmatch(line.strip())
         if match is None:
             continue
@@ -143,14 +237,19 @@ def _entry(row: TableRow, freq: float) -> tuple[complex, float]:
 
 def _end(row: TableRow, column: str) -> tuple[tuple[int, str], int]:
     """Node and direction of a response or reference, and the sign of the direction."""
-    match = _PLACE.fullmatch(row.text(column))
-    parsed = parse_direction(match.group(2)) if match else None
-    if match is None or parsed is None:
+    found = _end_of(row.text(column))
+    if found is None:
         raise row.error(
             column, f"{row.text(column)!r:.60} is no node with a direction",
             f"write it like 12z or 12-z; directions are {', '.join(DIRECTIONS)}",
         )  # fmt: skip
-    return (int(match.group(1)), parsed[0]), parsed[1]
+    return found
+
+
+def _end_of(text: str) -> tuple[tuple[int, str], int] | None:
+    match = _PLACE.fullmatch(text)
+    parsed = parse_direction(match.group(2)) if match else None
+    return None if match is None or parsed is None else ((int(match.group(1)), parsed[0]), parsed[1])
 
 
 def _require_phase(path: Path, entries: Mapping[Key, Mapping[float, tuple[complex, float, TableRow]]]) -> None:

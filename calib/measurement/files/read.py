@@ -25,6 +25,8 @@ from calib.measurement.sensors import place_sensors
 Named = str | Path | Sequence[str | Path]
 """Files by their paths or by patterns."""
 UFF_SUFFIXES = (".uff", ".unv", ".uf")
+TEXT_SUFFIXES = (".txt", ".asc", ".dat", ".tsv", ".prn")
+"""Text files of one function each."""
 
 
 def read_modes(
@@ -194,8 +196,11 @@ def _varied(count: np.ndarray, n_repeats: int) -> np.ndarray | None:
     return count if np.any((count > 0) & (count != n_repeats)) else None
 
 
-def require_files(paths: Sequence[Path], shapes: Sequence[Path] = ()) -> bool:
-    """InputError unless the files exist, differ and are of one kind; returns whether they are universal files."""
+def require_files(paths: Sequence[Path], shapes: Sequence[Path] = (), also: Sequence[str] = ()) -> bool:
+    """InputError unless the files exist, differ and are of one kind; returns whether they are universal files.
+
+    ``also`` are suffixes of text files that count as tables.
+    """
     if not paths:
         raise InputError("no measurement file is given", place="measurement", remedy="name at least one")
     for path in (*paths, *shapes):
@@ -206,10 +211,9 @@ def require_files(paths: Sequence[Path], shapes: Sequence[Path] = ()) -> bool:
     if twice is not None:
         raise InputError("the file is given twice", place=twice, remedy="name every repeat once")
     for path in paths:
-        if path.suffix.lower() not in (*UFF_SUFFIXES, ".csv"):
-            raise InputError(
-                f"unknown kind of file {path.suffix!r}", place=path, remedy=f"give {', '.join(UFF_SUFFIXES)} or .csv"
-            )
+        if path.suffix.lower() not in (*UFF_SUFFIXES, ".csv", *also):
+            remedy = f"give {', '.join((*UFF_SUFFIXES, *also))} or .csv"
+            raise InputError(f"unknown kind of file {path.suffix!r}", place=path, remedy=remedy)
     kinds = {path.suffix.lower() in UFF_SUFFIXES for path in paths}
     if len(kinds) > 1:
         raise InputError("universal files and CSV are mixed", place=paths[0], remedy="give all repeats in one format")

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from calib.errors.arguments import integer
+from calib.errors.arguments import integer, names
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import read_sensor_table
-from calib.measurement.files.csv_frf import read_frfs_csv
-from calib.measurement.files.read import Named, found_files, require_files, require_no_copies
+from calib.measurement.files.csv_frf import read_columns_frfs, read_frfs_csv
+from calib.measurement.files.read import TEXT_SUFFIXES, Named, found_files, require_files, require_no_copies
 from calib.measurement.files.uff_frf import read_uff_frfs
 from calib.measurement.frf import QUANTITIES, MeasuredFRFs, Quantity
 from calib.measurement.frf_setups import combine_setups
@@ -26,6 +27,7 @@ def read_frfs(
     unit: str | None = None,
     sensors: str | Path | None = None,
     averages: int | None = None,
+    channels: Sequence[str] = (),
     length_unit: str | None = None,
     synthetic: bool = False,
 ) -> MeasuredFRFs:
@@ -49,6 +51,11 @@ def read_frfs(
         files.
     averages : int, optional
         Averages behind each function of a single file, from 1; with them its coherence gives standard deviations.
+    channels : sequence of str, optional
+        Response and reference of each function, such as ``12z/3z`` or ``12-z/3z``, where the files do not name them: of
+        a universal file in the order of its FRFs (its nodes and directions then do not count), of a table with the
+        functions side by side (see `calib.measurement.files.frf_columns.read_columns`) in that of its columns, and of
+        text files with one function each (``.txt``, ``.asc``, ``.dat``, ...) in that of the files, repeat by repeat.
     length_unit : str, optional
         Of places in universal files without dataset 164, such as ``mm``; by default m.
     synthetic : bool
@@ -80,16 +87,23 @@ def read_frfs(
     averages = None if averages is None else integer(averages, 1, "averages")
     if quantity is not None and quantity not in QUANTITIES:
         raise InputError(f"quantity is {quantity!r}", place="measurement", remedy=f"one of {', '.join(QUANTITIES)}")
-    is_uff = require_files(paths)
-    if averages is not None and len(paths) > 1:
+    channels = names(channels, "channels")
+    is_uff = require_files(paths, also=TEXT_SUFFIXES)
+    groups = _repeats(paths, channels)
+    if averages is not None and len(groups) > 1:
         raise InputError(
-            f"averages are given beside {len(paths)} repeats", place="measurement",
+            f"averages are given beside {len(groups)} repeats", place="measurement",
             remedy="leave them out: the repeats give the standard deviations",
         )  # fmt: skip
     require_no_copies(paths)
     table = read_sensor_table(table_path) if table_path is not None else {}
     metres = parse_length_unit(length_unit)
-    repeats = [read_uff_frfs(p, quantity, unit, metres) if is_uff else read_frfs_csv(p, quantity, unit) for p in paths]
+    repeats = [
+        read_uff_frfs(own[0], quantity, unit, metres, channels) if is_uff
+        else read_frfs_csv(own[0], quantity, unit, channels) if len(own) == 1
+        else read_columns_frfs(own, channels, quantity, unit)
+        for own in groups
+    ]  # fmt: skip
     found = combine_setups(repeats, averages, synthetic)
     if averages is not None and not repeats[0].coherence:
         raise InputError("averages are given, but it holds no coherence", place=paths[0], remedy="leave them out")
@@ -104,3 +118,18 @@ def read_frfs(
         notes=(*placed.notes, *found.notes),
         misplaced=placed.misplaced,
     )
+
+
+def _repeats(paths: Sequence[Path], channels: Sequence[str]) -> list[list[Path]]:
+    """Files by repeat: one each, but for text files of one function each."""
+    if not any(path.suffix.lower() in TEXT_SUFFIXES for path in paths):
+        return [[path] for path in paths]
+    if len(paths) % max(len(channels), 1):
+        words = f"{len(paths)} files with one function each are no multiple of the {len(channels)} channels"
+        raise InputError(words, place=paths[0], remedy="name the channel of every file of a repeat")
+    if not channels:
+        raise InputError(
+            "a text file does not name its function", place=paths[0],
+            remedy="name response and reference of each file: channels = ['12z/3z', ...]",
+        )  # fmt: skip
+    return [list(paths[k : k + len(channels)]) for k in range(0, len(paths), len(channels))]

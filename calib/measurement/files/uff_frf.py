@@ -13,6 +13,7 @@ import pyuff
 
 from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import VALUE_LIMIT
+from calib.measurement.files.frf_columns import channel_of
 from calib.measurement.files.uff_blocks import Dataset, extract_sets, read_blocks
 from calib.measurement.files.uff_labels import MOTIONS, Axis, force_axis, hertz, motion_axis
 from calib.measurement.files.uff_nodes import Nodes, length_factor, nodes_of
@@ -33,7 +34,11 @@ _FREQUENCY = (0, 18)
 
 
 def read_uff_frfs(
-    path: Path, quantity: Quantity | None = None, unit: str | None = None, length_unit: float | None = None
+    path: Path,
+    quantity: Quantity | None = None,
+    unit: str | None = None,
+    length_unit: float | None = None,
+    channels: Sequence[str] = (),
 ) -> FRFRepeat:
     """Read one repeat from a universal file.
 
@@ -52,6 +57,9 @@ def read_uff_frfs(
         Likewise, where neither labels nor dataset 164 say; see `calib.measurement.frf_units.parse_unit`.
     length_unit : float, optional
         Metres per unit of length, where it has no dataset 164.
+    channels : sequence of str, optional
+        Response and reference of each FRF, such as ``12z/3z``, in the order of the file, whose nodes and directions
+        then do not count.
 
     Raises
     ------
@@ -67,7 +75,7 @@ def read_uff_frfs(
             raise InputError(f"{unit} is no unit of {quantity}", place=path, remedy="correct one of them")
         quantity = stated[0]
     units = _units(path, blocks)
-    frfs, coherences = _datasets(path, quantity, notes)
+    frfs, coherences = _datasets(path, quantity, notes, channels)
     found = {one.quantity for one in frfs.values()}
     if len(found) > 1:
         raise InputError(f"it holds {' and '.join(sorted(found))}", place=path, remedy="export one quantity")
@@ -114,11 +122,13 @@ class _Dataset:
     quantity: Quantity = "receptance"
 
 
-def _datasets(path: Path, stated: Quantity | None, notes: list[str]) -> tuple[dict[Key, _Dataset], dict[Key, _Dataset]]:
+def _datasets(
+    path: Path, stated: Quantity | None, notes: list[str], channels: Sequence[str]
+) -> tuple[dict[Key, _Dataset], dict[Key, _Dataset]]:
     """FRFs and coherences on common lines; what is neither is noted."""
     frfs: dict[Key, _Dataset] = {}
     coherences: dict[Key, _Dataset] = {}
-    every = _sets(path)
+    every = _with_channels(path, _sets(path), channels) if channels else _sets(path)
     foreign: Counter[str] = Counter()
     for data in every:
         if data["func_type"] == _FRF and (what := _foreign(data)) is not None:
@@ -144,6 +154,23 @@ def _datasets(path: Path, stated: Quantity | None, notes: list[str]) -> tuple[di
         what = "1 function that is neither an FRF" if skipped == 1 else f"{skipped} functions that are neither FRFs"
         notes.append(f"{path}: {what} nor {'a coherence' if skipped == 1 else 'coherences'} of one skipped")
     return frfs, coherences
+
+
+def _with_channels(path: Path, every: Sequence[dict[str, Any]], channels: Sequence[str]) -> list[dict[str, Any]]:
+    """Datasets whose FRFs, and coherences where there are as many, have the ends that the user names."""
+    out = list(every)
+    of = {code: [k for k, data in enumerate(every) if data["func_type"] == code] for code in (_FRF, _COHERENCE)}
+    of[_FRF] = [k for k in of[_FRF] if _foreign(every[k]) is None]
+    if len(of[_FRF]) != len(channels):
+        words = f"{len(channels)} channels are named, but it holds {len(of[_FRF])} FRFs of a motion over a force"
+        raise InputError(words, place=path, remedy="name every one, in the order of the file")
+    for own in of.values():
+        for k, channel in zip(own, channels, strict=False):
+            ((response, moved), (reference, driven)), sign = channel_of(channel, path)
+            ends = {"rsp_node": response, "rsp_dir": sign * (DIRECTIONS.index(moved) + 1)}
+            if len(own) == len(channels):
+                out[k] = {**every[k], **ends, "ref_node": reference, "ref_dir": DIRECTIONS.index(driven) + 1}
+    return out
 
 
 def _functions(count: int) -> str:
@@ -229,8 +256,9 @@ def _key(where: str, data: Mapping[str, Any]) -> tuple[Key, float]:
         code = int(data[f"{side}_dir"])
         if not 1 <= abs(code) <= 6:
             raise InputError(
-                f"the direction of its {what} is {code}", place=where, remedy="give 1 to 6, negative against the axis"
-            )
+                f"the direction of its {what} is {code}", place=where,
+                remedy="give 1 to 6, negative against the axis, or name every channel: channels = ['12z/3z', ...]",
+            )  # fmt: skip
         sign *= np.sign(code)
         ends.append((int(data[f"{side}_node"]), DIRECTIONS[abs(code) - 1]))
     return (ends[0], ends[1]), float(sign)

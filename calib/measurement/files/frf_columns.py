@@ -1,0 +1,228 @@
+"""Frequency response functions from columns of numbers: wide tables, and one text file for each function."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calib.errors.errors import InputError
+from calib.errors.place import Place
+from calib.measurement.files.csv_format import FREQ_LIMIT, VALUE_LIMIT, parse_direction
+from calib.measurement.frf import NO_PHASE
+from calib.measurement.frf_repeats import Key, function_name, off_axis
+from calib.measurement.modal import DIRECTIONS
+
+_PLACE = r"\d{1,10}\s*[+-]?[a-zA-Z]+"
+_CHANNEL = re.compile(rf"({_PLACE})\s*/\s*({_PLACE})", re.ASCII)
+_END = re.compile(r"(\d{1,10})\s*([+-]?[a-zA-Z]+)", re.ASCII)
+_PARTS: Mapping[str, str] = {
+    "re": "re", "real": "re", "im": "im", "imag": "im", "imaginary": "im", "mag": "magnitude", "magnitude": "magnitude",
+    "amplitude": "magnitude", "amp": "magnitude", "abs": "magnitude", "modulus": "magnitude", "phase": "phase",
+    "coherence": "coherence", "coh": "coherence",
+}  # fmt: skip
+"""What a word in the name of a column says that it holds."""
+_SEPARATORS = (";", "\t", ",", None)
+_COMMENT = ("#", "%", "!")
+
+
+def channel_of(text: str, place: str | Path | Place) -> tuple[Key, int]:
+    """Response and reference of a channel such as ``12z/3z`` or ``12-z/3z``, and the sign of their directions."""
+    match = _CHANNEL.fullmatch(text.strip())
+    ends, sign = [], 1
+    for k in (1, 2):
+        end = _END.fullmatch(match.group(k)) if match else None
+        parsed = parse_direction(end.group(2)) if end else None
+        if end is None or parsed is None:
+            raise InputError(
+                f"the channel {text[:40]!r} is no response over a reference", place=place,
+                remedy=f"write it like 12z/3z or 12-z/3z; directions are {', '.join(DIRECTIONS)}",
+            )  # fmt: skip
+        ends.append((int(end.group(1)), parsed[0]))
+        sign *= parsed[1]
+    return (ends[0], ends[1]), sign
+
+
+def is_wide(names: Sequence[str]) -> bool:
+    """Whether the columns of a table are those of functions side by side: ``freq, 2z/1z re, 2z/1z im, ...``."""
+    return "response" not in names and any(_CHANNEL.match(name) for name in names)
+
+
+def read_columns(
+    path: Path, channels: Sequence[str] = ()
+) -> tuple[np.ndarray, dict[Key, np.ndarray], dict[Key, np.ndarray]]:
+    """Frequencies, functions and coherences from a table with the functions side by side.
+
+    The first column holds the frequencies in Hz. Each function has two more, real and imaginary part, or magnitude and
+    phase, and may have its coherence. A column is named by channel and part, such as ``2z/1z re`` or
+    ``2z/1z phase (deg)``; phases are in degrees unless the name says rad, magnitudes may be in dB where it says so.
+    With ``channels`` the names need tell the part alone, and without any names the parts are real and imaginary.
+
+    Returns
+    -------
+    freq : ndarray (n_freq,)
+    functions : dict from Key to ndarray (n_freq,), complex
+        In the unit of the file; NaN where an entry is empty or ``nan``.
+    coherence : dict from Key to ndarray (n_freq,)
+
+    Raises
+    ------
+    InputError
+        With file and line, for what is no such table.
+    """
+    names, table = numbers_of(path)
+    columns = names or ["freq", *["re", "im"] * ((table.shape[1] - 1) // 2)]
+    if len(columns) != table.shape[1]:
+        words = f"it has {table.shape[1]} columns of numbers, but names {len(columns)}"
+        raise InputError(words, place=path, remedy="name every column")
+    freq = table[:, 0]
+    if not np.all(np.isfinite(freq)) or freq.min() < 0 or freq.max() >= FREQ_LIMIT:
+        raise InputError("a frequency in its first column is none", place=path, remedy="give it in Hz")
+    parts: dict[tuple[Key, int], dict[str, np.ndarray]] = {}
+    given, order = [channel_of(one, path) for one in channels], -1
+    seen: set[str] = set()
+    for name, column in zip(columns[1:], table[:, 1:].T, strict=True):
+        part, values = _part(path, name, column)
+        if given:
+            if order < 0 or part in seen or (part in ("re", "magnitude") and seen):
+                order, seen = order + 1, set()
+            seen.add(part)
+            if order >= len(given):
+                words = f"it has more functions than the {len(given)} channels"
+                raise InputError(words, place=path, remedy="name every function, in the order of the columns")
+            key = given[order]
+        else:
+            match = _CHANNEL.match(name)
+            key = channel_of(match.group(0) if match else name, path)
+        own = parts.setdefault(key, {})
+        if part in own:
+            raise InputError(f"{function_name(key[0])} has two columns of its {part}", place=path, remedy="keep one")
+        own[part] = values
+    if given and len(parts) != len(given):
+        raise InputError(f"it has {len(parts)} functions for {len(given)} channels", place=path, remedy="name as many")
+    rows = np.argsort(freq, kind="stable")
+    if np.any(np.diff(freq[rows]) <= 0):
+        raise InputError("a frequency is there twice", place=path, remedy="keep one of the lines")
+    functions = {key: sign * _complex(path, key, own)[rows] for (key, sign), own in parts.items()}
+    coherence = {key: own["coherence"][rows] for (key, _), own in parts.items() if "coherence" in own}
+    return freq[rows], functions, coherence
+
+
+def read_function_files(
+    paths: Sequence[Path], channels: Sequence[str]
+) -> tuple[np.ndarray, dict[Key, np.ndarray], dict[Key, np.ndarray]]:
+    """The same from text files that hold one function each, in the order of the channels; see `read_columns`."""
+    axis: np.ndarray | None = None
+    functions: dict[Key, np.ndarray] = {}
+    coherence: dict[Key, np.ndarray] = {}
+    for path, channel in zip(paths, channels, strict=True):
+        freq, own, gamma = read_columns(path, [channel])
+        axis = freq if axis is None else axis
+        if off_axis(freq, axis).any():
+            words = f"its frequencies are not those of {paths[0]}"
+            raise InputError(words, place=path, remedy="export all on common frequencies")
+        if twice := set(own) & set(functions):
+            raise InputError(f"the channel {function_name(twice.pop())} is named twice", place=path)
+        functions |= own
+        coherence |= gamma
+    assert axis is not None
+    return axis, functions, coherence
+
+
+def numbers_of(path: Path) -> tuple[list[str], np.ndarray]:
+    """Names of the columns (none where the file has none) and numbers, (n_rows, n_columns), of a text file.
+
+    Lines that begin with ``#``, ``%`` or ``!`` are skipped. Entries are separated by semicolons, tabs, commas or
+    blanks; the line before the first one of numbers names the columns.
+    """
+    try:
+        text = path.read_bytes()
+    except OSError as err:
+        raise InputError(f"it cannot be read ({err.strerror})", place=path, remedy="check the path") from None
+    try:
+        lines = text.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        lines = text.decode("latin-1").splitlines()
+    kept = [
+        (k, line) for k, line in enumerate(lines, start=1) if line.strip() and not line.lstrip().startswith(_COMMENT)
+    ]
+    separator, first = None, None
+    for at, (_, line) in enumerate(kept):
+        separator = next((c for c in _SEPARATORS if c is None or c in line), None)
+        if len(cells := line.split(separator)) > 1 and all(_number(cell, separator) is not None for cell in cells):
+            first = at
+            break
+    if first is None:
+        raise InputError("it holds no line of numbers", place=path, remedy="give one line for each frequency")
+    names = [cell.strip().strip('"') for cell in kept[first - 1][1].split(separator)] if first else []
+    body = [line for _, line in kept[first:]]
+    try:
+        table = np.loadtxt(body, delimiter=separator, ndmin=2)
+    except ValueError:  # an empty entry or a decimal comma, or the place of a fault
+        table = _by_cell(path, kept[first:], separator)
+    if first and len(names) != table.shape[1] and len(words := kept[first - 1][1].split()) == table.shape[1]:
+        names = words  # a header in blanks above other separators
+    return names, table
+
+
+def _by_cell(path: Path, lines: Sequence[tuple[int, str]], separator: str | None) -> np.ndarray:
+    rows: list[list[float]] = []
+    for number, line in lines:
+        row = [_number(cell, separator) for cell in line.split(separator)]
+        if None in row or (rows and len(row) != len(rows[0])):
+            wrong = (
+                "an entry that is no number" if None in row else f"{len(row)} entries, the first line {len(rows[0])}"
+            )
+            raise InputError(f"it has {wrong}", place=Place(str(path), number, line), remedy="correct it")
+        rows.append([np.nan if value is None else value for value in row])
+    return np.array(rows)
+
+
+def _number(cell: str, separator: str | None) -> float | None:
+    """Value of an entry, NaN for an empty one; None for words."""
+    bare = cell.strip()
+    try:
+        return float(bare.replace(",", ".") if separator in (";", "\t") else bare) if bare else np.nan
+    except ValueError:
+        return None
+
+
+def _part(path: Path, name: str, column: np.ndarray) -> tuple[str, np.ndarray]:
+    """What a column holds, by its name, and its values with phases in rad and plain magnitudes."""
+    match = _CHANNEL.match(name)
+    words = re.findall(r"[a-zA-Z]+", name[match.end() :] if match else name)
+    said = list(dict.fromkeys(_PARTS[word.lower()] for word in words if word.lower() in _PARTS))
+    if "phase" in said:
+        said = ["phase"]
+    if len(said) != 1:
+        raise InputError(
+            f"the name of its column {name!r:.60} does not say what it holds", place=path,
+            remedy="name channel and part: 2z/1z re, 2z/1z im, or magnitude, phase; or coherence",
+        )  # fmt: skip
+    lower = [word.lower() for word in words]
+    if said == ["phase"] and "rad" not in lower:
+        return "phase", np.radians(column)
+    if said == ["magnitude"] and "db" in lower:
+        return "magnitude", 10 ** (column / 20)
+    return said[0], column
+
+
+def _complex(path: Path, key: Key, parts: Mapping[str, np.ndarray]) -> np.ndarray:
+    if {"re", "im"} <= set(parts):
+        values = parts["re"] + 1j * parts["im"]
+        known = np.isfinite(values)
+        if np.all(values[known].imag == 0) and np.all(values[known].real >= 0):
+            words = f"{function_name(key)} is real and nowhere negative: amplitudes"
+            raise InputError(words, place=path, remedy=NO_PHASE)
+    elif {"magnitude", "phase"} <= set(parts):
+        if np.nanmin(parts["magnitude"]) < 0:
+            raise InputError(f"a magnitude of {function_name(key)} is negative", place=path, remedy="check its columns")
+        values = parts["magnitude"] * np.exp(1j * parts["phase"])
+    else:
+        words = f"{function_name(key)} has the columns {', '.join(sorted(parts))} only"
+        raise InputError(words, place=path, remedy=f"{NO_PHASE}: re and im, or magnitude and phase")
+    if np.any(np.abs(values[np.isfinite(values)]) > VALUE_LIMIT):
+        raise InputError(f"a value of {function_name(key)} is above {VALUE_LIMIT:g}", place=path, remedy="correct it")
+    return np.asarray(values)

@@ -1,0 +1,147 @@
+"""FRFs as engineers have them: functions side by side, one text file each, channels that the file does not name."""
+
+import numpy as np
+import pytest
+import pyuff
+
+from calib.errors.errors import InputError
+from calib.measurement.files.read_frf import read_frfs
+
+FREQ = np.arange(2.0, 22.0, 0.5)
+W = 2 * np.pi * FREQ
+VALUES = {name: 1 / (k - W**2 + 0.05j * k) for name, k in (("1z/1z", 3e3), ("2z/1z", 8e3), ("3x/1z", 1e4))}
+
+
+def wide(parts, separator=",", head="# unit: m/N\n", names=None, comma=False):
+    """A table of all functions; ``parts`` name -> function of the values."""
+    columns = [FREQ, *(make(values) for values in VALUES.values() for make in parts.values())]
+    header = names or ["Frequency (Hz)", *(f"{name} {part}" for name in VALUES for part in parts)]
+    lines = [
+        separator.join(f"{x:.15g}".replace(".", "," if comma else ".") for x in row)
+        for row in zip(*columns, strict=True)
+    ]
+    return head + "\n".join([separator.join(header), *lines]) + "\n"
+
+
+RE_IM = {"re": np.real, "im": np.imag}
+POLAR = {"magnitude": np.abs, "phase (deg)": lambda v: np.degrees(np.angle(v))}
+
+
+def check(frfs):
+    assert [one.name for one in frfs.functions] == list(VALUES) and frfs.quantity == "receptance"
+    np.testing.assert_allclose(frfs.freq, FREQ)
+    for one in frfs.functions:
+        np.testing.assert_allclose(frfs.values[one.index], VALUES[one.name], rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("parts", "options"),
+    [
+        (RE_IM, {}),
+        (POLAR, {}),
+        ({"mag [dB]": lambda v: 20 * np.log10(np.abs(v)), "phase_rad": np.angle}, {}),
+        ({"Real": np.real, "Imag": np.imag}, {"separator": ";", "comma": True}),
+        (RE_IM, {"separator": "\t"}),
+    ],
+)
+def test_functions_side_by_side(tmp_path, parts, options):
+    path = tmp_path / "wide.csv"
+    path.write_text(wide(parts, **options))
+    check(read_frfs(path))
+
+
+@pytest.mark.parametrize("parts", [RE_IM, POLAR])
+def test_channels_named_by_the_user(tmp_path, parts):
+    path = tmp_path / "wide.csv"
+    names = ["f", *(f"H{k} {part}" for k in range(3) for part in parts)]
+    path.write_text(wide(parts, names=names))
+    check(read_frfs(path, channels=list(VALUES)))
+    for channels, words in (
+        (["1z/1z"], "more functions"),
+        ([*VALUES, "9z/1z"], "3 functions for 4"),
+        (["1z"], "no response"),
+    ):
+        with pytest.raises(InputError, match=words):
+            read_frfs(path, channels=channels)
+
+
+def test_columns_with_coherence_and_entries_that_were_not_measured(tmp_path):
+    path = tmp_path / "wide.csv"
+    lines = wide({**RE_IM, "coherence": lambda v: np.full(len(v), 0.9)}).splitlines()
+    cells = lines[7].split(",")
+    lines[7] = ",".join([*cells[:4], "", "", *cells[6:]])
+    path.write_text("\n".join(lines))
+    frfs = read_frfs(path, averages=4)
+    assert np.isnan(frfs.values[5, 1, 0]) and np.isfinite(frfs.values[5, 0, 0])
+    np.testing.assert_allclose(frfs.std[0, 0, 0], np.abs(VALUES["1z/1z"][0]) * np.sqrt(0.1 / (2 * 4 * 0.9)))
+
+
+@pytest.mark.parametrize(
+    "head", ["", "Measured by hand\n\nf/Hz\tRe\tIm\n", "% made by a script\nFrequency Magnitude Phase\n"]
+)
+def test_one_text_file_for_each_function_repeat_by_repeat(tmp_path, head):
+    polar = "Phase" in head
+    for repeat in (1, 2):
+        for k, values in enumerate(VALUES.values()):
+            parts = (
+                [np.abs(values) * repeat, np.degrees(np.angle(values))]
+                if polar
+                else [repeat * values.real, repeat * values.imag]
+            )
+            rows = zip(FREQ, *parts, strict=True)
+            text = head + "\n".join("\t".join(f"{x:.14e}" for x in row) for row in rows) + "\n"
+            (tmp_path / f"r{repeat}_{k}.txt").write_text(text)
+    frfs = read_frfs(str(tmp_path / "r1_*.txt"), channels=list(VALUES), unit="m/N")
+    check(frfs)
+    both = read_frfs(str(tmp_path / "r*.txt"), channels=list(VALUES), unit="m/N")
+    assert both.n_repeats == 2
+    np.testing.assert_allclose(both.values, 1.5 * frfs.values)
+    with pytest.raises(InputError, match="channels = "):
+        read_frfs(str(tmp_path / "r1_*.txt"), unit="m/N")
+    with pytest.raises(InputError, match="no multiple of the 2 channels"):
+        read_frfs(str(tmp_path / "r1_*.txt"), unit="m/N", channels=["1z/1z", "2z/1z"])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("freq,1z/1z re,1z/1z im\n1,2\n", "names 3"),
+        ("freq,1z/1z re,1z/1z im\n1,2,3\n2,x,4\n", "no number"),
+        ("freq,1z/1z re\n1,2\n2,3\n", "re only"),
+        ("freq,1z/1z re,1z/1z im\n1,2,3\n1,2,4\n", "twice"),
+        ("freq,1z/1z magnitude,1z/1z phase\n1,-2,3\n2,2,4\n", "negative"),
+        ("freq,1z/1z re,1z/1z im\n1,2,0\n2,3,0\n", "amplitude"),
+        ("freq,1z/1z re,1z/1z volts\n1,2,0\n2,3,0\n", "volts"),
+        ("freq,1z/1z re,1z/1z re\n1,2,0\n2,3,0\n", "two columns"),
+    ],
+)
+def test_what_is_no_table_of_functions_is_refused(tmp_path, text, words):
+    path = tmp_path / "wide.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words) as caught:
+        read_frfs(path, unit="m/N")
+    assert "wide.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize("nodes", [(0, 0, 0), (1, 2, 3)])
+def test_functions_of_a_universal_file_without_directions(tmp_path, nodes):
+    path = tmp_path / "f.unv"
+    sets = [
+        {
+            "type": 58, "func_type": kind, "rsp_node": node, "rsp_dir": 0, "ref_node": 0, "ref_dir": 0, "x": FREQ,
+            "data": values if kind == 4 else np.full(len(FREQ), 0.5), "abscissa_spacing": 1, "binary": 0,
+            "abscissa_spec_data_type": 18, "ordinate_spec_data_type": 8 if kind == 4 else 0,
+            "orddenom_spec_data_type": 13 if kind == 4 else 0,
+        }
+        for kind in (4, 6) for node, values in zip(nodes, VALUES.values(), strict=True)
+    ]  # fmt: skip
+    pyuff.UFF(str(path)).write_sets(sets, "overwrite")
+    with pytest.raises(InputError, match="channels = "):
+        read_frfs(path)
+    frfs = read_frfs(path, channels=list(VALUES), averages=3)
+    check(frfs)
+    assert np.isfinite(frfs.std[:, 0, 0]).all()
+    turned = read_frfs(path, channels=["1-z/1z", "2z/1z", "3x/1z"])
+    np.testing.assert_allclose(turned.values[:, 0, 0], -VALUES["1z/1z"], rtol=1e-10)
+    with pytest.raises(InputError, match="2 channels are named, but it holds 3"):
+        read_frfs(path, channels=["1z/1z", "2z/1z"])
