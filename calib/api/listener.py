@@ -13,6 +13,7 @@ from calib.execution.stage import Progress, silent
 
 if TYPE_CHECKING:
     from calib.analyses.added import Added
+    from calib.analyses.again import Repeated
     from calib.analyses.calibration import Fitted
     from calib.analyses.compare import ComparisonResult
     from calib.analyses.extend import Extension
@@ -47,6 +48,9 @@ class Listener:
 
     def damaged(self, rows: int) -> None:
         """Number of stored rows that were found damaged, and computed again where they were needed."""
+
+    def repeated(self, study: StudyFile, found: Repeated) -> None:
+        """Failed points were evaluated again."""
 
     def compared(self, study: LoadedStudy, answer: ComparisonResult, folder: Results) -> None:
         """Model and measurement were compared."""

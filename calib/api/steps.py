@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from calib.analyses.provenance import places
 
 if TYPE_CHECKING:
+    from calib.analyses.again import Repeated
     from calib.analyses.calibrate import Method
     from calib.analyses.calibration import Fitted
     from calib.analyses.compare import ComparisonResult
@@ -110,6 +111,17 @@ def bounded(study: Any, parameters: tuple[str, ...], samples: int, seed: int) ->
         run = IntervalsRun(ledger, homes, study.workers, parameters, samples, seed, step)
         found = intervals(loaded, study.folder, run, study.quick)
     study.listener.bounded(found, study.folder)
+    return found
+
+
+def repeated(study: Any) -> Repeated:
+    """Failed points of the study, evaluated once more."""
+    from calib.analyses.again import again
+
+    study.listener.begins(study.loaded, "again")
+    with opened_ledger(study, study.loaded) as ledger, study.listener.progress() as step:
+        found = again(study.loaded, ledger, study.workers, step)
+    study.listener.repeated(study.loaded, found)
     return found
 
 

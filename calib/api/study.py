@@ -22,6 +22,7 @@ from calib.problem.joint import prefixed, stacked
 from calib.results.results import RESULTS, Results
 
 if TYPE_CHECKING:
+    from calib.analyses.again import Repeated
     from calib.analyses.calibrate import Method
     from calib.analyses.staged import Found
     from calib.problem.effect import Effect
@@ -221,6 +222,10 @@ class Study:
         found = steps.bounded(self, tuple(parameters), samples, seed)
         self.draw()
         return AnalysisResult(found.sentences, found.table, self.folder.path, found, tuple(interval_entries(found)))
+
+    def again(self) -> Repeated:
+        """Evaluate failed points once more, such as those without a licence; others stay. Analyses then use them."""
+        return steps.repeated(self)
 
     def explain(self) -> AnalysisResult:
         """Find which effect of the study's library the model lacks."""

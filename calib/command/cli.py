@@ -230,6 +230,13 @@ def intervals(
         loaded.intervals(parameter or (), samples=samples)
 
 
+@app.command(short_help="Evaluate failed points once more.")
+def again(study: StudyPath, results: ResultsPath = RESULTS, workers: Workers = None, verbose: Verbose = False) -> None:
+    """Evaluate failed points once more, such as those without a licence; others stay. Analyses then use them."""
+    with _study("again", study, results, verbose, workers) as loaded:
+        loaded.again()
+
+
 @app.command(short_help="Find which physical effect the model lacks.")
 def explain(
     study: StudyPath,

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 
 from calib.analyses.added import Added, to_add
+from calib.analyses.again import Repeated
 from calib.analyses.calibration import Fitted
 from calib.analyses.compare import ComparisonResult
 from calib.analyses.extend import Extension
@@ -107,6 +108,12 @@ class _Printing(Listener):
             were, they = ("was", "it counts") if rows == 1 else ("were", "they count")
             stored = count(rows, "stored row")
             self._add(Warned(f"{stored} of the ledger {were} changed since calib wrote it; {they} as not evaluated."))
+
+    def repeated(self, study: StudyFile, found: Repeated) -> None:
+        self._add(*(Words(sentence, when="always") for sentence in found.sentences))
+        if found.points > found.failed:
+            run = f"calib calibrate {shell_argument(study.file)}"
+            self._add(Words(f"An analysis that is run again uses them, such as: {run}", when="always"))
 
     # -- results -------------------------------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ import pandas as pd
 from calib.analyses.added import WORDS
 from calib.analyses.calibration import Calibration, Fitted, JointCalibration
 from calib.analyses.intervals import Intervals
-from calib.api.entries.compared import held_out, more_on_pairs, pair_entries
+from calib.api.entries.compared import failed_entries, held_out, more_on_pairs, pair_entries
 from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
 from calib.missing.local import unit_words
 from calib.study.several import AnyStudy
@@ -54,7 +54,7 @@ def calibrated_entries(study: AnyStudy, result: Fitted) -> list[Entry]:
     if isinstance(result, JointCalibration):
         return [
             *map(Warned, result.doubts),
-            *_failed(result),
+            *failed_entries(result.why_failed, study),
             *_parameters(result.any),
             _by_test(result.any.best.statistics.by_test),
             *(Words(words) for words in result.sentences if words not in {*result.doubts, result.why_failed}),
@@ -65,7 +65,7 @@ def calibrated_entries(study: AnyStudy, result: Fitted) -> list[Entry]:
     best, held_out_words = result.best, list(held_out(study))
     out: list[Entry] = [
         *map(Warned, dict.fromkeys((*result.doubts, *best.answer.warnings))),
-        *_failed(result),
+        *failed_entries(result.why_failed, study),
         *_retried(result),
         *_parameters(result),
         *_changes(result),
@@ -106,10 +106,6 @@ def _of_tests(result: JointCalibration) -> Iterator[tuple[str, ...]]:
     for test, one in result.tests.items():
         for r in [] if one.errors is None else one.errors.to_dict("records"):
             yield test, WORDS[r["group"]], *errors_row(r)
-
-
-def _failed(result: Fitted) -> list[Warned]:
-    return [Warned(result.why_failed)] if result.why_failed else []
 
 
 def _retried(result: Calibration) -> list[Words]:

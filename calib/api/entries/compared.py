@@ -15,6 +15,7 @@ from calib.missing.local import unit_words
 from calib.results.results import Results
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
+from calib.study.study_file import shell_argument
 
 _FUNCTIONS = 24
 """FRFs that are printed; the table in the results folder has all."""
@@ -106,6 +107,12 @@ def held_out(study: AnyStudy) -> Iterator[str]:
             yield f"Held out{f' in test {one.test}' if one.test != study.test else ''}, never fitted: {words}."
 
 
+def failed_entries(why: str, study: AnyStudy) -> list[Warned]:
+    """Why points failed, and the command that evaluates them once more."""
+    command = f"calib again {shell_argument(study.file)}"
+    return [Warned(f"{why} Failed points are not evaluated again, unless by: {command}")] if why else []
+
+
 def sensitivity_entries(study: AnyStudy, result: Sensitivity | Screening) -> list[Entry]:
     """A sensitivity analysis by any method."""
     return _samples(study, result) if isinstance(result, Sensitivity) else _screening(result)
@@ -119,7 +126,7 @@ def _samples(study: AnyStudy, result: Sensitivity) -> list[Entry]:
         (r["parameter"], *(decimals(r[name], 2) for name in measures), "yes" if r["selected"] else "no") for r in table
     ]
     reasons = [(r["parameter"], r["why"]) for r in table]
-    out: list[Entry] = [Warned(result.why_failed)] if result.why_failed else []
+    out: list[Entry] = [*failed_entries(result.why_failed, study)]
     out += [
         Rows.of("", ("parameter", "Spearman", "partial", "variance share", "selected"), rows, most=20),
         Rows.of("Why:", ("parameter", "why"), reasons, ("why",), when="verbose"),

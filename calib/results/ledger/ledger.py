@@ -9,7 +9,8 @@ from __future__ import annotations
 import itertools
 import random
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -57,6 +58,7 @@ class Ledger:
         self._history = History(database, self._rows)
         self._tried: set[tuple[str, str]] = set()
         self._damaged: set[tuple[str, int]] = set()
+        self._again = False
 
     @property
     def damaged(self) -> int:
@@ -134,8 +136,8 @@ class Ledger:
     def append(self, fingerprint: str, outcomes: Sequence[Outcome]) -> None:
         """Add evaluations in one transaction.
 
-        A stored point is left as it is, unless its last attempt failed transiently (see `Outcome.transient`): then the
-        new outcome becomes its next attempt.
+        A stored point is left as it is, unless its last attempt failed transiently (see `Outcome.transient`), or failed
+        at all within `failed_again`: then the new outcome becomes its next attempt.
         """
         keys = [point_key(outcome.values) for outcome in outcomes]
         self._tried.update((fingerprint, key) for key in keys)
@@ -143,7 +145,7 @@ class Ledger:
         with self._database.transaction():
             known = self.lookup(fingerprint, keys)
             for key, outcome in zip(keys, outcomes, strict=True):
-                if key not in known or known[key].transient:
+                if key not in known or known[key].transient or (self._again and known[key].status == "failed"):
                     self._rows.add_evaluation(fingerprint, key, self._attempts(fingerprint, key) + 1, outcome, created)
                     known[key] = outcome
 
@@ -160,14 +162,18 @@ class Ledger:
 
         A failed point is not tried again, with one exception: where a worker process died, or memory or time ran out,
         the point is tried once each time the ledger is opened, provided that worker processes are used (in this
-        process such a point could end the command). ``told`` receives the number of points that are known so far.
+        process such a point could end the command). Within `failed_again` every failed point is tried once. ``told``
+        receives the number of points that are known so far.
         """
         keys = [point_key(values) for values in points]
         known = self.lookup(fingerprint, keys)
-        if evaluator.isolated:
-            again = [k for k, o in known.items() if o.transient and (fingerprint, k) not in self._tried]
-            self.retried += len(again)
-            known = {k: o for k, o in known.items() if k not in again}
+        repeated = {
+            k for k, o in known.items()
+            if (o.transient and evaluator.isolated) or (o.status == "failed" and self._again)
+            if (fingerprint, k) not in self._tried
+        }  # fmt: skip
+        self.retried += len(repeated)
+        known = {k: o for k, o in known.items() if k not in repeated}
         new = {key: values for key, values in zip(keys, points, strict=True) if key not in known}
         if new:
             done = itertools.count(len(points) - len(new) + 1)
@@ -179,6 +185,15 @@ class Ledger:
             outcomes = evaluator.evaluate(list(new.values()), arrived)
             known |= dict(zip(new, outcomes, strict=True))
         return [known[key] for key in keys]
+
+    @contextmanager
+    def failed_again(self) -> Iterator[None]:
+        """While this lasts, a failed point that is requested is evaluated once more."""
+        self._again = True
+        try:
+            yield
+        finally:
+            self._again = False
 
     def stored(self, fingerprint: str) -> Outcome | None:
         """One successfully evaluated point; None without any.
