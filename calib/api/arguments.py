@@ -60,10 +60,10 @@ def with_keys(settings: _Section, verb: str, keys: Mapping[str, Any]) -> _Sectio
 
     None leaves a key as it is.
     """
-    given = {name: getattr(value, "tolist", lambda value=value: value)() for name, value in keys.items()}
-    given = {name: value for name, value in given.items() if value is not None}
+    arguments = {name: getattr(value, "tolist", lambda value=value: value)() for name, value in keys.items()}
+    arguments = {name: value for name, value in arguments.items() if value is not None}
     try:
-        return type(settings)(**{name: getattr(settings, name) for name in settings.model_fields_set} | given)
+        return type(settings)(**{name: getattr(settings, name) for name in settings.model_fields_set} | arguments)
     except ValidationError as fault:
         first = fault.errors()[0]
         place = ", ".join([verb, *(str(key) for key in first["loc"])])
@@ -120,8 +120,8 @@ def explain_settings(
     return settings.model_copy(update={"explain": explain, "reduction": _reduction(settings, reduction, "explain")})
 
 
-def _reduction(settings: StudySettings, given: bool | Mapping[str, Any] | None, verb: str) -> Any:
-    keys = {"use": given} if isinstance(given, bool) else given or {}
+def _reduction(settings: StudySettings, reduction: bool | Mapping[str, Any] | None, verb: str) -> Any:
+    keys = {"use": reduction} if isinstance(reduction, bool) else reduction or {}
     return with_keys(settings.reduction, f"{verb}, reduction", keys)
 
 

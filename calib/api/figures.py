@@ -96,11 +96,11 @@ def redraw(path: Path, root: Path, listener: Listener, formats: Sequence[Format]
     if not parts:
         remedy = f"run the study first: calib run {shell_argument(path)}"
         raise InputError("there are no results to draw", place=home.path, remedy=remedy)
-    draw_anew(study, root, listener, formats, width)
+    redraw_study(study, root, listener, formats, width)
     return root / parts[0].name / REPORT
 
 
-def draw_anew(study: StudyFile, root: Path, listener: Listener, formats: Sequence[Format], width: Width) -> None:
+def redraw_study(study: StudyFile, root: Path, listener: Listener, formats: Sequence[Format], width: Width) -> None:
     """Redraw every figure and report of a study, and of the extended studies among its results; see `draw`."""
     for part in first_test_first(study.parts, Results(root / study.name)):
         folders = places.answers_of(part, root)
@@ -114,7 +114,7 @@ def draw_anew(study: StudyFile, root: Path, listener: Listener, formats: Sequenc
             draw(study, folder, root, listener, False, formats, width)
     written = [file for folder in together if (file := found_among(study, folder.path))]
     for file in written[:1]:  # the extended study of a quick run has its results in the same place
-        draw_anew(StudyFile.read(file), root, listener, formats, width)
+        redraw_study(StudyFile.read(file), root, listener, formats, width)
 
 
 def draw_tests(

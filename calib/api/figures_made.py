@@ -12,13 +12,13 @@ from calib.report.figures import FigureRequest, Figures, RenderedFigure
 from calib.report.tables import CurrentFolder
 
 
-def make_all(figures: Figures, asked: FigureRequest, progress: Progress) -> dict[str, RenderedFigure]:
+def make_all(figures: Figures, request: FigureRequest, progress: Progress) -> dict[str, RenderedFigure]:
     """Make all figures of a folder; they are the same whoever makes them.
 
     Parameters
     ----------
     figures : Figures
-    asked : FigureRequest
+    request : FigureRequest
         What is made of each figure.
     progress : callable
         Called before every figure that this process makes.
@@ -29,19 +29,19 @@ def make_all(figures: Figures, asked: FigureRequest, progress: Progress) -> dict
         A table is damaged.
     """
     names = list(figures.plan)
-    given = _Given(figures.folder, figures.title, figures.synthetic, asked)
-    found = each(_make_one, given, names, lambda done: progress("drawing figures", done, len(names)))
+    task = _Task(figures.folder, figures.title, figures.synthetic, request)
+    found = each(_make_one, task, names, lambda done: progress("drawing figures", done, len(names)))
     return dict(zip(names, found, strict=True))
 
 
 @dataclass(frozen=True)
-class _Given:
+class _Task:
     """What every process needs; each reads the tables itself."""
 
     folder: CurrentFolder
     title: str
     synthetic: bool
-    asked: FigureRequest
+    request: FigureRequest
 
     @cached_property
     def figures(self) -> Figures:
@@ -51,5 +51,5 @@ class _Given:
         return {name: value for name, value in self.__dict__.items() if name != "figures"}
 
 
-def _make_one(given: _Given, name: str) -> RenderedFigure:
-    return given.figures.render(name, given.asked)
+def _make_one(task: _Task, name: str) -> RenderedFigure:
+    return task.figures.render(name, task.request)

@@ -28,16 +28,16 @@ def require_finer_mesh(
         )  # fmt: skip
 
 
-def finer_of(models: Collection[Any], given: object) -> dict[str, StructuralModel]:
+def finer_of(models: Collection[Any], meshes: object) -> dict[str, StructuralModel]:
     """Finer meshes by the name of the model; a single one is of the first model. InputError for an unknown name."""
     names = [model.name for model in models]
-    if given is None:
+    if meshes is None:
         return {}
-    if not isinstance(given, Mapping):
-        return {names[0]: objects([given], StructuralModel, "explain, finer")[0]}
-    for name in given:
+    if not isinstance(meshes, Mapping):
+        return {names[0]: objects([meshes], StructuralModel, "explain, finer")[0]}
+    for name in meshes:
         if name not in names:
             raise InputError(
                 f"no model is named {name!r}", place="explain, finer", remedy=f"the models are {', '.join(names)}"
             )
-    return {name: objects([model], StructuralModel, f"finer of {name}")[0] for name, model in given.items()}
+    return {name: objects([model], StructuralModel, f"finer of {name}")[0] for name, model in meshes.items()}

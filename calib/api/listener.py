@@ -85,9 +85,9 @@ class Listener:
     def versions(self, found: Versions) -> None:
         """Errors over the versions of a model."""
 
-    def drawn(self, study: StudyFile, figures: Sequence[Path], told: Sequence[str], page: Page | None) -> None:
+    def drawn(self, study: StudyFile, figures: Sequence[Path], notes: Sequence[str], page: Page | None) -> None:
         """Figures, and the report where there is one, were made; what is told of older results becomes a warning."""
-        for sentence in told:
+        for sentence in notes:
             warnings.warn(f"{sentence}.", stacklevel=2)
 
 

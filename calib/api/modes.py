@@ -81,8 +81,8 @@ def identify_modes(
     """
     paths = found_files(files)
     if hold_records(paths):
-        for name, given in (("a quantity", quantity), ("averages", averages)):
-            if given is not None:
+        for name, argument in (("a quantity", quantity), ("averages", averages)):
+            if argument is not None:
                 raise InputError(f"{name} is given beside time records", place=paths[0], remedy="leave it out")
         records = read_records(paths, unit=unit, sensors=sensors, synthetic=synthetic)
         known = modes_from_records(records, band, accept=accept)

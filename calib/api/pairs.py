@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from calib.api.protocols import Effects, ProblemLike
 
 
-def ledger_at(given: Any) -> Ledger | None:
+def ledger_at(ledger: Any) -> Ledger | None:
     """A ledger from a path, or as it is; InputError where the file cannot be written or is none."""
-    if given is None or isinstance(given, Ledger):
-        return given
-    file = path_of(given, "problem, ledger")
+    if ledger is None or isinstance(ledger, Ledger):
+        return ledger
+    file = path_of(ledger, "problem, ledger")
     try:
         return Ledger.open(file)
     except InputError as fault:
@@ -91,16 +91,16 @@ P = TypeVar("P", bound=Paired)
 def holding(problem: P, values: Mapping[str, float]) -> P:
     """A problem whose models hold parameters at values, each those that it has."""
     space = problem.model.space.freeze({name: v for name, v in values.items() if name in problem.model.space})
-    beside, given = tuple(holding(p, values) for p in problem.beside), cast(Any, problem)
-    return cast(P, replace(given, model=replace(problem.model, space=space), beside=beside))
+    beside, changed = tuple(holding(p, values) for p in problem.beside), cast(Any, problem)
+    return cast(P, replace(changed, model=replace(problem.model, space=space), beside=beside))
 
 
 def including(problem: P, effects: Mapping[str, tuple[Effect, ...]]) -> P:
     """A problem whose models have effects, given by the name of the model."""
     own = effects.get(problem.model.name, ())
-    model, given = extended(problem.model, own) if own else problem.model, cast(Any, problem)
+    model, changed = extended(problem.model, own) if own else problem.model, cast(Any, problem)
     beside = tuple(including(p, effects) for p in problem.beside)
-    return cast(P, replace(given, model=model, base=given.base or given.model, beside=beside))
+    return cast(P, replace(changed, model=model, base=changed.base or changed.model, beside=beside))
 
 
 def under(model: Model, test: str, condition: Mapping[str, float]) -> Model:
@@ -154,10 +154,10 @@ def library_of(problem: ProblemLike, effects: Effects) -> dict[str, tuple[Effect
     return {name: objects(own, Effect, f"effects of {name}") for name, own in effects.items()}
 
 
-def by_model(given: Sequence[tuple[Model, Test]]) -> tuple[tuple[Model, tuple[Test, ...]], ...]:
+def by_model(pairs: Sequence[tuple[Model, Test]]) -> tuple[tuple[Model, tuple[Test, ...]], ...]:
     """Every model with all of its tests."""
     out: dict[str, tuple[Model, tuple[Test, ...]]] = {}
-    for model, test in given:
+    for model, test in pairs:
         known, before = out.get(model.fingerprint, (model, ()))
         out[model.fingerprint] = (known, (*before, test))
     return tuple(out.values())

@@ -118,7 +118,7 @@ class Problem:
         object.__setattr__(self, "tests", tests[0] if len(tests) == 1 else tests)
         object.__setattr__(self, "beside", objects(self.beside, Problem, "problem, beside"))
         object.__setattr__(self, "ledger", ledger_at(self.ledger))
-        require_names([test for _, test in self._given])
+        require_names([test for _, test in self._members])
         require_within(self.space)  # building the space raises any other inconsistency
 
     @staticmethod
@@ -137,10 +137,10 @@ class Problem:
         return tuple((one.held, one.test) for one in self.tested)
 
     @property
-    def _given(self) -> tuple[tuple[Problem, Test], ...]:
+    def _members(self) -> tuple[tuple[Problem, Test], ...]:
         """Every test with the problem that holds its model, joined problems after this one."""
         own = tuple((self, test) for test in self._tests)
-        every = (*own, *(pair for problem in self.beside for pair in problem._given))
+        every = (*own, *(pair for problem in self.beside for pair in problem._members))
         return tuple((problem, test.beside) for problem, test in every) if len(every) > 1 else every
 
     @cached_property
@@ -148,13 +148,13 @@ class Problem:
         """Every test with its model, as the analyses take them."""
         return tuple(
             TestedModel(one.model, under(one.model, test.name, test.condition), one.base or one.model, test)
-            for one, test in self._given
+            for one, test in self._members
         )
 
     @property
     def by_model(self) -> tuple[tuple[Model, tuple[Test, ...]], ...]:
         """Every model, no condition applied, with all of its tests."""
-        return by_model([(one.model, test) for one, test in self._given])
+        return by_model([(one.model, test) for one, test in self._members])
 
     @property
     def space(self) -> ParameterSpace:
@@ -181,10 +181,10 @@ class Problem:
 
     def keep(self, names: Sequence[str]) -> Problem:
         """A copy with only the named parameters free; the others keep their nominal values."""
-        kept = self.space.keep(names_of(names, "parameters"))
-        held = holding(self, {p.name: p.value for p in kept.parameters if p.distribution == "fixed"})
-        left_out = (name for name in self.space.free_names if name not in kept.free_names)
-        return replace(held, unselected=(*self.unselected, *left_out))
+        chosen_space = self.space.keep(names_of(names, "parameters"))
+        held = holding(self, {p.name: p.value for p in chosen_space.parameters if p.distribution == "fixed"})
+        others = (name for name in self.space.free_names if name not in chosen_space.free_names)
+        return replace(held, unselected=(*self.unselected, *others))
 
     def with_effects(self, effects: Effects) -> Problem:
         """A copy with effects in its model, their magnitudes free.

@@ -35,7 +35,7 @@ def bars(verb: str) -> Iterator[Told]:
         yield _Lines(verb, ERR.print, SPARSE)
         return
     words = TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, overflow="fold"))
-    columns = (words, BarColumn(bar_width=_BAR), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
+    columns = (words, BarColumn(bar_width=_BAR), TimeElapsedColumn(), TextColumn("{task.fields[remaining]}"))
     with Progress(*columns, console=ERR, transient=True, expand=True) as bar:
         yield _Bars(bar, verb)
 
@@ -50,8 +50,8 @@ def in_python(verb: str, wanted: bool = True) -> Iterator[Told]:
         finally:
             cell.clear()
     elif wanted and ERR.is_terminal:
-        with bars(verb) as told:
-            yield told
+        with bars(verb) as reported:
+            yield reported
     else:
         yield silent
 
@@ -79,7 +79,7 @@ class _Pace:
 
     def __init__(self, verb: str, clock: Callable[[], float] = time.monotonic) -> None:
         self.verb, self.clock = verb, clock
-        self.stage = self.words = self.left = ""
+        self.stage = self.words = self.remaining = ""
         self.done = self.total = self.first = 0.0
         self.began = clock()
 
@@ -92,7 +92,7 @@ class _Pace:
             self.began, self.first = now, done
         self.done, self.total = done, total
         self.words = progress_words(self.verb, self.stage, done, total, best)
-        self.left = time_left(now - self.began, done - self.first, total - self.first)
+        self.remaining = remaining_time(now - self.began, done - self.first, total - self.first)
         return other
 
 
@@ -101,14 +101,16 @@ class _Bars:
 
     def __init__(self, bar: Progress, verb: str) -> None:
         self.bar, self.pace = bar, _Pace(verb)
-        self.task = bar.add_task(verb, total=None, left="")
+        self.task = bar.add_task(verb, total=None, remaining="")
 
     def __call__(self, stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
         if self.pace.tell(stage, done, total, best):
             self.bar.remove_task(self.task)
-            self.task = self.bar.add_task("", total=None, left="")
-        left = f"{self.pace.left} left" if self.pace.left else ""
-        self.bar.update(self.task, description=self.pace.words, completed=done, total=total or None, left=left)
+            self.task = self.bar.add_task("", total=None, remaining="")
+        remaining = f"{self.pace.remaining} left" if self.pace.remaining else ""
+        self.bar.update(
+            self.task, description=self.pace.words, completed=done, total=total or None, remaining=remaining
+        )
 
 
 class _Lines:
@@ -117,13 +119,13 @@ class _Lines:
     def __init__(
         self, verb: str, write: Callable[[str], None], every: float, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.pace, self.write, self.every, self.clock, self.told = _Pace(verb, clock), write, every, clock, clock()
+        self.pace, self.write, self.every, self.clock, self.reported = _Pace(verb, clock), write, every, clock, clock()
 
     def __call__(self, stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
         self.pace.tell(stage, done, total, best)
-        if self.clock() - self.told >= self.every:
-            self.told = self.clock()
-            self.write(self.pace.words + (f", {self.pace.left} left" if self.pace.left else ""))
+        if self.clock() - self.reported >= self.every:
+            self.reported = self.clock()
+            self.write(self.pace.words + (f", {self.pace.remaining} left" if self.pace.remaining else ""))
 
 
 def progress_words(verb: str, stage: str, done: float, total: float, best: float) -> str:
@@ -132,7 +134,7 @@ def progress_words(verb: str, stage: str, done: float, total: float, best: float
     return f"{verb}: {stage}{count}" + (f", best {best:.4g}" if math.isfinite(best) else "")
 
 
-def time_left(elapsed: float, done: float, total: float) -> str:
+def remaining_time(elapsed: float, done: float, total: float) -> str:
     """The remaining time at the average speed so far, such as ``2 min``; empty where it is unknown."""
     seconds = elapsed * (total - done) / done if elapsed >= _STEADY and done > 0 else 0.0
     if seconds < 1:

@@ -143,9 +143,9 @@ def explained(study: Any) -> ExplanationResult:
     with (
         study.listener.progress() as step,
         places.tasks_shared(study.workers),
-        with_stored_modes(loaded, lambda: opened_ledger(study, loaded)) as kept,
+        with_stored_modes(loaded, lambda: opened_ledger(study, loaded)) as stored,
     ):
         homes = {one.test: places.results_of(one, root) for one in loaded.studies}
-        answer = explain(kept, study.folder, step, homes, {one.one.test: one.folder for one in study.tests})
+        answer = explain(stored, study.folder, step, homes, {one.one.test: one.folder for one in study.tests})
     study.listener.explained(loaded, answer, study.folder)
     return answer

@@ -88,8 +88,8 @@ class Study:
         A study whose values it adopts is calibrated first, where it is not yet. A terminal or a notebook shows how far
         its analyses are, unless ``progress`` is false or a listener receives it.
         """
-        told = listener or (Showing() if progress else Listener())
-        study = Study(path_of(path, "study"), path_of(results, "results"), workers, quick, told)
+        receiver = listener or (Showing() if progress else Listener())
+        study = Study(path_of(path, "study"), path_of(results, "results"), workers, quick, receiver)
         assert study.loaded is not None
         return study
 
@@ -252,10 +252,10 @@ class Study:
         self.listener.begins(loaded, "propose")
         with (
             self.listener.progress() as step,
-            with_stored_modes(loaded, lambda: steps.opened_ledger(self, loaded)) as kept,
+            with_stored_modes(loaded, lambda: steps.opened_ledger(self, loaded)) as stored,
         ):
             homes = {one.test: places.results_of(one, root) for one in loaded.studies}
-            found = proposal.propose(kept, self.folder, wanted, step, homes)
+            found = proposal.propose(stored, self.folder, wanted, step, homes)
         self.listener.proposed(loaded, found, self.folder, root)
         words = (found.answer.found, found.answer.sure, *found.sentences)
         return AnalysisResult(words, found.table, self.folder.path, found, tuple(proposed_entries(found)))

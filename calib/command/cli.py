@@ -349,8 +349,8 @@ def run(
         loaded.run()
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(requested: bool) -> None:
+    if requested:
         terminal.say(f"calib {__version__}")
         raise typer.Exit
 
@@ -407,12 +407,12 @@ def execute(arguments: list[str]) -> int:
     Bad input gives one sentence and code 2, an interrupt code 130; an unexpected failure logs its traceback, code 1.
     """
     try:
-        with noting_kept() as kept:
+        with noting_kept() as set_aside:
             try:
                 app(args=arguments, prog_name="calib")
             finally:
                 interrupt.command_over()
-                terminal.tell_kept(kept)
+                terminal.tell_set_aside(set_aside)
     except SystemExit as leaving:
         code = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
         if code == interrupt.CODE:

@@ -74,7 +74,7 @@ class _Printing(Listener):
 
     def __init__(self, verb: str, verbose: bool = False) -> None:
         self.verb, self.verbose = verb, verbose
-        self._told: list[AnalysisEntries] = []
+        self._collected: list[AnalysisEntries] = []
         self._pages: list[tuple[str, Page]] = []
         self._traces: tuple[str, Sequence[str]] = ("", ())
 
@@ -84,18 +84,18 @@ class _Printing(Listener):
     def __exit__(
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.tell()
+        self.print_collected()
 
     # -- while it computes ---------------------------------------------------------------------------------------------
 
     def progress(self) -> AbstractContextManager[Progress]:
-        return progress.bars(self._told[-1].verb if self._told else self.verb)
+        return progress.bars(self._collected[-1].verb if self._collected else self.verb)
 
     def first(self, earlier: StudyFile, path: Path) -> None:
         say(f"{earlier.settings.title} comes first: {path} takes over what it finds.")
 
     def begins(self, study: StudyFile, verb: str) -> None:
-        self._told.append(AnalysisEntries(verb, f"{study.settings.title}: {verb}{_label(study)}"))
+        self._collected.append(AnalysisEntries(verb, f"{study.settings.title}: {verb}{_label(study)}"))
 
     def other_state(self, rows: int) -> None:
         if rows:
@@ -160,36 +160,36 @@ class _Printing(Listener):
     def nothing_added(self, sentence: str) -> None:
         self._add(Words(sentence, when="always"))
 
-    def drawn(self, study: StudyFile, figures: Sequence[Path], told: Sequence[str], page: Page | None) -> None:
-        entries: list[Entry] = [Warned(sentence) for sentence in told]
+    def drawn(self, study: StudyFile, figures: Sequence[Path], notes: Sequence[str], page: Page | None) -> None:
+        entries: list[Entry] = [Warned(sentence) for sentence in notes]
         if figures:
             entries += [Words("\nFigures, each beside its table:"), *(Words(f"  {path}") for path in figures)]
         self._add(*entries)
         if page is not None:
             title = study.settings.title.removesuffix(f": {study.test}")  # the answer is that of all tests
             self._pages.append((f"{title}: {self.verb}{_label(study)}", page))
-            if self._told[-1].answer is not None:
-                self._told[-1] = replace(self._told[-1], place=page.path)
+            if self._collected[-1].answer is not None:
+                self._collected[-1] = replace(self._collected[-1], place=page.path)
 
     # -- the end -------------------------------------------------------------------------------------------------------
 
-    def tell(self) -> None:
+    def print_collected(self) -> None:
         """Print all that was collected, once."""
-        told, pages = self._told, self._pages
-        self._told, self._pages = [], []
+        collected, pages = self._collected, self._pages
+        self._collected, self._pages = [], []
         if pages and self.verb in ("run", "report"):
-            self._tell_pages(told, pages)
+            self._print_pages(collected, pages)
         else:
-            for one in told:
+            for one in collected:
                 if one.title:
-                    say(f"\n{one.title}" if one is not told[0] else one.title, style="bold")
+                    say(f"\n{one.title}" if one is not collected[0] else one.title, style="bold")
                 if one.answer is not None:
                     tell_answer(one.answer, one.place)
                 tell_entries(one.entries, self.verbose)
         terminal.tell_traces(*self._traces)
         self._traces = ("", ())
 
-    def _tell_pages(self, told: Sequence[AnalysisEntries], pages: Sequence[tuple[str, Page]]) -> None:
+    def _print_pages(self, collected: Sequence[AnalysisEntries], pages: Sequence[tuple[str, Page]]) -> None:
         """The answer of a run or of the stored results, as at the head of the report, and the tables behind it."""
         # A run draws its own page last, and the one of an extended study before; a report begins with its own.
         (title, page), *others = reversed(pages) if self.verb == "run" else pages
@@ -198,28 +198,28 @@ class _Printing(Listener):
         for _, other in others:
             say(f"See also: {other.path}")
         if self.verbose or self.verb == "report":
-            for one in told:
+            for one in collected:
                 if self.verb == "run":
                     say(f"\n{one.title}", style="bold")
                     if one.answer is not None:
                         tell_answer(one.answer, one.place)
                 tell_entries(one.entries, self.verbose)
             return
-        chosen = [one for one in told if one.verb in _OF_RUN]
-        for one in chosen or [one for one in told if one.verb == "calibrate"][-1:]:
+        chosen = [one for one in collected if one.verb in _OF_RUN]
+        for one in chosen or [one for one in collected if one.verb == "calibrate"][-1:]:
             tell_entries(one.entries, False)
-        for one in told:
+        for one in collected:
             if one not in chosen and one.verb != "calibrate":
                 tell_entries([entry for entry in one.entries if isinstance(entry, Warned)], False)
 
     def _add(self, *entries: Entry) -> None:
-        if not self._told:
-            self._told.append(AnalysisEntries(self.verb, ""))
-        self._told[-1] = replace(self._told[-1], entries=(*self._told[-1].entries, *entries))
+        if not self._collected:
+            self._collected.append(AnalysisEntries(self.verb, ""))
+        self._collected[-1] = replace(self._collected[-1], entries=(*self._collected[-1].entries, *entries))
 
     def _answered(self, answer: Answer, place: Path, entries: Sequence[Entry]) -> None:
         self._add(*entries)
-        self._told[-1] = replace(self._told[-1], answer=answer, place=place)
+        self._collected[-1] = replace(self._collected[-1], answer=answer, place=place)
 
 
 def printing(verb: str, verbose: bool = False) -> _Printing:

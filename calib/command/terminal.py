@@ -125,18 +125,18 @@ def complain_of_unexpected(fault: Exception, arguments: list[str]) -> None:
         complain(f"unexpected {words_of(fault)}; the details are in {log}")
 
 
-def tell_traces(asked: str, traces: Sequence[str]) -> None:
+def tell_traces(command: str, traces: Sequence[str]) -> None:
     """Log the tracebacks of a user's code that did not stop the analysis, and say where they are."""
-    log = _log(asked, "\n".join(traces)) if traces else None
+    log = _log(command, "\n".join(traces)) if traces else None
     if log is not None:
         say(f"The traceback is in {log}.")
 
 
-def _log(asked: str, trace: str) -> Path | None:
+def _log(command: str, trace: str) -> Path | None:
     """Append a traceback to the log in the current directory; print it where that is impossible."""
     log = Path.cwd() / "calib-error.log"
     stamp = datetime.now(UTC).isoformat(timespec="seconds")
-    text = f"{stamp} calib {__version__}: {asked}\n{trace}\n"
+    text = f"{stamp} calib {__version__}: {command}\n{trace}\n"
     try:
         with log.open("a", encoding="utf-8") as stream:
             stream.write(text)
@@ -146,7 +146,7 @@ def _log(asked: str, trace: str) -> Path | None:
     return log
 
 
-def tell_kept(paths: Sequence[Path]) -> None:
+def tell_set_aside(paths: Sequence[Path]) -> None:
     """Files that were in the way of results and that calib did not write."""
     for path in paths:
         say(f"\nKept under another name, since calib did not write it or it was changed since: {path}")

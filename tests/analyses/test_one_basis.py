@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calib.command.calibrated import calibrated_entries
-from calib.command.entries import Rows
+from calib.api.entries.calibrated import calibrated_entries
+from calib.api.entries.entry import Rows
 
 import calib
 from calib.analyses.every_mode import all_stages, every_mode

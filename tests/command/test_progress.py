@@ -41,7 +41,7 @@ def test_lines_are_sparse_and_without_control_characters(lines):
     for line in told:
         done = int(re.search(r"(\d+)/100", line).group(1))
         assert line.isprintable() and line.startswith("calibrate: sampling")
-        left = progress.time_left(0.5 * done, done, 100)
+        left = progress.remaining_time(0.5 * done, done, 100)
         assert line.endswith(f", {left} left" if left else "/100") and bool(left) == (done < 99)
 
 
@@ -58,11 +58,11 @@ def test_a_stage_that_goes_on_keeps_its_name_and_a_shared_whole_its_pace():
     pace = progress._Pace("explain", clock)
     assert pace.tell("fitting A", 0, 100, float("nan"))
     clock.now += 10
-    assert not pace.tell("", 20, 100, float("nan")) and "fitting A 20/100" in pace.words and pace.left == "40 s"
+    assert not pace.tell("", 20, 100, float("nan")) and "fitting A 20/100" in pace.words and pace.remaining == "40 s"
     clock.now += 10
-    assert pace.tell("fitting B", 40, 100, float("nan")) and "fitting B 40/100" in pace.words and pace.left == "30 s"
+    assert pace.tell("fitting B", 40, 100, float("nan")) and "fitting B 40/100" in pace.words and pace.remaining == "30 s"
     clock.now += 10
-    assert pace.tell("what to measure next", 0, 10, float("nan")) and pace.left == ""
+    assert pace.tell("what to measure next", 0, 10, float("nan")) and pace.remaining == ""
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_a_stage_that_goes_on_keeps_its_name_and_a_shared_whole_its_pace():
     ],
 )
 def test_the_time_left_follows_from_the_average_speed(elapsed, done, total, left):
-    assert progress.time_left(elapsed, done, total) == left
+    assert progress.remaining_time(elapsed, done, total) == left
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])

@@ -167,8 +167,8 @@ def table_lines(
     room = width - 2 * (len(heads) - 1)
     if sum(least) > room:
         for first, *others in cells:
-            told = "; ".join(f"{head} {cell}" for head, cell in zip(heads[1:], others, strict=True) if cell)
-            yield f"{heads[0]} {first}: {told}", None
+            remainder = "; ".join(f"{head} {cell}" for head, cell in zip(heads[1:], others, strict=True) if cell)
+            yield f"{heads[0]} {first}: {remainder}", None
         return
     widths = [max(map(len, column)) for column in columns]
     while sum(widths) > room:

@@ -32,7 +32,7 @@ _MORE = ("z", "unabsorbed", "smallest visible")
 def explained_entries(study: AnyStudy, result: ExplanationResult, followed: bool = False) -> list[Entry]:
     """An explanation; ``followed`` by errors before and after, if its effects are added."""
     found, answer = result.explanation, result.answer
-    told = {answer.found, answer.sure}
+    in_answer = {answer.found, answer.sure}
     rows = [_effect(r) for r in result.effects.to_dict("records")]
     heads = ("effect", "z", "ln Bayes", "unabsorbed", "magnitude, 95 %", "smallest visible", "remark")
     title = "Effects of the library, best first:"
@@ -48,7 +48,7 @@ def explained_entries(study: AnyStudy, result: ExplanationResult, followed: bool
         *([] if to_add(found) else suspects(result.tables["suspects_explained"])),
         *map(Warned, result.notes),
         Words(f"\nVerdict: {result.verdict}"),
-        *(Words(sentence) for sentence in result.sentences if sentence not in told),
+        *(Words(sentence) for sentence in result.sentences if sentence not in in_answer),
         *map(Words, held_out(study)),
     ]
     effects = count(sum(len(g.names) for g in found.groups), "effect")

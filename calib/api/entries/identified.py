@@ -13,10 +13,10 @@ def identified_entries(written: Written) -> list[Entry]:
     """Verdict, modes that count, those refused with the reason, and how a study names the files."""
     found = written.found
     rows = found.fit.to_dict("records")
-    kept, refused = ([row for row in rows if bool(row["refused"]) is wanted] for wanted in (False, True))
+    accepted, refused = ([row for row in rows if bool(row["refused"]) is wanted] for wanted in (False, True))
     good = not refused and not found.missed
     out: list[Entry] = [Words(found.verdict, "always") if good else Warned(found.verdict)]
-    out.append(Rows.of(f"{count(len(kept), 'mode')}:", _HEADS, map(_row, kept), most=len(kept)))
+    out.append(Rows.of(f"{count(len(accepted), 'mode')}:", _HEADS, map(_row, accepted), most=len(accepted)))
     out.append(Rows.of("Refused:", ("Hz", "damping %", "why"),
                        [(decimals(r["freq"], 3), decimals(100 * r["damping"], 2), r["refused"]) for r in refused],
                        left=("why",), most=len(refused)))  # fmt: skip

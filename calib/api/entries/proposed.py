@@ -51,10 +51,10 @@ def _row(r: Mapping[Any, Any]) -> tuple[str, ...]:
         size += f" at {r['freq']:.3g} Hz"
     others = r["alike"].split("; ") if r["alike"] else []
     alike = f"{count(len(others), 'other')} alike" if others else ""
-    told = ["as good" if r["close"] and r["rank"] > 1 else "", "implausible" if r["implausible"] else "", alike]
+    remarks = ["as good" if r["close"] and r["rank"] > 1 else "", "implausible" if r["implausible"] else "", alike]
     return (
         str(r["rank"]), r["name"], r["kind"], r["at"], size, decimals(r["ln_bayes"], 1), str(r["choices"]),
-        "; ".join(filter(None, told)),
+        "; ".join(filter(None, remarks)),
     )  # fmt: skip
 
 
