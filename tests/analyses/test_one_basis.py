@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calib.api.entries.calibrated import calibrated_entries
-from calib.api.entries.entry import Rows
 
 import calib
 from calib.analyses.every_mode import all_stages, every_mode
+from calib.api.entries.calibrated import calibrated_entries
+from calib.api.entries.entry import Rows
 from calib.study.loading import module_of
 
 WORLD = module_of(Path(__file__).parents[1] / "template/frf_chain.py")
