@@ -23,12 +23,8 @@ from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.results.cell import COMMA_NUMBER, SEPARATORS, number_of, place_of_entry, separator_of, shortened, unguarded
 from calib.results.former_names import old_column
+from calib.results.written import FLAGS
 
-FLAGS: Mapping[str, bool] = {
-    **dict.fromkeys(("true", "1", "wahr", "vrai", "vero", "verdadero", "verdadeiro", "waar", "sant", "sand"), True),
-    **dict.fromkeys(("false", "0", "falsch", "faux", "falso", "onwaar", "falskt", "falsk"), False),
-}
-"""Spellings of true and false, in lower case; spreadsheets translate them."""
 AGAIN = "run the study again to rewrite it"
 """Remedy for a damaged table that calib has written itself."""
 LEAVE_OUT = "give the value, or leave the line out"

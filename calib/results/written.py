@@ -9,7 +9,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from contextvars import ContextVar
 from itertools import count
 from pathlib import Path
@@ -22,6 +23,17 @@ DRAFT = ".part"
 CHANGED = "it was changed after calib wrote it"
 KEPT = "_kept"
 """Added to the stem of a file that was in the way and that calib did not write."""
+
+FLAGS: Mapping[str, bool] = {
+    **dict.fromkeys(("true", "1", "wahr", "vrai", "vero", "verdadero", "verdadeiro", "waar", "sant", "sand"), True),
+    **dict.fromkeys(("false", "0", "falsch", "faux", "falso", "onwaar", "falskt", "falsk"), False),
+}
+"""Spellings of true and false, in lower case; spreadsheets translate them."""
+_FLAG, _FLAG_OR_NUMBER = (
+    re.compile(rb"(?<![^,\n])(?:%s)(?![^,\n])" % "|".join(names).encode(), re.IGNORECASE)
+    for names in ([name for name in FLAGS if name.isalpha()], list(FLAGS))
+)
+"""An entry of a table that is one of these words, and one that is also 0 or 1."""
 
 _noting: ContextVar[list[Path] | None] = ContextVar("noting", default=None)
 
@@ -79,11 +91,15 @@ def is_changed(path: Path) -> bool:
 
 
 def _before_a_spreadsheet(path: Path) -> Iterator[bytes]:
-    """What a table may have been before a spreadsheet saved it: with other line ends, separators, decimal commas."""
+    """What a table may have been before a spreadsheet saved it.
+
+    With other line ends, separators and decimal commas, and with true and false in another language.
+    """
     text = path.read_bytes().removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n")
-    yield text
-    for separator in (b";", b"\t"):
-        yield text.replace(b",", b".").replace(separator, b",")
+    for separated in (text, *(text.replace(b",", b".").replace(mark, b",") for mark in (b";", b"\t"))):
+        yield separated
+        for flag in (_FLAG, _FLAG_OR_NUMBER):
+            yield flag.sub(lambda entry: str(FLAGS[entry[0].decode().lower()]).encode(), separated)
 
 
 def require_unchanged(path: Path, remedy: str) -> None:

@@ -1,6 +1,7 @@
 """The selection of parameters is read from a table that the user may have edited in a spreadsheet."""
 
 import io
+import re
 from pathlib import Path
 
 import pandas as pd
@@ -12,6 +13,7 @@ from calib.analyses.sensitivity import selected_by_measures
 from calib.command import cli
 from calib.errors.errors import InputError
 from calib.results.results import Results
+from calib.results.written import FLAGS, replacing
 from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile
 from tests.template import plain
@@ -48,7 +50,10 @@ def selected(here):
             ",".join({"parameter": n, "selected": f}.get(column, "") for column in columns)
             for n, f in zip(names, flags, strict=True)
         ]
-        (home.path / "selection.csv").write_text(change("\n".join([",".join(columns), *rows, ""])))
+        text = "\n".join([",".join(columns), *rows, ""])
+        with replacing(home.path / "selection.csv") as draft:  # as calib would have written it
+            draft.write_text(re.sub(r"(?<=,)\w+(?=,)", lambda entry: str(FLAGS.get(entry[0].lower(), entry[0])), text))
+        (home.path / "selection.csv").write_text(change(text))
         return selected_by_measures(study, home).search_space.free_names
 
     return of

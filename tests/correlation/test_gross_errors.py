@@ -87,8 +87,13 @@ def test_they_come_before_the_fit_from_every_door():
     read = replace(MEASURED, values=MEASURED.values * of(1))
     problem = calib.Problem(WORLD.chain(**WORLD.TRUE), calib.FRFTest(read))
     compared, fit = problem.compare(), problem.calibrate(starts=1, progress=False)
-    (sentence,) = compared.warnings
-    assert "response 3x" in sentence and sentence in compared.sentences and sentence in fit.sentences
+    ((sentence,),) = (answer.doubts for answer in compared.by_test.values())
+    assert (
+        "response 3x" in sentence
+        and sentence in str(compared)
+        and sentence in compared.sentences
+        and sentence in fit.sentences
+    )
     assert "sign of response 3x" in compared.lines["Next"] and fit.lines["Next"] == compared.lines["Next"]
 
 
