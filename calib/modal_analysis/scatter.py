@@ -255,18 +255,20 @@ def _random_effects(values: np.ndarray, variance: np.ndarray) -> tuple[float, fl
 
 def _common_std(frfs: MeasuredFRFs, model: ModalFRFModel, functions: Sequence[Weighed]) -> np.ndarray:
     """Standard deviations of the logarithms of all poles, (2 n_poles,)."""
-    normal, noise, lines, apart = (np.zeros(()) for _ in range(4))
+    normal, noise, lines, apart = np.zeros((4, 2 * len(model.poles), 2 * len(model.poles)))
     for one in functions:
         residual, slope = projected(frfs, model.poles, [one])
         own, pull = slope.T @ slope, slope.T @ residual
         freedom = max(len(residual) - 2 * len(model.poles) - 8, 1)
-        normal, noise = normal + own, noise + own * float(residual @ residual) / freedom
+        normal += own
+        noise += own * float(residual @ residual) / freedom
         pulls = slope * residual[:, None]
-        lines, apart = lines + pulls.T @ pulls * len(residual) / freedom, apart + np.outer(pull, pull)
+        lines += pulls.T @ pulls * len(residual) / freedom
+        apart += np.outer(pull, pull)
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     inverse = np.linalg.pinv(normal / np.outer(size, size), rcond=1e-12) / np.outer(size, size)
     several = len(functions) / max(len(functions) - 1, 1)
-    each = [np.diag(inverse @ middle @ inverse) for middle in (noise, lines, several * np.asarray(apart))]
+    each = [np.diag(inverse @ middle @ inverse) for middle in (noise, lines, several * apart)]
     return np.asarray(np.sqrt(np.max(each, axis=0)))
 
 
