@@ -95,6 +95,8 @@ class MeasurementSettings(Section):
     channels: tuple[str, ...] = ()
     """Response and reference of each FRF, such as ``"12z/3z"``, in the order of the file, or of the files of one
     function each, where these do not name them."""
+    variables: dict[str, str] = {}
+    """Names of ``freq``, ``frf`` and ``coherence`` in MATLAB files of FRFs, or of the ``sheet`` of workbooks."""
     length_unit: Literal["m", "cm", "mm", "um", "in", "ft"] | None = None
     """Unit of places in universal files that do not state it (dataset 164); by default m."""
     band: Pair | None = None

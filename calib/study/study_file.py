@@ -154,6 +154,7 @@ class StudyFile:
                 sensors=sensors,
                 averages=given.averages,
                 channels=given.channels,
+                variables=given.variables,
                 length_unit=given.length_unit,
                 synthetic=given.synthetic,
             )

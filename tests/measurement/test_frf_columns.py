@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import pyuff
+from scipy.io import savemat
 
 from calib.errors.errors import InputError
 from calib.measurement.files.read_frf import read_frfs
@@ -145,3 +146,74 @@ def test_functions_of_a_universal_file_without_directions(tmp_path, nodes):
     np.testing.assert_allclose(turned.values[:, 0, 0], -VALUES["1z/1z"], rtol=1e-10)
     with pytest.raises(InputError, match="2 channels are named, but it holds 3"):
         read_frfs(path, channels=["1z/1z", "2z/1z"])
+
+
+MATRIX = np.stack(list(VALUES.values()), axis=1)
+NAMED = {"freq": "f", "frf": "H"}
+
+
+@pytest.mark.parametrize("form", ["2-D", "turned", "3-D"])
+def test_variables_of_a_matlab_file(tmp_path, form):
+    path = tmp_path / "h.mat"
+    shaped = {"2-D": MATRIX, "turned": MATRIX.T, "3-D": MATRIX[:, :, None]}[form]
+    savemat(path, {"f": FREQ[:, None], "H": shaped, "C": np.full(shaped.shape, 0.8), "words": "by hand"})
+    frfs = read_frfs(path, channels=list(VALUES), variables=NAMED | {"coherence": "C"}, unit="m/N", averages=4)
+    check(frfs)
+    np.testing.assert_allclose(frfs.std[:, 0, 0], np.abs(VALUES["1z/1z"]) * np.sqrt(0.2 / (2 * 4 * 0.8)))
+
+
+@pytest.mark.parametrize(
+    ("variables", "channels", "words"),
+    [
+        ({}, list(VALUES), "variables = "),
+        ({"freq": "f", "frf": "G"}, list(VALUES), "no numeric variable 'G'"),
+        ({"freq": "f", "frf": "words"}, list(VALUES), "no numeric variable 'words'"),
+        (NAMED, ["1z/1z"], "1 channels"),
+        (NAMED, ["1z/1z", "1z/1z", "2z/1z"], "named twice"),
+        ({"freq": "f", "frf": "A"}, list(VALUES), "real"),
+        ({"freq": "H", "frf": "H"}, list(VALUES), "ascend"),
+    ],
+)
+def test_variables_that_do_not_fit_are_refused(tmp_path, variables, channels, words):
+    path = tmp_path / "h.mat"
+    savemat(path, {"f": FREQ, "H": MATRIX, "A": np.abs(MATRIX), "words": "by hand"})
+    with pytest.raises(InputError, match=words):
+        read_frfs(path, channels=channels, variables=variables, unit="m/N")
+    path.write_bytes(path.read_bytes()[:300])
+    with pytest.raises(InputError, match=r"h\.mat"):
+        read_frfs(path, channels=channels, variables=variables, unit="m/N")
+
+
+def test_a_matlab_file_of_version_7_3(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "h.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["f"] = FREQ[None, :]
+        stored = np.zeros(MATRIX.T.shape, dtype=[("real", "f8"), ("imag", "f8")])
+        stored["real"], stored["imag"] = MATRIX.T.real, MATRIX.T.imag
+        file["H"] = stored
+    head = "MATLAB 7.3 MAT-file".ljust(124).encode() + b"\x00\x02IM"
+    path.write_bytes(head + path.read_bytes()[128:])
+    check(read_frfs(path, channels=list(VALUES), variables=NAMED, unit="m/N"))
+
+
+@pytest.mark.parametrize("sheet", [None, "FRFs"])
+def test_a_sheet_of_a_workbook(tmp_path, sheet):
+    openpyxl = pytest.importorskip("openpyxl")
+    path, book = tmp_path / "h.xlsx", openpyxl.Workbook()
+    page = book.active if sheet is None else book.create_sheet(sheet)
+    page.append(["made up"])
+    page.append(["freq", *(f"{name} {part}" for name in VALUES for part in RE_IM)])
+    for k, f in enumerate(FREQ.tolist()):
+        page.append([f, *(float(part(v[k])) for v in VALUES.values() for part in RE_IM.values())])
+    book.save(path)
+    check(read_frfs(path, unit="m/N", variables={} if sheet is None else {"sheet": sheet}))
+    with pytest.raises(InputError, match="no sheet 'X'"):
+        read_frfs(path, unit="m/N", variables={"sheet": "X"})
+    page["B7"] = "lost"
+    book.save(path)
+    with pytest.raises(InputError, match="'lost'"):
+        read_frfs(path, unit="m/N", variables={} if sheet is None else {"sheet": sheet})
+    path.write_bytes(b"PK nothing")
+    with pytest.raises(InputError, match="no workbook"):
+        read_frfs(path, unit="m/N")

@@ -15,7 +15,14 @@ from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.measurement.files.csv_format import FREQ_LIMIT, VALUE_LIMIT, parse_direction
 from calib.measurement.files.csv_record import header_of
-from calib.measurement.files.frf_columns import is_wide, read_columns, read_function_files
+from calib.measurement.files.frf_columns import (
+    MATLAB,
+    WORKBOOKS,
+    arrays_of,
+    is_wide,
+    read_columns,
+    read_function_files,
+)
 from calib.measurement.frf import NO_PHASE, QUANTITIES, Quantity
 from calib.measurement.frf_repeats import FRFRepeat, Key, common_axis, function_name, off_axis, on_axis, repeat_of
 from calib.measurement.frf_units import FRFUnits, parse_unit
@@ -27,14 +34,25 @@ _STATED = re.compile(r"#\s*(quantity|unit)\s*[:=]\s*(.*?)[\s,;]*", re.IGNORECASE
 
 
 def read_columns_frfs(
-    paths: Sequence[Path], channels: Sequence[str], quantity: Quantity | None = None, unit: str | None = None
+    paths: Sequence[Path],
+    channels: Sequence[str],
+    quantity: Quantity | None = None,
+    unit: str | None = None,
+    variables: Mapping[str, str] | None = None,
 ) -> FRFRepeat:
-    """Read one repeat from a wide table, or from as many text files as there are channels, one function each.
+    """Read one repeat from a wide table, a workbook or a MATLAB file, or from a text file for each channel.
 
-    See `calib.measurement.files.frf_columns.read_columns`; quantity and unit as for `read_frfs_csv`.
+    See `calib.measurement.files.frf_columns`; quantity and unit as for `read_frfs_csv`. ``variables`` names those of a
+    MATLAB file, or the ``sheet`` of a workbook.
     """
     found, units, notes = _stated(paths[0], quantity, unit)
-    read = read_columns(paths[0], channels) if len(paths) == 1 else read_function_files(paths, channels)
+    named = dict(variables or {})
+    if paths[0].suffix.lower() in MATLAB:
+        read = arrays_of(paths[0], named, channels)
+    elif len(paths) == 1:
+        read = read_columns(paths[0], channels, named.get("sheet"))
+    else:
+        read = read_function_files(paths, channels)
     axis, functions, coherence = read
     functions = {key: values * units.factor(key) for key, values in functions.items()}
     return repeat_of(", ".join(map(str, paths)), axis, found, functions, coherence, notes)
@@ -214,6 +232,8 @@ def _stated(path: Path, quantity: Quantity | None, unit: str | None) -> tuple[Qu
 def _comments(path: Path) -> dict[str, tuple[str, Place]]:
     """What comment lines say of quantity and unit, and where."""
     said: dict[str, tuple[str, Place]] = {}
+    if path.suffix.lower() in (*MATLAB, *WORKBOOKS):
+        return said
     for number, line in enumerate(path.read_text("utf-8-sig", errors="replace").splitlines(), start=1):
         match = _STATED.fullmatch(line.strip())
         if match is None:

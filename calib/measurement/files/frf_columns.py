@@ -1,4 +1,4 @@
-"""Frequency response functions from columns of numbers: wide tables, and one text file for each function."""
+"""Frequency response functions from columns of numbers: wide tables, workbooks, text files, MATLAB variables."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ _PARTS: Mapping[str, str] = {
 """What a word in the name of a column says that it holds."""
 _SEPARATORS = (";", "\t", ",", None)
 _COMMENT = ("#", "%", "!")
+WORKBOOKS = (".xlsx", ".xlsm")
+MATLAB = (".mat",)
 
 
 def channel_of(text: str, place: str | Path | Place) -> tuple[Key, int]:
@@ -51,7 +53,7 @@ def is_wide(names: Sequence[str]) -> bool:
 
 
 def read_columns(
-    path: Path, channels: Sequence[str] = ()
+    path: Path, channels: Sequence[str] = (), sheet: str | None = None
 ) -> tuple[np.ndarray, dict[Key, np.ndarray], dict[Key, np.ndarray]]:
     """Frequencies, functions and coherences from a table with the functions side by side.
 
@@ -72,7 +74,7 @@ def read_columns(
     InputError
         With file and line, for what is no such table.
     """
-    names, table = numbers_of(path)
+    names, table = sheet_of(path, sheet) if path.suffix.lower() in WORKBOOKS else numbers_of(path)
     columns = names or ["freq", *["re", "im"] * ((table.shape[1] - 1) // 2)]
     if len(columns) != table.shape[1]:
         words = f"it has {table.shape[1]} columns of numbers, but names {len(columns)}"
@@ -164,6 +166,128 @@ def numbers_of(path: Path) -> tuple[list[str], np.ndarray]:
         table = _by_cell(path, kept[first:], separator)
     if first and len(names) != table.shape[1] and len(words := kept[first - 1][1].split()) == table.shape[1]:
         names = words  # a header in blanks above other separators
+    return names, table
+
+
+def arrays_of(
+    path: Path, variables: Mapping[str, str], channels: Sequence[str]
+) -> tuple[np.ndarray, dict[Key, np.ndarray], dict[Key, np.ndarray]]:
+    """Frequencies, functions and coherences from variables of a MATLAB file; see `read_columns`.
+
+    Parameters
+    ----------
+    path : Path
+        Of version 5, or 7.3 where h5py is installed.
+    variables : mapping from ``freq`` (Hz), ``frf`` (complex) and perhaps ``coherence`` to names of variables
+        One axis of the functions is that of the frequencies; the others are taken as stored, the last one inmost.
+    channels : sequence of str
+        In that order.
+
+    Raises
+    ------
+    InputError
+        For a file without such variables, and sizes that do not fit.
+    """
+    remedy = "name the variables: variables = { freq = 'f', frf = 'H' }"
+    if not {"freq", "frf"} <= set(variables) <= {"freq", "frf", "coherence"}:
+        raise InputError("its frequencies and functions are not named", place=path, remedy=remedy)
+    held = _matlab(path, list(variables.values()))
+    for name in variables.values():
+        if name not in held:
+            raise InputError(f"it holds no numeric variable {name!r}", place=path, remedy=remedy)
+    freq = np.ravel(held[variables["freq"]]).astype(float)
+    if len(freq) < 2 or not np.all(np.diff(freq) > 0) or freq[0] < 0 or not np.isfinite(freq[-1]):
+        raise InputError(f"its frequencies {variables['freq']!r} do not ascend", place=path, remedy="give them in Hz")
+    keys = [channel_of(one, path) for one in channels]
+    out: dict[str, dict[Key, np.ndarray]] = {"frf": {}, "coherence": {}}
+    for kind in out:
+        if kind not in variables:
+            continue
+        whole = np.squeeze(held[variables[kind]])
+        axes = [k for k, size in enumerate(whole.shape) if size == len(freq)]
+        count = whole.size // len(freq)
+        if len(axes) != 1 or count != len(keys):
+            words = (
+                f"{variables[kind]!r} has the shape {whole.shape}, for {len(freq)} frequencies and {len(keys)} channels"
+            )
+            raise InputError(
+                words, place=path, remedy="name every channel; only one axis may be that of the frequencies"
+            )
+        flat = np.moveaxis(whole, axes[0], 0).reshape(len(freq), -1)
+        if kind == "frf" and not np.iscomplexobj(flat):
+            raise InputError(f"{variables[kind]!r} is real", place=path, remedy=NO_PHASE)
+        for (key, sign), column in zip(keys, flat.T, strict=True):
+            out[kind][key] = (
+                sign * np.asarray(column, dtype=complex) if kind == "frf" else np.asarray(column, dtype=float)
+            )
+    if len(out["frf"]) < len(keys):
+        raise InputError("a channel is named twice", place=path, remedy="name each once")
+    return freq, out["frf"], out["coherence"]
+
+
+def _matlab(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Numeric variables of a MATLAB file by their names, with the axes as MATLAB has them."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        found = loadmat(path, variable_names=list(names))
+    except NotImplementedError:  # version 7.3 is HDF5
+        return _matlab_hdf5(path, names)
+    except (OSError, ValueError, TypeError, MatReadError) as fault:
+        words = str(fault).splitlines()[0] if str(fault) else type(fault).__name__
+        raise InputError(f"it is no MATLAB file ({words})", place=path, remedy="save it again") from None
+    return {name: np.asarray(one) for name, one in found.items() if np.asarray(one).dtype.kind in "iufc"}
+
+
+def _matlab_hdf5(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+    try:
+        import h5py
+    except ImportError:
+        remedy = "pip install 'calib[files]', or save it with '-v7'"
+        raise InputError("it is of version 7.3, which h5py reads", place=path, remedy=remedy) from None
+    out = {}
+    with h5py.File(path) as file:
+        for name in names:
+            if name not in file or not isinstance(file[name], h5py.Dataset):
+                continue
+            one = np.asarray(file[name])
+            if one.dtype.names == ("real", "imag"):
+                one = one["real"] + 1j * one["imag"]
+            if one.dtype.kind in "iufc":
+                out[name] = one.T  # MATLAB stores columns
+    return out
+
+
+def sheet_of(path: Path, sheet: str | None = None) -> tuple[list[str], np.ndarray]:
+    """Names of the columns and numbers of a sheet of a workbook (the first one by default); see `numbers_of`."""
+    try:
+        from openpyxl import load_workbook
+    except ImportError:
+        remedy = "pip install 'calib[files]', or save the sheet as CSV"
+        raise InputError("openpyxl, which reads workbooks, is not installed", place=path, remedy=remedy) from None
+    try:
+        book = load_workbook(path, read_only=True, data_only=True)
+    except Exception as fault:  # a damaged archive raises what its parts raise
+        raise InputError(f"it is no workbook ({type(fault).__name__})", place=path, remedy="save it again") from None
+    if sheet is not None and sheet not in book.sheetnames:
+        words = f"it has no sheet {sheet!r:.40}"
+        raise InputError(words, place=path, remedy=f"the sheets are {', '.join(book.sheetnames)}")
+    page = book[sheet] if sheet is not None else book.worksheets[0]
+    rows = [list(row) for row in page.iter_rows(values_only=True) if any(cell is not None for cell in row)]
+    book.close()
+    at = next((k for k, row in enumerate(rows) if isinstance(row[0], int | float)), None)
+    if at is None:
+        raise InputError("it holds no line of numbers", place=path, remedy="begin each with its frequency in Hz")
+    width = max(k + 1 for row in rows[at:] for k, cell in enumerate(row) if cell is not None)
+    names = ["" if cell is None else str(cell).strip() for cell in rows[at - 1][:width]] if at else []
+    table = np.full((len(rows) - at, width), np.nan)
+    for k, row in enumerate(rows[at:]):
+        for n, cell in enumerate(row[:width]):
+            if cell is not None and not isinstance(cell, int | float):
+                words = f"row {k + 1} of its numbers holds {str(cell)[:40]!r}"
+                raise InputError(words, place=path, remedy="give a number, or leave the cell empty")
+            table[k, n] = np.nan if cell is None else cell
     return names, table
 
 

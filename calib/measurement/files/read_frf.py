@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import read_sensor_table
 from calib.measurement.files.csv_frf import read_columns_frfs, read_frfs_csv
+from calib.measurement.files.frf_columns import MATLAB, WORKBOOKS
 from calib.measurement.files.read import TEXT_SUFFIXES, Named, found_files, require_files, require_no_copies
 from calib.measurement.files.uff_frf import read_uff_frfs
 from calib.measurement.frf import QUANTITIES, MeasuredFRFs, Quantity
@@ -28,6 +29,7 @@ def read_frfs(
     sensors: str | Path | None = None,
     averages: int | None = None,
     channels: Sequence[str] = (),
+    variables: Mapping[str, str] | None = None,
     length_unit: str | None = None,
     synthetic: bool = False,
 ) -> MeasuredFRFs:
@@ -56,6 +58,10 @@ def read_frfs(
         a universal file in the order of its FRFs (its nodes and directions then do not count), of a table with the
         functions side by side (see `calib.measurement.files.frf_columns.read_columns`) in that of its columns, and of
         text files with one function each (``.txt``, ``.asc``, ``.dat``, ...) in that of the files, repeat by repeat.
+    variables : mapping from str to str, optional
+        Of a MATLAB file (``.mat``) the names of ``freq``, ``frf`` and perhaps ``coherence``, such as ``{"freq": "f",
+        "frf": "H"}``; see `calib.measurement.files.frf_columns.arrays_of`. Of a workbook (``.xlsx``), which holds the
+        functions side by side, perhaps the ``sheet``.
     length_unit : str, optional
         Of places in universal files without dataset 164, such as ``mm``; by default m.
     synthetic : bool
@@ -88,7 +94,7 @@ def read_frfs(
     if quantity is not None and quantity not in QUANTITIES:
         raise InputError(f"quantity is {quantity!r}", place="measurement", remedy=f"one of {', '.join(QUANTITIES)}")
     channels = names(channels, "channels")
-    is_uff = require_files(paths, also=TEXT_SUFFIXES)
+    is_uff = require_files(paths, also=(*TEXT_SUFFIXES, *MATLAB, *WORKBOOKS))
     groups = _repeats(paths, channels)
     if averages is not None and len(groups) > 1:
         raise InputError(
@@ -100,8 +106,8 @@ def read_frfs(
     metres = parse_length_unit(length_unit)
     repeats = [
         read_uff_frfs(own[0], quantity, unit, metres, channels) if is_uff
-        else read_frfs_csv(own[0], quantity, unit, channels) if len(own) == 1
-        else read_columns_frfs(own, channels, quantity, unit)
+        else read_frfs_csv(own[0], quantity, unit, channels) if len(own) == 1 and own[0].suffix.lower() == ".csv"
+        else read_columns_frfs(own, channels, quantity, unit, variables)
         for own in groups
     ]  # fmt: skip
     found = combine_setups(repeats, averages, synthetic)
