@@ -41,7 +41,8 @@ def adequacy_of(fits: Refits, candidate_fit: CandidateFit, named: Scores) -> Ade
         sensors=by_sensor(candidate_fit.fit, hypotheses),
         faults=faults,
         p_faults=1.0 if faults is None else family_p(faults, hypotheses, seed),
-        overstated=overstated(kinds, hypotheses),
+        # Beside a fault that is granted, another one may stand out all the same: two wrong gains.
+        overstated=not fits.granted and overstated(kinds, hypotheses),
     )
 
 

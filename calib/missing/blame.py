@@ -60,7 +60,9 @@ def blamed(
     if fault is None or fault.implausible or not outweighs(fits, found, best, margin):
         return None
     adequacy = tests_of(fits, found, fault)
-    return _told(fits, found, fault, adequacy, singles) if adequate(fits, adequacy) else None
+    # Where only too large a standard deviation hides what stands out, further faults are looked for first.
+    hidden = adequacy.overstated and adequacy.p_family <= found.alpha
+    return _told(fits, found, fault, adequacy, singles) if adequate(fits, adequacy) and not hidden else None
 
 
 def fault_first(fits: Refits, found: Explanation, candidate_fits: Sequence[CandidateFit]) -> Explanation | None:

@@ -82,3 +82,11 @@ def test_granted_faults_are_in_the_tables(faulty):
     assert "F4" not in set(pull_table(found)["parameter"])  # its magnitude is no parameter of the model
     assert f'"F4" = {value:.3g}' in correction_offered(found, lambda name: True)
     assert correction_offered(found, lambda name: False) == ""
+
+
+def test_a_second_fault_is_told_although_the_standard_deviation_is_overstated(faulty):
+    """With the first one in, all fits better than independent errors would; the second stands out all the same."""
+    made = faulty(modes=0, sensors=120)
+    found = decide(made.drawn(np.random.default_rng(2), {"F2": 3.0, "F4": -1.0}, noise=0.2))
+    assert set(told(found)) == {"F2", "F4"}
+    assert found.verdict == "measurement" and not found.remains
