@@ -20,10 +20,10 @@ from calib.hypotheses.own_modes import own_modes, own_modes_sentence
 from calib.hypotheses.rules import RULES
 from calib.missing.adequacy import UNSEEN, contradicting
 from calib.missing.candidate_fit import CandidateFit
+from calib.missing.data_words import GROUPS
 from calib.missing.explanation import NAMED, Explanation
 from calib.missing.local import WIDE
 from calib.missing.partial import is_simpler_form
-from calib.missing.verdict import GROUPS
 from calib.problem.candidate import Candidate
 from calib.results.results import Results
 from calib.study.study import LoadedStudy

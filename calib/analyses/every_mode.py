@@ -13,7 +13,7 @@ from calib.execution.outcome import named_responses
 from calib.hypotheses.verify import errors_of
 from calib.inference.joint_part import JointPart
 from calib.missing.adequacy import contradicting
-from calib.missing.verdict import GROUPS
+from calib.missing.data_words import GROUPS
 from calib.study.study import LoadedStudy
 
 

@@ -28,13 +28,13 @@ from calib.missing import decision as engine
 from calib.missing.adapter import Adapter
 from calib.missing.between_tests import BETWEEN
 from calib.missing.candidate_fit import CandidateFit, WrongDatum
+from calib.missing.data_words import GROUPS as UNSEEN_GROUPS
 from calib.missing.explanation import Explanation
 from calib.missing.findings import ExplanationResult, findings
 from calib.missing.local import local_perturbation
 from calib.missing.partial import is_simpler_form
 from calib.missing.pattern import BY_TEST
 from calib.missing.settings import Settings, require_modes
-from calib.missing.verdict import GROUPS as UNSEEN_GROUPS
 from calib.missing.verdict import NO_DOUBTS, Doubts
 from calib.problem.candidate import Candidate
 from calib.problem.effect import Effect

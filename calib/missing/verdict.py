@@ -8,16 +8,15 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from calib.missing.adequacy import UNSEEN, contradicting
+from calib.missing.data_words import contradicted_words, error_words, unseen_words
 from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.goodness import p_words, where, worst_repeats
-from calib.missing.local import fault_words, local_perturbation, meaning_of, range_words, unit_words
+from calib.missing.local import fault_words, local_perturbation, meaning_of, range_words
 from calib.missing.partial import is_simpler_form, magnitude_range
-from calib.missing.recommendation import Recommendation, as_ratio, rounded
+from calib.missing.recommendation import Recommendation, as_ratio
 from calib.missing.rules import RULES
 from calib.missing.steps_table import competing_sentence, steps_sentence
 from calib.missing.suspect import suspect_in_short, suspect_sentence
-from calib.missing.tables import UNTESTED
 from calib.missing.verdict_words import (
     CANNOT_TELL,
     WORST,
@@ -49,8 +48,6 @@ _REPEATS = 3
 
 MOST = 99.0
 """Largest probability that is stated (%): the prior of the library is no surer."""
-GROUPS = {"left_out": "data left out in turn", **UNSEEN}
-"""Groups of data that a fit has not seen, in words."""
 
 _OUTSIDE = "An effect outside the library cannot be excluded."
 
@@ -141,10 +138,10 @@ def verdict_of(
     if found.noise_scale != 1 and found.verdict != "noise_underestimated":
         sure.append(f"The standard deviation was taken {found.noise_scale:.2g} times as large as stated.")
     if found.names_something:
-        support += _errors(errors)
+        support += error_words(errors)
     if found.verdict == "unconfirmed":
-        support += _contradicted(errors)
-    support += _unseen(effects, found.chosen.names if found.names_something and found.chosen is not None else ())
+        support += contradicted_words(errors)
+    support += unseen_words(effects, found.chosen.names if found.names_something and found.chosen is not None else ())
     short = ""
     if recommendation is not None and found.verdict not in ("noise_underestimated", "misfit_unlocated"):
         support.append(recommendation.sentence)
@@ -376,25 +373,6 @@ def _unlocated(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     )
 
 
-def _contradicted(errors: pd.DataFrame) -> list[str]:
-    """Held-out data that contradict the best attempt, in words."""
-    numbers = {(str(r["group"]), str(r["stage"])): r for r in errors.to_dict("records")}
-    against = contradicting(errors, "attempt")
-    if not against:
-        return []
-    phrases = []
-    for group in against:
-        before, after = numbers[group, "before"], numbers[group, "attempt"]
-        phrases.append(
-            f"{GROUPS[group]} {float(before['rms']):.2f} -> {float(after['rms']):.2f} (noise floor "
-            f"{float(after['expected']):.2f}, {p_words(float(after['p']))})"
-        )
-    return [
-        f"Error in standard deviations: {', '.join(phrases)}. Either it stands in for something else, or these data "
-        "are themselves in error: check them before it is added."
-    ]
-
-
 def _why_not(found: Explanation) -> str:
     """Why the best attempt is not named, in words; see `Explanation.refused`."""
     candidate_fit, adequacy = found.chosen, found.chosen_adequacy
@@ -407,42 +385,3 @@ def _why_not(found: Explanation) -> str:
         "local_perturbation": "a local perturbation fits better",
         "evidence": "the evidence for it is too weak among so many candidates",
     }[found.refused]
-
-
-def _errors(errors: pd.DataFrame) -> list[str]:
-    numbers = {(str(r["group"]), str(r["stage"])): r for r in errors.to_dict("records")}
-    phrases, worse = [], []
-    for group, label in GROUPS.items():
-        if (group, "before") not in numbers or (group, "after") not in numbers:
-            continue
-        before, after = float(numbers[group, "before"]["rms"]), float(numbers[group, "after"]["rms"])
-        floor = float(numbers[group, "after"]["expected"])
-        phrases.append(f"{label} {before:.2f} -> {after:.2f} (noise floor {floor:.2f})")
-        # The error must be significantly larger: a correctly specified model must rarely predict as badly.
-        if after > before and float(numbers[group, "after"]["p"]) < RULES.contradicted:
-            worse.append(label)
-    if not phrases:
-        return []
-    out = ["Error in standard deviations, of the fits behind this answer: " + ", ".join(phrases) + "."]
-    if worse:
-        out.append(f"It fits better but predicts no better: {', '.join(worse)} got worse.")
-    return out
-
-
-def _unseen(effects: pd.DataFrame, chosen: Sequence[str]) -> list[str]:
-    """Effects that these data would not show and those not tested, without the chosen ones; in words."""
-    phrases, blind = [], ~effects["visible"].astype(bool) & ~effects["name"].isin(chosen)
-    untested = effects["implausible"] == UNTESTED
-    for row in effects[blind & ~untested & effects["magnitude_min"].notna()].to_dict("records"):
-        unit, least = unit_words(str(row["unit"])), float(row["magnitude_min"])
-        possible = least <= float(row["largest"])
-        phrases.append(
-            f"{row['name']} below {rounded(least)}{unit}" if possible else f"{row['name']} of any possible magnitude"
-        )
-    out = ["Not visible with these data: " + ", ".join(phrases) + "."] if phrases else []
-    failing = effects.loc[blind & ~untested & effects["magnitude_min"].isna(), "name"]
-    if len(failing):
-        out.append("Not visible as far as the model can be evaluated with them: " + ", ".join(failing) + ".")
-    if untested.any():
-        out.append("Not tested, since the model fails with it: " + ", ".join(effects.loc[untested, "name"]) + ".")
-    return out
