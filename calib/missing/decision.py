@@ -293,7 +293,7 @@ class _Decision:
         strong = lead.best.ln_evidence > needed and not lead.best.implausible and takes_enough(found, lead.best)
         if strong and lead.adequacy.p_family <= alpha:
             verdict = "partial"
-            found = replace(found, minor=minor_of(found, lead.singles, pairs[:1]))
+            found = replace(found, minor=minor_of(found, lead.singles))
         elif found.base_adequacy.p_family > alpha:
             verdict = "misfit_unlocated"  # a bad fit in which nothing stands out is not a systematic misfit
         return self.done(found, (*lead.singles, *pairs), verdict, lead.best, lead.adequacy)

@@ -60,10 +60,11 @@ def minor_beside(found: Explanation, singles: Sequence[CandidateFit], together: 
     return tuple(shares) if all(share < most for share in shares.values()) else ()
 
 
-def minor_of(found: Explanation, singles: Sequence[CandidateFit], pairs: Sequence[CandidateFit]) -> tuple[str, ...]:
-    """The same of a pair that leaves nothing over, or of the end of a stepwise search; empty without either."""
-    ended = () if found.steps is None or not found.steps.explains else (found.steps.last.candidate_fit,)
-    return next((own for t in (*pairs, *ended) if (own := minor_beside(found, singles, t))), ())
+def minor_of(found: Explanation, singles: Sequence[CandidateFit]) -> tuple[str, ...]:
+    """The same of the end of a stepwise search that leaves nothing over; empty without one."""
+    if found.steps is None or not found.steps.explains:
+        return ()
+    return minor_beside(found, singles, found.steps.last.candidate_fit)
 
 
 def is_far_ahead(found: Explanation) -> bool:
