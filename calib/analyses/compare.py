@@ -195,7 +195,7 @@ def comparison_at(study: LoadedStudy, values: Mapping[str, float]) -> Comparison
 
 def _undrawn(study: LoadedStudy) -> tuple[str, ...]:
     """A note where no node or sensor has a location, so that modes cannot be drawn."""
-    if study.whole is None or study.asked.mesh.placed.any():
+    if study.whole is None or study.solved_model.mesh.placed.any():
         return ()
     return ("No location of the model's nodes or sensors is known: its modes are not drawn.",)
 

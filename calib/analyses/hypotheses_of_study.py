@@ -58,7 +58,7 @@ def _of_values(
 ) -> ScalarAdapter:
     pair: Any = study.pair
     space = study.search_space.without(study.condition)
-    found, own = model_hypotheses(study.asked, pair, study.candidates, local, space, study.test)
+    found, own = model_hypotheses(study.solved_model, pair, study.candidates, local, space, study.test)
     return ScalarAdapter(found, own, facts, study.unseen)
 
 

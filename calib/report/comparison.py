@@ -67,8 +67,8 @@ def draw_frequency_error(
         for stage, errors in values.items()
     }
     ax.axhline(0.0, color="black", linewidth=0.8)
-    told = {stage: style.stage_words(stage, effects) for stage in values}
-    _bars(ax, values, labels, told, "{:+.1f}", lambda value: f"{fixed(value, 2, sign=True)} %")
+    stage_words = {stage: style.stage_words(stage, effects) for stage in values}
+    _bars(ax, values, labels, stage_words, "{:+.1f}", lambda value: f"{fixed(value, 2, sign=True)} %")
     modes = next(iter(values.values())).index
     frequencies = pd.concat([t["natural_freq_measured"] for t in series.values()]).groupby(level=0, sort=False).first()
     names = [f"{mode}\n{frequencies[mode]:.2f} Hz" for mode in modes]
@@ -105,8 +105,8 @@ def draw_mac(
         stage: f"{style.stage_words(stage, effects)}: mean MAC {_mean(mac, '{:.3f}')}{_paired(mac)}"
         for stage, mac in values.items()
     }
-    told = {stage: style.stage_words(stage, effects) for stage in values}
-    _bars(ax, values, labels, told, "{:.2f}", lambda value: f"MAC {fixed(value, 3)}")
+    stage_words = {stage: style.stage_words(stage, effects) for stage in values}
+    _bars(ax, values, labels, stage_words, "{:.2f}", lambda value: f"MAC {fixed(value, 3)}")
     modes = next(iter(values.values())).index
     ax.set_xticks(range(len(modes)), list(modes))
     _crowded(ax, [str(mode) for mode in modes])
@@ -224,8 +224,8 @@ def draw_comac(
             color=colour,
             label=f"{style.stage_words(name, effects)}: mean CoMAC {_mean(values[name], '{:.3f}')}",
         )
-        told = style.stage_words(name, effects)
-        hover_points(ax, x, height, [f"{s}, {told}: {fixed(v, 3)}" for s, v in zip(shown, height, strict=True)])
+        stage_words = style.stage_words(name, effects)
+        hover_points(ax, x, height, [f"{s}, {stage_words}: {fixed(v, 3)}" for s, v in zip(shown, height, strict=True)])
     lowest = min((float(np.nanmin(h)) for h in heights.values() if np.isfinite(h).any()), default=0.0)
     ax.set_ylim(max(0.0, np.floor(10.0 * lowest - 0.5) / 10.0), 1.03)
     ax.set_xlim(-0.7, len(shown) - 0.3)
@@ -247,16 +247,16 @@ def draw_comac(
 
 def _series(tables: Mapping[str, pd.DataFrame | None], key: str = "mode") -> dict[str, pd.DataFrame]:
     """Those there are, by stage, on a common index: the rows of the first, then those that only others have."""
-    given = {stage: t.set_index(key) for stage, t in tables.items() if t is not None}
-    index = list(dict.fromkeys(label for t in given.values() for label in t.index))
-    return {stage: t.reindex(index) for stage, t in given.items()}
+    by_stage = {stage: t.set_index(key) for stage, t in tables.items() if t is not None}
+    index = list(dict.fromkeys(label for t in by_stage.values() for label in t.index))
+    return {stage: t.reindex(index) for stage, t in by_stage.items()}
 
 
 def _bars(
     ax: Axes,
     values: dict[str, pd.Series],
     labels: dict[str, str],
-    told: dict[str, str],
+    stage_words: dict[str, str],
     number: str,
     words: Callable[[float], str],
 ) -> None:
@@ -268,7 +268,7 @@ def _bars(
         missing = np.isnan(heights)
         bars = ax.bar(x, heights, width * 0.94, label=labels[name], **_LOOKS[name])
         for bar, (mode, height) in zip(bars, series.items(), strict=True):
-            hover(bar, f"{mode}, {told[name]}: {words(height)}")
+            hover(bar, f"{mode}, {stage_words[name]}: {words(height)}")
         if len(series) * len(values) <= _MOST_VALUES:
             texts = ["" if gone else _signed(h, number) for h, gone in zip(heights, missing, strict=True)]
             room = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 0.3}  # over a line that crosses it

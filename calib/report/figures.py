@@ -68,7 +68,7 @@ class Figures:
         self.folder = folder if isinstance(folder, CurrentFolder) else CurrentFolder(Path(folder), frozenset())
         self.title = title
         self.synthetic = synthetic
-        self._drawn: dict[str, Figure] = {}
+        self._figures: dict[str, Figure] = {}
         self._rendered: Mapping[str, RenderedFigure] = {}
         self._render_all: Callable[[], Mapping[str, RenderedFigure]] | None = None
 
@@ -98,7 +98,7 @@ class Figures:
         if not identifier and (known := self._taken(name)) and known.svg:
             return known.svg
         with style():
-            self._drawn[name] = figure = self.plan[name].draw()
+            self._figures[name] = figure = self.plan[name].draw()
             take_dollars_literally(figure)
             return svg_text(figure, identifier or name)
 
@@ -157,7 +157,7 @@ class Figures:
 
     def _page_wide(self, drawing: Drawing) -> Figure:
         """The figure of the page where it is drawn already."""
-        return self._drawn.pop(drawing.name) if drawing.name in self._drawn else drawing.draw()
+        return self._figures.pop(drawing.name) if drawing.name in self._figures else drawing.draw()
 
     def _narrow(self, drawing: Drawing) -> Figure | None:
         """The figure in a column; None where that is not legible."""

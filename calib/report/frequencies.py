@@ -76,9 +76,9 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapp
         look = looks[stage]
         dot: dict[str, Any] = {"linestyle": "none", "marker": look.marker, "color": look.colour, "markersize": 6}
         ax.plot(of_stage, np.arange(count), gid=stage, zorder=3, **dot)
-        told = zip(table["mode"], table[f"damped_freq_{stage}"], of_stage, strict=True)
+        points = zip(table["mode"], table[f"damped_freq_{stage}"], of_stage, strict=True)
         words = [
-            f"{mode}, {look.words}: {fixed(freq, 3)} Hz, {fixed(error, 2, sign=True)} %" for mode, freq, error in told
+            f"{mode}, {look.words}: {fixed(freq, 3)} Hz, {fixed(error, 2, sign=True)} %" for mode, freq, error in points
         ]
         hover_points(ax, of_stage, np.arange(count), words)
         handles.append(Line2D([], [], label=look.words, **dot))  # no means: those are over the fitted modes alone

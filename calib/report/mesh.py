@@ -163,8 +163,8 @@ def _borders(edges: np.ndarray, owner: np.ndarray) -> tuple[np.ndarray, np.ndarr
     count = np.bincount(inverse, minlength=len(unique))
     between = np.zeros(len(unique), dtype=bool)
     between[inverse[owner != owner[first[inverse]]]] = True
-    kept = (count == 1) | between
-    return unique[kept], owner[first[kept]]
+    outer = (count == 1) | between
+    return unique[outer], owner[first[outer]]
 
 
 def bodies(parts: Pieces, count: int) -> np.ndarray:

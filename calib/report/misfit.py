@@ -187,10 +187,10 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
             shift, y, "osD^v"[k % 5], markersize=5.5, label=label, gid=f"shift {model}", zorder=3, **looks
         )
         values = [with_unit(v, str(u), 4) for v, u in zip(rows["value"], rows["unit"], strict=True)]
-        told = [
+        texts = [
             f"{n}, {label}: {v}, shift {fixed(z, 1, sign=True)}" for n, v, z in zip(names, values, shift, strict=True)
         ]
-        hover_points(ax, shift, y, told)
+        hover_points(ax, shift, y, texts)
         ringed = np.array([flag(value) for value in rows["pulled"]])
         ax.plot(shift[ringed], y[ringed], gid=f"pulled {model}", zorder=4, **ring)
     limits = sorted(set(table["limit"].astype(float).dropna().round(3)))
@@ -272,10 +272,10 @@ def draw_suspects(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     """
     rows = table.assign(at=table["sensor"].where(table["sensor"].astype(str) != "", WHOLE)).dropna(subset=["score"])
     largest = rows.assign(size=rows["score"].abs()).groupby("at", sort=False)["size"].max()
-    kept = set(largest.sort_values(ascending=False, kind="stable").index[:MOST])
-    names = [name for name in largest.index if name in kept]
+    chosen = set(largest.sort_values(ascending=False, kind="stable").index[:MOST])
+    names = [name for name in largest.index if name in chosen]
     place = {name: k for k, name in enumerate(sorted(names, key=_natural))}
-    rows = rows[rows["at"].isin(kept)]
+    rows = rows[rows["at"].isin(chosen)]
     ax = style.own_axes(ax, max(2.4, 0.9 + 0.19 * len(place)))
     limit = float(table["limit"].iloc[0])
     for side in (-limit, limit):
@@ -303,8 +303,8 @@ def draw_suspects(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
 
 
 def _words(row: dict[str, object]) -> str:
-    told = f": {row['told']}" if row.get("told") else ""
-    return f"{row['fault']}, score {fixed(float(np.asarray(row['score'])), 1)}{told}"
+    words = f": {row['told']}" if row.get("told") else ""
+    return f"{row['fault']}, score {fixed(float(np.asarray(row['score'])), 1)}{words}"
 
 
 def _natural(name: str) -> tuple[bool, int, str]:

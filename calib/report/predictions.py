@@ -56,8 +56,8 @@ def draw_predictions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.axhspan(-1.0, 1.0, color="#D9D9D9", zorder=1, gid="alone")
     bars = ax.vlines(x, low, high, color=SKY, linewidth=max(1.0, 3.6 - len(x) / 60), zorder=2, gid="unexplained")
     hover(bars, *_words(shown))
-    for kept, color, gid in ((inside, AFTER, "inside"), (~inside, VERMILLION, "outside")):
-        ax.plot(x[kept], value[kept], "o", color=color, markersize=3.5, zorder=4, gid=gid)
+    for group, color, gid in ((inside, AFTER, "inside"), (~inside, VERMILLION, "outside")):
+        ax.plot(x[group], value[group], "o", color=color, markersize=3.5, zorder=4, gid=gid)
     ax.axhline(0.0, color=GREY, linewidth=0.8, zorder=3)
     ends = np.cumsum([len(one) for one in parts])
     for end in ends[:-1]:

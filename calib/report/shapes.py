@@ -148,8 +148,8 @@ def mode_shapes_figure(
         beside = draw_measured_shape(found, mesh, figure.add_subplot(left, projection="3d"), expanded=whole, title=test)
         motion = deflection[deflection["mode"] == mode]
         ax = draw_mode_shape(found, motion, mesh, figure.add_subplot(right, projection="3d"), title=model)
-        for drawn in (*beside.collections, *ax.collections):
-            drawn.set_rasterized(len(modes) * len(mesh.elements) > _MANY)
+        for collection in (*beside.collections, *ax.collections):
+            collection.set_rasterized(len(modes) * len(mesh.elements) > _MANY)
     scene.show_axes(figure)
     scene.write_size(figure, rest)
     handles = [
@@ -270,8 +270,8 @@ def wireframe(mesh: MeshTables, sensors: np.ndarray) -> np.ndarray:
     reach = _reach(weights, edges, length, at)
     distance = np.array([dijkstra(weights, indices=one, limit=reach)[at] for one in at])
     pairs = np.argwhere(np.triu(np.isfinite(distance), 1))
-    kept = first[pairs[_gabriel(distance, pairs)]]
-    return np.unique(np.sort(kept, axis=1), axis=0)
+    neighbours = first[pairs[_gabriel(distance, pairs)]]
+    return np.unique(np.sort(neighbours, axis=1), axis=0)
 
 
 def _reach(weights: sp.csr_array, edges: np.ndarray, length: np.ndarray, at: np.ndarray) -> float:

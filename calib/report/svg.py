@@ -159,8 +159,8 @@ def _own_names(root: ElementTree.Element, name: str) -> None:
     """Keep only identifiers that something refers to, numbered behind the name of the figure."""
     wanted = {v[1:] for e in root.iter() if (v := e.attrib.get(_LINK, "")).startswith("#")}
     wanted |= {found for e in root.iter() for value in e.attrib.values() for found in _REFERENCE.findall(value)}
-    kept = [own for element in root.iter() if (own := element.attrib.get("id")) in wanted]
-    new = {own: f"{name}-{number}" for number, own in enumerate(kept, 1)}
+    identifiers = [own for element in root.iter() if (own := element.attrib.get("id")) in wanted]
+    new = {own: f"{name}-{number}" for number, own in enumerate(identifiers, 1)}
     for element in root.iter():
         own = element.attrib.pop("id", None)
         if own in new:
@@ -212,10 +212,11 @@ def _share_styles(parent: ElementTree.Element) -> None:
                 group.extend(_opened(member))
             same = [group]
         parent.extend(same)
-    drawn = [child for child in parent if child.tag not in (_TITLE, _DEFS)]
-    if len(drawn) == 1 and parent.tag == _GROUP and "style" not in parent.attrib and (style := _inherited(drawn[0])):
+    content = [child for child in parent if child.tag not in (_TITLE, _DEFS)]
+    single = len(content) == 1 and parent.tag == _GROUP and "style" not in parent.attrib
+    if single and (style := _inherited(content[0])):
         parent.set("style", style)
-        del drawn[0].attrib["style"]
+        del content[0].attrib["style"]
         parent[:] = [inner for child in parent for inner in _opened(child)]
 
 
@@ -305,7 +306,7 @@ def _joined(lines: list[NDArray[np.float64]]) -> list[str]:
 
 def _straightened(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """The points without those that lie, in order, on the straight line between their neighbours that are kept."""
-    kept, first = [0], 0
+    corners, first = [0], 0
     for end in range(2, len(points)):
         way = points[end] - points[first]
         length = float(np.hypot(*way))
@@ -315,8 +316,8 @@ def _straightened(points: NDArray[np.float64]) -> NDArray[np.float64]:
         ordered = np.all(np.diff([0.0, *along, length]) >= 0)
         if not ordered or across.max() > _STRAIGHT:
             first = end - 1
-            kept.append(first)
-    return points[[*kept, len(points) - 1]]
+            corners.append(first)
+    return points[[*corners, len(points) - 1]]
 
 
 def _path(points: NDArray[np.float64]) -> str:
@@ -325,8 +326,8 @@ def _path(points: NDArray[np.float64]) -> str:
 
 def smaller(picture: str) -> str:
     """Return an embedded PNG with its colours in a palette where they are few; every pixel stays the same."""
-    with Image.open(io.BytesIO(base64.b64decode(picture.removeprefix(PNG)))) as given:
-        pixels = np.array(given.convert("RGBA"))
+    with Image.open(io.BytesIO(base64.b64decode(picture.removeprefix(PNG)))) as source:
+        pixels = np.array(source.convert("RGBA"))
     # As one number a pixel: rows are compared far more slowly.
     found, numbers = np.unique(pixels.view(np.uint32).ravel(), return_inverse=True)
     if len(found) > _COLOURS:

@@ -161,9 +161,9 @@ def draw_error_versions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         }
         ax.plot(x, rows["rms"].to_numpy(dtype=float), label=GROUPS.get(group, group), gid=group, zorder=3, **looks)
         expected = rows["expected"].to_numpy(dtype=float)
-        told = zip(versions, rows["rms"], expected, strict=True)
+        points = zip(versions, rows["rms"], expected, strict=True)
         words = [
-            f"{GROUPS.get(group, group)}, version {v:g}: {fixed(r, 2)} σ; expected {fixed(e, 2)}" for v, r, e in told
+            f"{GROUPS.get(group, group)}, version {v:g}: {fixed(r, 2)} σ; expected {fixed(e, 2)}" for v, r, e in points
         ]
         hover_points(ax, x, rows["rms"], words)
         ends = [np.repeat(expected, 2), np.ravel(np.column_stack([x - 0.2, x + 0.2]))]

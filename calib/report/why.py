@@ -332,19 +332,19 @@ def _heading(
         row = effects[effects["name"] == name].to_dict("records")[0]
         words = f"{row['title']} ({name}), {with_unit(row['magnitude'], str(row['unit']))}"
     words += ": best attempt, not believed" if attempt else ""
-    told = [words, *further_parameters(parameters, name)]
-    told.append(f"{explained_words(own, by_test)}.")
+    sentences = [words, *further_parameters(parameters, name)]
+    sentences.append(f"{explained_words(own, by_test)}.")
     if len(stars):
-        told.append(
+        sentences.append(
             f"By the library, not by the data, it acts at (m, marked by a star): {listed(stars.tolist(), _NAMED)}."
         )
     if places is not None and (where := alike_words(places, name)):
-        told.append(
+        sentences.append(
             f"Most alike among the local perturbations, marked 1: {where}"
             if most_alike(places, name) is not None
             else where
         )
-    return "\n".join(textwrap.fill(line, 112, subsequent_indent="    ") for line in told)
+    return "\n".join(textwrap.fill(line, 112, subsequent_indent="    ") for line in sentences)
 
 
 def _cells(spec: SubplotSpec, bars: bool, shapes: bool, structure: bool) -> dict[str, SubplotSpec]:

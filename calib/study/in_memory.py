@@ -29,7 +29,7 @@ class MemoryStudy(LoadedStudy):
         Fingerprint of the model without the test's condition, and its name; see `LoadedStudy.model_key`.
     among : str
         Name of the test where it is one of several; empty for the only one.
-    left_out : tuple of str
+    not_selected : tuple of str
         Parameters that a selection holds at their nominal values.
     finer : StructuralModel, optional
         The model on a finer mesh.
@@ -38,7 +38,7 @@ class MemoryStudy(LoadedStudy):
     key: str = field(default="", kw_only=True)
     label: str = field(default="", kw_only=True)
     among: str = field(default="", kw_only=True)
-    left_out: tuple[str, ...] = field(default=(), kw_only=True)
+    not_selected: tuple[str, ...] = field(default=(), kw_only=True)
     finer: StructuralModel | None = field(default=None, kw_only=True)
 
     in_memory = True
@@ -76,7 +76,7 @@ class MemoryStudy(LoadedStudy):
     @property
     def unselected(self) -> tuple[str, ...]:
         """Parameters that a selection leaves out."""
-        return tuple(name for name in self.left_out if name in self.model.space)
+        return tuple(name for name in self.not_selected if name in self.model.space)
 
     @property
     def states_mesh(self) -> bool:
@@ -135,7 +135,7 @@ def study_in_memory(
     tests: Sequence[TestedModel],
     settings: StudySettings,
     library: Mapping[str, tuple[Effect, ...]],
-    left_out: Sequence[str] = (),
+    not_selected: Sequence[str] = (),
     held_sd: Mapping[str, float] | None = None,
     finer: Callable[[TestedModel], StructuralModel | None] = lambda tested: None,
 ) -> AnyStudy:
@@ -148,7 +148,7 @@ def study_in_memory(
         Of its analyses.
     library : mapping from str to tuple of Effect
         Effects that models may lack, by the name of the model.
-    left_out : sequence of str
+    not_selected : sequence of str
         Parameters that a selection holds at their nominal values.
     held_sd : mapping from str to float, optional
         Standard deviations of held parameters that an earlier study determined.
@@ -156,7 +156,9 @@ def study_in_memory(
         The model on a finer mesh, under the condition of a test; None where there is none.
     """
     parts = tuple(
-        _part(tested, settings, library, left_out, held_sd or {}, finer(tested), tested.test.name * (len(tests) > 1))
+        _part(
+            tested, settings, library, not_selected, held_sd or {}, finer(tested), tested.test.name * (len(tests) > 1)
+        )
         for tested in tests
     )
     return parts[0] if len(parts) == 1 else MemoryJointStudy("problem", FILE, settings, parts)
@@ -166,7 +168,7 @@ def _part(
     tested: TestedModel,
     settings: StudySettings,
     library: Mapping[str, tuple[Effect, ...]],
-    left_out: Sequence[str],
+    not_selected: Sequence[str],
     held_sd: Mapping[str, float],
     finer: StructuralModel | None,
     among: str,
@@ -179,6 +181,6 @@ def _part(
         among or "problem", FILE, settings, model, test, problem, space, space, library.get(model.name, ()),
         {name: model.space[name].value for name in held_sd if name in model.space},
         {name: sd for name, sd in held_sd.items() if name in model.space},
-        space.values, key=tested.model.fingerprint, label=model.name, among=among, left_out=tuple(left_out),
+        space.values, key=tested.model.fingerprint, label=model.name, among=among, not_selected=tuple(not_selected),
         finer=finer,
     )  # fmt: skip

@@ -77,10 +77,10 @@ def sensitivity_space(
 def _of_parameter(space: ParameterSpace, name: str, change: ParameterSettings, place: PlaceOf) -> Place:
     """Place of the key that is wrong by itself, else of the parameter's table."""
     what = f"[parameters.{name}]"
-    given = {"value": change.value, "prior_sd": change.prior_sd, "needed": change.needed}
+    stated = {"value": change.value, "prior_sd": change.prior_sd, "needed": change.needed}
     limits = {"limits": change.limits, "search": change.search}
     tried: list[tuple[str, dict[str, float]]]
-    tried = [(key, {key: value}) for key, value in given.items() if value is not None]
+    tried = [(key, {key: value}) for key, value in stated.items() if value is not None]
     tried += [(key, {"lower": pair[0], "upper": pair[1]}) for key, pair in limits.items() if pair is not None]
     if name in space:
         for key, fields in tried:
@@ -112,12 +112,12 @@ def parameter_hints(space: ParameterSpace, settings: StudySettings) -> tuple[str
         if name not in space.names:
             continue
         own = space[name]
-        for key, given, known in (
+        for key, values, known in (
             ("value", (change.value,), (own.value,)),
             ("limits", change.limits or (), (own.lower, own.upper)),
             ("search", change.search or (), (own.lower, own.upper)),
         ):
-            sizes = [abs(x) for x in given if x is not None]
+            sizes = [abs(x) for x in values if x is not None]
             largest, usual = max(sizes, default=0.0), max(abs(x) for x in (*known, own.value))
             if not (largest > 0 and usual > 0):
                 continue
@@ -177,8 +177,8 @@ def search_space(
     if settings.listed is not None:
         names = settings.listed
     else:
-        left = selection if settings.selected_by_sensitivity else None
-        names = space.free_names if left is None else left
+        by_measures = selection if settings.selected_by_sensitivity else None
+        names = space.free_names if by_measures is None else by_measures
     missing = {name for name in elsewhere if name not in space.free_names}
     names = tuple(name for name in names if name not in missing)
     if not names:
@@ -188,8 +188,8 @@ def search_space(
     try:
         chosen = space.widen(wide).keep(names)
     except InputError as fault:
-        given = settings.listed or ()
-        wrong = [k for k, name in enumerate(given) if name in names and _fails(partial(space.keep, [name]))]
+        selected = settings.listed or ()
+        wrong = [k for k, name in enumerate(selected) if name in names and _fails(partial(space.keep, [name]))]
         raise InputError(fault.problem, place=place("selection", *wrong[:1]), remedy=fault.remedy) from None
     for name, value in settings.calibration.begin_at.items():
         if name in missing:

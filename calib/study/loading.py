@@ -149,15 +149,15 @@ class Sources:
             raise InputError(words, place=place, remedy=f"correct the key {key!r}")
         mismatch = _mismatch(build, options)
         if mismatch is not None:
-            given = {"model": "with these model_options", "finer_options": "with these finer_options"}
+            whose = {"model": "with these model_options", "finer_options": "with these finer_options"}
             if key == "model" and options:
                 place = self.place("model_options")
-            raise InputError(f"{name} cannot be called {given.get(key, 'without arguments')} ({mismatch})", place=place)
+            raise InputError(f"{name} cannot be called {whose.get(key, 'without arguments')} ({mismatch})", place=place)
         try:
             return build(**options)
         except InputError as fault:  # of a wrong option, or of the user's own call of calib
-            asked = self.place("model_options") if key == "model" and options else place
-            raise fault.with_line((None if refuses(fault) else raised_at(fault)) or asked) from fault.__cause__
+            line = self.place("model_options") if key == "model" and options else place
+            raise fault.with_line((None if refuses(fault) else raised_at(fault)) or line) from fault.__cause__
         except (Exception, SystemExit) as fault:
             # The function is the user's own: its errors are bad input, reported without our traceback.
             raise InputError(f"{name} failed with {error_line(fault)}", place=place, at=raised_at(fault)) from fault

@@ -131,18 +131,18 @@ class MeasurementSettings(Section):
     @field_validator("accuracy")
     @classmethod
     def _claim(
-        cls, given: str | float | dict[str, str | float] | None, info: ValidationInfo
+        cls, value: str | float | dict[str, str | float] | None, info: ValidationInfo
     ) -> str | float | dict[str, str | float] | None:
-        claims = given.values() if isinstance(given, dict) else () if given is None else (given,)
+        claims = value.values() if isinstance(value, dict) else () if value is None else (value,)
         for claim in claims:
             Claim.of(claim)
         if info.data.get("kind") == "frf":
-            frf_claim(given)
+            frf_claim(value)
         elif info.data.get("files"):
-            Accuracy.of(given)
-        elif given is not None and not isinstance(given, dict | str):
+            Accuracy.of(value)
+        elif value is not None and not isinstance(value, dict | str):
             raise ValueError("one accuracy for all responses is a share such as '1 %'; give numbers by response")
-        return given
+        return value
 
     @model_validator(mode="after")
     def _one_kind(self) -> MeasurementSettings:

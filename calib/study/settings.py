@@ -167,10 +167,10 @@ class ExplainSettings(Section):
 
     @field_validator("fixed_sd")
     @classmethod
-    def _share(cls, given: str | None) -> str | None:
-        if given is not None and not 0 < Claim.of(given).share <= 0.2:
+    def _share(cls, value: str | None) -> str | None:
+        if value is not None and not 0 < Claim.of(value).share <= 0.2:
             raise ValueError("fixed_sd is a share of the nominal values, from above 0 to '20 %', such as '3 %'")
-        return given
+        return value
 
 
 class StudySettings(Section):

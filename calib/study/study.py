@@ -151,7 +151,7 @@ class LoadedStudy(StudyFile):
         return self.experiment.residual(self.problem)
 
     @property
-    def asked(self) -> Any:
+    def solved_model(self) -> Any:
         """The model as the problem asks it, which may be behind a ledger."""
         return getattr(self.problem, "model", self.model)  # a problem of a function holds no model
 

@@ -38,13 +38,13 @@ class StudyPart:
     ----------
     index : int
         Position in the file, from 0.
-    given : TestSettings
+    settings : TestSettings
     several : bool
         Whether the study has other tests.
     """
 
     index: int
-    given: TestSettings
+    settings: TestSettings
     several: bool
 
 
@@ -88,12 +88,12 @@ class StudyFile:
     @property
     def test(self) -> str:
         """Name of the test, where it is one of several."""
-        return self.part.given.name if self.part is not None and self.part.several else ""
+        return self.part.settings.name if self.part is not None and self.part.several else ""
 
     @property
     def condition(self) -> dict[str, float]:
         """Parameter values of this test only, each in its own unit."""
-        return {} if self.part is None else dict(self.part.given.set)
+        return {} if self.part is None else dict(self.part.settings.set)
 
     @property
     def parts(self) -> tuple[StudyFile, ...]:
@@ -129,10 +129,10 @@ class StudyFile:
 
         Files that did not change are read once in a process: every result asks for what it was made from.
         """
-        given = self.settings.measurement
-        files = (*given.files, *given.shapes, *filter(None, [given.sensors, given.responses]))
+        measurement = self.settings.measurement
+        files = (*measurement.files, *measurement.shapes, *filter(None, [measurement.sensors, measurement.responses]))
         content = [_digest_of_file(self.folder / file) for file in files]
-        key = digest_of(str(self.folder), given.model_dump(), content)
+        key = digest_of(str(self.folder), measurement.model_dump(), content)
         if key not in _READ:
             found = self._read()
             while len(_READ) >= _KEPT:
@@ -141,46 +141,46 @@ class StudyFile:
         return _READ[key]
 
     def _read(self) -> Measured:
-        given = self.settings.measurement
-        if given.responses:
-            return read_responses(self.path(given.responses, "measurement", "responses"), given.pooling)
-        files = [self.path(f, "measurement", "files", k) for k, f in enumerate(given.files)]
-        sensors = self.path(given.sensors, "measurement", "sensors") if given.sensors else None
-        if given.kind == "frf":
+        measurement = self.settings.measurement
+        if measurement.responses:
+            return read_responses(self.path(measurement.responses, "measurement", "responses"), measurement.pooling)
+        files = [self.path(f, "measurement", "files", k) for k, f in enumerate(measurement.files)]
+        sensors = self.path(measurement.sensors, "measurement", "sensors") if measurement.sensors else None
+        if measurement.kind == "frf":
             read = read_frfs(
                 files,
-                quantity=given.quantity,
-                unit=given.unit,
+                quantity=measurement.quantity,
+                unit=measurement.unit,
                 sensors=sensors,
-                averages=given.averages,
-                channels=given.channels,
-                variables=given.variables,
-                length_unit=given.length_unit,
-                synthetic=given.synthetic,
+                averages=measurement.averages,
+                channels=measurement.channels,
+                variables=measurement.variables,
+                length_unit=measurement.length_unit,
+                synthetic=measurement.synthetic,
             )
-            return replace(self._lines_of(read), accuracy=frf_claim(given.accuracy))
+            return replace(self._lines_of(read), accuracy=frf_claim(measurement.accuracy))
         measured = read_modes(
             files,
-            shapes=[self.path(f, "measurement", "shapes", k) for k, f in enumerate(given.shapes)],
+            shapes=[self.path(f, "measurement", "shapes", k) for k, f in enumerate(measurement.shapes)],
             sensors=sensors,
-            repeats=given.repeats,
-            std_of=given.std_of,
-            mode_names=given.mode_names,
-            pooling=given.pooling,
-            length_unit=given.length_unit,
-            synthetic=given.synthetic,
+            repeats=measurement.repeats,
+            std_of=measurement.std_of,
+            mode_names=measurement.mode_names,
+            pooling=measurement.pooling,
+            length_unit=measurement.length_unit,
+            synthetic=measurement.synthetic,
         )
-        measured = corrected(measured, given.corrected, self.place("measurement", "corrected"))
-        return replace(measured, accuracy=Accuracy.of(given.accuracy))
+        measured = corrected(measured, measurement.corrected, self.place("measurement", "corrected"))
+        return replace(measured, accuracy=Accuracy.of(measurement.accuracy))
 
     def _lines_of(self, frfs: MeasuredFRFs) -> MeasuredFRFs:
         """The lines of FRFs that the study uses."""
-        given, key = self.settings.measurement, "band"
+        measurement, key = self.settings.measurement, "band"
         try:
-            if given.band is not None:
-                frfs = frfs.in_band(*given.band)
+            if measurement.band is not None:
+                frfs = frfs.in_band(*measurement.band)
             key = "lines"
-            return frfs.lines_near_resonances() if given.lines == "resonances" else frfs
+            return frfs.lines_near_resonances() if measurement.lines == "resonances" else frfs
         except InputError as fault:
             raise InputError(fault.problem, place=self.place("measurement", key), remedy=fault.remedy) from None
 
@@ -212,20 +212,20 @@ class StudyFile:
     @property
     def named_files(self) -> Mapping[str, Path]:
         """Every file that the study names, by the path as written; links resolved."""
-        given, folder = self.settings, self.folder
-        code = [where for f in given.functions if (where := f.rpartition(":")[0]).endswith(".py")]
+        settings, folder = self.settings, self.folder
+        code = [where for f in settings.functions if (where := f.rpartition(":")[0]).endswith(".py")]
         files = list(code)
-        for data in given.tests or (given.measurement,):
+        for data in settings.tests or (settings.measurement,):
             files += [*data.files, *data.shapes, *filter(None, [data.sensors, data.responses])]
-        files += given.depends_on
+        files += settings.depends_on
         return {file: (folder / file).resolve() for file in files}
 
     @property
     def code_files(self) -> list[Path]:
         """All code in the study's folder, and in the folders of code files that it names elsewhere."""
-        given, folder = self.settings, self.folder
+        settings, folder = self.settings, self.folder
         files = code_files(folder)
-        for named in given.functions:
+        for named in settings.functions:
             path = (folder / named.rpartition(":")[0]).resolve()
             if path.suffix == ".py" and not path.is_relative_to(folder):
                 files += sorted(path.parent.glob("*.py"))

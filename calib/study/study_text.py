@@ -54,13 +54,13 @@ def read_layers(file: Path) -> tuple[Layer, ...]:
     layers, folder = [_layer(file)], file.resolve().parent
     while (base := layers[-1].data.get("base")) is not None:
         last = layers[-1]
-        given = base if isinstance(base, list) else [base]
-        if not given or not all(isinstance(one, str) for one in given):
+        bases = base if isinstance(base, list) else [base]
+        if not bases or not all(isinstance(one, str) for one in bases):
             raise InputError(f"base = {base!r} is no path", place=place_of(layers[-1:], "base"))
-        path = base_of(last.file, given)
+        path = base_of(last.file, bases)
         if path is None:
             raise InputError(
-                f"there is no study {' or '.join(map(repr, given))} to build on", place=place_of(layers[-1:], "base"),
+                f"there is no study {' or '.join(map(repr, bases))} to build on", place=place_of(layers[-1:], "base"),
                 remedy="base is a folder with a study.toml, relative to this study's",
             )  # fmt: skip
         if path.resolve() in [layer.file.resolve() for layer in layers]:
@@ -134,9 +134,9 @@ def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
         where, _, what = str(name).rpartition(":")
         return f"{lead(where)}:{what}" if where.endswith(".py") else name
 
-    def table(given: Mapping[str, Any]) -> dict[str, Any]:
-        out = dict(given)
-        for key, value in given.items():
+    def table(section: Mapping[str, Any]) -> dict[str, Any]:
+        out = dict(section)
+        for key, value in section.items():
             if key in _PATHS:
                 out[key] = [lead(v) for v in value] if isinstance(value, list) else lead(value)
             elif key in _FUNCTIONS:
@@ -221,8 +221,8 @@ def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
     keys = _written((*first["loc"], *below), _merged(layers), missing=kind == "missing")
     label = keys_in_words(keys) or "the file"
     place = place_of(layers, *keys, mark="key" if kind == "extra_forbidden" else "value")
-    given = repr(first.get("input"))
-    given = given if len(given) < 60 else given[:57] + "..."
+    shown_value = repr(first.get("input"))
+    shown_value = shown_value if len(shown_value) < 60 else shown_value[:57] + "..."
     if kind == "extra_forbidden":
         known = _known_keys(keys[:-1])
         now = KEYS.get(str(keys[-1]))
@@ -238,7 +238,7 @@ def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
         return InputError(f"{label!r} is missing", place=place, remedy="add it")
     if kind == "string_pattern_mismatch":
         problem, remedy = _PATTERNS[first["ctx"]["pattern"]]
-        return InputError(f"{label} = {given} {problem}", place=place, remedy=remedy)
+        return InputError(f"{label} = {shown_value} {problem}", place=place, remedy=remedy)
     if kind == "value_error":
         return InputError(f"{label}: {words}", place=place)
     if (
@@ -248,8 +248,8 @@ def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
         expected, remedy = _EXPECTED[known_kind]
         beside = [e for e in fault.errors() if e["type"] == "literal_error" and e["loc"][:-1] == first["loc"][:-1]]
         expected = " or ".join([expected, *(e["ctx"]["expected"] for e in beside)])
-        return InputError(f"{label} must be {expected}, not {given}", place=place, remedy=remedy)
-    return InputError(f"{label} = {given} is not allowed: {words[:1].lower() + words[1:]}", place=place)
+        return InputError(f"{label} must be {expected}, not {shown_value}", place=place, remedy=remedy)
+    return InputError(f"{label} = {shown_value} is not allowed: {words[:1].lower() + words[1:]}", place=place)
 
 
 def _written(loc: Sequence[int | str], data: Any, missing: bool) -> Keys:
