@@ -189,8 +189,20 @@ def without_times(value: Any) -> Any:
 
 
 def differences(found: dict[str, Any], whole: dict[str, Any]) -> list[str]:
-    """Names of the files that differ or are there on one side only."""
-    return [name for name in sorted({*found, *whole}) if found.get(name) != whole.get(name)]
+    """Names of the files that differ or are there on one side only, of records with the keys that differ."""
+    return [
+        name + _keys(found.get(name), whole.get(name))
+        for name in sorted({*found, *whole})
+        if found.get(name) != whole.get(name)
+    ]
+
+
+def _keys(found: Any, whole: Any) -> str:
+    """Path to the first value that differs, and both values."""
+    if isinstance(found, dict) and isinstance(whole, dict):
+        key = next(key for key in sorted({*found, *whole}) if found.get(key) != whole.get(key))
+        return f", {key}{_keys(found.get(key), whole.get(key))}"
+    return "" if isinstance(found, bytes | tuple) else f": {str(found)[:60]} for {str(whole)[:60]}"
 
 
 def remains(temporary: Path, runner: Runner) -> list[str]:
