@@ -9,13 +9,28 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calib.command import terminal
+from calib.command.options import (
+    CachePath,
+    CalibrationMethod,
+    CaseName,
+    Format,
+    NewFolder,
+    Quantity,
+    Quick,
+    ResultsPath,
+    SensitivityMethod,
+    StudyPath,
+    Verbose,
+    Width,
+    Workers,
+    possible,
+)  # fmt: skip
 from calib.errors.errors import InputError
 from calib.execution import interrupt
 from calib.results.results import RESULTS
@@ -34,62 +49,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-
-
-def _possible(path: Path) -> Path:
-    from calib.study.measurement_settings import possible_path
-
-    try:
-        return Path(possible_path(str(path)))
-    except ValueError as fault:
-        name = path.name if len(path.name) <= 60 else f"{path.name[:57]}..."
-        raise InputError(str(fault), place=name, remedy="name another place") from None
-
-
-StudyPath = Annotated[Path, typer.Argument(metavar="STUDY", callback=_possible, help="Folder with a study.toml.")]
-ResultsPath = Annotated[
-    Path, typer.Option("--results", metavar="DIR", callback=_possible, help="Where <study>/ with the results goes.")
-]
-NewFolder = Annotated[
-    Path, typer.Argument(metavar="FOLDER", callback=_possible, help="A folder that does not exist yet.")
-]
-Quick = Annotated[
-    bool, typer.Option("--quick", help="A quick run, with small searches; its results go to a sub-folder quick/.")
-]
-Workers = Annotated[
-    int | None,
-    typer.Option("--workers", min=1, max=256, help="Worker processes [default: one per core where that pays]."),
-]
-Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Also assumptions, secondary tables and the list of files.")
-]
-CachePath = Annotated[
-    Path | None,
-    typer.Option(
-        "--cache", metavar="DIR", callback=lambda path: path and _possible(path),
-        help="Folder of the reduced bases that studies share [default: calib in the user's cache folder].",
-    ),
-]  # fmt: skip
-CaseName = Annotated[
-    str | None, typer.Option("--case", metavar="NAME", help="Only this case; its results go to a sub-folder.")
-]
-
-
-class SensitivityMethod(StrEnum):
-    """Methods of sensitivity analysis."""
-
-    ranks = "ranks"
-    morris = "morris"
-    sobol = "sobol"
-
-
-class CalibrationMethod(StrEnum):
-    """Methods of calibration."""
-
-    auto = "auto"
-    genetic = "genetic"
-    gauss_newton = "gauss-newton"
-    cmcf = "cmcf"
 
 
 @app.command(short_help="Write an annotated example study.")
@@ -114,22 +73,14 @@ def schema() -> None:
     typer.echo(json.dumps(settings_schema(), indent=1))
 
 
-class _Quantity(StrEnum):
-    """Quantity of FRFs."""
-
-    receptance = "receptance"
-    mobility = "mobility"
-    accelerance = "accelerance"
-
-
 @app.command(short_help="Identify modes from FRFs or time records.")
 def modes(
     files: Annotated[list[Path], typer.Argument(metavar="FILES...", help="Universal or CSV files, one a repeat.")],
     into: Annotated[
-        Path, typer.Option("--into", metavar="FOLDER", callback=_possible, help="Folder of the tables and the figure.")
+        Path, typer.Option("--into", metavar="FOLDER", callback=possible, help="Folder of the tables and the figure.")
     ] = Path("modes"),
     sensors: Annotated[Path | None, typer.Option("--sensors", metavar="CSV", help="Places of the nodes, m.")] = None,
-    quantity: Annotated[_Quantity | None, typer.Option("--quantity", help="Where the files do not state it.")] = None,
+    quantity: Annotated[Quantity | None, typer.Option("--quantity", help="Where the files do not state it.")] = None,
     unit: Annotated[str | None, typer.Option("--unit", help="Such as g/N, or g of records; where not stated.")] = None,
     averages: Annotated[int | None, typer.Option("--averages", help="Averages behind a single file.")] = None,
     band: Annotated[
@@ -276,7 +227,7 @@ def extend(
     study: StudyPath,
     effects: Annotated[list[str], typer.Argument(metavar="EFFECT...", help="Effects of the study's library.")],
     into: Annotated[
-        Path, typer.Option("--into", metavar="FOLDER", callback=_possible, help="A folder that does not exist yet.")
+        Path, typer.Option("--into", metavar="FOLDER", callback=possible, help="A folder that does not exist yet.")
     ],
     results: ResultsPath = RESULTS,
     verbose: Verbose = False,
@@ -290,37 +241,22 @@ def extend(
     terminal.say(f"Calibrate it with: calib calibrate {shell_argument(written.path)}{place}")
 
 
-class _Format(StrEnum):
-    """Format of a figure."""
-
-    png = "png"
-    svg = "svg"
-    pdf = "pdf"
-
-
-class _Width(StrEnum):
-    """Width of a figure."""
-
-    page = "page"
-    column = "column"
-
-
 @app.command(short_help="Write report.html and figures from stored results.")
 def report(
     study: StudyPath,
     results: ResultsPath = RESULTS,
     formats: Annotated[
-        list[_Format],
+        list[Format],
         typer.Option("--format", help="Format of the figures beside the report; give it again for a further one."),
-    ] = [_Format.png],  # noqa: B006
+    ] = [Format.png],  # noqa: B006
     width: Annotated[
-        _Width,
+        Width,
         typer.Option(
             "--width",
             help="Width of these figures: 190 mm, or 90 mm for a journal's column; one that is not legible in a column "
             "stays as wide as a page.",
         ),
-    ] = _Width.page,
+    ] = Width.page,
     verbose: Verbose = False,
 ) -> None:
     """Write report.html, one file that opens anywhere, from the stored results, and redraw every figure.

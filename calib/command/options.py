@@ -1,0 +1,91 @@
+"""Arguments and options that several subcommands share."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.errors.errors import InputError
+
+
+def possible(path: Path) -> Path:
+    """A path as typed that this system can have; InputError for any other."""
+    from calib.study.measurement_settings import possible_path
+
+    try:
+        return Path(possible_path(str(path)))
+    except ValueError as fault:
+        name = path.name if len(path.name) <= 60 else f"{path.name[:57]}..."
+        raise InputError(str(fault), place=name, remedy="name another place") from None
+
+
+StudyPath = Annotated[Path, typer.Argument(metavar="STUDY", callback=possible, help="Folder with a study.toml.")]
+ResultsPath = Annotated[
+    Path, typer.Option("--results", metavar="DIR", callback=possible, help="Where <study>/ with the results goes.")
+]
+NewFolder = Annotated[
+    Path, typer.Argument(metavar="FOLDER", callback=possible, help="A folder that does not exist yet.")
+]
+Quick = Annotated[
+    bool, typer.Option("--quick", help="A quick run, with small searches; its results go to a sub-folder quick/.")
+]
+Workers = Annotated[
+    int | None,
+    typer.Option("--workers", min=1, max=256, help="Worker processes [default: one per core where that pays]."),
+]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Also assumptions, secondary tables and the list of files.")
+]
+CachePath = Annotated[
+    Path | None,
+    typer.Option(
+        "--cache", metavar="DIR", callback=lambda path: path and possible(path),
+        help="Folder of the reduced bases that studies share [default: calib in the user's cache folder].",
+    ),
+]  # fmt: skip
+CaseName = Annotated[
+    str | None, typer.Option("--case", metavar="NAME", help="Only this case; its results go to a sub-folder.")
+]
+
+
+class SensitivityMethod(StrEnum):
+    """Methods of sensitivity analysis."""
+
+    ranks = "ranks"
+    morris = "morris"
+    sobol = "sobol"
+
+
+class CalibrationMethod(StrEnum):
+    """Methods of calibration."""
+
+    auto = "auto"
+    genetic = "genetic"
+    gauss_newton = "gauss-newton"
+    cmcf = "cmcf"
+
+
+class Quantity(StrEnum):
+    """Quantity of FRFs."""
+
+    receptance = "receptance"
+    mobility = "mobility"
+    accelerance = "accelerance"
+
+
+class Format(StrEnum):
+    """Format of a figure."""
+
+    png = "png"
+    svg = "svg"
+    pdf = "pdf"
+
+
+class Width(StrEnum):
+    """Width of a figure."""
+
+    page = "page"
+    column = "column"
