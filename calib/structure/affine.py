@@ -252,8 +252,7 @@ class AffineMatrix:
     def __post_init__(self) -> None:
         n = self.n_dof
         for term in self.terms:
-            if sp.issparse(term.matrix):
-                require_consistent(term.matrix, f"model matrices, term {term.name!r}")
+            require_consistent(term.matrix, f"model matrices, term {term.name!r}")
             if term.matrix.shape != (n, n):
                 raise InputError(f"term {term.name!r} is {term.matrix.shape}, not ({n}, {n})", place="model matrices")
             if not np.all(np.isfinite(term.matrix.data)):

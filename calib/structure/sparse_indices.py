@@ -19,7 +19,7 @@ def require_consistent(matrix: Any, place: str) -> None:
     Parameters
     ----------
     matrix : sparse array or matrix
-        Of any format of SciPy.
+        Of any format of SciPy; a dense one has no indices.
     place : str
         Of the error.
     """
@@ -30,8 +30,10 @@ def require_consistent(matrix: Any, place: str) -> None:
 
 def _fault(matrix: Any) -> tuple[str, str] | None:
     """What is wrong, and the remedy; None where nothing is."""
+    form = getattr(matrix, "format", None)
+    if form is None:  # dense
+        return None
     rows, columns = matrix.shape
-    form = matrix.format
     kind = matrix.dtype
     if kind.kind not in "fciub" or kind in (np.float16, np.longdouble, np.clongdouble):
         return f"its entries are of type {kind.name}", "give them as float64"
