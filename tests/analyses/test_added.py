@@ -90,6 +90,8 @@ def found(verdict, *names, equally_good=()):
         equally_good=equally_good or names,
         steps=None,
         uncontested=False,
+        granted=(),
+        mistakable=(),
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 from calib.command import cli
 from calib.execution import team
 from calib.missing.local import interval_words
-from calib.missing.verdict import rounded
+from calib.missing.recommendation import rounded
 from calib.results.results import Results
 
 ROOT = Path(__file__).resolve().parents[2]

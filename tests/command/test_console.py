@@ -42,7 +42,7 @@ def test_a_parameter_of_which_no_response_is_known_is_told_as_such(tmp_path, cap
 )
 def test_only_an_effect_without_a_competing_model_is_added(capsys, verdict, names, untold, added):
     chosen = SimpleNamespace(names=names)
-    found = SimpleNamespace(verdict=verdict, chosen=chosen, equally_good=untold)
+    found = SimpleNamespace(verdict=verdict, chosen=chosen, equally_good=untold, mistakable=(), granted=())
     with printing("explain") as listener:
         listener.may_add(SimpleNamespace(file=Path("mast/study.toml")), found)
     them, _, which = added.partition(": ")

@@ -118,7 +118,7 @@ def test_a_small_budget_ends_with_a_verdict_after_about_as_many_evaluations(toy)
         return one.evaluations - 1000
 
     least, whole = explained(0.0), explained(np.inf)
-    assert least < 20 and whole > 68  # what the verdict alone needs, and what a full search needs
+    assert least <= 20 and whole > 68  # what the verdict alone needs, and what a full search needs
     spent = [explained(budget) for budget in (20.0, 50.0)]
     assert spent == sorted(spent)
     for budget, evaluations in zip((20.0, 50.0), spent, strict=True):
