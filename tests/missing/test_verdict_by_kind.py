@@ -9,9 +9,9 @@ import pytest
 from calib.missing.local import interval_words, local_perturbation, range_words
 from calib.missing.partial import is_simpler_form, magnitude_range
 from calib.missing.tables import effects_table
-from calib.missing.words_by_verdict import MOST
 from calib.missing.verdict import verdict_of as verdict_of
 from calib.missing.verdict_words import look_for, look_for_one_of
+from calib.missing.words_by_verdict import MOST
 from tests.missing.verdict_cases import VERDICTS, WORST, dressed, errors, first, sized, text_of, with_p
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
