@@ -10,7 +10,6 @@ import calib
 from calib.analyses.compare import comparison_at
 from calib.correlation.frf.gross_errors import FACTORS, gross_errors
 from calib.study.loading import module_of
-from calib.study.study import LoadedStudy
 
 WORLD = module_of(Path(__file__).parents[1] / "template/frf_chain.py")
 STUDIES = Path(__file__).parents[2] / "studies"
@@ -105,5 +104,5 @@ def test_they_come_before_the_fit_from_every_door():
     ],
 )  # fmt: skip
 def test_shipped_studies_have_none(name):
-    for study in LoadedStudy.load(STUDIES / name).studies:
+    for study in calib.Study.load(STUDIES / name, progress=False).loaded.studies:
         assert comparison_at(study, study.model.space.values).gross_errors == ()
