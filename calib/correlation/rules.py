@@ -55,7 +55,8 @@ class CompareRules:
         Most that another order of omega may leave of the disagreement without one, for it to be told.
     subspace_reach : float
         Model modes closer than this, in standard deviations of the difference of two measured frequencies, are
-        compared by the subspace that they span.
+        compared by the subspace that they span. The residual jumps where a pair comes that close, so that a fit would
+        end at the jump if it were wide: at 2 the bogie's least squares did not converge.
     subspace_seen : float
         Least singular value, over the largest, of a motion of such modes that the sensors see.
     rigid_left : float
@@ -104,7 +105,7 @@ class CompareRules:
     gross_frac: float = 0.95
     gross_near: float = 0.05
     gross_order: float = 0.25
-    subspace_reach: float = 2.0
+    subspace_reach: float = 0.02
     subspace_seen: float = 0.1
     rigid_left: float = 0.1
     rigid_spare: int = 3

@@ -43,7 +43,7 @@ def nested(fits: Refits, base: CandidateFit, larger: CandidateFit | None) -> Can
     if larger is None or larger.ln_evidence - base.ln_evidence < RULES.far:
         return base
     own = {name for effect in larger.effects for name in effect.names}
-    fits.announce("calibrating the base model from the fit with the best explanation")
+    fits.announce("calibrating the base model from the best explanation")
     with fits.allowance.uncharged():
         return _better(fits, base, {name: value for name, value in larger.fit.values.items() if name not in own})
 
