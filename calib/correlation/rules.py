@@ -53,10 +53,13 @@ class CompareRules:
         Relative tolerance of such a factor to a known one: a sign, or units.
     gross_order : float
         Most that another order of omega may leave of the disagreement without one, for it to be told.
-    subspace_reach : float
+    subspace_equal : float
         Model modes closer than this, in standard deviations of the difference of two measured frequencies, are
-        compared by the subspace that they span. The residual jumps where a pair comes that close, so that a fit would
-        end at the jump if it were wide: at 2 the bogie's least squares did not converge.
+        compared by the subspace that they span.
+    subspace_reach : float
+        The same where the nominal model has such modes, as square and axisymmetric structures have: a measured one then
+        differs a little. The residual jumps where a pair comes that close, so that a fit of any other structure,
+        whose modes are close by chance, would end at the jump.
     subspace_seen : float
         Least singular value, over the largest, of a motion of such modes that the sensors see.
     rigid_left : float
@@ -105,7 +108,8 @@ class CompareRules:
     gross_frac: float = 0.95
     gross_near: float = 0.05
     gross_order: float = 0.25
-    subspace_reach: float = 0.02
+    subspace_equal: float = 0.02
+    subspace_reach: float = 2.0
     subspace_seen: float = 0.1
     rigid_left: float = 0.1
     rigid_spare: int = 3

@@ -99,7 +99,7 @@ def test_a_right_model_agrees_at_whatever_angles_its_pairs_were_measured(angles,
 
 def test_turned_modes_stay_orthonormal_and_keep_the_trace_of_their_eigenvalues():
     own = residual(measured((20, 110)))
-    values = {**ONE, "EIy": 1.00001}
+    values = {**ONE, "EIy": 1.001}
     plain, found = own.problem.solve(values), own.solve(values)
     k, _, m = own.problem.model.matrices(values)
     np.testing.assert_allclose(found.modes.shapes.T @ (m @ found.modes.shapes), np.eye(8), atol=1e-9)
@@ -119,8 +119,8 @@ def test_derivatives_of_a_pair_are_those_of_its_subspace(damped):
     names = ("EIy", "EIz", "tip")
     exact = own.jacobian(values, names)
     for p, name in enumerate(names):
-        up, down = (own.residual({**values, name: values[name] + s * 1e-5}) for s in (1, -1))
-        differences, frequency = (up - down) / 2e-5, own.kinds == "frequency"
+        up, down = (own.residual({**values, name: values[name] + s * 1e-4}) for s in (1, -1))
+        differences, frequency = (up - down) / 2e-4, own.kinds == "frequency"
         np.testing.assert_allclose(exact[frequency, p], differences[frequency], rtol=1e-4, atol=1e-2)
     assert np.all(np.abs(exact[frequency][:, :2]) > 10.0)  # each plane bears a part of every turned mode
 
@@ -158,12 +158,12 @@ def test_one_measured_mode_of_a_pair_is_compared_with_the_subspace_too():
     assert found.measured.names == ("1a", "2a") and found.pairing.mac.min() > 0.995
 
 
-def test_groups_are_far_narrower_than_the_measurement_is_unsure():
+def test_groups_are_as_wide_as_the_measurement_is_unsure():
     freq, std = np.array([10.0, 20.0]), np.array([1e-3, 1e-4])
-    model = np.array([0.0, 0.0, 10.0, 10.0002, 10.0004, 20.0, 20.00004, 20.0001])
-    assert close_groups(model, freq, std) == ((2, 3), (5, 6))
-    assert close_groups(model, freq, np.full(2, np.nan)) == ()
-    assert close_groups(np.array([5.0, 5.0, 9.0]), freq, np.full(2, np.nan)) == ((0, 1),)
+    model = np.array([0.0, 0.0, 10.0, 10.02, 10.04, 20.0, 20.004, 20.01])
+    assert close_groups(model, freq, std, 2.0) == ((2, 3), (5, 6))
+    assert close_groups(model, freq, np.full(2, np.nan), 2.0) == ()
+    assert close_groups(np.array([5.0, 5.0, 9.0]), freq, np.full(2, np.nan), 2.0) == ((0, 1),)
 
 
 def test_a_subspace_of_as_many_shapes_as_sensors_explains_nothing():

@@ -16,7 +16,7 @@ from calib.correlation.modal import pairing as pairs
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.order import Costs
 from calib.correlation.modal.pairing import Pairing
-from calib.correlation.modal.subspaces import turned_to_measured
+from calib.correlation.modal.subspaces import equal_at_nominal, turned_to_measured
 from calib.correlation.standard_deviations import assumed_deviations, known_std
 from calib.errors.errors import EvaluationError, InputError
 from calib.measurement.mac import mac
@@ -335,6 +335,11 @@ class ModalProblem:
         reached = np.where(pairs.in_window(here.modes.natural_freq, self.freq_window)[reached], reached, -1)
         found = self._ordered(here.modes, dict(zip(rows.tolist(), reached.tolist(), strict=True)), costs)[0]
         return replace(found, lost=lost)
+
+    @cached_property
+    def has_equal_modes(self) -> bool:
+        """See `calib.correlation.modal.subspaces.equal_at_nominal`."""
+        return equal_at_nominal(self)
 
     @cached_property
     def _base_reference(self) -> tuple[Point, Pairing, Costs] | None:

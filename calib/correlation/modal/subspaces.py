@@ -18,6 +18,7 @@ from scipy.linalg import sqrtm
 
 from calib.correlation.rules import RULES
 from calib.correlation.standard_deviations import known_std
+from calib.errors.errors import EvaluationError
 from calib.measurement.mac import mac
 from calib.structure.eigenproblem.derivatives import REPEATED, eigenvalues
 from calib.structure.modes import Modes
@@ -28,8 +29,10 @@ if TYPE_CHECKING:
 Group = tuple[int, ...]
 
 
-def close_groups(freq_model: np.ndarray, freq_measured: np.ndarray, freq_std: np.ndarray) -> tuple[Group, ...]:
-    """Groups of model modes that are all closer than `RULES.subspace_reach` standard deviations of a difference.
+def close_groups(
+    freq_model: np.ndarray, freq_measured: np.ndarray, freq_std: np.ndarray, within: float
+) -> tuple[Group, ...]:
+    """Groups of model modes that are all closer than so many standard deviations of a difference.
 
     Parameters
     ----------
@@ -37,6 +40,7 @@ def close_groups(freq_model: np.ndarray, freq_measured: np.ndarray, freq_std: np
         Natural frequencies in ascending order, Hz.
     freq_measured, freq_std : ndarray (n_measured,)
         Hz, and relative standard deviations, NaN where unknown; the measured mode next to a model mode holds for it.
+    within : float
 
     Returns
     -------
@@ -44,7 +48,7 @@ def close_groups(freq_model: np.ndarray, freq_measured: np.ndarray, freq_std: np
         Of two modes or more each; a rigid-body mode is in none.
     """
     out, group = list[Group](), list[int]()
-    reach = np.maximum(RULES.subspace_reach * math.sqrt(2.0) * np.nan_to_num(freq_std), REPEATED)
+    reach = np.maximum(within * math.sqrt(2.0) * np.nan_to_num(freq_std), REPEATED)
     for j in np.flatnonzero(freq_model > 0).tolist():
         near = int(np.argmin(np.abs(np.log(freq_measured / freq_model[j]))))
         if group and math.log(freq_model[j] / freq_model[group[0]]) <= reach[near]:
@@ -53,6 +57,20 @@ def close_groups(freq_model: np.ndarray, freq_measured: np.ndarray, freq_std: np
         out += [tuple(group)] if len(group) > 1 else []
         group = [j]
     return (*out, tuple(group)) if len(group) > 1 else tuple(out)
+
+
+def close_modes(problem: ModalProblem, modes: Modes, within: float) -> tuple[Group, ...]:
+    """The same of a problem's model modes and measurement."""
+    measured = problem.measured
+    return close_groups(modes.natural_freq, measured.natural_freq, known_std(measured).freq, within)
+
+
+def equal_at_nominal(problem: ModalProblem) -> bool:
+    """Whether the nominal model has modes of equal frequency, as square and axisymmetric structures have."""
+    try:
+        return bool(close_modes(problem, problem.solve(problem.space.values), RULES.subspace_equal))
+    except EvaluationError:
+        return False
 
 
 def subspace_mac(shapes: np.ndarray, sensor_shapes: np.ndarray) -> np.ndarray:
@@ -79,7 +97,9 @@ def turned_to_measured(
     Measured modes are paired with the subspaces first, by `subspace_mac`. ``sensor_shapes`` is (n_sensors, n_model).
     """
     measured = problem.measured
-    groups = close_groups(modes.natural_freq, measured.natural_freq, known_std(measured).freq)
+    groups = close_modes(problem, modes, RULES.subspace_reach)
+    if groups and not problem.has_equal_modes:
+        groups = close_modes(problem, modes, RULES.subspace_equal)
     if not groups:
         return modes, sensor_shapes
     bases = _real_bases(problem, values, modes, groups)
