@@ -171,8 +171,8 @@ def doubts_of(tests: Sequence[LoadedStudy]) -> Doubts:
     """What a comparison at the nominal values doubts in the measurements; nothing where a model fails there."""
     sentences, checks = [], []
     for one in tests:
-        if one.measured is None and one.problem.reducible is None:
-            continue  # a function of numbers would be called once more than the decision needs
+        if one.problem.reducible is None:
+            continue  # a user's function would be called once more than the decision needs; a comparison tells the same
         try:
             found = comparison_at(one, one.model.space.values)
         except EvaluationError:
