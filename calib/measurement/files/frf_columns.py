@@ -195,8 +195,9 @@ def arrays_of(
     for name in variables.values():
         if name not in held:
             raise InputError(f"it holds no numeric variable {name!r}", place=path, remedy=remedy)
-    freq = np.ravel(held[variables["freq"]]).astype(float)
-    if len(freq) < 2 or not np.all(np.diff(freq) > 0) or freq[0] < 0 or not np.isfinite(freq[-1]):
+    freq = np.real(np.ravel(held[variables["freq"]])).astype(float)
+    real = not np.iscomplexobj(held[variables["freq"]])
+    if not real or len(freq) < 2 or not np.all(np.diff(freq) > 0) or freq[0] < 0 or not np.isfinite(freq[-1]):
         raise InputError(f"its frequencies {variables['freq']!r} do not ascend", place=path, remedy="give them in Hz")
     keys = [channel_of(one, path) for one in channels]
     out: dict[str, dict[Key, np.ndarray]] = {"frf": {}, "coherence": {}}
