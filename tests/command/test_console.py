@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from rich.console import Console
 
 from calib.analyses import explain as explaining
 from calib.analyses.sensitivity import Screening
@@ -59,8 +58,8 @@ def wide(monkeypatch):
 
     def of(width):
         stream = io.StringIO()
-        console = Console(file=stream, width=width, highlight=False, markup=False, soft_wrap=True, force_terminal=True,
-                          color_system=None)  # fmt: skip
+        looks = {"highlight": False, "markup": False, "soft_wrap": True, "force_terminal": True, "color_system": None}
+        console = terminal._Output(file=stream, width=width, **looks)
         monkeypatch.setattr(terminal, "_out", console)
         return stream
 
