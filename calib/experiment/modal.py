@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calib.correlation.modal.problem import ModalProblem, usual_mode_count
+from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import assumed_deviations, std_for
 from calib.errors.arguments import by_name, integer, names, number, objects, values
@@ -193,7 +193,7 @@ class ModalTest(Test):
                 test_place(self), "measurement",
             )  # fmt: skip
         used, n_base = self.used, _n_modes(model if base is None else base)
-        count = self.mode_count if self.mode_count is not None else usual_mode_count(used, n_base)
+        count = self.mode_count if self.mode_count is not None else min(2 * used.n_modes, n_base)
         if count < used.n_modes:
             raise TestError.at_keys(
                 f"mode_count is {count}, but {used.n_modes} modes were measured",

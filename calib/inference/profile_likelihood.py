@@ -15,11 +15,8 @@ from calib.errors.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import FitSettings, LeastSquares, Prior, fit
 from calib.inference.identify import Posterior
 from calib.inference.region import InfeasibleError
-from calib.inference.rules import RULES
+from calib.inference.rules import RULES, WIDE
 from calib.problem.space import Parameter, ParameterSpace
-
-WIDE = 1.959963984540054
-"""Half-width of a two-sided 95 % interval in standard deviations: the profile's root rises by this at its ends."""
 
 ProfileClass: TypeAlias = Literal["identified", "one-sided", "not identified"]
 

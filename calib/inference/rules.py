@@ -83,5 +83,8 @@ class Rules:
     refits_after_search: int = 12
 
 
+WIDE = 1.96
+"""Half-width of a 95 % interval, in standard deviations; the root of the increase of the sum of squares at its ends."""
+
 RULES = Rules()
 """The thresholds in force."""

@@ -12,8 +12,7 @@ import pandas as pd
 from calib.errors.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import LeastSquares, Prior
 from calib.inference.identify import Posterior
-from calib.inference.profile_likelihood import WIDE
-from calib.inference.rules import RULES
+from calib.inference.rules import RULES, WIDE
 from calib.problem.space import ParameterSpace
 
 EXTRA = "pip install calib[posterior]"

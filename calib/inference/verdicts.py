@@ -11,7 +11,7 @@ import pandas as pd
 from calib.errors.errors import InputError
 from calib.inference.constraints import Hold
 from calib.inference.identify import Identifiability, faults, needed_std
-from calib.inference.rules import RULES
+from calib.inference.rules import RULES, WIDE
 from calib.problem.space import Parameter, ParameterSpace
 
 DOUBTS = {
@@ -20,8 +20,6 @@ DOUBTS = {
     "few_data": "fewer than two effective degrees of freedom are left, too few to see an error of the model",
 }
 """Why no parameter of a fit is identified, whatever its standard deviation."""
-WIDE = 1.96
-"""Half-width of an interval of 95 % in standard deviations."""
 
 
 def integer_std(numbers: np.ndarray, misfits: np.ndarray, centre: float = 0.0, sd: float = math.inf) -> float:

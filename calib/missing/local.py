@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from calib.inference.rules import WIDE as WIDE
 from calib.missing.candidate_fit import CandidateFit
 from calib.problem.candidate import Candidate
 from calib.problem.parameter import Parameter
-
-WIDE = 1.96
-"""Half-width of a 95 % interval, in standard deviations; the root of the increase of the sum of squares at its ends."""
 
 
 def unit_words(unit: str) -> str:

@@ -10,7 +10,8 @@ from scipy import stats
 from calib.errors.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import fit
 from calib.inference.identify import posterior
-from calib.inference.profile_likelihood import WIDE, profile_likelihood, profile_table
+from calib.inference.profile_likelihood import profile_likelihood, profile_table
+from calib.inference.rules import WIDE
 from calib.inference.sampled_posterior import sampled_posterior
 from calib.problem.parameter import Parameter
 from calib.problem.space import LinearConstraint, ParameterSpace

@@ -398,8 +398,3 @@ class ModalProblem:
                 # In the given order of clusters: floating-point sums depend on it.
                 out[i] = sum(shares[named.index(name)] for name in dict.fromkeys(self.mode_clusters[mode]))
         return out
-
-
-def usual_mode_count(measured: MeasuredModes, n_modes: int) -> int:
-    """Default number of model modes: twice the measured ones, as far as the model has them."""
-    return min(2 * measured.n_modes, n_modes)
