@@ -18,11 +18,11 @@ from calib.errors.errors import EvaluationError
 from calib.hypotheses.own_modes import COLUMNS as OWN_COLUMNS
 from calib.hypotheses.own_modes import own_modes, own_modes_sentence
 from calib.hypotheses.rules import RULES
+from calib.inference.rules import WIDE
 from calib.missing.adequacy import UNSEEN, contradicting
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.data_words import GROUPS
 from calib.missing.explanation import NAMED, Explanation
-from calib.missing.local import WIDE
 from calib.missing.partial import is_simpler_form
 from calib.problem.candidate import Candidate
 from calib.results.results import Results

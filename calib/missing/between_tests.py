@@ -11,10 +11,11 @@ import numpy as np
 import pandas as pd
 
 from calib.errors.errors import EvaluationError
+from calib.inference.rules import WIDE
 from calib.missing.goodness import p_words
 from calib.missing.hypotheses import Altered
 from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
-from calib.missing.local import WIDE, interval_words
+from calib.missing.local import interval_words
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, family_p, scored
 from calib.problem.joint import JointProblem, JointRows, of_test

@@ -13,12 +13,13 @@ import numpy as np
 import pandas as pd
 
 from calib.execution.stage import Progress, silent
+from calib.inference.rules import WIDE
 from calib.missing.adequacy import UNSEEN, adequacy_of, beside, contradicting
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.goodness import p_words
 from calib.missing.hypotheses import Hypotheses
-from calib.missing.local import WIDE, magnitude_words
+from calib.missing.local import magnitude_words
 from calib.missing.partial import is_far_ahead
 from calib.missing.profile import profile_interval
 from calib.missing.refits import Refits

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 import scipy.linalg as la
 
+from calib.inference.rules import WIDE
 from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.linearised_fit import LinearisedFit
-from calib.missing.local import WIDE
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
 

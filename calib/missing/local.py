@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from calib.inference.rules import WIDE as WIDE
+from calib.inference.rules import WIDE
 from calib.missing.candidate_fit import CandidateFit
 from calib.problem.candidate import Candidate
 from calib.problem.parameter import Parameter

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from calib.inference.rules import WIDE
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.facts import Places
-from calib.missing.local import WIDE
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
 

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 import scipy.linalg as la
 
+from calib.inference.rules import WIDE
 from calib.missing.adequacy import UNSEEN
 from calib.missing.discrepancy import Discrepancy
-from calib.missing.local import WIDE
 from calib.problem.degrees_of_freedom import KNOWN, p_value
 from calib.problem.problem import Label, label_table
 

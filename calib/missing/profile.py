@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from calib.errors.errors import EvaluationError
+from calib.inference.rules import WIDE
 from calib.missing.hypotheses import Altered
 from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
-from calib.missing.local import WIDE
 
 _TRIES = 3
 """Most corrections of one end; for a Gaussian posterior the first one is exact."""

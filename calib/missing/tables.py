@@ -9,13 +9,14 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
+from calib.inference.rules import WIDE
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.collinear import Group
 from calib.missing.effect_facts import smallest_visible
 from calib.missing.evidence import expected_ln_bayes, ln_bayes_linear, model_probabilities, rescaled
 from calib.missing.explanation import Explanation
 from calib.missing.facts import Places
-from calib.missing.local import WIDE, fault_words, local_perturbation
+from calib.missing.local import fault_words, local_perturbation
 from calib.missing.plausible import parameter_pulls
 from calib.missing.rules import RULES
 from calib.missing.score import correlation, noise_limit

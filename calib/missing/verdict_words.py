@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from calib.inference.rules import WIDE
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.facts import Places
 from calib.missing.goodness import p_words
-from calib.missing.local import WIDE, fault_words, local_perturbation, magnitude_words, unit_words
+from calib.missing.local import fault_words, local_perturbation, magnitude_words, unit_words
 from calib.missing.plausible import limit_of
 from calib.missing.recommendation import as_ratio, rounded
 from calib.missing.rules import RULES

@@ -39,13 +39,13 @@ from calib.correlation.modal.residual import ModalResidual
 from calib.errors.errors import EvaluationError, InputError
 from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.hypotheses.modal import ModalAdapter
+from calib.inference.rules import WIDE
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.decision import decide
 from calib.missing.discrepancy import discrepancy_of, parameter_intervals
 from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.facts import MeasurementFacts
 from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
-from calib.missing.local import WIDE
 from calib.structure.effects.variants import Variants
 
 VISIBLE = 4.0
