@@ -107,16 +107,16 @@ class Intervals:
         then = "Use the intervals as they are."
         if better:
             then = f"Calibrate again: along {names_in_words(better)} the model fits better than at the fitted values."
-        elif kinds["one-sided"] or kinds["not identified"]:
-            open_ones = names_in_words(kinds["one-sided"] + kinds["not identified"])
+        elif kinds["one-sided"] or kinds["unbounded"]:
+            open_ones = names_in_words(kinds["one-sided"] + kinds["unbounded"])
             then = f"Measure more, or state how well {open_ones} is known before the test (prior_sd)."
         return Answer(found[:1].upper() + found[1:] + ".", sure, then)
 
 
 _KINDS = {
-    "identified": "the data bound {} on both sides",
-    "one-sided": "{} on one side only",
-    "not identified": "they exclude no value of {} within its limits",
+    "two-sided": "the data bound {} on both sides",
+    "one-sided": "the data bound {} on one side only",
+    "unbounded": "the data exclude no value of {} within its limits",
 }
 
 
@@ -144,7 +144,7 @@ def intervals_at(study: AnyStudy, values: Mapping[str, float], run: IntervalsRun
     scaled = _Scaled(problem, statistics_at(problem, Terms.of(study), values).birge)
     # The optimum of the problem that is scanned: a reduced one ends elsewhere by its tolerance.
     whole = {p.name: values[p.name] for p in space.free if p.integer}
-    best = fit(scaled, space.freeze(whole) if whole else space, values, Prior.of(space))
+    best = fit(scaled, space.freeze(whole), values, Prior.of(space))
     known = posterior(names, best.jacobian, np.array([space[name].prior_width for name in names]))
     profiles = []
     for k, name in enumerate(chosen):

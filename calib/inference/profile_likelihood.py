@@ -18,7 +18,7 @@ from calib.inference.region import InfeasibleError
 from calib.inference.rules import RULES, WIDE
 from calib.problem.space import Parameter, ParameterSpace
 
-ProfileClass: TypeAlias = Literal["identified", "one-sided", "not identified"]
+ProfileClass: TypeAlias = Literal["two-sided", "one-sided", "unbounded"]
 
 _REFIT = FitSettings(iterations=12, gain=1e-3)
 """The others follow from the neighbouring point; a misfit to 1e-3 suffices for a rise of 3.84."""
@@ -75,9 +75,14 @@ class Profile:
 
     @property
     def kind(self) -> ProfileClass:
-        """What the data say within the limits: both ends of the interval exist, one, or none (Raue et al. 2009)."""
+        """How many ends of `data_interval` exist within the limits.
+
+        With both Raue et al. (2009) call a parameter identifiable, else practically non-identifiable, and structurally
+        so where the profile is flat. Here it counts as identified only where the model fits too, see
+        `calib.inference.verdicts.parameter_verdicts`.
+        """
         ends = int(np.count_nonzero(np.isfinite(self.data_interval)))
-        return "identified" if ends == 2 else "one-sided" if ends == 1 else "not identified"
+        return "two-sided" if ends == 2 else "one-sided" if ends == 1 else "unbounded"
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -330,13 +335,13 @@ def _sentence(one: Profile, linear: Sequence[float], differs: bool, elsewhere: f
             return f"above {lower:.4g}{scale}"
         return f"below {upper:.4g}{scale}" if math.isfinite(upper) else "all values within the limits"
 
-    if one.kind == "identified":
+    if one.kind == "two-sided":
         words = [f"The data exclude values on both sides: 95 % interval {between(one.interval)}."]
     elif one.kind == "one-sided":
         words = [f"The data bound it on one side only: {between(one.data_interval)}."]
     else:
         words = ["The data exclude no value within its limits."]
-    if one.kind != "identified" and np.isfinite(one.interval).all():
+    if one.kind != "two-sided" and np.isfinite(one.interval).all():
         words.append(f"With its prior: {between(one.interval)}.")
     if differs:
         words.append(f"The linearised interval differs: {between(linear)}; use this one.")

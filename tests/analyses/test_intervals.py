@@ -33,7 +33,7 @@ def test_the_data_bound_a_spring_alone_and_of_two_in_series_one_side():
         [(7 - 0.196) ** 2 / SCALE, (7 + 0.196) ** 2 / SCALE],
         rtol=5e-3,
     )
-    assert table.loc["c", "kind"] == "identified"
+    assert table.loc["c", "kind"] == "two-sided"
     # k = f1^2/40 = 0.625 from a and b in series: each is above k, and above what a limit of the other leaves.
     lowest = (5 - 0.196) ** 2 / SCALE
     for name in "ab":
@@ -88,7 +88,7 @@ def test_the_command_writes_what_it_prints_and_python_gets_the_same(mast, capsys
     code, said = told(mast, capsys, "-v")
     assert code == 0
     stored = pd.read_csv(mast / "results/mast/intervals.csv").set_index("parameter")
-    assert set(stored.index) == {"E", "m_top", "K_base"} and (stored["kind"] == "identified").all()
+    assert set(stored.index) == {"E", "m_top", "K_base"} and (stored["kind"] == "two-sided").all()
     for _, row in stored.iterrows():
         assert f"{row['lower']:.4g} to {row['upper']:.4g}" in said and row["sentence"] in " ".join(said.split())
     study = calib.Study.load(mast / "mast", results=mast / "results", progress=False)

@@ -66,7 +66,7 @@ def test_the_interval_of_a_linear_model_is_the_linearised_one():
         found, row = profiled(problem, where, name)
         half = WIDE * std
         np.testing.assert_allclose(found.interval, (best.values[name] - half, best.values[name] + half), rtol=2e-3)
-        assert not row["differs"] and row["kind"] == "identified" and math.isnan(row["lower_misfit_at"])
+        assert not row["differs"] and row["kind"] == "two-sided" and math.isnan(row["lower_misfit_at"])
         assert np.all(np.diff(found.at) > 0) and found.at[np.argmin(found.total)] == best.values[name]
 
 
@@ -74,7 +74,7 @@ def test_the_interval_of_a_curved_model_is_that_of_its_likelihood():
     """``exp(a)`` was measured as 2 +- 0.5; a broad prior."""
     found, row = profiled(Rows(lambda a: (math.exp(a) - 2.0) / 0.5), space(a=(0.5, -9, 9, 1e4)), "a")
     np.testing.assert_allclose(found.interval, np.log(2 + WIDE * 0.5 * np.array([-1, 1])), rtol=2e-2)
-    assert row["kind"] == "identified" and row["differs"]
+    assert row["kind"] == "two-sided" and row["differs"]
     assert f"{found.interval[0]:.4g} to {found.interval[1]:.4g}" in row["sentence"]
 
 
@@ -90,10 +90,10 @@ def test_of_a_product_neither_factor_is_identified_but_by_its_prior():
     problem = Rows(lambda a, b: (a * b - 2.0) / 0.01)
     where = space(a=(1.4, 0.5, 4.0, 0.1), b=(1.4, 0.5, 4.0, 0.1))
     found, row = profiled(problem, where, "a")
-    assert row["kind"] == "identified"  # through the prior of b, which the data do not replace
+    assert row["kind"] == "two-sided"  # through the prior of b, which the data do not replace
     wide = space(a=(1.4, 0.5, 4.0, 1e3), b=(1.4, 0.5, 4.0, 1e3))
     found, row = profiled(problem, wide, "a")
-    assert row["kind"] == "not identified" and found.ends == {"lower", "upper"}
+    assert row["kind"] == "unbounded" and found.ends == {"lower", "upper"}
     np.testing.assert_allclose([one["a"] * one["b"] for one in found.values], 2.0, rtol=1e-2)
 
 
