@@ -31,7 +31,7 @@ from calib.errors.errors import EvaluationError, InputError
 from calib.execution.outcome import as_cause, named_responses
 from calib.experiment.test import ForwardProblem
 from calib.measurement.check import SensorFinding
-from calib.measurement.doubts import doubts_of
+from calib.measurement.doubts import doubts_of, modal_doubts
 from calib.measurement.modal import MeasuredModes
 from calib.results.answer import Answer
 from calib.results.results import Results
@@ -68,6 +68,8 @@ class ComparisonResult:
         Of FRFs.
     unit_hints : tuple of str
         Those of the hints that concern the units of the measurement.
+    data_doubts : tuple of str
+        Those of the hints on measured modes that contradict themselves; see `calib.measurement.doubts.modal_doubts`.
     """
 
     table: pd.DataFrame
@@ -82,18 +84,21 @@ class ComparisonResult:
     std_notes: tuple[str, ...] = ()
     gross_errors: tuple[GrossError, ...] = ()
     unit_hints: tuple[str, ...] = ()
+    data_doubts: tuple[str, ...] = ()
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """What looks wrong in the measurement itself: units, signs and sensors."""
-        return (*self.unit_hints, *(f"Check this sensor: {finding.sentence}" for finding in self.sensor_findings))
+        sensors = (f"Check this sensor: {finding.sentence}" for finding in self.sensor_findings)
+        return (*self.data_doubts, *self.unit_hints, *sensors)
 
     @property
     def checks(self) -> tuple[str, ...]:
         """What is to be checked in the measurement before anything else, such as ``sensors 1z, 2z``."""
         doubtful = list(dict.fromkeys(name for finding in self.sensor_findings for name in finding.sensors))
         sensors = [f"{'sensor' if len(doubtful) == 1 else 'sensors'} {listed(doubtful)}"] if doubtful else []
-        return (*(error.check for error in self.gross_errors), *sensors)
+        data = ["the measured modes, whose values are doubtful"] if self.data_doubts else []
+        return (*data, *(error.check for error in self.gross_errors), *sensors)
 
     @property
     def orthogonality(self) -> Orthogonality | None:
@@ -235,6 +240,7 @@ def comparison_of(
         hints=(*hints, *unit_hints, *_place_hints(comparison.measured, sensor_findings)),
         std_notes=tuple(std_notes),
         unit_hints=unit_hints,
+        data_doubts=modal_doubts(comparison.measured),
     )
 
 

@@ -104,7 +104,7 @@ def explanation_of(
     started, mesh_sd = time.perf_counter(), study.settings.explain.mesh_sd
     adapter = adapter_for(study, None, progress, homes)
     answer = explain_tests(
-        adapter, study.settings.explain, study.file, started, mesh_words(mesh_sd), progress, doubts_of(tests), begin
+        adapter, study.settings.explain, study.file, started, mesh_words(mesh_sd), progress, _doubts(tests), begin
     )  # fmt: skip
     taken = dict.fromkeys(note for one in tests for note in uncertain_note(one))
     adapter = granting(adapter, answer.explanation)
@@ -167,7 +167,7 @@ def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: s
                 )  # fmt: skip
 
 
-def doubts_of(tests: Sequence[LoadedStudy]) -> Doubts:
+def _doubts(tests: Sequence[LoadedStudy]) -> Doubts:
     """What a comparison at the nominal values doubts in the measurements; nothing where a model fails there."""
     sentences, checks = [], []
     for one in tests:

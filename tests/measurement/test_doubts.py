@@ -36,6 +36,18 @@ def test_what_contradicts_itself_is_told(changed, words):
     assert words in said
 
 
+def test_doubtful_values_are_checked_before_anything_is_fitted():
+    k = 1e6 * np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 1.0]])
+    model = calib.StructuralModel.from_matrices(
+        {"k": k}, 100.0 * np.eye(3), dofs=[(n, "x") for n in (1, 2, 3)],
+        parameters=[calib.Parameter("k", 1.0, 0.5, 2.0)],
+    )  # fmt: skip
+    found = calib.Problem(model, calib.ModalTest(modes(damping=[0.8, 0.9]))).compare()
+    assert "measured modes" in found.lines["Next"] and "look like percent" in str(found)
+    sound = calib.Problem(model, calib.ModalTest(modes())).compare()
+    assert "measured modes, whose" not in sound.lines["Next"]
+
+
 @pytest.mark.parametrize(
     "changed",
     [
