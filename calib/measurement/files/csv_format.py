@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -24,6 +25,8 @@ FINEST = 1e-12
 """Smallest plausible standard deviation of a measurement, relative to the value."""
 
 
+END = r"(\d{1,10})\s*([+-]?[a-zA-Z]+)"
+"""Pattern of a node with a direction."""
 ONE = ""
 """Label of the repeat of a table without a column ``repeat``."""
 
@@ -135,6 +138,16 @@ def parse_direction(text: str) -> tuple[str, int] | None:
     if bare in ("1", "2", "3", "4", "5", "6"):
         return DIRECTIONS[int(bare) - 1], sign
     return (bare.lower(), sign) if bare.lower() in DIRECTIONS else None
+
+
+def parse_end(text: str) -> tuple[tuple[int, str], int] | None:
+    """Node and direction of an end of a function such as ``12z`` or ``12-z``, and the sign of the direction.
+
+    Returns None when the text is no node with a direction.
+    """
+    match = re.fullmatch(END, text, re.ASCII)
+    parsed = parse_direction(match.group(2)) if match else None
+    return None if match is None or parsed is None else ((int(match.group(1)), parsed[0]), parsed[1])
 
 
 def read_shapes_csv(

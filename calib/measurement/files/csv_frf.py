@@ -13,7 +13,7 @@ import pandas as pd
 
 from calib.errors.errors import InputError
 from calib.errors.place import Place
-from calib.measurement.files.csv_format import FREQ_LIMIT, VALUE_LIMIT, parse_direction
+from calib.measurement.files.csv_format import FREQ_LIMIT, VALUE_LIMIT, parse_end
 from calib.measurement.files.csv_record import header_of
 from calib.measurement.files.frf_columns import (
     MATLAB,
@@ -29,7 +29,6 @@ from calib.measurement.frf_units import FRFUnits, parse_unit
 from calib.measurement.modal import DIRECTIONS
 from calib.results.table import TableRow, read_rows
 
-_PLACE = re.compile(r"(\d{1,10})\s*([+-]?[a-zA-Z]+)", re.ASCII)
 _STATED = re.compile(r"#\s*(quantity|unit)\s*[:=]\s*(.*?)[\s,;]*", re.IGNORECASE)
 
 
@@ -185,7 +184,7 @@ def _of_large(table: pd.DataFrame, found: Quantity) -> dict[Key, _Lines] | None:
     grouped: Mapping[Any, Any] = table.groupby(["response", "reference"], observed=True, sort=False).indices
     for names, indices in grouped.items():
         rows = np.asarray(indices)
-        ends = [_end_of(str(name).strip()) for name in names]
+        ends = [parse_end(str(name).strip()) for name in names]
         order = rows[np.argsort(freq[rows], kind="stable")]
         if ends[0] is None or ends[1] is None:
             return None
@@ -257,19 +256,13 @@ def _entry(row: TableRow, freq: float) -> tuple[complex, float]:
 
 def _end(row: TableRow, column: str) -> tuple[tuple[int, str], int]:
     """Node and direction of a response or reference, and the sign of the direction."""
-    found = _end_of(row.text(column))
+    found = parse_end(row.text(column))
     if found is None:
         raise row.error(
             column, f"{row.text(column)!r:.60} is no node with a direction",
             f"write it like 12z or 12-z; directions are {', '.join(DIRECTIONS)}",
         )  # fmt: skip
     return found
-
-
-def _end_of(text: str) -> tuple[tuple[int, str], int] | None:
-    match = _PLACE.fullmatch(text)
-    parsed = parse_direction(match.group(2)) if match else None
-    return None if match is None or parsed is None else ((int(match.group(1)), parsed[0]), parsed[1])
 
 
 def _require_phase(path: Path, entries: Mapping[Key, Mapping[float, tuple[complex, float, TableRow]]]) -> None:

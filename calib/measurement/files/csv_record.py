@@ -9,12 +9,11 @@ import numpy as np
 
 from calib.errors.errors import InputError
 from calib.errors.place import Place
-from calib.measurement.files.csv_format import parse_direction
+from calib.measurement.files.csv_format import parse_end
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.measurement.record import MeasuredRecord, Motion, even_rate, parse_motion_unit
 from calib.results.table import read_rows
 
-_PLACE = re.compile(r"(\d{1,10})\s*([+-]?[a-zA-Z]+)", re.ASCII)
 _UNIT = re.compile(r"#\s*unit\s*[:=]\s*(.*?)[\s,;]*", re.IGNORECASE)
 TIME = "time"
 """Column of the instants, s."""
@@ -74,14 +73,13 @@ def read_record_csv(path: Path, unit: str | None = None) -> MeasuredRecord:
 
 
 def _end(path: Path, name: str) -> tuple[tuple[int, str], int]:
-    match = _PLACE.fullmatch(name)
-    parsed = parse_direction(match.group(2)) if match else None
-    if match is None or parsed is None:
+    found = parse_end(name)
+    if found is None:
         raise InputError(
             f"its column {name!r:.60} is neither {TIME!r} nor a node with a direction", place=path,
             remedy=f"write it like 12z or 12-z; directions are {', '.join(DIRECTIONS)}",
         )  # fmt: skip
-    return (int(match.group(1)), parsed[0]), parsed[1]
+    return found
 
 
 def _stated(path: Path, unit: str | None) -> tuple[Motion | None, float, tuple[str, ...]]:

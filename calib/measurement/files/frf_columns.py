@@ -10,14 +10,12 @@ import numpy as np
 
 from calib.errors.errors import InputError
 from calib.errors.place import Place
-from calib.measurement.files.csv_format import FREQ_LIMIT, VALUE_LIMIT, parse_direction
+from calib.measurement.files.csv_format import END, FREQ_LIMIT, VALUE_LIMIT, parse_end
 from calib.measurement.frf import NO_PHASE
 from calib.measurement.frf_repeats import Key, function_name, off_axis
 from calib.measurement.modal import DIRECTIONS
 
-_PLACE = r"\d{1,10}\s*[+-]?[a-zA-Z]+"
-_CHANNEL = re.compile(rf"({_PLACE})\s*/\s*({_PLACE})", re.ASCII)
-_END = re.compile(r"(\d{1,10})\s*([+-]?[a-zA-Z]+)", re.ASCII)
+_CHANNEL = re.compile(rf"{END}\s*/\s*{END}", re.ASCII)
 _PARTS: Mapping[str, str] = {
     "re": "re", "real": "re", "im": "im", "imag": "im", "imaginary": "im", "mag": "magnitude", "magnitude": "magnitude",
     "amplitude": "magnitude", "amp": "magnitude", "abs": "magnitude", "modulus": "magnitude", "phase": "phase",
@@ -32,19 +30,14 @@ MATLAB = (".mat",)
 
 def channel_of(text: str, place: str | Path | Place) -> tuple[Key, int]:
     """Response and reference of a channel such as ``12z/3z`` or ``12-z/3z``, and the sign of their directions."""
-    match = _CHANNEL.fullmatch(text.strip())
-    ends, sign = [], 1
-    for k in (1, 2):
-        end = _END.fullmatch(match.group(k)) if match else None
-        parsed = parse_direction(end.group(2)) if end else None
-        if end is None or parsed is None:
-            raise InputError(
-                f"the channel {text[:40]!r} is no response over a reference", place=place,
-                remedy=f"write it like 12z/3z or 12-z/3z; directions are {', '.join(DIRECTIONS)}",
-            )  # fmt: skip
-        ends.append((int(end.group(1)), parsed[0]))
-        sign *= parsed[1]
-    return (ends[0], ends[1]), sign
+    ends = [parse_end(part.strip()) for part in text.split("/")]
+    if len(ends) != 2 or ends[0] is None or ends[1] is None:
+        raise InputError(
+            f"the channel {text[:40]!r} is no response over a reference", place=place,
+            remedy=f"write it like 12z/3z or 12-z/3z; directions are {', '.join(DIRECTIONS)}",
+        )  # fmt: skip
+    (response, one), (reference, other) = ends[0], ends[1]
+    return (response, reference), one * other
 
 
 def is_wide(names: Sequence[str]) -> bool:
