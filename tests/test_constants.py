@@ -31,11 +31,9 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "inference/identify.py": "_ZERO",
     "inference/region.py": "ACTIVE",
     "measurement/mac.py": "_COLLINEAR",
-    "measurement/files/csv_record.py": "_TOLERANCE",
     "measurement/frf_repeats.py": "_AXIS _ROUNDED",
     "measurement/files/uff_nodes.py": "_ON_AXIS",
-    "measurement/files/uff_record.py": "SAME_UNIT",
-    "measurement/frf_units.py": "_TOLERANCE",
+    "measurement/frf_units.py": "SAME_UNIT",
     "measurement/places.py": "REPEAT_TOLERANCE TABLE_TOLERANCE UNIT_TOLERANCE",
     "measurement/record.py": "UNEVEN SAME_RATE",
     "missing/score.py": "_NEVER",
@@ -170,7 +168,7 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
 
 FORMATS = {  # units, codes of files, and what a file may hold
     "analyses/versions.py": "MOST",
-    "correlation/frf/gross_errors.py": "FACTORS G INCH POUND",
+    "correlation/frf/gross_errors.py": "FACTORS",
     "correlation/units.py": "VALUE_FACTORS",
     "study/limits.py": "UNIT_FACTOR",
     "measurement/corrections.py": "_LEAST_GAIN",

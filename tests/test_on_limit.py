@@ -68,3 +68,12 @@ def test_verdicts_and_tables_of_searches_follow_the_definition():
     assert searched["on_limit"].all() and (searched["not_identified"].str.contains("limit")).all()
     end = CaseResult("A", values, 0.1, {}, pd.DataFrame(), 2, 2, 0, 0, 0, 1.0)
     assert parameters_table([end], space)["on_limit"].tolist() == [True, True]
+
+
+def test_beside_an_infinite_limit_the_standard_deviation_says_what_is_near():
+    near = RULES.of_std * 2.0
+    assert limit_at(UPPER - 0.9 * near, -math.inf, UPPER, 2.0, searched=True) == "upper"
+    assert limit_at(UPPER - 1.1 * near, -math.inf, UPPER, 2.0) is None
+    for std in (None, math.nan, math.inf):
+        assert limit_at(UPPER - 1.0, -math.inf, UPPER, std) is None
+        assert limit_at(LOWER + 1.0, LOWER, math.inf, std) is None

@@ -270,8 +270,8 @@ def statistics_of(
     converged = fit is not None and fit.converged
     end = At(names, values, vector, slope, prior_sd, converged)
     held = changes_by_held(problem, end, held_sd)
-    descent = multipliers(space, names, values, -slope.T @ vector - shift / prior_sd)
-    active = active_limits(space, names, values, descent)
+    descent = -slope.T @ vector - shift / prior_sd
+    active = active_limits(space, names, values, multipliers(space, names, values, descent))
     free = explained_by_held(end, held, constraints, [name in active for name in names])
     at = _Fitted.of(*free, constraints, converged)
     dof = effective_dof(at.slope, at.prior_sd, sum(problem.fitted_factors.values()))
@@ -285,7 +285,7 @@ def statistics_of(
         space, names, slope, values=values, held=held, birge=birge, searched=fit is None, constraints=constraints
     )
     held_by = holds(
-        space, names, values, identification.posterior.covariance, -slope.T @ vector - shift / prior_sd, fit is None
+        space, names, values, identification.posterior.covariance, descent, constraints.constraints, fit is None
     )
     predictions = prediction_interval(*problem.frequencies(values, names), identification.posterior.covariance)
     suspected = suspects_table(at, problem, alpha)

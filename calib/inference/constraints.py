@@ -10,14 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from calib.inference.rules import RULES
-from calib.problem.parameter import RULES as LIMITS
+from calib.inference.rules import RULES, WIDE
+from calib.problem.parameter import limit_at
 from calib.problem.space import LinearConstraint, ParameterSpace
 
 _NONE: Mapping[str, float] = MappingProxyType({})
 _EXACT = 1e-4
 """Standard deviation of an equality, over that of its sum without it: far below what any verdict tells apart."""
 _LEVEL = 0.05
+"""Probability outside an interval of 95 %."""
 
 
 class ConstraintRows(NamedTuple):
@@ -29,10 +30,13 @@ class ConstraintRows(NamedTuple):
         Per unit of each fitted parameter.
     held : ndarray (n, n_held)
         Change by one standard deviation of each held parameter.
+    constraints : tuple of LinearConstraint, n
+        Those that count.
     """
 
     slope: np.ndarray
     held: np.ndarray
+    constraints: tuple[LinearConstraint, ...] = ()
 
     @staticmethod
     def none(n_params: int, n_held: int = 0) -> ConstraintRows:
@@ -59,7 +63,7 @@ def constraint_rows(
     held_sd : mapping from str to float
         Standard deviations of held parameters that are uncertain.
     """
-    rows = []
+    rows, counted = [], []
     for constraint in space.constraints:
         if not (math.isfinite(constraint.lower) and math.isfinite(constraint.upper)):
             continue
@@ -71,8 +75,9 @@ def constraint_rows(
         finite = std if math.isfinite(std) else float(np.abs(c) @ [space[n].upper - space[n].lower for n in names])
         beside = [weights.get(name, 0.0) * sd for name, sd in held_sd.items()]
         rows.append(np.concatenate([c, beside]) / max(width, _EXACT * finite))
+        counted.append(constraint)
     every = np.array(rows).reshape(len(rows), len(names) + len(held_sd))
-    return ConstraintRows(every[:, : len(names)], every[:, len(names) :])
+    return ConstraintRows(every[:, : len(names)], every[:, len(names) :], tuple(counted))
 
 
 def std_of_sum(weights: np.ndarray, covariance: np.ndarray) -> float:
@@ -115,7 +120,7 @@ class Hold(NamedTuple):
         # P(t > q) = Phi(-beyond - q)/Phi(-beyond) for the distance t from the limit.
         tail = float(special.log_ndtr(-self.beyond)) + math.log(_LEVEL)
         reach = self.part * std * (-float(special.ndtri_exp(tail)) - self.beyond)
-        free = float(special.ndtri(1 - _LEVEL / 2)) * std * math.sqrt(max(1 - self.part**2, 0.0))
+        free = WIDE * std * math.sqrt(max(1 - self.part**2, 0.0))
         inward, outward = math.hypot(reach, free), free
         return (value - inward, value + outward) if self.side > 0 else (value - outward, value + inward)
 
@@ -126,11 +131,12 @@ def holds(
     values: Mapping[str, float],
     covariance: np.ndarray,
     descent: np.ndarray,
+    as_data: Sequence[LinearConstraint] = (),
     searched: bool = False,
 ) -> dict[str, Hold]:
     """Fitted parameters that a limit or a constraint holds.
 
-    A constraint holds parameters where their sum is on it (see `calib.problem.parameter.LimitRules`), unless it counts
+    A constraint holds parameters where their sum is on it (see `calib.problem.parameter.limit_at`), unless it counts
     as data: of its parameters those that it informs more than all else does, or that would move by more than one
     standard deviation without it.
 
@@ -145,6 +151,8 @@ def holds(
         Without those constraints that do not count as data.
     descent : ndarray (n_params,)
         Direction in which the misfit falls; see `calib.inference.region.active_limits`.
+    as_data : sequence of LinearConstraint
+        Constraints that count as data; see `constraint_rows`.
     searched : bool
         See `calib.inference.identify.Identifiability`.
     """
@@ -153,13 +161,13 @@ def holds(
     for constraint in space.constraints:
         c = _weights(constraint, names)
         own = std_of_sum(c, covariance)
-        width = (constraint.upper - constraint.lower) / math.sqrt(12.0)
-        if not own > 0 or width <= RULES.narrow * own:
+        if constraint in as_data or not own > 0:
             continue
         total = sum(weight * values[name] for name, weight in constraint.coefficients)
-        side = _side(constraint, total, own, searched)
-        if side == 0:
+        at = limit_at(total, constraint.lower, constraint.upper, own, searched)
+        if at is None:
             continue
+        side = 1 if at == "upper" else -1
         along = finite @ c
         beyond = max(side * float(along @ descent) / own, 0.0) if math.isfinite(own) else 0.0
         for k in np.flatnonzero(c).tolist():
@@ -169,21 +177,10 @@ def holds(
     for k, name in enumerate(names):
         at = space[name].limit_at(values[name], float(std[k]), searched)
         if at is not None:
-            way = 1 if at == "upper" else -1
-            moved = way * float(finite[k] @ descent) / std[k] if 0 < std[k] < math.inf else 0.0
-            found[name] = Hold("", way, max(moved, 0.0), 1.0)
+            side = 1 if at == "upper" else -1
+            moved = side * float(finite[k] @ descent) / std[k] if 0 < std[k] < math.inf else 0.0
+            found[name] = Hold("", side, max(moved, 0.0), 1.0)
     return found
-
-
-def _side(constraint: LinearConstraint, total: float, std: float, searched: bool) -> int:
-    """1 where a sum is on the upper limit of its constraint, -1 on the lower one, else 0."""
-    span = constraint.upper - constraint.lower
-    near = math.inf if math.isinf(span) else (LIMITS.searched if searched else LIMITS.of_range) * span
-    if not searched or math.isinf(near):
-        near = min(near, LIMITS.of_std * std)
-    if constraint.upper - total <= near:
-        return 1
-    return -1 if total - constraint.lower <= near else 0
 
 
 def multipliers(

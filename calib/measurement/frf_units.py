@@ -19,7 +19,7 @@ LENGTHS: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "Â
 FORCES: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "mN": 1e-3, "lbf": 4.4482216152605}
 """Newtons per unit of force."""
 _POWERS: Mapping[Quantity, tuple[str, ...]] = {"receptance": ("",), "mobility": ("s",), "accelerance": ("s2", "ss")}
-_TOLERANCE = 1e-3
+SAME_UNIT = 1e-3
 """Largest relative difference of two statements of one unit; files round their factors."""
 
 
@@ -50,7 +50,7 @@ class FRFUnits:
     def agrees(self, other: FRFUnits) -> bool:
         """Whether motions and forces have the same units, to the digits of a file."""
         pairs = ((self.motion, other.motion), (self.force, other.force))
-        return all(abs(own / given - 1) < _TOLERANCE for own, given in pairs)
+        return all(abs(own / given - 1) < SAME_UNIT for own, given in pairs)
 
 
 def parse_unit(text: str, place: str | Path | Place) -> tuple[Quantity, FRFUnits]:

@@ -211,15 +211,17 @@ def limit_at(
     Parameters
     ----------
     value, lower, upper : float
-        In one unit.
+        In one unit; one of the limits may be infinite.
     std : float, optional
-        Posterior standard deviation, in the same unit; NaN where unknown.
+        Posterior standard deviation, in the same unit; NaN where unknown. Beside an infinite limit it alone tells what
+        is near.
     searched : bool
         Whether a genetic search ended there, without least squares.
     """
     near = (RULES.searched if searched else RULES.of_range) * (upper - lower)
-    if std is not None and not searched:
+    if std is not None and (not searched or math.isinf(near)):
         near = min(near, RULES.of_std * std)
+    near = 0.0 if math.isinf(near) else near
     if upper - value <= near:
         return "upper"
     return "lower" if value - lower <= near else None

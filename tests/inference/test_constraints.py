@@ -58,6 +58,15 @@ def test_a_narrow_constraint_is_information():
     assert fit.statistics.dof == pytest.approx(2.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("half_width", [0.1, 0.35])
+def test_a_constraint_that_counts_as_data_holds_nothing(half_width):
+    """The first mass is 1 t more than its nominal value, so that the sum ends on the upper limit of the constraint."""
+    fit = weighed(("total mass", SUM, 40.0 - half_width, 40.0 + half_width, "t")).calibrate(**ROOM)
+    table = fit.parameters
+    assert table["value"].sum() == pytest.approx(40.0 + half_width)
+    assert table.loc["m2", "data_share"] > 0.99 and table["not_identified"].to_list() == ["", ""]
+
+
 def test_a_wide_constraint_that_is_not_reached_tells_nothing():
     free, wide = (weighed(*c).calibrate(**ROOM).parameters for c in ((), [("total mass", SUM, 15.0, 65.0, "t")]))
     np.testing.assert_allclose(wide["std"], free["std"], rtol=1e-9)

@@ -110,6 +110,7 @@ def test_one_text_file_for_each_function_repeat_by_repeat(tmp_path, head):
         ("freq,1z/1z re,1z/1z im\n1,2,3\n2,x,4\n", "no number"),
         ("freq,1z/1z re\n1,2\n2,3\n", "re only"),
         ("freq,1z/1z re,1z/1z im\n1,2,3\n1,2,4\n", "twice"),
+        ("freq,1z/1z re,1z/1z im,1-z/1z re,1-z/1z im\n1,2,3,4,5\n2,2,4,4,5\n", "along and against"),
         ("freq,1z/1z magnitude,1z/1z phase\n1,-2,3\n2,2,4\n", "negative"),
         ("freq,1z/1z re,1z/1z im\n1,2,0\n2,3,0\n", "amplitude"),
         ("freq,1z/1z re,1z/1z volts\n1,2,0\n2,3,0\n", "volts"),

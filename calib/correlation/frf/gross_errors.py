@@ -13,11 +13,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from calib.correlation.rules import RULES
+from calib.measurement import frf_units as units
 from calib.measurement.frf import QUANTITIES, MeasuredFRFs, MeasuredFunction, Quantity
 
 Scope = Literal["test", "response", "reference"]
 
-G, POUND, INCH = 9.80665, 4.4482216, 0.0254
+G, POUND, INCH = units.GRAVITY, units.FORCES["lbf"], units.LENGTHS["in"]
 """m/s2, N and m."""
 MOTIONS: Mapping[float, str] = {
     1e3: "motions look like mm, read as m",

@@ -10,6 +10,7 @@ import numpy as np
 from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.measurement.files.csv_format import parse_end
+from calib.measurement.frf_units import SAME_UNIT
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.measurement.record import MeasuredRecord, Motion, even_rate, parse_motion_unit
 from calib.results.table import read_rows
@@ -98,7 +99,7 @@ def _stated(path: Path, unit: str | None) -> tuple[Motion | None, float, tuple[s
     if unit is not None:
         found.append(parse_motion_unit(unit, path))
     for other in found[1:]:
-        if other[0] != found[0][0] or abs(other[1] / found[0][1] - 1) > _TOLERANCE:
+        if other[0] != found[0][0] or abs(other[1] / found[0][1] - 1) > SAME_UNIT:
             raise InputError("two units are stated for it", place=path, remedy="correct one of them")
     if found:
         return *found[0], ()
@@ -107,7 +108,6 @@ def _stated(path: Path, unit: str | None) -> tuple[Motion | None, float, tuple[s
 
 _COMMENTS = 100
 """Lines in which a unit may be stated."""
-_TOLERANCE = 1e-3
 
 
 def _numbers(path: Path, header: list[str], separator: str) -> np.ndarray:

@@ -101,6 +101,10 @@ def read_columns(
     if np.any(np.diff(freq[rows]) <= 0):
         raise InputError("a frequency is there twice", place=path, remedy="keep one of the lines")
     functions = {key: sign * _complex(path, key, own)[rows] for (key, sign), own in parts.items()}
+    if len(functions) < len(parts):
+        twice = next(key for key in functions if {(key, 1), (key, -1)} <= set(parts))
+        words = f"{function_name(twice)} is there along and against an axis"
+        raise InputError(words, place=path, remedy="keep one")
     coherence = {key: own["coherence"][rows] for (key, _), own in parts.items() if "coherence" in own}
     return freq[rows], functions, coherence
 

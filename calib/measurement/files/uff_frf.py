@@ -15,7 +15,7 @@ from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import VALUE_LIMIT
 from calib.measurement.files.frf_columns import channel_of
 from calib.measurement.files.uff_blocks import Dataset, extract_sets, read_blocks
-from calib.measurement.files.uff_labels import MOTIONS, Axis, force_axis, hertz, motion_axis
+from calib.measurement.files.uff_labels import MOTIONS, QUANTITY_OF, Axis, force_axis, hertz, motion_axis
 from calib.measurement.files.uff_nodes import Nodes, length_factor, nodes_of
 from calib.measurement.files.uff_sets import pyuff_faults
 from calib.measurement.frf import NO_PHASE, Quantity
@@ -25,9 +25,6 @@ from calib.measurement.modal import DIRECTIONS
 from calib.measurement.places import Doubt
 
 _FRF, _COHERENCE = 4, 6
-_QUANTITIES: Mapping[str, Quantity] = {
-    "displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance",
-}  # fmt: skip
 _COMPLEX = (5, 6)
 _FREQUENCY = (0, 18)
 """Data types of the abscissa: unknown, frequency."""
@@ -268,7 +265,7 @@ def _quantity(where: str, data: Mapping[str, Any], stated: Quantity | None, note
     """What a function is by its type, its label, or as stated where the file says nothing or contradicts itself."""
     axis, _ = motion_axis(data)
     _require_force(where, force_axis(data))
-    said = [_QUANTITIES[kind] for kind in (axis.typed, axis.labelled) if kind is not None and kind in _QUANTITIES]
+    said = [QUANTITY_OF[kind] for kind in (axis.typed, axis.labelled) if kind is not None and kind in QUANTITY_OF]
     if axis.contradicts:
         words = f"its ordinate is of the type {axis.typed}, but its label says {axis.text!r:.60}"
         if stated is None or stated not in said:
@@ -299,7 +296,7 @@ def _in_file(
     """Units of one function: on its labels, of the file, or else as stated."""
     axis, under = motion_axis(one.data)
     driven = force_axis(one.data)
-    agrees = axis.labelled is None or _QUANTITIES.get(axis.labelled) == one.quantity
+    agrees = axis.labelled is None or QUANTITY_OF.get(axis.labelled) == one.quantity
     (_, moved), (_, load) = one.key
     motion = axis.unit if agrees and not moved.startswith("r") else None
     force = driven.unit or (under if agrees else None)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from calib.errors.errors import InputError
+from calib.measurement.frf import QUANTITIES, Quantity
 from calib.measurement.frf_units import FORCES, parse_unit
 from calib.measurement.record import Motion, parse_motion_unit
 
@@ -18,6 +20,8 @@ TYPES: Mapping[int, str] = {
 }  # fmt: skip
 """Types of data of an axis."""
 MOTIONS: Mapping[int, Motion] = {8: "displacement", 11: "velocity", 12: "acceleration"}
+QUANTITY_OF: Mapping[str, Quantity] = dict(zip(MOTIONS.values(), QUANTITIES, strict=True))
+"""Quantity of a motion over a force."""
 _UNSTATED, _GENERAL = 0, 1
 _FORCES = (9, 13)
 _WORDS: Mapping[str, str] = {
@@ -30,7 +34,7 @@ _OTHERS: Mapping[str, str] = {
 }  # fmt: skip
 """Units of what is neither motion nor force."""
 _PER_FORCE = re.compile(r"\(?1/(?P<force>[A-Za-z]+)\)?[*·.]?(?P<motion>.+)")
-_PER_SECOND: Mapping[str, float] = {"hz": 1.0, "khz": 1e3, "rad/s": 0.15915494309189535, "rpm": 1 / 60, "1/min": 1 / 60}
+_PER_SECOND: Mapping[str, float] = {"hz": 1.0, "khz": 1e3, "rad/s": 0.5 / math.pi, "rpm": 1 / 60, "1/min": 1 / 60}
 """Hz for each unit of an axis of frequencies."""
 
 
@@ -141,5 +145,5 @@ def _unit_of_motion(unit: str) -> tuple[str | None, float | None, float | None]:
         quantity, units = parse_unit(bare, "")
     except InputError:
         return None, None, None
-    of: Mapping[str, str] = {"receptance": "displacement", "mobility": "velocity", "accelerance": "acceleration"}
-    return of[quantity], units.motion, units.force
+    motion = next(motion for motion, own in QUANTITY_OF.items() if own == quantity)
+    return motion, units.motion, units.force

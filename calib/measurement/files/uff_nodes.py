@@ -12,6 +12,7 @@ import numpy as np
 from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import VALUE_LIMIT
 from calib.measurement.files.uff_blocks import Dataset, extract_sets
+from calib.measurement.frf_units import SAME_UNIT
 from calib.measurement.modal import DIRECTIONS
 from calib.measurement.places import Point
 from calib.measurement.rules import RULES
@@ -324,7 +325,7 @@ def length_factor(path: Path, blocks: Sequence[Dataset], notes: list[str], lengt
         factor, code = float(data["length"]), int(data["units_code"])
         if not (math.isfinite(factor) and factor > 0):
             raise block.error(path, f"the length factor of dataset 164 is {factor:g}", "correct it")
-        if code in _PER_METRE and abs(factor / _PER_METRE[code] - 1) > 1e-3:
+        if code in _PER_METRE and abs(factor / _PER_METRE[code] - 1) > SAME_UNIT:
             raise block.error(
                 path,
                 f"dataset 164 states unit code {code} ({_PER_METRE[code]:g} units a metre) but factor {factor:g}",
@@ -333,7 +334,7 @@ def length_factor(path: Path, blocks: Sequence[Dataset], notes: list[str], lengt
         factors.add(factor)
     if len(factors) > 1:
         raise InputError("two datasets 164 state different units", place=path, remedy="keep one of them")
-    if factors and length_unit is not None and abs(length_unit * next(iter(factors)) - 1) > 1e-3:
+    if factors and length_unit is not None and abs(length_unit * next(iter(factors)) - 1) > SAME_UNIT:
         words = f"dataset 164 states {next(iter(factors)):g} units of length a metre, not the stated unit"
         raise own[0].error(path, words, "leave the unit out")
     if factors:

@@ -15,14 +15,13 @@ from calib.measurement.files.uff_blocks import read_blocks
 from calib.measurement.files.uff_labels import MOTIONS, motion_axis
 from calib.measurement.files.uff_nodes import length_factor, nodes_of
 from calib.measurement.files.uff_sets import pyuff_faults
+from calib.measurement.frf_units import SAME_UNIT
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.measurement.places import Doubt, Point
 from calib.measurement.record import SAME_RATE, MeasuredRecord, Motion, even_rate, parse_motion_unit
 
 TIME_RESPONSE = 1
 """Function type of a time record."""
-SAME_UNIT = 1e-3
-"""Largest relative difference of two statements of one unit."""
 _TIME = (0, 17)
 """Data types of the abscissa: unknown, time."""
 _COMPLEX = (5, 6)
