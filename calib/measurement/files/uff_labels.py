@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from calib.errors.errors import InputError
-from calib.measurement.frf import QUANTITIES, Quantity
+from calib.measurement.frf import Quantity
 from calib.measurement.frf_units import FORCES, parse_unit
 from calib.measurement.record import Motion, parse_motion_unit
 
@@ -20,7 +20,9 @@ TYPES: Mapping[int, str] = {
 }  # fmt: skip
 """Types of data of an axis."""
 MOTIONS: Mapping[int, Motion] = {8: "displacement", 11: "velocity", 12: "acceleration"}
-QUANTITY_OF: Mapping[str, Quantity] = dict(zip(MOTIONS.values(), QUANTITIES, strict=True))
+QUANTITY_OF: Mapping[str, Quantity] = {
+    "displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance",
+}  # fmt: skip
 """Quantity of a motion over a force."""
 _UNSTATED, _GENERAL = 0, 1
 _FORCES = (9, 13)
@@ -145,5 +147,4 @@ def _unit_of_motion(unit: str) -> tuple[str | None, float | None, float | None]:
         quantity, units = parse_unit(bare, "")
     except InputError:
         return None, None, None
-    motion = next(motion for motion, own in QUANTITY_OF.items() if own == quantity)
-    return motion, units.motion, units.force
+    return next(of for of, own in QUANTITY_OF.items() if own == quantity), units.motion, units.force
