@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 
 from calib.sensitivity.partial import (
-    centred_ranks,
     degrees_of_freedom,
     orthonormal,
     orthonormal_beyond,
     rank_blocks,
     table_arrays,
 )
+from calib.sensitivity.spearman import centred_ranks
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from scipy import special
 from scipy.linalg import qr
 
 from calib.errors.errors import InputError
-from calib.sensitivity.spearman import mean_ranks
+from calib.sensitivity.spearman import centred_ranks, same_rows
 
 OWN_PART = 1e-6
 """Part of a column's length outside the span of the others below which it counts as rounding."""
@@ -122,25 +122,11 @@ def table_arrays(points: pd.DataFrame, responses: pd.DataFrame) -> tuple[np.ndar
     return x, responses.to_numpy(dtype=float)
 
 
-def same_rows(y: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Known rows (bool) and the columns that have exactly these, so that one regression serves them all."""
-    known = np.isfinite(y)
-    patterns: dict[bytes, list[int]] = {}
-    for j in range(y.shape[1]):
-        patterns.setdefault(known[:, j].tobytes(), []).append(j)
-    return [(known[:, columns[0]], np.array(columns)) for columns in patterns.values()]
-
-
 def rank_blocks(points: pd.DataFrame, responses: pd.DataFrame) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Columns of responses known in the same rows, with the centred ranks of all parameters and of these responses."""
     x, y = table_arrays(points, responses)
     for rows, columns in same_rows(y):
         yield columns, centred_ranks(x[rows]), centred_ranks(y[np.ix_(rows, columns)])
-
-
-def centred_ranks(a: np.ndarray) -> np.ndarray:
-    """Ranks of each column about their mean, ties by mean rank; shape as given."""
-    return mean_ranks(a) - (len(a) + 1) / 2 if a.size else a
 
 
 def orthonormal(a: np.ndarray) -> np.ndarray:

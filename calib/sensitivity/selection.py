@@ -10,9 +10,9 @@ import pandas as pd
 
 from calib.errors.errors import InputError
 from calib.sensitivity.induced import Decomposition, decompose, input_correlation
-from calib.sensitivity.partial import centred_ranks, orthonormal, partial, partial_noise_floor, table_arrays
+from calib.sensitivity.partial import orthonormal, partial, partial_noise_floor, table_arrays
 from calib.sensitivity.rules import RULES
-from calib.sensitivity.spearman import noise_floor, spearman
+from calib.sensitivity.spearman import centred_ranks, noise_floor, spearman
 from calib.sensitivity.variance_share import VarianceShare, joint_variance_share, variance_share
 
 

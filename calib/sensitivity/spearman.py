@@ -19,6 +19,11 @@ def mean_ranks(a: np.ndarray) -> np.ndarray:
     return np.asarray(rankdata(a, axis=0)) if a.size else a
 
 
+def centred_ranks(a: np.ndarray) -> np.ndarray:
+    """Ranks of each column about their mean, ties by mean rank; shape as given."""
+    return mean_ranks(a) - (len(a) + 1) / 2 if a.size else a
+
+
 def spearman(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:
     """Rank correlation of every parameter with every response.
 
@@ -43,15 +48,18 @@ def spearman(points: pd.DataFrame, responses: pd.DataFrame) -> pd.DataFrame:
     """
     x, y = _arrays(points, responses)
     out = np.full((x.shape[1], y.shape[1]), np.nan)
-    for j in range(y.shape[1]):
-        for i in range(x.shape[1]):
-            both = np.isfinite(x[:, i]) & np.isfinite(y[:, j])
-            if both.sum() < RULES.rows_least:
+    for known_x, parameters in same_rows(x):
+        for known_y, columns in same_rows(y):
+            rows = known_x & known_y
+            if rows.sum() < RULES.rows_least:
                 continue
-            a, b = mean_ranks(np.stack([x[both, i], y[both, j]], axis=1)).T - (both.sum() + 1) / 2
-            size = math.sqrt((a @ a) * (b @ b))
-            if size > 0:
-                out[i, j] = min(1.0, max(-1.0, (a @ b) / size))
+            a, b = centred_ranks(x[np.ix_(rows, parameters)]), centred_ranks(y[np.ix_(rows, columns)])
+            # Sums of products of half-integers are exact, in whatever order they are added.
+            size = np.sqrt(np.outer(np.sum(a * a, axis=0), np.sum(b * b, axis=0)))
+            varies = size > 0
+            out[np.ix_(parameters, columns)] = np.where(
+                varies, (a.T @ b).clip(-size, size) / np.where(varies, size, 1.0), np.nan
+            )
     return pd.DataFrame(out, index=pd.Index(points.columns, name="parameter"), columns=responses.columns)
 
 
@@ -90,6 +98,15 @@ def noise_floor(n_rows: int, n_cells: int, level: float = 0.95) -> float:
         )
     cell = -math.expm1(math.log(level) / n_cells)
     return min(1.0, float(-special.ndtri(0.5 * cell)) / math.sqrt(n_rows - 1))
+
+
+def same_rows(y: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Known rows (bool) and the columns that have exactly these, so that one ranking or regression serves them all."""
+    known = np.isfinite(y)
+    patterns: dict[bytes, list[int]] = {}
+    for j in range(y.shape[1]):
+        patterns.setdefault(known[:, j].tobytes(), []).append(j)
+    return [(known[:, columns[0]], np.array(columns)) for columns in patterns.values()]
 
 
 def _arrays(points: pd.DataFrame, responses: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:

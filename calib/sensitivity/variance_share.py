@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from calib.sensitivity.partial import orthonormal, orthonormal_beyond, same_rows, table_arrays
+from calib.sensitivity.partial import orthonormal, orthonormal_beyond, table_arrays
 from calib.sensitivity.rules import RULES
-from calib.sensitivity.spearman import mean_ranks
+from calib.sensitivity.spearman import mean_ranks, same_rows
 
 Unit = tuple[str, ...]
 
