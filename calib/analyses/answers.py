@@ -130,6 +130,7 @@ def of_fit(
     pairs: Mapping[str, tuple[_Compared, _Compared]],
     contradictions: Sequence[str] = (),
     agreement: str = "one case",
+    search: str = "",
 ) -> Answer:
     """Answer of any fit.
 
@@ -144,6 +145,8 @@ def of_fit(
         On held-out data.
     agreement : str
         See `calib.inference.agreement.Agreement`.
+    search : str
+        Errors where a genetic search before the fit ended, in words.
     """
     fits = {
         True: "The calibrated model fits the data within their standard deviation",
@@ -151,6 +154,7 @@ def of_fit(
         None: "The calibrated model leaves too few data to see an error of it",
     }[statistics.fits]
     changes = [of_test(test, _change(*pair)) if test else _change(*pair) for test, pair in pairs.items()]
+    changes += [search] if search else []
     sure = [f"The fit has p = {statistics.p_fit:.2g}.", identified_sentence(verdicts), _AGREEMENT[agreement]]
     sure += contradictions
     if statistics.assumed:

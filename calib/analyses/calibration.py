@@ -9,7 +9,7 @@ from typing import TypeAlias
 import pandas as pd
 
 from calib.analyses.answers import UNTRIED, of_fit
-from calib.analyses.case_found import CaseFound
+from calib.analyses.case_found import FITTED, SEARCH, CaseFound
 from calib.analyses.compare import ComparisonResult
 from calib.analyses.every_mode import contradictions
 from calib.correlation.modal.comparison import Comparison
@@ -100,7 +100,14 @@ class Calibration:
     def answer(self) -> Answer:
         """What was found, how sure that is, and what to do next."""
         pairs = {"": (self.before, self.best.answer)}
-        return of_fit(self.best.statistics, self.verdicts, pairs, self.contradictions, self.agreement.verdict)
+        return of_fit(
+            self.best.statistics,
+            self.verdicts,
+            pairs,
+            self.contradictions,
+            self.agreement.verdict,
+            _searched(self.cases),
+        )
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -135,9 +142,20 @@ class Calibration:
         return agreement_sentences(self.agreement, self.search_agreement)
 
 
+def _searched(cases: Sequence[CaseFound]) -> str:
+    """Errors where the best of the searches ended, which least squares followed; empty where none did."""
+    both = [case for case in cases if case.search is not None and case.statistics.fit is not None]
+    if not both:
+        return ""
+    best = min(both, key=lambda case: case.search_full_order)
+    (end,) = best.points[best.points["point"] == SEARCH].to_dict("records")
+    mac = "" if pd.isna(end["mean_mac"]) else f", mean MAC {end['mean_mac']:.3f}"
+    return f"the best search, {best.name}, had ended at a mean error of {100 * end['mean_error']:.2f} %{mac}"
+
+
 def _worsened(case: CaseFound) -> str:
     """Says that least squares raised the misfit that the search minimised."""
-    before, after = case.points.set_index("point").loc[["search", "least squares"]].to_dict("records")
+    before, after = case.points.set_index("point").loc[[SEARCH, FITTED]].to_dict("records")
     return (
         f"In {case.name} least squares raised the misfit that the search minimises from {before['objective']:.3g} to "
         f"{after['objective']:.3g}: they weight by standard deviations and include damping and priors, and lowered "

@@ -99,6 +99,7 @@ def write_calibration(
     for name, table in answer.tables.items():
         results.write_table(name, table)
     results.write_table("points", pd.concat([case.points for case in answer.cases], ignore_index=True))
+    results.write_table("errors_by_case", pd.concat([case.errors for case in answer.cases], ignore_index=True))
     results.write_table("convergence", convergence_table([case.result for case in answer.cases]))
     if answer.modes is not None:
         results.write_table("modes", answer.modes)

@@ -294,8 +294,8 @@ class CaseFinder:
             key = point_key(search.values)
             confirm(only, self.ledger, self.ledger.lookup(problem.ledger_key, [key])[key])
         known = not isinstance(exact, JointProblem) and exact.pair.told_by_responses
-        full = objective(search.responses if known else named_responses(problem.evaluate, search.values))
-        return self.reported(search, statistics, search, (full, *criteria(exact, search.values)))
+        there = search.responses if known else named_responses(problem.evaluate, search.values)
+        return self.reported(search, statistics, search, (objective(there), *criteria(exact, search.values)), there)
 
     def reported(
         self,
@@ -303,9 +303,10 @@ class CaseFinder:
         statistics: FitStatistics,
         search: CaseResult | None = None,
         before: tuple[float, float, float] = (math.nan, math.nan, math.nan),
+        at_search: Mapping[str, float] | None = None,
     ) -> tuple[CaseFound, ...]:
         """A case at its final values, for every test; see `reported`."""
-        return tuple(reported(one, result, statistics, search, before) for one in self.study.studies)
+        return tuple(reported(one, result, statistics, search, before, at_search) for one in self.study.studies)
 
 
 def reduction_noted(

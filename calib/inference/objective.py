@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
+
+import pandas as pd
 
 from calib.errors.errors import InputError
 
@@ -99,6 +101,18 @@ class FrequencyMacObjective:
                 total += self.weight_mac * (abs(1.0 - mac) if paired and not math.isnan(mac) else 1.0)
         return total
 
+    def errors(self, responses: Mapping[str, float]) -> pd.DataFrame:
+        """What the misfit is of, mode by mode; InputError when a response is missing.
+
+        Returns
+        -------
+        DataFrame
+            ``what`` (mode), ``measured, model`` (Hz), ``error`` (signed fraction), ``mac``; NaN where unpaired.
+        """
+        model = [_response(responses, f"natural_freq_{mode}") for mode in self.modes]
+        mac = [_response(responses, f"mac_{mode}") if self.use_mac else math.nan for mode in self.modes]
+        return _errors(self.modes, [float(self.natural_freq[mode]) for mode in self.modes], model, mac)
+
 
 @dataclass(frozen=True)
 class JointObjective:
@@ -166,3 +180,19 @@ class ResponseObjective:
             response = _response(responses, name)
             total += math.inf if math.isnan(response) else abs(response - target) / abs(target)
         return total
+
+    def errors(self, responses: Mapping[str, float]) -> pd.DataFrame:
+        """What the misfit is of, response by response; columns as those of `FrequencyMacObjective.errors`.
+
+        ``measured`` and ``model`` are in the unit of the response; there is no ``mac``.
+        """
+        model = [_response(responses, name) for name in self.targets]
+        return _errors(list(self.targets), list(self.targets.values()), model, [math.nan] * len(model))
+
+
+def _errors(
+    what: Sequence[str], measured: Sequence[float], model: Sequence[float], mac: Sequence[float]
+) -> pd.DataFrame:
+    table = pd.DataFrame({"what": list(what), "measured": measured, "model": model})
+    table["error"] = (table["model"] - table["measured"]) / table["measured"].abs()
+    return table.assign(mac=mac)

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from calib.report.numbers import flag, short, significant, with_unit
-from calib.report.style import CASES, GREY, VERMILLION, legend_above, own_axes, plain
+from calib.report.style import CASES, GREY, VERMILLION, legend_above, new_figure, own_axes, plain
 from calib.report.svg import hover
 
 _BESIDE_VALUES = 38.0
 """Offset in points from the Axes of words beside the values of the bars."""
 _LINE_STYLES = ("-", "-.", ":")
+SEARCH, FITTED = "search", "least squares"
+MOST_ENDS = 60
+"""Modes or responses whose errors by case are drawn."""
+_LEAST = 1e-3
+"""Smallest 1 − MAC that is drawn apart."""
 
 
 def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | None = None) -> Axes:
@@ -149,6 +156,60 @@ def _legend(ax: Axes, cases: list[str], best_case: str | None, any_unstable: boo
             Line2D([], [], linestyle="none", marker=">", color="black", markersize=4.5, label="ends at a search limit")
         )
     legend_above(ax, handles)
+
+
+def ends_figure(table: pd.DataFrame) -> Figure:
+    """Draw the errors where every search ended and after least squares, datum by datum.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Columns ``case, point`` (``"search"`` or ``"least squares"``), ``what``, ``error`` (signed fraction, NaN for an
+        unpaired mode) and ``mac`` (0 to 1; NaN throughout without shapes).
+
+    Returns
+    -------
+    Figure
+        Errors in percent, open at the end of a search and filled after least squares; below them 1 − MAC on a
+        logarithmic scale, where 0.001 and less are drawn as 0.001.
+    """
+    panels = [("error", "error, model − measured (%)")]
+    panels += [("mac", "1 − MAC (–)")] if table["mac"].notna().any() else []
+    figure = new_figure(0.6 + 2.6 * len(panels))
+    cases, names = list(dict.fromkeys(table["case"])), list(dict.fromkeys(table["what"]))
+    places = {name: place for place, name in enumerate(names)}
+    for number, (column, label) in enumerate(panels):
+        ax = figure.add_subplot(len(panels), 1, number + 1)
+        for k, case in enumerate(cases):
+            for point in (SEARCH, FITTED):
+                own = table[(table["case"] == case) & (table["point"] == point)]
+                values = 100.0 * own["error"] if column == "error" else (1.0 - own["mac"]).clip(lower=_LEAST)
+                x = own["what"].map(places) + 0.8 * ((k + 0.5) / len(cases) - 0.5)
+                colour = CASES[k % len(CASES)]
+                looks: dict[str, Any] = {"markerfacecolor": "none" if point == SEARCH else colour, "markersize": 5.0}
+                ax.plot(x, values, "o", color=colour, gid=f"{column} {case} {point}", **looks)
+        ax.set_xticks(range(len(names)), names)
+        ax.grid(axis="y")
+        ax.set_ylabel(label)
+        if column == "error":
+            ax.axhline(0.0, color="black", linewidth=0.8)
+            legend_above(ax, _ends_legend(table, cases))
+        else:
+            ax.set_yscale("log")
+    return figure
+
+
+def _ends_legend(table: pd.DataFrame, cases: Sequence[str]) -> list[Artist]:
+    """A handle for each case with both mean errors, and one for each kind of mark."""
+    means = (100.0 * table["error"].abs().fillna(1.0)).groupby([table["case"], table["point"]]).mean()
+    handles: list[Artist] = []
+    for k, case in enumerate(cases):
+        words = " → ".join(f"{means[case, point]:.2f} %" for point in (SEARCH, FITTED) if (case, point) in means)
+        handles.append(Patch(color=CASES[k % len(CASES)], label=f"{case}: mean |error| {words}"))
+    for words, fill in ((f"end of the {SEARCH}", "none"), (f"after {FITTED}", GREY)):
+        look: dict[str, Any] = {"color": GREY, "markerfacecolor": fill, "markersize": 5.0}
+        handles.append(Line2D([], [], linestyle="none", marker="o", label=words, **look))
+    return handles
 
 
 def search_runs(table: pd.DataFrame) -> pd.DataFrame:

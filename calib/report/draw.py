@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from calib.errors.errors import InputError
-from calib.report.calibration import draw_convergence, draw_searches, search_runs
+from calib.report.calibration import MOST_ENDS, draw_convergence, draw_searches, ends_figure, search_runs
 from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix, draw_worst
 from calib.report.correlation import INDUCED, INPUTS, MOST_IN_MATRIX, POSTERIOR, STRONG, draw_correlation
 from calib.report.drawing import Drawing, bound, existing
@@ -221,6 +221,11 @@ def _calibration(folder: Folder) -> Iterator[Drawing]:
         if found["case"].nunique() > 1 or ("search_value" in found and found["search_value"].notna().any()):
             draw = bound(draw_searches, found, best_case=best)
             yield Drawing("searches", "where the cases ended", draw, ("parameters",))
+    path = folder / "errors_by_case.csv"
+    if path.exists():
+        both = read_results(path, ["case", "point", "what"], ["error", "mac"], may_be_empty=True)
+        if both["point"].nunique() > 1 and both["what"].nunique() <= MOST_ENDS:
+            yield Drawing("search_errors", "errors by search and fit", bound(ends_figure, both), ("errors_by_case",))
     path = folder / "profiles.csv"
     if path.exists() and (folder / "intervals.csv").exists():
         numbers = ["value", "rise", "rise_data", "interval_at"]

@@ -110,6 +110,13 @@ def test_both_points_are_reported_where_least_squares_minimise_another_criterion
         assert table["objective"][point] == pytest.approx(abs(a - 1) + abs(a - 2) / 2, rel=1e-6)
         assert table["sum_of_squares"][point] == pytest.approx(((a - 1) / 10) ** 2 + ((a - 2) / 0.01) ** 2, rel=1e-6)
         assert table["prior"][point] == pytest.approx(((a - 1) * 12**0.5 / 3) ** 2, rel=1e-6)
+    folder = tmp_path / "results" / tmp_path.name
+    errors = pd.read_csv(folder / "errors_by_case.csv").set_index(["point", "what"])["error"]
+    mean = table["mean_error"]
+    assert errors["least squares", "y"] == pytest.approx(1.0, abs=1e-3)
+    assert errors["search"].abs().mean() == pytest.approx(mean["search"], rel=1e-6)
+    assert mean["search"] < mean["least squares"] == pytest.approx(0.5, abs=1e-3) and table["mean_mac"].isna().all()
+    assert f"{found.best.name}, had ended at a mean error of {100 * mean['search']:.2f} %" in found.answer.found
     assert found.best.worsened and sum(found.best.name in s and "raised the misfit" in s for s in found.sentences) == 1
 
 
@@ -127,7 +134,7 @@ def test_least_squares_that_did_not_run_are_not_reported(study, tmp_path):
     blocks = section_blocks(shown["calibrated"])
     assert [block.name for block in blocks if isinstance(block, Picture)][:1] == ["parameters"]
     assert "searches" not in [block.name for block in blocks if isinstance(block, Picture)]
-    assert not [block for block in blocks if isinstance(block, Table) and "Both criteria" in block.caption]
+    assert not [block for block in blocks if isinstance(block, Table) and "both criteria" in block.caption]
     told = [block.text for block in blocks if isinstance(block, Words)]
     assert told and not [words for words in told if "least squares" in words]
 

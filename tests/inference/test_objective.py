@@ -23,6 +23,17 @@ def test_the_formula():
     assert objective(use_mac=False)(responses) == pytest.approx(0.3)
 
 
+def test_errors_are_those_that_the_misfit_sums():
+    responses = PERFECT | {"natural_freq_first": 2.2, "natural_freq_second": 4.0, "mac_second": 0.7}
+    table = objective().errors(responses).set_index("what")
+    assert table.loc["second", ["measured", "model", "mac"]].tolist() == [5.0, 4.0, 0.7]
+    assert table["error"].to_dict() == pytest.approx({"first": 0.1, "second": -0.2})
+    assert table["error"].abs().sum() + (1 - table["mac"]).sum() == pytest.approx(objective()(responses))
+    assert objective(use_mac=False).errors(responses)["mac"].isna().all()
+    told = ResponseObjective({"down": -4.0, "up": 2.0}).errors({"down": -3.0, "up": 2.5})
+    assert told["error"].tolist() == pytest.approx([0.25, 0.25])
+
+
 def test_a_mode_without_partner_is_wholly_wrong():
     lost = PERFECT | {"natural_freq_second": math.nan, "mac_second": math.nan}
     assert objective()(lost) == 2.0

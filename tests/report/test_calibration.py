@@ -2,7 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.calibration import draw_convergence, draw_searches
+from calib.report.calibration import draw_convergence, draw_searches, ends_figure
 
 
 def words(ax):
@@ -139,3 +139,24 @@ def test_bars_show_where_the_searches_ended():
     ]  # fmt: skip
     ax = draw_searches(pd.DataFrame(rows), best_case="B")
     assert [p.get_width() for c in ax.containers for p in c.patches] == [20.0, 40.0]
+
+
+def test_ends_of_searches_are_open_and_fits_filled():
+    table = pd.DataFrame(
+        [
+            ("GB1", "search", "1BT", 0.02, 0.98), ("GB1", "search", "2BT", -0.01, 0.9999),
+            ("GB1", "least squares", "1BT", 0.01, 0.99), ("GB1", "least squares", "2BT", np.nan, np.nan),
+            ("GB2", "search", "1BT", 0.03, 0.95), ("GB2", "search", "2BT", 0.01, 0.97),
+        ],
+        columns=["case", "point", "what", "error", "mac"],
+    )  # fmt: skip
+    errors, mac = ends_figure(table).axes
+    marks = {line.get_gid(): line for line in [*errors.lines, *mac.lines] if line.get_gid()}
+    np.testing.assert_allclose(marks["error GB1 search"].get_ydata(), [2.0, -1.0])
+    np.testing.assert_allclose(marks["error GB1 least squares"].get_ydata(), [1.0, np.nan])
+    np.testing.assert_allclose(marks["mac GB1 search"].get_ydata(), [0.02, 1e-3])
+    fills = [marks[f"mac GB1 {point}"].get_markerfacecolor() == "none" for point in ("search", "least squares")]
+    assert fills == [True, False]
+    assert marks["error GB1 search"].get_xdata()[1] < 1 < marks["error GB2 search"].get_xdata()[1]
+    assert legend(errors)[:2] == ["GB1: mean |error| 1.50 % → 50.50 %", "GB2: mean |error| 2.00 %"]
+    assert len(ends_figure(table.assign(mac=np.nan)).axes) == 1

@@ -55,8 +55,8 @@ INTERVALS = ("intervals.csv", "profiles.csv", "posterior_intervals.csv", "poster
 PROPOSED = ("proposals.csv", "proposal_places.csv", "proposals.json")
 """Files of `calib.analyses.propose`, removed with the explanation that they rest on."""
 _MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivity_samples", "input_correlation")
-_CALIBRATED = ("parameters", "points", "suspects_calibrated", "verdicts", "posterior_correlation", "confounded",
-               "unseen_directions", "predictions", "convergence", "modes", "responses", "data_errors",
+_CALIBRATED = ("parameters", "points", "errors_by_case", "suspects_calibrated", "verdicts", "posterior_correlation",
+               "confounded", "unseen_directions", "predictions", "convergence", "modes", "responses", "data_errors",
                "versions")  # fmt: skip
 EXPLAINED = ("effects", "why", "why_parameters", "why_places", "reduction_by_test", "test_differences",
               "effect_places", "accuracy", "explained_fits", "suspects_explained", "faults", "perturbations",

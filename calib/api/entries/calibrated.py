@@ -9,6 +9,7 @@ import pandas as pd
 
 from calib.analyses.added import WORDS
 from calib.analyses.calibration import Calibration, Fitted, JointCalibration
+from calib.analyses.case_found import FITTED, SEARCH
 from calib.analyses.intervals import Intervals
 from calib.api.entries.compared import failed_entries, held_out, more_on_pairs, pair_entries
 from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
@@ -78,6 +79,7 @@ def calibrated_entries(study: AnyStudy, result: Fitted) -> list[Entry]:
     out += [
         *suspects(best.statistics.suspects),
         *map(Words, held_out_words),
+        _ends_of_cases(result),
         _cases(result),
         *_points(result),
         pair_entries(best.answer, f"After calibration (case {best.name}):", when="verbose"),
@@ -194,6 +196,20 @@ def _cases(result: Calibration) -> Rows:
         for c in result.cases
     ]
     return Rows.of("Cases:", ("case", "search", "at full order", "reported", *_COUNTS, "time"), rows, when="verbose")
+
+
+def _ends_of_cases(result: Calibration) -> Rows:
+    """Errors where each search ended and after least squares: either may have the lower ones."""
+    modal, rows = result.modes is not None, []
+    for case in result.cases:
+        if case.search is not None and case.statistics.fit is not None:
+            both = case.points.set_index("point").loc[[SEARCH, FITTED]]
+            mac = [decimals(value, 4) for value in both["mean_mac"]] if modal else []
+            errors = [f"{100 * value:.2f} %" for value in both["mean_error"]]
+            rows.append((case.name, *errors, *mac, *(f"{value:.4g}" for value in both["objective"])))
+    kinds = ("error", "MAC", "objective") if modal else ("error", "objective")
+    title = f"Mean errors of {'natural frequencies and MAC' if modal else 'responses'}, by search and by least squares:"
+    return Rows.of(title, ("case", *(f"{kind} {by}" for kind in kinds for by in ("search", "fit"))), rows)
 
 
 def _points(result: Calibration) -> Iterator[Rows]:

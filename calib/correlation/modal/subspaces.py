@@ -66,11 +66,20 @@ def close_modes(problem: ModalProblem, modes: Modes, within: float) -> tuple[Gro
 
 
 def equal_at_nominal(problem: ModalProblem) -> bool:
-    """Whether the nominal model has modes of equal frequency, as square and axisymmetric structures have."""
+    """Whether measured modes are paired with modes of equal frequency of the nominal model.
+
+    Square and axisymmetric structures have such modes; equal modes of parts that no measured mode moves do not count.
+    """
+    values = problem.space.values
     try:
-        return bool(close_modes(problem, problem.solve(problem.space.values), RULES.subspace_equal))
+        modes = problem.solve(values)
+        groups = close_modes(problem, modes, RULES.subspace_equal)
+        if not groups:
+            return False
+        index = _paired(problem, values, modes, groups)[2]
     except EvaluationError:
         return False
+    return bool(np.isin(index, np.concatenate([np.array(group) for group in groups])).any())
 
 
 def subspace_mac(shapes: np.ndarray, sensor_shapes: np.ndarray) -> np.ndarray:
@@ -96,21 +105,28 @@ def turned_to_measured(
 
     Measured modes are paired with the subspaces first, by `subspace_mac`. ``sensor_shapes`` is (n_sensors, n_model).
     """
-    measured = problem.measured
     groups = close_modes(problem, modes, RULES.subspace_reach)
     if groups and not problem.has_equal_modes:
         groups = close_modes(problem, modes, RULES.subspace_equal)
     if not groups:
         return modes, sensor_shapes
+    bases, sensor_shapes, index = _paired(problem, values, modes, groups)
+    found = turned(modes, bases, sensor_shapes, problem.measured.shapes, groups, index)
+    return found, problem.sensor_rows @ found.shapes
+
+
+def _paired(
+    problem: ModalProblem, values: Mapping[str, float], modes: Modes, groups: Sequence[Group]
+) -> tuple[Modes, np.ndarray, np.ndarray]:
+    """The modes with each group in a real basis, their sensor shapes, and the model mode of every measured one."""
+    shapes = problem.measured.shapes
     bases = _real_bases(problem, values, modes, groups)
     sensor_shapes = problem.sensor_rows @ bases.shapes
-    alike = mac(measured.shapes, sensor_shapes)
+    alike = mac(shapes, sensor_shapes)
     for group in map(list, groups):
-        alike[:, group] = subspace_mac(measured.shapes, sensor_shapes[:, group])[:, None]
+        alike[:, group] = subspace_mac(shapes, sensor_shapes[:, group])[:, None]
     shares = problem.energy_shares(values, bases)
-    index = problem.pair(measured.shapes, sensor_shapes, shares, modes, known=alike)[0].model_index
-    found = turned(modes, bases, sensor_shapes, measured.shapes, groups, index)
-    return found, problem.sensor_rows @ found.shapes
+    return bases, sensor_shapes, problem.pair(shapes, sensor_shapes, shares, modes, known=alike)[0].model_index
 
 
 def turned(
