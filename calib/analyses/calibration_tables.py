@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from calib.analyses.case_found import CaseFound
 
 
+RUNS = "searches"
+"""Key of ``summary.json``: the name in the ledger of the search of each case."""
+
+
 def tables_of(
     space: ParameterSpace,
     found: Sequence[tuple[CaseResult, FitStatistics]],
@@ -129,6 +133,7 @@ def write_jointly(study: AnyStudy, results: Results, answer: JointCalibration, m
         "best_case": best.name,
         **best.statistics.figures,
         "seconds": seconds,
+        RUNS: _runs(answer.any.cases),
         "tests": {test: before_and_after(one.before, one.best.answer) for test, one in answer.tests.items()},
     })  # fmt: skip
 
@@ -162,8 +167,13 @@ def _summary(study: LoadedStudy, method: str, answer: Calibration, mark: str, se
         "seconds": seconds,
         **{f"held_out_{kind}": list(names) for kind, names in study.settings.held_out.model_dump().items()},
         "cases": {case.name: figures(case) for case in found},
+        RUNS: _runs(found),
         "contradictions": list(answer.contradictions),
     }
+
+
+def _runs(cases: Sequence[CaseFound]) -> dict[str, str]:
+    return {case.name: case.search.run for case in cases if case.search is not None}
 
 
 _MEAN_ABSOLUTE = float(np.sqrt(2 / np.pi))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from calib.analyses.calibrate import Method
+from calib.analyses.designs import Designs
 from calib.analyses.extend import found_among
 from calib.analyses.provenance import places
 from calib.analyses.provenance.stale import stale_answers
@@ -18,7 +21,7 @@ from calib.report.figures import FigureRequest
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import pictures, write_report
-from calib.report.style import FORMATS, Format, Width
+from calib.report.style import FORMATS, Format, Width, add_heading, owner_of, save, style
 from calib.report.tables import CurrentFolder
 from calib.results.results import RESULTS, Results
 from calib.results.written import is_own
@@ -80,6 +83,42 @@ def draw(
         old = [file for kind in FORMATS for file in folder.path.glob(f"*.{kind}")]
         folder.remove(*(file.name for file in old if is_own(file) and file not in figures))
     listener.drawn(study, figures, stale.told, written)
+
+
+def draw_designs(
+    found: Designs, study: StudyFile, folder: Path, clouds: Sequence[tuple[str, str]], parallel: int
+) -> tuple[Path, ...]:
+    """Draw clouds of two columns of designs, and their free parameters side by side with the best ones marked.
+
+    Parameters
+    ----------
+    found : Designs
+    study : StudyFile
+    folder : Path
+        Where ``anthill_*.png`` and ``designs_parallel.png`` go.
+    clouds : sequence of (str, str)
+        Columns.
+    parallel : int
+        Number of the best ones; 0 for no such picture.
+    """
+    from calib.report.designs import draw_anthill, draw_parallel
+
+    written: list[Path] = []
+    axes = [*found.space.free_names, "objective"]
+    labels = {p.name: f"{p.name}, {p.unit}" for p in found.space.parameters if p.unit not in ("", "-")}
+    drawings = [(f"anthill_{_plain(x)}_{_plain(y)}", partial(draw_anthill, found.table, x, y)) for x, y in clouds]
+    if parallel:
+        drawings.append(("designs_parallel", partial(draw_parallel, found.table, axes, "objective", parallel)))
+    for name, drawing in drawings:
+        with style():
+            figure = owner_of(drawing(labels=labels))
+            add_heading(figure, f"{study.settings.title}: designs", study.synthetic)
+            written += save(figure, folder / name)
+    return tuple(written)
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^\w.-]+", "_", name)
 
 
 def redraw(path: Path, root: Path, listener: Listener, formats: Sequence[Format], width: Width) -> Path:

@@ -16,11 +16,13 @@ if TYPE_CHECKING:
     from calib.analyses.again import Repeated
     from calib.analyses.calibration import Fitted
     from calib.analyses.compare import ComparisonResult
+    from calib.analyses.designs import Designs
     from calib.analyses.extend import Extension
     from calib.analyses.intervals import Intervals
     from calib.analyses.propose import ProposalResult
     from calib.analyses.sensitivity import Screening, Sensitivity
     from calib.analyses.versions import Versions
+    from calib.api.entries.entry import Entry
     from calib.missing.explanation import Explanation
     from calib.missing.findings import ExplanationResult
     from calib.report.html.write import Page
@@ -51,6 +53,9 @@ class Listener:
 
     def repeated(self, study: StudyFile, found: Repeated) -> None:
         """Failed points were evaluated again."""
+
+    def listed(self, found: Designs, entries: Sequence[Entry], written: Path) -> None:
+        """Designs were listed; ``written`` is their file, or the folder of the study."""
 
     def compared(self, study: LoadedStudy, answer: ComparisonResult, folder: Results) -> None:
         """Model and measurement were compared."""

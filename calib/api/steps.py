@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from calib.analyses.calibrate import Method
     from calib.analyses.calibration import Fitted
     from calib.analyses.compare import ComparisonResult
+    from calib.analyses.designs import Designs
     from calib.analyses.intervals import Intervals
     from calib.analyses.sensitivity import Screening, Sensitivity
     from calib.missing.findings import ExplanationResult
@@ -123,6 +124,16 @@ def repeated(study: Any) -> Repeated:
         found = again(study.loaded, ledger, study.workers, step)
     study.listener.repeated(study.loaded, found)
     return found
+
+
+def listed(study: Any) -> Designs:
+    """Every evaluated point of the study as it is."""
+    from calib.analyses.designs import designs
+
+    loaded = _selecting(study)
+    study.listener.begins(loaded, "designs")
+    with opened_ledger(study, loaded) as ledger:
+        return designs(loaded, ledger, study.folder)
 
 
 def fitted(study: Any) -> Fitted:

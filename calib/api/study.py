@@ -223,6 +223,45 @@ class Study:
         self.draw()
         return AnalysisResult(found.sentences, found.table, self.folder.path, found, tuple(interval_entries(found)))
 
+    def designs(
+        self,
+        best: int = 12,
+        *,
+        feasible: bool = False,
+        design: int | None = None,
+        csv: str | Path | None = None,
+        anthill: Sequence[tuple[str, str]] = (),
+        parallel: bool = False,
+    ) -> AnalysisResult:
+        """Every design that searches and samples of the study as it is have evaluated, ranked by the objective.
+
+        Parameters
+        ----------
+        best : int
+            Designs that are printed.
+        feasible : bool
+            Leave out those that failed.
+        design : int, optional
+            Tell the values of this design alone, by its number in the table.
+        csv : path, optional
+            File of the whole table.
+        anthill : sequence of (str, str)
+            Pairs of columns, each drawn as a cloud coloured by density, into the folder of results.
+        parallel : bool
+            Draw the free parameters of all designs side by side, the best ones marked.
+        """
+        from calib.api.entries.designed import designs_entries
+        from calib.api.entries.entry import Words
+        from calib.api.figures import draw_designs
+
+        found = steps.listed(self)
+        found = found.feasible if feasible else found
+        printed = tuple(designs_entries(found, integer(best, 1, "best"), design))
+        written = self.folder.path if csv is None else found.write(path_of(csv, "csv"))
+        drawn = draw_designs(found, self.loaded, self.folder.path, anthill, min(best, 20) if parallel else 0)
+        self.listener.listed(found, [*printed, *(Words(f"Drawn: {path}", "always") for path in drawn)], written)
+        return AnalysisResult(found.sentences, found.table, self.folder.path, found, printed)
+
     def again(self) -> Repeated:
         """Evaluate failed points once more, such as those without a licence; others stay. Analyses then use them."""
         return steps.repeated(self)

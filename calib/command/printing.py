@@ -12,6 +12,7 @@ from calib.analyses.added import Added, to_add
 from calib.analyses.again import Repeated
 from calib.analyses.calibration import Fitted
 from calib.analyses.compare import ComparisonResult
+from calib.analyses.designs import Designs
 from calib.analyses.extend import Extension
 from calib.analyses.intervals import Intervals
 from calib.analyses.propose import ProposalResult
@@ -114,6 +115,9 @@ class _Printing(Listener):
         if found.points > found.failed:
             run = f"calib calibrate {shell_argument(study.file)}"
             self._add(Words(f"An analysis that is run again uses them, such as: {run}", when="always"))
+
+    def listed(self, found: Designs, entries: Sequence[Entry], written: Path) -> None:
+        self._answered(found.answer, written, entries)
 
     # -- results -------------------------------------------------------------------------------------------------------
 

@@ -54,6 +54,8 @@ class CaseResult:
         those of derivatives included. ``asked`` is the sum of the others.
     seconds : float
         Duration of this call.
+    run : str
+        Name of the search in the history; empty for least squares alone.
     """
 
     name: str
@@ -67,6 +69,7 @@ class CaseResult:
     infeasible: int
     failed: int
     seconds: float
+    run: str = ""
 
     @classmethod
     def fitted(
@@ -198,6 +201,7 @@ def run_case(
         infeasible=int(status.get("infeasible", 0)),
         failed=int(status.get("failed", 0)),
         seconds=time.perf_counter() - started,
+        run=run,
     )
 
 

@@ -20,6 +20,11 @@ class Objective(Protocol):
         """Text that identifies the objective: it differs whenever the misfit of some responses could."""
         ...
 
+    @property
+    def targets(self) -> Mapping[str, float]:
+        """Measured values whose relative errors are weighed, by name of the response."""
+        ...
+
     def __call__(self, responses: Mapping[str, float]) -> float:
         """Misfit, 0 for full agreement; not finite when undefined."""
         ...
@@ -101,6 +106,11 @@ class FrequencyMacObjective:
                 total += self.weight_mac * (abs(1.0 - mac) if paired and not math.isnan(mac) else 1.0)
         return total
 
+    @property
+    def targets(self) -> dict[str, float]:
+        """Measured natural frequencies (Hz), by name of the response."""
+        return {f"natural_freq_{mode}": float(self.natural_freq[mode]) for mode in self.modes}
+
     def errors(self, responses: Mapping[str, float]) -> pd.DataFrame:
         """What the misfit is of, mode by mode; InputError when a response is missing.
 
@@ -125,6 +135,11 @@ class JointObjective:
     """
 
     objectives: Mapping[str, Objective]
+
+    @property
+    def targets(self) -> dict[str, float]:
+        """Those of every test, by joint name."""
+        return {f"{test}: {name}": v for test, one in self.objectives.items() for name, v in one.targets.items()}
 
     @property
     def identity(self) -> str:

@@ -200,7 +200,7 @@ class Ledger:
 
         It is drawn with the number of such points as the seed, so that the choice depends on the content alone.
         """
-        keys = self._keys(fingerprint, "ok")
+        keys = self._keys(fingerprint, "status = 'ok' ORDER BY key")
         draw = random.Random(len(keys))
         while keys:
             key = draw.choice(keys)
@@ -220,13 +220,23 @@ class Ledger:
 
     def failed(self, fingerprint: str) -> list[Outcome]:
         """All points whose last attempt failed, in the order of their keys."""
-        keys = self._keys(fingerprint, "failed")
+        keys = self._keys(fingerprint, "status = 'failed' ORDER BY key")
         found = self.lookup(fingerprint, keys)
         return [found[key] for key in keys if key in found and found[key].status == "failed"]
 
     def count(self, fingerprint: str) -> int:
         """Number of points evaluated in this state of model and measurement."""
         return self._number(f"SELECT COUNT(*) FROM evaluation WHERE state = {STATE} AND attempt = 1", fingerprint)
+
+    def keys(self, fingerprint: str) -> list[str]:
+        """Keys of the points evaluated in this state of model and measurement, the earliest first."""
+        return self._keys(fingerprint, "attempt = 1 ORDER BY id")
+
+    def numbers(self, fingerprint: str, keys: Iterable[str]) -> dict[str, int]:
+        """The number of each evaluated point, by key; it stays what it is."""
+        query = f"SELECT key, MIN(id) FROM evaluation WHERE key IN ({{}}) AND state = {STATE} GROUP BY key"
+        with self._database.explaining():
+            return {key_of_blob(k): n for k, n in self._database.among(query, map(blob_of_key, keys), fingerprint)}
 
     def other_fingerprints(self, *current: str) -> int:
         """Number of rows that belong to other states of model and measurement than the current ones."""
@@ -236,14 +246,11 @@ class Ledger:
             *current,
         )
 
-    def _keys(self, fingerprint: str, status: str) -> list[str]:
-        """Sorted keys of the points with an attempt of that status."""
+    def _keys(self, fingerprint: str, which: str) -> list[str]:
+        """Keys of the points with such an attempt, in that order."""
         with self._database.explaining():
-            rows = self._database.execute(
-                f"SELECT DISTINCT key FROM evaluation WHERE state = {STATE} AND status = ? ORDER BY key",
-                (fingerprint, status),
-            )
-            return [key_of_blob(key) for (key,) in rows]
+            query = f"SELECT DISTINCT key FROM evaluation WHERE state = {STATE} AND {which}"
+            return [key_of_blob(key) for (key,) in self._database.execute(query, (fingerprint,))]
 
     def _attempts(self, fingerprint: str, key: str) -> int:
         return self._number(
@@ -290,6 +297,16 @@ class Ledger:
         (after a transient failure, say), it and all later ones are replaced.
         """
         self._history.record(run, fingerprint, generation, individuals)
+
+    def searched(self, run: str) -> str:
+        """State of model and measurement in which a run evaluates; empty for one without history."""
+        query = (
+            "SELECT fingerprint FROM history JOIN state ON state.id = history.state JOIN run ON run.id = history.run"
+            " WHERE run.name = ? LIMIT 1"
+        )
+        with self._database.explaining():
+            (found,) = self._database.execute(query, (run,)).fetchone() or ("",)
+        return str(found)
 
     def history(self, run: str) -> pd.DataFrame:
         """Points requested by a run: ``generation, individual, key, status, misfit``, sorted by the first two."""

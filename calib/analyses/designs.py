@@ -1,0 +1,176 @@
+"""Designs of a study: every evaluated point of its searches and samples, ranked by the objective."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from calib.analyses.calibration_tables import RUNS
+from calib.analyses.case import objective_of
+from calib.analyses.joint_responses import Responses
+from calib.errors.errors import InputError
+from calib.inference.objective import Objective
+from calib.problem.space import ParameterSpace
+from calib.results.answer import Answer
+from calib.results.cell import guarded_table
+from calib.results.json_file import ANY, read_json
+from calib.results.ledger import Ledger
+from calib.results.results import Results
+from calib.results.written import whole
+from calib.study.several import AnyStudy
+
+OTHER = "other"
+"""Case of a design that no search requested: of a sample, or a point that another analysis asked for."""
+HEAD = ("rank", "design", "case", "generation", "status", "objective", "mean_error", "mean_mac")
+
+
+@dataclass(frozen=True, eq=False)
+class Designs:
+    """Evaluated points of a study as it is.
+
+    Attributes
+    ----------
+    table : DataFrame (n_designs, ...)
+        `HEAD`, then a column for every parameter, in its unit; the sum of every linear constraint; every response; and
+        ``error <mode or response>``, the errors that the objective weighs (signed fractions). Ranked by the objective,
+        failed points last. ``design`` is the number of the point in the ledger, and stays what it is.
+    space : ParameterSpace
+        Of the searches.
+    infeasible : int
+        Individuals of the searches that broke a constraint: they were not evaluated and are not in the table.
+    """
+
+    table: pd.DataFrame
+    space: ParameterSpace
+    infeasible: int = 0
+
+    @property
+    def feasible(self) -> Designs:
+        """Those that could be evaluated."""
+        return Designs(self.table[self.table["status"] == "ok"], self.space)
+
+    @property
+    def best_of_cases(self) -> pd.DataFrame:
+        """The best design of each case and of the samples, by case."""
+        good = self.table[self.table["status"] == "ok"].drop_duplicates("case")
+        return good.sort_values("case", key=lambda case: case.where(case != OTHER, "\uffff"), kind="stable")
+
+    def values(self, design: int) -> dict[str, float]:
+        """The free parameters of a design, to begin at: ``study.calibrate(begin_at=...)``, ``begin_at`` in study.toml.
+
+        Raises
+        ------
+        InputError
+            Where no design has that number.
+        """
+        row = self.table[self.table["design"] == design]
+        if row.empty:
+            raise InputError("no design of the study as it is has that number", place=f"design {design}",
+                             remedy="choose one of the table")  # fmt: skip
+        return {name: float(row[name].iloc[0]) for name in self.space.free_names}
+
+    def write(self, path: Path) -> Path:
+        """Write the table as CSV; InputError where that cannot be."""
+        try:
+            with whole(path) as draft:
+                guarded_table(self.table).to_csv(draft, index=False, float_format="%.10g")
+        except OSError as fault:
+            remedy = "choose another file"
+            raise InputError(f"it cannot be written ({fault.strerror})", place=path, remedy=remedy) from None
+        return path
+
+    @property
+    def answer(self) -> Answer:
+        """The best design, how many there are, and how one is taken as a start."""
+        best = self.table.iloc[0]
+        if best["status"] != "ok":
+            return Answer("Every design failed.", self.sentences[0], "Try again: calib again STUDY.")
+        of = best["case"] if best["case"] == OTHER else f"generation {best['generation']:.0f} of {best['case']}"
+        mac = "" if pd.isna(best["mean_mac"]) else f", mean MAC {best['mean_mac']:.3f}"
+        found = f"The best design is number {best['design']} ({of}): objective {best['objective']:.4g}"
+        found += f", mean error {100 * best['mean_error']:.2f} %{mac}."
+        then = "Begin least squares at one of them: calib designs STUDY --design NUMBER prints the line for study.toml."
+        return Answer(found, self.sentences[0], then)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """How many there are."""
+        number = Counter(self.table["case"].astype(str))
+        own = [f"{number[case]} of {case}" for case in sorted(number) if case != OTHER]
+        own += [f"{number[OTHER]} of samples and other analyses"] if OTHER in number else []
+        failed = int((self.table["status"] == "failed").sum())
+        words = f"{len(self.table)} evaluated designs: {', '.join(own)}"
+        words += f"; {failed} of them failed" if failed else ""
+        words += f"; {self.infeasible} more broke a constraint and were not evaluated" if self.infeasible else ""
+        return (f"{words}.",)
+
+
+def designs(study: AnyStudy, ledger: Ledger, results: Results) -> Designs:
+    """Every evaluated point of the study as it is.
+
+    Parameters
+    ----------
+    study : Study
+        With one test or several.
+    ledger : Ledger
+    results : Results
+        Folder of the calibration, whose ``summary.json`` names the searches.
+
+    Raises
+    ------
+    InputError
+        Where nothing has been evaluated.
+    """
+    objective, fingerprint = objective_of(study), Responses.of(study).fingerprint
+    summary = results.path / "summary.json"
+    runs = read_json(summary, {RUNS: {ANY: str}}).get(RUNS, {}) if summary.exists() else {}
+    parts, infeasible, searched = [], 0, set[str]()
+    for case, run in runs.items():
+        history = ledger.history(run)
+        infeasible += int((history["status"] == "infeasible").sum())
+        own = history[history["status"] != "infeasible"].drop_duplicates("key").set_index("key")
+        found = _evaluated(ledger, ledger.searched(run), own.index.to_list())
+        parts.append(found.join(own[["generation", "misfit"]]).assign(case=case))
+        searched.update(own.index)
+    others = [key for key in ledger.keys(fingerprint) if key not in searched]
+    found = _evaluated(ledger, fingerprint, others).assign(case=OTHER, generation=np.nan)
+    found["misfit"] = [objective(one) if one else np.nan for one in found["responses"]]
+    parts.append(found)
+    table = pd.concat([part for part in parts if len(part)] or parts[-1:], ignore_index=True)
+    if not len(table):
+        words = "no design of the study as it is has been evaluated"
+        raise InputError(words, place=results.path, remedy="run 'calib sensitivity' or 'calib calibrate' first")
+    return Designs(_ranked(table, objective, study.search_space), study.search_space, infeasible)
+
+
+def _evaluated(ledger: Ledger, fingerprint: str, keys: list[str]) -> pd.DataFrame:
+    """Stored points with these keys: ``design, status, values, responses``, indexed by key."""
+    found, numbers = ledger.lookup(fingerprint, keys), ledger.numbers(fingerprint, keys)
+    rows = [(numbers[key], one.status, one.values, one.responses) for key, one in found.items()]
+    return pd.DataFrame(rows, columns=["design", "status", "values", "responses"], index=pd.Index(found, name="key"))
+
+
+def _ranked(points: pd.DataFrame, objective: Objective, space: ParameterSpace) -> pd.DataFrame:
+    """The wide table, ranked."""
+    points = points.sort_values(["misfit", "design"], kind="stable", ignore_index=True)
+    values, responses = (pd.DataFrame(points[column].to_list()) for column in ("values", "responses"))
+    sums = {
+        constraint.name: sum(weight * values[name] for name, weight in constraint.coefficients)
+        for constraint in space.constraints
+        if {name for name, _ in constraint.coefficients} <= set(values)
+    }
+    errors = pd.DataFrame({name: (responses[name] - value) / abs(value) for name, value in objective.targets.items()})
+    good = points["status"] == "ok"
+    mac = [name for name in map(str, responses) if name.rpartition(": ")[2].startswith("mac_")]
+    out = points[["design", "case", "generation", "status"]].assign(
+        objective=points["misfit"],
+        mean_error=errors.abs().fillna(1.0).mean(axis=1).where(good),
+        mean_mac=responses[mac].fillna(0.0).mean(axis=1).where(good) if mac else np.nan,
+    )
+    out.insert(0, "rank", np.arange(1, len(out) + 1))
+    errors.columns = [f"error {name}" for name in errors]
+    return pd.concat([out, values, pd.DataFrame(sums), responses, errors], axis=1)
