@@ -113,6 +113,18 @@ class ReadRules:
         Share of the largest motion below which a sensor is dead in every mode, while the model moves there.
     dead_model : float
         Share of the largest motion from which the model moves there.
+    partner_size : float
+        Largest distance of a measured node from the model, over the model's size: a tape measure, and half of the depth
+        of a section whose middle is modelled.
+    partner_spacing : float
+        Largest distance from a model node, over that from there to the next node: on a line of nodes another one is
+        nearer beyond.
+    partner_ambiguous : float
+        Two nodes are as near where their distances differ by less than this share of the distance between them.
+    partner_told : float
+        Share of its limit beyond which a distance is told.
+    partner_share : float
+        Share of the measured nodes that lie within their limits where units of length agree.
     """
 
     rounded_freq: float = 1e-3
@@ -164,6 +176,11 @@ class ReadRules:
     check_residual: float = 4e-4
     dead_measured: float = 1e-3
     dead_model: float = 0.05
+    partner_size: float = 0.02
+    partner_spacing: float = 0.5
+    partner_ambiguous: float = 0.1
+    partner_told: float = 0.75
+    partner_share: float = 0.75
 
 
 RULES = ReadRules()
