@@ -194,6 +194,8 @@ FORMATS = {  # units, codes of files, and what a file may hold
     "problem/parameter.py": "MOST FINEST_PRIOR SI_FACTORS",
     "study/measurement_settings.py": "LONGEST_NAME",
     "structure/amplitude.py": "_LEFT",
+    "structure/dof_table.py": "_EXACT _PACKED",
+    "structure/unit_system.py": "_TOKENS",
     "structure/effects/attach.py": "GRAVITY",
 }
 

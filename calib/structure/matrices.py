@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+import math
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
-import pandas as pd
 import scipy.sparse as sp
 
 from calib.errors.arguments import numbers, values
 from calib.errors.errors import InputError
-from calib.measurement.modal import DIRECTIONS
 from calib.problem.space import ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term
+from calib.structure.dof_table import DofTable
 from calib.structure.sparse_indices import require_consistent
+from calib.structure.unit_system import SYSTEMS, UnitSystem
 
 Array: TypeAlias = (
     np.ndarray | sp.coo_array | sp.csc_array | sp.csr_array | sp.coo_matrix | sp.csc_matrix | sp.csr_matrix
@@ -32,118 +32,8 @@ _ROUNDING = 1e-6
 """Asymmetry that assembly may leave, over the largest entry."""
 
 
-@dataclass(frozen=True)
-class DofTable:
-    """Node and direction of each row of the matrices, and coordinates of the nodes.
-
-    Attributes
-    ----------
-    node : ndarray (n_dof,), int
-        Index into ``labels``.
-    direction : ndarray (n_dof,), int
-        0..5 for ux, uy, uz, rx, ry, rz.
-    labels : tuple of int
-        Node labels, length n_nodes.
-    points : ndarray (n_nodes, 3)
-        m; NaN where no coordinates are given.
-    """
-
-    node: np.ndarray
-    direction: np.ndarray
-    labels: tuple[int, ...]
-    points: np.ndarray
-
-    @property
-    def n_dof(self) -> int:
-        """Number of degrees of freedom."""
-        return len(self.node)
-
-    @property
-    def expansion(self) -> sp.csr_array:
-        """Nodal motions over the degrees of freedom, (6 * n_nodes, n_dof)."""
-        n = self.n_dof
-        where = (6 * self.node + self.direction, np.arange(n))
-        return sp.csr_array((np.ones(n), where), shape=(6 * len(self.labels), n))
-
-    def words(self, k: int) -> str:
-        """Name of a degree of freedom in messages."""
-        return f"row {k + 1} (node {self.labels[self.node[k]]}, {DIRECTIONS[self.direction[k]]})"
-
-    @staticmethod
-    def of(given: pd.DataFrame | Iterable[tuple[int, str]], name: str) -> DofTable:
-        """Read a table ``node, direction[, x, y, z]`` (m), or pairs of node and direction, in the order of the rows.
-
-        Raises
-        ------
-        InputError
-            When a column is missing, a direction is unknown, a row is named twice, or a node has two positions.
-        """
-        place = f"model {name}, dofs"
-        if isinstance(given, pd.DataFrame):
-            table = given
-        else:
-            table = pd.DataFrame(two_columns(given, place, "(node, direction)"), columns=["node", "direction"])
-        for column in ("node", "direction"):
-            if column not in table:
-                raise InputError(f"the column {column!r} is missing", place=place, remedy="name node and direction")
-        direction = np.array([_direction(d, k, place) for k, d in enumerate(table["direction"])], dtype=int)
-        numbers = pd.to_numeric(table["node"], errors="coerce").to_numpy(dtype=float)
-        wrong = np.flatnonzero(~(np.isfinite(numbers) & (numbers == np.round(numbers))))
-        if len(wrong):
-            k = int(wrong[0])
-            raise InputError(
-                f"the node of row {k + 1} is {table['node'].iloc[k]!r}", place=place, remedy="give integers"
-            )
-        labels, node = np.unique(numbers.astype(int), return_inverse=True)
-        named = pd.MultiIndex.from_arrays([node, direction])
-        if named.has_duplicates:
-            k = int(np.flatnonzero(named.duplicated())[0])
-            raise InputError(
-                f"{DIRECTIONS[direction[k]]} of node {labels[node[k]]} is named twice",
-                place=f"{place}, row {k + 1}",
-                remedy="name every row of the matrices once",
-            )
-        return DofTable(node, direction, tuple(labels.tolist()), _points(table, node, len(labels), labels, place))
-
-
-def _direction(given: object, k: int, place: str) -> int:
-    if given in DIRECTIONS:
-        return DIRECTIONS.index(str(given))
-    if isinstance(given, int | np.integer) and 1 <= given <= len(DIRECTIONS):
-        return int(given) - 1
-    raise InputError(
-        f"the direction of row {k + 1} is {given!r}", place=place, remedy=f"one of {', '.join(DIRECTIONS)}, or 1 to 6"
-    )
-
-
-def two_columns(given: object, place: str, of: str) -> list[tuple[Any, Any]]:
-    """Rows of two entries each; InputError for anything else."""
-    rows: list[Any] = list(given) if isinstance(given, Iterable) and not isinstance(given, str | Mapping) else [given]
-    for k, row in enumerate(rows):
-        if isinstance(row, str) or not isinstance(row, Sequence | np.ndarray) or len(row) != 2:
-            raise InputError(f"row {k + 1} is {row!r:.40}", place=place, remedy=f"give pairs {of}")
-    return [(row[0], row[1]) for row in rows]
-
-
-def _points(table: pd.DataFrame, node: np.ndarray, count: int, labels: np.ndarray, place: str) -> np.ndarray:
-    out = np.full((count, 3), np.nan)
-    given = [c for c in "xyz" if c in table]
-    if not given:
-        return out
-    if len(given) < 3:
-        raise InputError(f"only {', '.join(given)} of the coordinates", place=place, remedy="give x, y and z in m")
-    rows = table[["x", "y", "z"]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
-    if np.any(np.isnan(rows) & table[["x", "y", "z"]].notna().to_numpy()):
-        raise InputError("a coordinate is not a number", place=place, remedy="give x, y and z in m")
-    out[node] = rows
-    apart = np.flatnonzero(np.abs(out[node] - rows).max(axis=1) > 0)
-    if len(apart):
-        raise InputError(f"node {labels[node[apart[0]]]} has two positions", place=place, remedy="give each node one")
-    return out
-
-
 def affine(
-    kind: str, given: Terms, space: ParameterSpace, dofs: DofTable, name: str
+    kind: str, given: Terms, space: ParameterSpace, dofs: DofTable, name: str, units: UnitSystem = SYSTEMS["m-kg-N"]
 ) -> tuple[AffineMatrix, tuple[str, ...]]:
     """One matrix of a model as a sum of terms, and the names of terms completed from one triangle.
 
@@ -152,11 +42,13 @@ def affine(
     kind : str
         ``stiffness``, ``damping`` or ``mass``.
     given : Terms
-        Per parameter in SI.
+        Per parameter, all in ``units``.
     space : ParameterSpace
     dofs : DofTable
     name : str
         Of the model.
+    units : UnitSystem
+        Of the code that wrote the matrices.
 
     Raises
     ------
@@ -164,7 +56,7 @@ def affine(
         When a matrix has the wrong size, a non-finite entry, is not symmetric, or is scaled by an unknown parameter.
     """
     named = given if isinstance(given, Mapping) else {kind: given}
-    terms, completed = [], []
+    terms, completed, scale = [], [], units.matrix_scale(dofs.direction >= 3)
     for key, entry in named.items():
         place = f"model {name}, {kind} {key!r}"
         if isinstance(entry, tuple) and len(entry) != 2:
@@ -180,7 +72,8 @@ def affine(
                 )
         full, half = _symmetric(_checked(matrix, dofs, place), dofs, place)
         completed += [key] if half else []
-        terms.append(Term(key, full, Monomial(1.0, tuple(powers.items()))))
+        factor = math.prod(units.unit_of(space[name]) ** -power for name, power in powers.items())
+        terms.append(Term(key, sp.csr_array(scale @ full @ scale), Monomial(factor, tuple(powers.items()))))
     return AffineMatrix(dofs.n_dof, tuple(terms)), tuple(completed)
 
 

@@ -9,21 +9,22 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-import pandas as pd
 import scipy.sparse as sp
 
 from calib.errors.errors import InputError
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial
+from calib.structure.dof_table import Dofs, DofTable, Layers, two_columns
 from calib.structure.eigenproblem.derivatives import Analytic
 from calib.structure.eigenproblem.solve import solve_modes
 from calib.structure.energy import strain_energy, strain_energy_shares
 from calib.structure.geometry import DofMap, Locator, Mesh, NodeLocator
-from calib.structure.matrices import DofTable, Terms, affine, require_mass, require_used, two_columns
+from calib.structure.matrices import Terms, affine, require_mass, require_used
 from calib.structure.modes import Modes
 from calib.structure.null_space import without_null
 from calib.structure.places import ModelPlace, model_places
+from calib.structure.unit_system import unit_system
 
 
 @dataclass(frozen=True)
@@ -128,19 +129,21 @@ class StructuralModel(Analytic):
         mass: Terms,
         damping: Terms | None = None,
         *,
-        dofs: pd.DataFrame | Iterable[tuple[int, str]],
+        dofs: Dofs,
         parameters: ParameterSpace | Iterable[Parameter] = (),
         lines: Iterable[tuple[int, int]] = (),
         name: str = "matrices",
+        units: str = "m-kg-N",
+        layers: Layers | None = None,
     ) -> StructuralModel:
         """A model from matrices assembled by another code.
 
         Each matrix is one (n_dof, n_dof) array, dense or sparse, or a mapping of named ones that add up. A matrix named
         like a parameter is multiplied by it; ``(matrix, "parameter")`` and ``(matrix, {"parameter": power, ...})`` set
-        the multiplier explicitly. Values are those of the parameters in SI (N/m for a parameter in kN/m). Of a
-        symmetric matrix one triangle is enough. Mass may be singular and the structure free. Rows, and motions of
-        several rows, that have neither stiffness nor mass are fixed, and told among the `assumptions`; frequencies do
-        not depend on them.
+        the multiplier explicitly. Values are those of the parameters in ``units``: for one in kN/m those in N/m in SI,
+        in N/mm in ``"mm-t-N"``. Of a symmetric matrix one triangle is enough. Mass may be singular and the structure
+        free. Rows, and motions of several rows, that have neither stiffness nor mass are fixed, and told among the
+        `assumptions`; frequencies do not depend on them.
 
         Parameters
         ----------
@@ -149,17 +152,24 @@ class StructuralModel(Analytic):
             Viscous; without it modes are real.
         dofs : DataFrame or iterable of (node, direction)
             Node and direction of each row of the matrices: columns ``node, direction`` and, for figures and for sensors
-            located by coordinates, ``x, y, z`` in m. Directions are x, y, z, rx, ry, rz, or 1 to 6.
+            located by coordinates, ``x, y, z`` in m, or in the unit of length of ``units``. Directions are x, y, z, rx,
+            ry, rz, or 1 to 6; numbers may be doubles, and one number may name both, as 11.3 or 11.03 for direction 3 of
+            node 11. A list of tables, one of each run that a term was made from, must agree row by row.
         parameters : iterable of Parameter, or ParameterSpace
         lines : iterable of (node, node)
             Drawn between nodes.
         name : str
+        units : {"m-kg-N", "mm-t-N", "in-lbf", "in-kip"}
+            Unit system of matrices and coordinates, with s and rad; parameters keep their own units.
+        layers : {"mean"}, optional
+            Several rows of one name are layers of a shell that the code expands to a solid, as CalculiX does: the node
+            moves as the mean of its outer layers, the first and the last of these rows.
 
         Raises
         ------
         InputError
             When sizes do not match, an entry is not finite, a matrix is not symmetric, a row is named twice, a mass is
-            negative, or a parameter scales nothing.
+            negative, a parameter scales nothing, or the rows of two runs differ.
 
         Examples
         --------
@@ -178,11 +188,12 @@ class StructuralModel(Analytic):
         >>> model.modes({"k": 8e3}, 2).natural_freq.round(2)
         array([ 8.32, 27.23])
         """
-        table = DofTable.of(dofs, name)
+        system = unit_system(units, f"model {name}, units")
+        table = DofTable.of(dofs, name, layers).scaled(system.length)
         space = parameters if isinstance(parameters, ParameterSpace) else ParameterSpace(parameters)  # type: ignore[arg-type]
         viscous: Terms = {} if damping is None else damping
         given: Mapping[str, Terms] = {"stiffness": stiffness, "damping": viscous, "mass": mass}
-        read = {kind: affine(kind, terms, space, table, name) for kind, terms in given.items()}
+        read = {kind: affine(kind, terms, space, table, name, system) for kind, terms in given.items()}
         matrices = {kind: matrix for kind, (matrix, _) in read.items()}
         require_used(space, list(matrices.values()), name)
         require_mass(matrices["mass"](space.si(space.values)), table, name)

@@ -10,8 +10,8 @@ import scipy.sparse as sp
 
 from calib.errors.errors import InputError
 from calib.structure.affine import AffineMatrix, Term
+from calib.structure.dof_table import DofTable
 from calib.structure.eigenproblem.inertia import symmetric_factor
-from calib.structure.matrices import DofTable
 from calib.structure.rules import RULES
 
 _SHIFT, _MORE = 1e-13, 10.0

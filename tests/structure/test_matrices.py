@@ -132,3 +132,91 @@ def test_lines_connect_labels():
     mesh = chain(lines=[(10, 20), (50, 40)]).mesh
     assert mesh.lines.tolist() == [[0, 1], [4, 3]]
     assert mesh.points[4].tolist() == [4.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    "dofs",
+    [
+        [(11.0, 3.0), (12.0, 1.0), (12.0, 2.0), (123456.0, 6.0), (7.0, 4.0)],
+        np.array([[11.0, 3.0], [12.0, 1.0], [12.0, 2.0], [123456.0, 6.0], [7.0, 4.0]]),
+        np.array([[11.03], [12.01], [12.02], [123456.06], [7.04]]),
+        [11.3, 12.1, 12.2, 123456.6, 7.4],
+        pd.DataFrame({"node": [11.0, 12, 12, 123456, 7], "direction": ["3", "1", "2", "6", "4"]}),
+    ],
+)
+def test_rows_are_named_by_doubles_as_files_of_other_codes_do(dofs):
+    model = chain(dofs=dofs)
+    assert model.labels == (7, 11, 12, 123456)
+    assert [(model.labels[n], d) for n, d in zip(model.dofs.node, model.dofs.direction, strict=True)] == [
+        (11, 2), (12, 0), (12, 1), (123456, 5), (7, 3)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("dofs", [[11.03, 12.1, 13.1, 14.1, 15.1], [1, 2, 3, 4, 5], [1.07, 2.01, 3.01, 4.01, 5.01]])
+def test_numbers_that_name_no_direction_are_refused_with_their_row(dofs):
+    with pytest.raises(InputError, match="row 1 is"):
+        chain(dofs=dofs)
+
+
+def test_a_scalar_point_has_a_sentence():
+    with pytest.raises(InputError, match="SPOINT"):
+        chain(dofs=[(1, "x"), (2, "x"), (3, "x"), (4, "x"), (900001, 0)])
+
+
+LAYERED = [(10, "x"), (20, "x"), (20, "x"), (20, "x"), (30, "x")]
+
+
+def test_repeated_rows_ask_for_layers_of_a_shell():
+    with pytest.raises(InputError, match="shell") as fault:
+        chain(dofs=LAYERED)
+    assert "row 3" in str(fault.value.place) and "1 other" in str(fault.value)
+
+
+def test_a_node_moves_as_the_mean_of_its_outer_layers():
+    model = chain(dofs=LAYERED, layers="mean")
+    assert model.sensor_rows([Sensor(20, "x")])[0].tolist() == [0.0, 0.5, 0.0, 0.5, 0.0]
+    assert model.sensor_rows([Sensor(30, "x")])[0].tolist() == [0.0, 0.0, 0.0, 0.0, 1.0]
+    assert model.modes({}, N).natural_freq == pytest.approx(chain().modes({}, N).natural_freq)
+    with pytest.raises(InputError, match="first"):
+        chain(dofs=LAYERED, layers="first")
+
+
+def test_rows_of_several_runs_must_agree():
+    other = DOFS.iloc[[0, 1, 3, 2, 4]]
+    assert chain(dofs=[DOFS, DOFS]).fingerprint == chain().fingerprint
+    for runs, words in (([DOFS, DOFS, other], "run 3"), ([DOFS, DOFS[:4]], "run 2 has 4")):
+        with pytest.raises(InputError, match=words):
+            chain(dofs=runs)
+
+
+def cantilever(units, metre):
+    """A beam of one element with its length and width in the system's unit of length, by the formulas of a handbook."""
+    length, width = 0.8 * metre, 0.05 * metre
+    bent = np.array([[12 / length**3, -6 / length**2], [-6 / length**2, 4 / length]]) * width / 12
+    moved = np.array([[156, -22 * length], [-22 * length, 4 * length**2]]) * width * length / 420
+    dofs = pd.DataFrame({"node": [1, 1], "direction": ["y", "rz"], "x": length, "y": 0.0, "z": 0.0})
+    return StructuralModel.from_matrices(
+        {"bent": (bent, {"E": 1.0, "t": 3.0})}, {"moved": (moved, {"rho": 1.0, "t": 1.0})}, dofs=dofs, units=units,
+        parameters=[
+            Parameter("E", 210.0, 100.0, 300.0, "GPa"), Parameter("t", 4.0, 2.0, 8.0, "mm"),
+            Parameter("rho", 7850.0, 7000.0, 8000.0, "kg/m3"),
+        ],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("units", "metre"), [("mm-t-N", 1e3), ("in-lbf", 1 / 0.0254), ("in-kip", 1 / 0.0254), ("m-kg-N", 1.0)]
+)
+def test_matrices_in_another_unit_system_give_the_same_model(units, metre):
+    other, plain = cantilever(units, metre), cantilever("m-kg-N", 1.0)
+    wanted = 3.533 / (2 * np.pi * 0.8**2) * np.sqrt(2.1e11 * 0.004**2 / 12 / 7850)  # of one element; exact is 3.516
+    assert other.modes({}, 1).natural_freq == pytest.approx(wanted, rel=1e-3)
+    for values in ({}, {"E": 150.0, "t": 7.0, "rho": 7000.0}):
+        for one, another in zip(plain.matrices(values), other.matrices(values), strict=True):
+            assert another.toarray() == pytest.approx(one.toarray(), rel=1e-12)
+    assert other.mesh.points == pytest.approx(plain.mesh.points)
+
+
+def test_an_unknown_unit_system_is_refused():
+    with pytest.raises(InputError, match="mm-t-N"):
+        chain(units="mm-kg-N")
