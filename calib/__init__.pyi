@@ -10,6 +10,7 @@ from .correlation.frf.places import place_nuisances as place_nuisances
 from .correlation.frf.rotation import RotationError as RotationError
 from .errors.errors import EvaluationError as EvaluationError
 from .errors.errors import InputError as InputError
+from .execution.retry import retrying as retrying
 from .experiment.frf import FRFTest as FRFTest
 from .experiment.modal import ModalTest as ModalTest
 from .experiment.response import ResponseTest as ResponseTest

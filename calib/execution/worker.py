@@ -94,6 +94,10 @@ def built(source: Source) -> Function:
         raise failure from None
 
 
+_FOR_EVER = 1e9
+"""Seconds by which the start of a paused point lies ahead."""
+
+
 class Board:
     """Shared memory in which every worker process notes its current point and start time."""
 
@@ -115,6 +119,16 @@ class Board:
     def clear(self, place: int) -> None:
         """Work has ended."""
         self._notes[2 * place + 1] = 0.0
+
+    @contextlib.contextmanager
+    def paused(self, place: int) -> Iterator[None]:
+        """While this lasts, the time of the present point stands still."""
+        before, start = time.monotonic(), self._notes[2 * place + 1]
+        self._notes[2 * place + 1] = before + _FOR_EVER
+        try:
+            yield
+        finally:
+            self._notes[2 * place + 1] = start + time.monotonic() - before
 
     def late(self, limit: float) -> dict[int, float]:
         """Points in progress for longer than the limit, with their elapsed time in seconds."""
@@ -213,6 +227,16 @@ def work(number: int, values: Mapping[str, float]) -> Outcome | Exception:
     if outcome.status == "failed" and _Worker.end_requested:  # a solver that the same request has ended, say
         return replace(outcome, error=WORKER_DIED, trace="", at=None)
     return outcome
+
+
+def pause(seconds: float) -> None:
+    """Wait within a point; in a worker process that does not count for its time limit."""
+    board: Board | None = getattr(_Worker, "board", None)
+    if board is None:
+        time.sleep(seconds)
+        return
+    with board.paused(_Worker.place):
+        time.sleep(seconds)
 
 
 # -- tasks of a given executor -----------------------------------------------------------------------------------------

@@ -71,6 +71,9 @@ class _Walk:
         if thing is None or isinstance(thing, bool | int | float | complex | str | bytes):
             yield f"{type(thing).__name__} {thing!r}".encode()
             return
+        if getattr(type(thing), "is_transparent", False):  # a wrapper that changes no result
+            yield from self.parts(thing.__wrapped__)
+            return
         if not isinstance(thing, tuple | frozenset | types.CodeType):  # whether equal constants are one may differ
             if id(thing) in self._seen:
                 yield f"again {self._seen[id(thing)][0]}".encode()

@@ -10,7 +10,7 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any
@@ -19,6 +19,7 @@ from calib.errors.errors import InputError
 from calib.errors.own_code import defined_at, raised_at, refuses
 from calib.errors.place import Place
 from calib.execution.outcome import error_line
+from calib.execution.retry import retrying
 from calib.problem.effect import Effect
 from calib.results.fingerprint import digest_of
 from calib.structure.effects.extend import extend
@@ -71,6 +72,8 @@ class Sources:
                 "finer_options ask for a finer mesh, which needs a model of matrices",
                 place=self.place("explain", "finer_options"), remedy="take finer_options out",
             )  # fmt: skip
+        if not isinstance(model, StructuralModel) and (retry := self.settings.retry) is not None:
+            model = replace(model, function=retrying(model.function, retry.pattern, retry.times, retry.wait))
         if isinstance(model, StructuralModel):
             try:
                 require_sound(model)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, Literal
 
 from pydantic import (
@@ -85,6 +86,26 @@ class CaseSettings(Section):
     """Label of the case."""
     seed: Seed
     """Seed of its initial population."""
+
+
+class RetrySettings(Section):
+    """``retry``: a function of your own is called again where it fails for a reason that passes."""
+
+    pattern: str = Field(min_length=1)
+    """Regular expression in the failure's text, such as ``"LICENSE"``."""
+    times: int = Field(default=5, ge=1, le=10_000)
+    """Further calls at most."""
+    wait: float = Field(default=60.0, ge=0, le=1e6)
+    """Seconds before each of them; they do not count for ``time_limit``."""
+
+    @field_validator("pattern")
+    @classmethod
+    def _expression(cls, value: str) -> str:
+        try:
+            re.compile(value)
+        except re.error as fault:
+            raise ValueError(f"the pattern is no regular expression ({fault})") from None
+        return value
 
 
 class ReductionSettings(Section):
@@ -189,6 +210,8 @@ class StudySettings(Section):
     depends_on: tuple[PathText, ...] = ()
     """Files that the model reads, such as a solver's input, relative to the folder; results become outdated
     when one changes."""
+    retry: RetrySettings | None = None
+    """When a failed evaluation of that function is repeated: ``{ pattern = "LICENSE", times = 5, wait = 60 }``."""
     effects: FunctionText | tuple[FunctionText, ...] | None = None
     """Function that returns the library of effects that the model may lack; or a list of such functions."""
     with_effects: tuple[str, ...] = ()

@@ -109,13 +109,15 @@ def held_out(study: AnyStudy) -> Iterator[str]:
 
 def failed_entries(why: str, study: AnyStudy) -> list[Warned]:
     """Why points failed, and the command that evaluates them once more."""
+    if not why or study.in_memory:
+        return [Warned(why)] if why else []
     command = f"calib again {shell_argument(study.file)}"
-    return [Warned(f"{why} Failed points are not evaluated again, unless by: {command}")] if why else []
+    return [Warned(f"{why} Failed points are not evaluated again, unless by: {command}")]
 
 
 def sensitivity_entries(study: AnyStudy, result: Sensitivity | Screening) -> list[Entry]:
     """A sensitivity analysis by any method."""
-    return _samples(study, result) if isinstance(result, Sensitivity) else _screening(result)
+    return _samples(study, result) if isinstance(result, Sensitivity) else _screening(study, result)
 
 
 def _samples(study: AnyStudy, result: Sensitivity) -> list[Entry]:
@@ -137,7 +139,7 @@ def _samples(study: AnyStudy, result: Sensitivity) -> list[Entry]:
     return out
 
 
-def _screening(result: Screening) -> list[Entry]:
+def _screening(study: AnyStudy, result: Screening) -> list[Entry]:
     """A sensitivity analysis by Morris or Sobol."""
     size = "mu_star" if result.method == "morris" else "ST"
     names = result.table["parameter"].drop_duplicates()
@@ -146,7 +148,7 @@ def _screening(result: Screening) -> list[Entry]:
     rows = [(str(n), f"{r[size]:.3g}", str(r["response"])) for n, r in largest.iterrows()]
     rows += [(str(n), "", "no response: too few are known, or none changes") for n in names if n not in largest.index]
     return [
-        *([Warned(result.why_failed)] if result.why_failed else []),
+        *failed_entries(result.why_failed, study),
         Rows.of("", ("parameter", f"largest {size}", "on"), rows, most=20),
         *(Words(sentence) for sentence in result.sentences if sentence != result.why_failed),
     ]
