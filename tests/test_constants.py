@@ -142,6 +142,7 @@ SPEED = {  # memory, time, processes; results are the same
 
 WORDS = {  # lengths of lists and lines, and the levels that sentences and tables state
     "analyses/answers.py": "NAMED",
+    "problem/space.py": "DECADES",
     "analyses/failures.py": "SHOWN",
     "analyses/propose.py": "RANKED",
     "hypotheses/proposals/code.py": "_WIDE",

@@ -105,3 +105,15 @@ def test_units_are_multiples_of_si():
         made = [math.prod(single[u] ** int(n or 1) for u, n in symbol.findall(part)) for part in (over, under)]
         assert factor == pytest.approx(made[0] / made[1], rel=1e-12), unit
     assert {"N", "kN", "Nm2", "m2", "mm4"} <= set(SI_FACTORS)  # EA, EI, areas and second moments
+
+
+def test_limits_over_decades_are_told():
+    wide = Parameter("k", 1e5, 1e3, 1e9, "N/m")
+    others = (
+        Parameter("m", 10.0, 0.0, 1e4, "kg"),
+        Parameter("n", 10, 1, 5000, integer=True),
+        Parameter("c", 1.0, 0.1, 9.9),
+    )
+    assert ParameterSpace(others).wide_sentence == ""
+    assert "k span 6 decades" in ParameterSpace((wide, *others)).wide_sentence
+    assert ParameterSpace((wide, *others)).freeze({"k": 1e4}).wide_sentence == ""

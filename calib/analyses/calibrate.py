@@ -210,7 +210,7 @@ def _assembled(
         errors = errors_at(study, values, ended.part(study.test), ended.active)
         responses = every_response(study, study.model.space.values, values)
     why = why_failed()
-    told = (*notes, *([why] if why else []))
+    told = (*notes, *filter(None, [study.search_space.wide_sentence, why]))
     return Calibration(
         tuple(found), best, before, {}, agreed, raw, stages, modes, errors, responses, told, retried, why
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -75,6 +75,8 @@ class Sensitivity:
         Sampled points and responses, NaN where there is none.
     why_failed : str
         The commonest reasons of failure; empty without any.
+    wide : str
+        See `calib.problem.space.ParameterSpace.wide_sentence`.
     """
 
     assessment: Assessment
@@ -85,6 +87,7 @@ class Sensitivity:
     noise_floor: float
     sampled: pd.DataFrame
     why_failed: str = ""
+    wide: str = ""
 
     @property
     def table(self) -> pd.DataFrame:
@@ -94,7 +97,8 @@ class Sensitivity:
     @property
     def answer(self) -> Answer:
         """What was found, how sure that is, and what to do next."""
-        return of_sensitivity(self.assessment.selection, self.sentences[0])
+        answer = of_sensitivity(self.assessment.selection, self.sentences[0])
+        return replace(answer, then=self.wide) if self.wide else answer
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -104,7 +108,7 @@ class Sensitivity:
             f"{samples} satisfied the constraints (acceptance {100 * self.acceptance:.0f} %), {self.failed} failed, "
             f"{self.unpaired} left a mode unpaired. "
             f"Chance alone gives rank correlations up to {self.noise_floor:.2f}.",
-            *([self.why_failed] if self.why_failed else []),
+            *filter(None, [self.wide, self.why_failed]),
             self.assessment.sentence,
         )
 
@@ -176,7 +180,8 @@ def measured(
     floor = noise_floor(max(known, 3), max(int(assessment.spearman.notna().sum().sum()), 1))
     why = reasons_sentence(space, reasons(outcomes), len(outcomes))
     samples = pd.concat([x, y], axis=1)
-    return Sensitivity(assessment, len(x), failed, len(x) - known - failed, drawn.acceptance, floor, samples, why)
+    unpaired, wide = len(x) - known - failed, space.wide_sentence
+    return Sensitivity(assessment, len(x), failed, unpaired, drawn.acceptance, floor, samples, why, wide)
 
 
 def selected_by_measures(study: LoadedStudy, home: Results) -> LoadedStudy:

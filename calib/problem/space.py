@@ -57,6 +57,10 @@ class LinearConstraint:
             raise InputError("a coefficient is not finite", place=f"constraint {self.name}")
 
 
+DECADES = 2.0
+"""Decades between the limits of a parameter from which it is told that uniform samples leave the lower ones out."""
+
+
 @dataclass(frozen=True)
 class ParameterSpace:
     """Named parameters with limits and linear constraints; every change returns a new space.
@@ -192,6 +196,20 @@ class ParameterSpace:
                 }
                 for p in self.parameters
             ]
+        )
+
+    @property
+    def wide_sentence(self) -> str:
+        """Says which free parameters have limits that span more than `DECADES`; empty for none."""
+        spans = [(p.name, math.log10(p.upper / p.lower)) for p in self.free if 0 < p.lower and not p.integer]
+        wide = [(name, decades) for name, decades in spans if decades > DECADES]
+        if not wide:
+            return ""
+        names = ", ".join(f"{name} span {decades:.2g} decades" for name, decades in wide)
+        them = "their logarithms parameters" if len(wide) > 1 else "its logarithm a parameter"
+        return (
+            f"The limits of {names}: samples and searches between them are uniform, so that nine tenths lie in the "
+            f"uppermost decade and the others are hardly seen. Narrow the limits, or make {them} of the model."
         )
 
     # -- changes -----------------------------------------------------------------------------------------------------

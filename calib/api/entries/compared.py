@@ -128,11 +128,11 @@ def _samples(study: AnyStudy, result: Sensitivity) -> list[Entry]:
         (r["parameter"], *(decimals(r[name], 2) for name in measures), "yes" if r["selected"] else "no") for r in table
     ]
     reasons = [(r["parameter"], r["why"]) for r in table]
-    out: list[Entry] = [*failed_entries(result.why_failed, study)]
+    out: list[Entry] = [*([Warned(result.wide)] if result.wide else []), *failed_entries(result.why_failed, study)]
     out += [
         Rows.of("", ("parameter", "Spearman", "partial", "variance share", "selected"), rows, most=20),
         Rows.of("Why:", ("parameter", "why"), reasons, ("why",), when="verbose"),
-        *(Words(sentence) for sentence in result.sentences if sentence != result.why_failed),
+        *(Words(sentence) for sentence in result.sentences if sentence not in (result.wide, result.why_failed)),
     ]
     if any(one.model.space.constraints for one in study.studies):
         out.append(Words("Constraints correlate the sampled parameters; Spearman's coefficients alone may mislead."))
