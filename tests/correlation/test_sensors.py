@@ -8,7 +8,8 @@ import pytest
 
 from calib.command.example import write_example
 from calib.correlation.modal.problem import ModalProblem
-from calib.correlation.modal.sensors import suspicious_sensors
+from calib.correlation.modal.sensors import Corrections, suspicious_sensors
+from calib.measurement.check import with_corrected_rows
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.study.study import LoadedStudy
 
@@ -111,3 +112,52 @@ def test_unrelated_shapes_give_hardly_any_findings(build):
         problem = ModalProblem(model, measured, mode_count=8)
         accused += bool(suspicious_sensors(problem, problem.compare(model.space.values)))
     assert accused <= 1
+
+
+def _small_case(rng, kind):
+    """Measured and model shapes, shares and threshold; ``kind`` says what is unusual."""
+    n_sensors, n_measured, n_model = rng.integers(5, 12), rng.integers(1, 5), rng.integers(4, 8)
+    model = rng.normal(size=(n_sensors, n_model))
+    if kind == "complex":
+        model = model + 1j * rng.normal(size=model.shape)
+    shapes = model[:, rng.permutation(n_model)[:n_measured]] + rng.choice([0.02, 0.5]) * rng.normal(
+        size=(n_sensors, n_measured)
+    )
+    shapes = shapes.astype(complex)
+    swapped = rng.choice(n_sensors, 2, replace=False)
+    shapes[swapped] = shapes[swapped[::-1]]
+    shapes[rng.integers(n_sensors)] *= -1
+    if kind == "missing":
+        shapes[rng.random(shapes.shape) < 0.2] = np.nan
+    shares = rng.uniform(0.3, 1.0, (n_measured, n_model)) if kind == "energies" else np.ones((n_measured, n_model))
+    return shapes, model, shares, float(rng.choice([0.0, 0.3]))
+
+
+@pytest.mark.parametrize("kind", ["real", "complex", "missing", "energies"])
+def test_the_best_corrections_are_those_of_a_search_through_all(kind):
+    rng = np.random.default_rng(7)
+    for _ in range(15):
+        shapes, model, shares, threshold = _small_case(rng, kind)
+        everywhere = np.flatnonzero(np.isfinite(shapes).any(axis=1))
+        seen = np.isfinite(shapes)
+
+        def emac(rows, shapes=shapes, seen=seen, model=model, shares=shares, threshold=threshold):
+            a = with_corrected_rows(np.where(seen, shapes, 0.0), [rows])
+            size = (np.abs(a) ** 2).sum(axis=0)[:, None] * (seen.T.astype(float) @ np.abs(model) ** 2)
+            best = np.max(shares * np.abs(a.conj().T @ model) ** 2 / np.where(size > 0, size, 1.0), axis=1)
+            return best[best >= threshold].sum()
+
+        rows = [(int(i),) for i in everywhere] + [(int(i), int(j)) for i in everywhere for j in everywhere if i < j]
+        wanted = sorted(rows, key=lambda one: (-round(emac(one), 12), one))[:6]
+        found = Corrections.of(shapes, model, shares, threshold).best(everywhere, 6)
+        assert np.allclose([emac(one) for one in found], [emac(one) for one in wanted], rtol=1e-12, atol=0)
+        assert sorted(found) == sorted(set(found))
+
+
+def test_few_pairs_of_sensors_are_summed_over_all_modes(monkeypatch):
+    rng, summed = np.random.default_rng(8), []
+    model = np.linalg.qr(rng.normal(size=(60, 12)))[0]
+    shapes = (model[:, :8] + 0.005 * rng.normal(size=(60, 8))).astype(complex)
+    monkeypatch.setattr(Corrections, "value", lambda *given, own=Corrections.value: summed.append(1) or own(*given))
+    Corrections.of(shapes, model, np.ones((8, 12)), 0.3).best(np.arange(60), 12)
+    assert len(summed) < 60 + 60  # 60 rows turned round, and few of the 1,770 pairs

@@ -22,6 +22,13 @@ from calib.measurement.check import (
     with_corrected_rows,
 )
 
+_NEAR = 2
+"""Model modes of each measured one that the bound of a correction takes exactly."""
+_BLOCK = 4096
+"""Pairs of sensors of which the bounds are in memory at a time."""
+_ROUNDING = 1e-9
+"""By which a bound is raised, so that no rounding error hides a pair."""
+
 
 def suspicious_sensors(problem: ModalProblem, found: Comparison) -> tuple[SensorFinding, ...]:
     """Sensors with inverted sign, exchanged or dead.
@@ -113,29 +120,100 @@ class _Search:
         """Corrections whose best partners, one mode at a time, have the largest sum of EMAC."""
         busy = {row for rows in chosen for row in rows}
         free = np.array([k for k in range(len(shapes)) if k not in busy and np.isfinite(shapes[k]).any()], dtype=int)
-        bounds = list(self._bounds(shapes, free))
-        bounds.sort(key=lambda pair: -pair[1])
-        return [one for one, _ in bounds[: RULES.corrections_tried]]
+        corrections = Corrections.of(shapes, self.found.sensor_shapes, self.shares, self.problem.threshold)
+        return corrections.best(free, RULES.corrections_tried)
 
-    def _bounds(self, shapes: np.ndarray, free: np.ndarray) -> Iterator[tuple[Operation, float]]:
-        seen, model = np.isfinite(shapes), self.found.sensor_shapes
+
+@dataclass(frozen=True, eq=False)
+class Corrections:
+    """Sums of EMAC at the best partners, one measured mode at a time, once rows are turned round or exchanged.
+
+    A correction adds a matrix of rank one to the products of measured and model shapes, ``-2 conj(a_i) b_i`` or
+    ``-conj(a_i - a_j) (b_i - b_j)`` (a measured, b model). A sum over all model modes for every pair of rows grows with
+    the square of the sensors times both numbers of modes. `best` therefore bounds it first, with those model modes of
+    which the products are largest exactly, and all others by the triangle inequality.
+
+    Attributes
+    ----------
+    a : ndarray (n_sensors, n_measured)
+        Measured shapes; 0 where not measured.
+    model : ndarray (n_sensors, n_model)
+    product : ndarray (n_measured, n_model)
+        ``a^H model``.
+    weight : ndarray (n_measured, n_model)
+        EMAC over the squared modulus of a product.
+    threshold : float
+        EMAC below which a pair counts as none.
+    """
+
+    a: np.ndarray
+    model: np.ndarray
+    product: np.ndarray
+    weight: np.ndarray
+    threshold: float
+
+    @staticmethod
+    def of(shapes: np.ndarray, model: np.ndarray, shares: np.ndarray, threshold: float) -> Corrections:
+        """For measured shapes (n_sensors, n_measured), NaN where not measured, and shares (n_measured, n_model)."""
+        seen = np.isfinite(shapes)
         a = np.where(seen, shapes, 0.0)
-        own = a.conj()[:, :, None] * model[:, None, :]  # (n_sensors, n_measured, n_model)
-        product = own.sum(axis=0)
         size = (np.abs(a) ** 2).sum(axis=0)[:, None] * (seen.astype(float).T @ np.abs(model) ** 2)
-        weight = np.divide(self.shares, size, out=np.zeros_like(size), where=size > 0)
+        weight = np.divide(shares, size, out=np.zeros_like(size), where=size > 0)
+        return Corrections(a, model, a.conj().T @ model, weight, threshold)
 
-        def bound(products: np.ndarray) -> np.ndarray:
-            value = np.abs(products) ** 2 * weight
-            best = np.max(value, axis=-1, initial=0.0)
-            return np.sum(np.where(best >= self.problem.threshold, best, 0.0), axis=-1)
+    def best(self, free: np.ndarray, number: int) -> list[Operation]:
+        """The corrections of free rows with the largest sums, largest first.
 
-        for k, i in enumerate(free):
-            yield (int(i),), float(bound(product - 2 * own[i]))
-            others = free[k + 1 :]
-            crossed = a[i].conj()[None, :, None] * model[others][:, None, :] + a[others].conj()[:, :, None] * model[i]
-            for j, value in zip(others, bound(product + crossed - own[i] - own[others]), strict=True):
-                yield (int(i), int(j)), float(value)
+        Parameters
+        ----------
+        free : ndarray (n_free,), int
+            Ascending.
+        number : int
+        """
+        found = [(-self.value((int(i),)), (int(i),)) for i in free]
+        first, second = np.triu_indices(len(free), 1)
+        pairs = np.column_stack([free[first], free[second]])
+        bounds = np.concatenate([np.zeros(0), *self._bounds(pairs)])
+        for k in np.argsort(-bounds, kind="stable").tolist():
+            found = sorted(found)[:number]
+            if len(found) == number and bounds[k] < -found[-1][0]:
+                break
+            pair = (int(pairs[k, 0]), int(pairs[k, 1]))
+            found.append((-self.value(pair), pair))
+        return [rows for _, rows in sorted(found)[:number]]
+
+    def value(self, rows: Operation) -> float:
+        """Sum of EMAC with one row turned round, or two exchanged."""
+        i, j = rows[0], rows[-1]
+        change = -2 * np.outer(self.a[i].conj(), self.model[i])
+        if i != j:
+            change = -np.outer((self.a[i] - self.a[j]).conj(), self.model[i] - self.model[j])
+        return float(self._counted(np.abs(self.product + change) ** 2 * self.weight))
+
+    def _counted(self, values: np.ndarray) -> np.ndarray:
+        """Sum over measured modes (second to last axis) of the largest EMAC, where it reaches the threshold."""
+        best = np.max(values, axis=-1, initial=0.0)
+        return np.sum(np.where(best >= self.threshold, best, 0.0), axis=-1)
+
+    def _bounds(self, pairs: np.ndarray) -> Iterator[np.ndarray]:
+        """Upper bounds of `value` for pairs (n_pairs, 2), a block at a time."""
+        length = np.linalg.norm(self.a, axis=0)
+        size = np.sqrt(self.weight) * np.abs(self.product)
+        near = np.argsort(-size, axis=1)[:, :_NEAR]  # (n_measured, n_near)
+        mode = np.arange(len(size))[:, None]
+        product, weight = self.product[mode, near], self.weight[mode, near]
+        size[mode, near] = 0.0
+        farther = np.max(size, axis=1, initial=0.0)
+        reach = np.max(np.sqrt(self.weight) * length[:, None], axis=0, initial=0.0)  # (n_model,)
+        share = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)
+        for block in np.split(pairs, range(_BLOCK, len(pairs), _BLOCK)):
+            i, j = block.T
+            off = (self.a[i] - self.a[j]).conj()
+            apart = self.model[i] - self.model[j]
+            known = np.abs(product - off[:, :, None] * apart[:, near]) ** 2 * weight
+            others = farther + np.abs(off) * share * np.max(reach * np.abs(apart), axis=1, initial=0.0)[:, None]
+            both = np.maximum(np.max(known, axis=-1, initial=0.0), others**2)
+            yield self._counted(both[:, :, None] * (1 + _ROUNDING))
 
 
 def _score(pairing: Pairing) -> float:
