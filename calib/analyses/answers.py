@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 NAMED = 6
 """Largest number of parameters or sensors named in a sentence."""
 UNTRIED = "Not all neighbours of these integers were tried: another combination may fit better."
-_FIT = "Fit the parameters that matter: calib sensitivity, then calib calibrate."
+_FIT = (
+    "Fit the parameters that matter: calib sensitivity STUDY, then calib calibrate STUDY, or all at once: "
+    "calib run STUDY."
+)
 _FINE = "Nothing calls for a calibration."
 
 
@@ -131,6 +134,7 @@ def of_fit(
     contradictions: Sequence[str] = (),
     agreement: str = "one case",
     search: str = "",
+    too_few: str = "",
 ) -> Answer:
     """Answer of any fit.
 
@@ -147,6 +151,8 @@ def of_fit(
         See `calib.inference.agreement.Agreement`.
     search : str
         Errors where a genetic search before the fit ended, in words.
+    too_few : str
+        Why an explanation would refuse the data; empty where it would not. See `calib.missing.settings.too_few`.
     """
     fits = {
         True: "The calibrated model fits the data within their standard deviation",
@@ -171,7 +177,7 @@ def of_fit(
         for test, (before, fitted) in pairs.items()
         for what in before.checks or fitted.checks
     ]
-    after = _next(statistics, verdicts, suspected, bool(contradictions), agreement)
+    after = _next(statistics, verdicts, suspected, bool(contradictions), agreement, too_few)
     then = _check_first(checks) if checks else after
     return Answer(f"{fits}: {'; '.join(changes)}.", " ".join(filter(None, sure)), then)
 
@@ -185,13 +191,23 @@ _AGREEMENT = {
 
 
 def _next(
-    statistics: FitStatistics, verdicts: pd.DataFrame, suspected: Sequence[str], contradicted: bool, agreement: str
+    statistics: FitStatistics,
+    verdicts: pd.DataFrame,
+    suspected: Sequence[str],
+    contradicted: bool,
+    agreement: str,
+    too_few: str,
 ) -> str:
-    """What to do after a fit; what casts most doubt comes first."""
-    if suspected:
-        return f"Check the {suspected[0]} before the model."
+    """What to do after a fit; what casts most doubt comes first.
+
+    A datum without which everything fits is no reason to doubt it before an explanation has weighed it: what a model
+    lacks often shows in one mode.
+    """
     if statistics.fits is False or contradicted:
-        return "Find what the model lacks before it is used: calib explain."
+        if not too_few:
+            also = f" It also weighs whether the {suspected[0]} is wrong." if suspected else ""
+            return f"Find what the model lacks before it is used: calib explain STUDY.{also}"
+        return f"Check the {suspected[0]} before the model." if suspected else f"Measure more: {too_few}."
     if statistics.identification.ratios_only:
         return "Hold a parameter that is known, such as a mass: it settles the others."
     if statistics.fits is None:

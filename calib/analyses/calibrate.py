@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -31,6 +30,7 @@ from calib.errors.errors import EvaluationError, InputError
 from calib.execution.stage import Progress, silent
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import Case
+from calib.missing.settings import too_few
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
 from calib.results.results import Results
@@ -41,16 +41,6 @@ from calib.study.study_file import StudyFile
 CHECKING = "leave-one-out and held-out errors"
 """Name of the stage that follows all cases."""
 Method: TypeAlias = Literal["auto", "genetic", "gauss-newton", "cmcf"]
-
-
-def fingerprint(study: LoadedStudy) -> str:
-    """Digest of everything a calibration depends on: model, measurement, limits, settings."""
-    given = study.settings
-    parts = (
-        study.problem.fingerprint, study.targets, study.search_space, given.calibration.model_dump(),
-        given.reduction.model_dump(),
-    )  # fmt: skip
-    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
 
 def chosen_cases(study: StudyFile, only: str | None) -> tuple[Case, ...]:
@@ -123,14 +113,14 @@ def calibrated(
     level = sum(expected_misfit(one, before[one.test]) for one in study.studies)
     agreed = with_starts(agreement(summed(every), space, level), every[0], space)
     best, only = best_of(every), len(study.studies) == 1
-    parts = {}
+    parts, few = {}, too_few(finder.exact.rows, len(space.free))
     for one in study.studies:
         home = run.homes.get(one.test)
         noted = [*finder.reduction_notes.get(one.test, ()), *(finder.agreeing if only else ())]
         why = partial(why_failed_in, one, ledger, home)
         parts[one.test] = _assembled(one, by_test[one.test], best, before[one.test], agreed, noted, why, ledger.retried)
     contradicted = any(part.contradictions for part in parts.values())  # which also casts doubt on joint parameters
-    parts = {test: _with_tables(part, space, contradicted) for test, part in parts.items()}
+    parts = {test: replace(_with_tables(part, space, contradicted), too_few=few) for test, part in parts.items()}
     if only:
         return next(iter(parts.values()))
     failed = reasons_sentence(space, *stored_reasons(ledger, [Responses.of(study).fingerprint]))
@@ -163,7 +153,7 @@ def calibrate(
     used = chosen if len(study.studies) == 1 or chosen in ("auto", "genetic") else "gauss-newton"
     for one in study.studies:
         own, folder = answer.seen(one.test), own_folder[one.test]
-        write_calibration(one, folder, own, used, fingerprint(one), time.perf_counter() - started)
+        write_calibration(one, folder, own, used, time.perf_counter() - started)
         ran = {name: seed for name, seed in seeds.items() if name in own.names} | reduction
         write_record(one, folder, "calibrate", ran, own.sentences, run.quick, run.options, own.answer)
     if isinstance(answer, JointCalibration):

@@ -55,6 +55,8 @@ class Calibration:
         it.
     why_failed : str
         Why evaluations failed, which is among the notes too; empty where none did.
+    too_few : str
+        Why an explanation would refuse the data; empty where it would not.
     """
 
     cases: tuple[CaseFound, ...]
@@ -70,6 +72,7 @@ class Calibration:
     notes: tuple[str, ...] = ()
     retried: int = 0
     why_failed: str = ""
+    too_few: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -107,6 +110,7 @@ class Calibration:
             self.contradictions,
             self.agreement.verdict,
             _searched(self.cases),
+            too_few=self.too_few,
         )
 
     @property
@@ -192,6 +196,11 @@ class JointCalibration:
         return self.tests[test]
 
     @property
+    def too_few(self) -> str:
+        """Why an explanation would refuse the data; empty where it would not."""
+        return self.any.too_few
+
+    @property
     def tables(self) -> Mapping[str, pd.DataFrame]:
         """Tables on the parameters, from all tests together."""
         return self.any.tables
@@ -215,7 +224,15 @@ class JointCalibration:
     def answer(self) -> Answer:
         """What was found, how sure that is, and what to do next."""
         pairs = {test: (one.before, one.best.answer) for test, one in self.tests.items()}
-        return of_fit(self.any.best.statistics, self.verdicts, pairs, self.contradictions, self.any.agreement.verdict)
+        one = self.any
+        return of_fit(
+            one.best.statistics,
+            self.verdicts,
+            pairs,
+            self.contradictions,
+            one.agreement.verdict,
+            too_few=one.too_few,
+        )
 
     @property
     def sentences(self) -> tuple[str, ...]:

@@ -92,10 +92,8 @@ def _without_whole(table: pd.DataFrame, space: ParameterSpace) -> pd.DataFrame:
     return table.assign(std=table["std"].mask(whole))
 
 
-def write_calibration(
-    study: LoadedStudy, results: Results, answer: Calibration, method: str, mark: str, seconds: float
-) -> None:
-    """Write all tables on one test and ``summary.json``; ``mark`` is the digest of what the calibration depends on."""
+def write_calibration(study: LoadedStudy, results: Results, answer: Calibration, method: str, seconds: float) -> None:
+    """Write all tables on one test and ``summary.json``."""
     begin_analysis(results, "calibrate")
     gone = ("considered.csv", "std_by_test.csv", "modes.csv", "data_errors.csv", "responses.csv")
     results.remove(*gone, *ADDED, *INTERVALS)
@@ -113,7 +111,7 @@ def write_calibration(
         results.write_table("data_errors", answer.errors.assign(std_from=answer.best.statistics.rests_on))
     if answer.responses is not None:
         results.write_table("responses", answer.responses)
-    results.write_json("summary", _summary(study, method, answer, mark, seconds))
+    results.write_json("summary", _summary(study, method, answer, seconds))
 
 
 def write_jointly(study: AnyStudy, results: Results, answer: JointCalibration, method: str, seconds: float) -> None:
@@ -138,7 +136,7 @@ def write_jointly(study: AnyStudy, results: Results, answer: JointCalibration, m
     })  # fmt: skip
 
 
-def _summary(study: LoadedStudy, method: str, answer: Calibration, mark: str, seconds: float) -> dict[str, object]:
+def _summary(study: LoadedStudy, method: str, answer: Calibration, seconds: float) -> dict[str, object]:
     found, best, before = answer.cases, answer.best, answer.before
     counts = {"evaluations": "asked", **{name: name for name in ("solved", "reused", "infeasible", "failed")}}
 
@@ -155,7 +153,6 @@ def _summary(study: LoadedStudy, method: str, answer: Calibration, mark: str, se
     return {
         "study": study.name,
         "synthetic": study.synthetic,
-        "fingerprint": mark,
         "method": method,
         "best_case": best.name,
         **before_and_after(before, best.answer),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -14,9 +15,9 @@ from calib.analyses.compare import comparison_at
 from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.failures import SHOWN, reasons
 from calib.analyses.hypotheses_of_study import adapter_of, perturbations_of
-from calib.analyses.intervals import calibrated_values
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.state import ADDED, EXPLAINED, PROPOSED
+from calib.analyses.staged import stored_calibration
 from calib.analyses.uncertain import uncertain_note, with_uncertain
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.outcome import as_cause, failure
@@ -34,11 +35,11 @@ from calib.missing.findings import ExplanationResult, findings
 from calib.missing.local import local_perturbation
 from calib.missing.partial import is_simpler_form
 from calib.missing.pattern import BY_TEST
-from calib.missing.settings import Settings, require_modes
+from calib.missing.settings import Settings, require_enough
 from calib.missing.verdict import NO_DOUBTS, Doubts
 from calib.problem.candidate import Candidate
 from calib.problem.effect import Effect
-from calib.problem.joint import TEST, of_test
+from calib.problem.joint import TEST, JointRows, of_test
 from calib.results.results import Results
 from calib.study.loading import Model, with_effects
 from calib.study.settings import ExplainSettings
@@ -76,7 +77,7 @@ def explain(
     """
     tests = study.studies
     of_test = {one.test: homes.get(one.test, results) for one in tests}
-    adapter, answer = explanation_of(study, progress, of_test, stored_calibration(study, results))
+    adapter, answer = explanation_of(study, progress, of_test, _begin(study, results))
     seeds = {"probabilities": study.settings.explain.seed, "reduction": study.settings.reduction.seed}
     of_all = {name: table for name, table in answer.tables.items() if TEST not in table or name in (BY_TEST, BETWEEN)}
     parts, whole = by_test(adapter, answer), replace(answer, tables=of_all)
@@ -99,8 +100,8 @@ def explanation_of(
     """
     tests = study.studies
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
-    if any(one.measured is not None for one in tests):
-        require_modes(sum(one.problem.n_measured for one in tests))
+    pairs = {one.test: one.pair for one in tests}
+    require_enough(JointRows(pairs).rows, len(study.search_space.free))
     started, mesh_sd = time.perf_counter(), study.settings.explain.mesh_sd
     adapter = adapter_for(study, None, progress, homes)
     answer = explain_tests(
@@ -114,12 +115,12 @@ def explanation_of(
     return adapter, replace(answer, tables=tables, notes=notes, figures=figures)
 
 
-def stored_calibration(study: AnyStudy, results: Results) -> dict[str, float] | None:
-    """Values of the calibration of the study as it is, from its results; None without one."""
-    try:
-        return calibrated_values(study, results)
-    except InputError:
-        return None
+def _begin(study: AnyStudy, results: Results) -> dict[str, float] | None:
+    """Values of the stored calibration of the study as it is; None without one, and where its tables are damaged."""
+    with suppress(InputError):
+        found = stored_calibration(study, results)
+        return None if found is None else found.values
+    return None
 
 
 def adapter_for(study: AnyStudy, results: Results | None, progress: Progress, homes: Mapping[str, Results]) -> Adapter:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import tomlkit
 
@@ -18,12 +19,15 @@ from calib.errors.place import Place
 from calib.problem.effect import Effect
 from calib.results.written import DRAFT, free_name, is_own_folder, note_folder
 from calib.study.loading import pick
+from calib.study.settings import CalibrationSettings
 from calib.study.several import AnyStudy, load
 from calib.study.study_file import StudyFile
 
 NAME = "study.toml"
 EXTENDED, EARLIER = "_extended", "_earlier"
 """Name of a study's file; ends of the names of a study written among results, and of one that was there before."""
+STARTS = 4
+"""Starts of least squares of a study that begins at a known fit."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,9 @@ class Extension:
     aside: Path | None = None
 
 
-def extend(study: AnyStudy, names: Sequence[str], folder: Path) -> Extension:
+def extend(
+    study: AnyStudy, names: Sequence[str], folder: Path, begin_at: Mapping[str, float] = MappingProxyType({})
+) -> Extension:
     """Write a study that builds on another and adds effects of its library; it is written whole or not at all.
 
     Parameters
@@ -58,6 +64,9 @@ def extend(study: AnyStudy, names: Sequence[str], folder: Path) -> Extension:
         Of the effects.
     folder : Path
         A folder that does not exist yet, in one that does.
+    begin_at : mapping from str to float
+        Fitted values of the extended model, such as those of an explanation. The new study then calibrates by least
+        squares from there, from the nominal values and from sampled points, instead of a search from scratch.
 
     Raises
     ------
@@ -66,7 +75,7 @@ def extend(study: AnyStudy, names: Sequence[str], folder: Path) -> Extension:
     """
     effects = _candidates(study, names)
     new = _free_place(study.file.resolve().parent, folder)
-    with _written(study, effects, folder, new, _beside, {}) as (draft, extension):
+    with _written(study, effects, folder, new, _beside, begin_at) as (draft, extension):
         _put(draft, new, folder)
     return extension
 
@@ -76,8 +85,7 @@ def extend_among(
 ) -> Extension:
     """Write the same into a folder of results, replacing what an earlier run wrote there.
 
-    ``begin_at`` gives further starting values of least squares, such as those of an explanation, which fitted the same
-    model; it is ignored where a sensitivity analysis selects the parameters, since it may not select these.
+    ``begin_at`` as in `extend`.
 
     The new study names its parent by a relative and an absolute path, so that it can be moved alone or together with
     it. An identical study stays as it is. Another one is replaced if it is unchanged since it was written here;
@@ -145,6 +153,14 @@ def _candidates(study: AnyStudy, names: Sequence[str]) -> tuple[Effect, ...]:
     return effects
 
 
+def beginning_at(calibration: CalibrationSettings, values: Mapping[str, float]) -> dict[str, Any]:
+    """Keys of a calibration that begins at fitted values of its model, where that would search from scratch."""
+    begin_at = {**calibration.begin_at, **values}
+    if not calibration.refine or calibration.method not in ("auto", "genetic"):
+        return {"begin_at": begin_at}
+    return {"method": "gauss-newton", "starts": STARTS, "begin_at": begin_at}
+
+
 # -- writing -----------------------------------------------------------------------------------------------------------
 
 Leading = Callable[[Path, Path], str | list[str]]
@@ -173,7 +189,7 @@ def _written(
     free = tuple(p.name for effect in effects for p in effect.parameters if p.distribution != "fixed")
     listed = study.settings.listed is not None
     selected = () if study.settings.selected_by_sensitivity else free
-    text = _text(study, effects, selected if listed else (), new, leading, begin_at if selected else {})
+    text = _text(study, effects, selected if listed else (), new, leading, begin_at)
     with draft_of(new, folder) as draft:
         target = draft / NAME
         try:
@@ -275,8 +291,13 @@ def _text(
     document["with_effects"] = [*given.with_effects, *names]
     if selected:
         document["selection"] = [*(given.listed or ()), *selected]
-    if begin_at:
+    calibration = beginning_at(given.calibration, begin_at) if begin_at else {}
+    if given.selected_by_sensitivity:  # which may not select all of these
+        calibration.pop("begin_at", None)
+    elif begin_at:
         known = tomlkit.inline_table()
         known.update(begin_at)
-        document["calibration"] = {"begin_at": known}
+        calibration["begin_at"] = known
+    if calibration:
+        document["calibration"] = calibration
     return tomlkit.dumps(document)

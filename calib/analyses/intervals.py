@@ -15,8 +15,8 @@ from calib.analyses.fit_statistics import FitProblem, Terms, fit_problem, statis
 from calib.analyses.provenance.places import Workers, tasks_shared
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.recorded import recorded
-from calib.analyses.provenance.stale import stale_answers
 from calib.analyses.provenance.state import INTERVALS
+from calib.analyses.staged import required_calibration
 from calib.errors.errors import InputError
 from calib.execution.stage import Progress, silent
 from calib.inference.gauss_newton import Prior, fit
@@ -26,9 +26,7 @@ from calib.inference.sampled_posterior import SampledPosterior, sampled_posterio
 from calib.results.answer import Answer, names_in_words
 from calib.results.ledger import Ledger
 from calib.results.results import Results
-from calib.results.table import read_table
 from calib.study.several import AnyStudy
-from calib.study.study_file import shell_argument
 
 
 @dataclass(frozen=True)
@@ -221,7 +219,7 @@ def intervals(
     InputError
         Where the study is not calibrated as it is now.
     """
-    found = intervals_at(study, calibrated_values(study, results), run)
+    found = intervals_at(study, required_calibration(study, results).values, run)
     begin_analysis(results, "intervals")
     results.remove(*INTERVALS)
     results.write_table("intervals", found.table)
@@ -234,18 +232,3 @@ def intervals(
     options += ["--samples", str(run.samples)] if run.samples else []
     write_record(study, results, "intervals", seeds, found.sentences, quick, tuple(options), found.answer)
     return found
-
-
-def calibrated_values(study: AnyStudy, results: Results) -> dict[str, float]:
-    """Values of the best case of the stored calibration; InputError where it is missing or of another state."""
-    remedy = f"run it first: calib calibrate {shell_argument(study.file)}"
-    if not (results.has("summary.json") and results.has("verdicts.csv")):
-        raise InputError("the study was not calibrated yet", place=study.file, remedy=remedy)
-    if sentence := stale_answers(study, results).sentences.get("calibrate"):
-        raise InputError(sentence.partition(", so ")[0], place=study.file, remedy=remedy)
-    table = read_table(results.path / "verdicts.csv", ["parameter"], ["value"], complete=["value"])
-    values = dict(zip(table["parameter"], table["value"], strict=True))
-    space = study.search_space
-    if missing := [name for name in space.free_names if name not in values]:
-        raise InputError(f"the calibration has no value of {missing[0]}", place=study.file, remedy=remedy)
-    return dict(space.complete({name: float(values[name]) for name in space.free_names}))

@@ -1,12 +1,12 @@
-"""Staged calibration: a study that adopts values found by an earlier one."""
+"""Stored calibrations, and staged ones: a study that adopts values found by an earlier one."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import NamedTuple
 
-from calib.analyses.calibrate import fingerprint
 from calib.analyses.provenance.places import QUICK
+from calib.analyses.provenance.stale import stale_answers
 from calib.analyses.sensitivity import outdated_selection, selecting
 from calib.errors.errors import InputError
 from calib.problem.space import ParameterSpace
@@ -14,6 +14,7 @@ from calib.results.json_file import read_json
 from calib.results.results import Results
 from calib.results.table import read_table
 from calib.results.written import require_unchanged
+from calib.study.several import AnyStudy, JointStudy
 from calib.study.study import LoadedStudy
 from calib.study.study_file import shell_argument, study_file
 from calib.study.study_text import read_settings
@@ -61,8 +62,8 @@ def values_found(study: LoadedStudy, root: Path, quick: bool = False) -> Found |
     ``root`` is the root folder of all results; a quick run also accepts a quick calibration.
     """
     home = Results(root / study.name)
-    found = _values(study, home)
-    return _values(study, Results(home.path / QUICK)) if found is None and quick else found
+    found = stored_calibration(study, home)
+    return stored_calibration(study, Results(home.path / QUICK)) if found is None and quick else found
 
 
 def require_same_units(study: LoadedStudy, earlier: LoadedStudy) -> None:
@@ -79,25 +80,40 @@ def require_same_units(study: LoadedStudy, earlier: LoadedStudy) -> None:
             )
 
 
-def _values(study: LoadedStudy, folder: Results) -> Found | None:
+def stored_calibration(study: AnyStudy, folder: Results) -> Found | None:
     """The calibration in a folder; None where it is missing or of another state, InputError where it is damaged.
 
     A selection by the sensitivity analysis is read from the same folder.
     """
-    if not (folder.has("summary.json") and folder.has("parameters.csv")):
-        return None
-    if study.settings.selected_by_sensitivity and not folder.has("selection.csv"):
-        return None
-    if outdated_selection(study, folder):
+    if _missing(study, folder):
         return None
     remedy = f"run 'calib calibrate {shell_argument(study.file)}' again"
     for name in ("summary.json", "parameters.csv"):
         require_unchanged(folder.path / name, remedy)
-    summary = read_json(folder.path / "summary.json", {"fingerprint": str, "best_case": str}, remedy=remedy)
-    chosen = selecting(study, folder)
-    if summary.get("fingerprint") != fingerprint(chosen):
+    summary = read_json(folder.path / "summary.json", {"best_case": str}, remedy=remedy)
+    if "calibrate" in stale_answers(study, folder).sentences:
         return None
-    return _of_best_case(folder.path / "parameters.csv", str(summary.get("best_case")), chosen.search_space, remedy)
+    space = study.search_space if isinstance(study, JointStudy) else selecting(study, folder).search_space
+    return _of_best_case(folder.path / "parameters.csv", str(summary.get("best_case")), space, remedy)
+
+
+def required_calibration(study: AnyStudy, folder: Results) -> Found:
+    """The same; InputError, with what to run, also where it is missing or of another state."""
+    found = stored_calibration(study, folder)
+    if found is None:
+        why = stale_answers(study, folder).sentences.get("calibrate", "").partition(", so ")[0]
+        remedy = f"run it first: calib calibrate {shell_argument(study.file)}"
+        raise InputError(why or "the study was not calibrated yet", place=study.file, remedy=remedy)
+    return found
+
+
+def _missing(study: AnyStudy, folder: Results) -> bool:
+    """Whether a folder lacks a calibration, or the valid selection that it needs."""
+    if not (folder.has("summary.json") and folder.has("parameters.csv")):
+        return True
+    if isinstance(study, JointStudy) or not study.settings.selected_by_sensitivity:
+        return False
+    return not folder.has("selection.csv") or bool(outdated_selection(study, folder))
 
 
 def _of_best_case(path: Path, case: str, space: ParameterSpace, remedy: str) -> Found:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeAlias
+from typing import Any, Generic, TypeAlias, cast
 
 import pandas as pd
 
@@ -15,7 +15,7 @@ from calib.api.arguments import explain_settings
 from calib.api.display import Displayed
 from calib.api.entries.entry import Entry
 from calib.api.finer_mesh import finer_of, require_finer_mesh
-from calib.api.pairs import library_of, reporting
+from calib.api.pairs import including, library_of, reporting
 from calib.api.proposed import Proposed, proposed
 from calib.api.protocols import Effects, Finer, P
 from calib.errors.errors import InputError
@@ -24,7 +24,7 @@ from calib.missing.findings import ExplanationResult
 from calib.missing.predictions import TABLE as PREDICTIONS
 from calib.problem.effect import Effect
 from calib.structure.model import StructuralModel
-from calib.study.loading import require_distinct
+from calib.study.loading import lacking, require_distinct
 from calib.study.settings import StudySettings
 
 Library: TypeAlias = Mapping[str, tuple[Effect, ...]]
@@ -133,13 +133,18 @@ class Explained(Displayed, Generic[P]):
         return self.explanation.tables.get(PREDICTIONS, pd.DataFrame())
 
     def with_named(self) -> P:
-        """The problem with the named effects in its models; InputError where none is named."""
+        """The problem with the named effects in its models; InputError where none is named.
+
+        Its calibration starts at the fit of this explanation, among others.
+        """
         if not self.named:
             raise InputError(
                 f"nothing is named: the verdict is {self.verdict}", place="explain",
                 remedy="choose effects and add them by with_effects",
             )  # fmt: skip
-        return self.problem.with_effects(self._named)
+        chosen = to_add(self.explanation.explanation)
+        made: P = including(cast(Any, self.problem), self._named, {} if chosen is None else chosen.fit.values)
+        return made
 
     def propose(self, rank: int = RANKED, *, progress: bool = True) -> Proposed:
         """Compose effects that explain what none of the library does, from local perturbations of the model.
@@ -175,7 +180,8 @@ def explained(
     begin: Mapping[str, float] | None = None,
 ) -> Explained[P]:
     """See `calib.api.problem.Problem.explain`."""
-    library, models = library_of(problem, effects), [model for model, _ in problem.by_model]
+    known, models = problem.settings.with_effects, [model for model, _ in problem.by_model]
+    library = {name: lacking(own, known) for name, own in library_of(problem, effects).items()}
     for model in models:
         require_distinct(library.get(model.name, ()), model, "effects")
     settings = explain_settings(problem.settings, keys, reduction)

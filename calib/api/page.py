@@ -138,7 +138,7 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
     else:
         one = _part(fit, test)
         own = fit.calibration.seen(one.test)
-        write_calibration(one, folder, own, "gauss-newton" if own.best.search is None else "genetic", "", 0.0)
+        write_calibration(one, folder, own, "gauss-newton" if own.best.search is None else "genetic", 0.0)
     errors = fit.errors
     folder.write_table("data_errors", errors[errors["test"] == test.name].drop(columns="test"))
     space = fit.problem.space

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
+from calib.analyses.extend import beginning_at
 from calib.api.progress import in_python
 from calib.errors.arguments import objects
 from calib.errors.arguments import path as path_of
@@ -95,12 +97,22 @@ def holding(problem: P, values: Mapping[str, float]) -> P:
     return cast(P, replace(changed, model=replace(problem.model, space=space), beside=beside))
 
 
-def including(problem: P, effects: Mapping[str, tuple[Effect, ...]]) -> P:
-    """A problem whose models have effects, given by the name of the model."""
+def including(
+    problem: P, effects: Mapping[str, tuple[Effect, ...]], known: Mapping[str, float] = MappingProxyType({})
+) -> P:
+    """A problem whose models have effects, given by the name of the model; ``known`` are values that fit them."""
     own = effects.get(problem.model.name, ())
     model, changed = extended(problem.model, own) if own else problem.model, cast(Any, problem)
     beside = tuple(including(p, effects) for p in problem.beside)
-    return cast(P, replace(changed, model=model, base=changed.base or changed.model, beside=beside))
+    names = tuple(e.name for one in effects.values() for e in one)
+    settings = changed.settings.model_copy(update={"with_effects": (*changed.settings.with_effects, *names)})
+    base = changed.base or changed.model
+    made = replace(changed, model=model, base=base, beside=beside, settings=settings)
+    fitted = {name: float(value) for name, value in known.items() if name in made.space.free_names}
+    if fitted:
+        calibration = settings.calibration.model_copy(update=beginning_at(settings.calibration, fitted))
+        made = replace(made, settings=settings.model_copy(update={"calibration": calibration}))
+    return cast(P, made)
 
 
 def under(model: Model, test: str, condition: Mapping[str, float]) -> Model:

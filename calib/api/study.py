@@ -300,10 +300,16 @@ class Study:
         return AnalysisResult(words, found.table, self.folder.path, found, tuple(proposed_entries(found)))
 
     def extend(self, effects: Sequence[str], into: str | Path) -> Study:
-        """Write a new study whose model also has the named effects; this one stays as it is."""
+        """Write a new study whose model also has the named effects; this one stays as it is.
+
+        Where an explanation has fitted these effects, the calibration of the new study starts at its fit.
+        """
+        from calib.analyses.explained_fit import explained_fit
         from calib.analyses.extend import extend
 
-        written = extend(self.loaded, list(effects), path_of(into, "into"))
+        chosen = list(effects)
+        begin_at = explained_fit(self.loaded, places.results_of(self.loaded, self.results), chosen)
+        written = extend(self.loaded, chosen, path_of(into, "into"), begin_at)
         self.listener.extended(written)
         return replace(self, path=written.file, results=places.root_for(written.file, self.results), read=None)
 
@@ -337,7 +343,9 @@ class Study:
             steps.compared(study)
             steps.sampled(study)
         before, extended = steps.calibrated(self), None
-        if self.loaded.candidates:
+        if before.too_few:
+            self.listener.nothing_added(f"Nothing was explained: {before.too_few}.")
+        elif self.loaded.candidates:
             extended = with_named(self, before, steps.explained(self).explanation)
         with places.tasks_shared(self.workers):
             if extended is not None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from calib.errors.errors import EvaluationError
+from calib.inference.gauss_newton import Prior
 from calib.inference.starts import Optima
 from calib.missing.candidate_fit import CandidateFit
-from calib.missing.goodness import overall_p
 from calib.missing.linearised_fit import LinearisedFit, nearest_whole
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
@@ -15,22 +17,27 @@ from calib.problem.sampling import sample
 
 
 def calibrated(fits: Refits, start: Mapping[str, float] | None, only: bool = False) -> CandidateFit:
-    """The base model, fitted from a start, and else from the nominal values and from a linear solution, if any.
+    """The base model, fitted from a start, or from the nominal values and from a linear solution, if any.
 
-    The better fit counts. No other start is tried where there is only the given one, or where it leaves an adequate
-    fit, such as that of a calibration; from the nominal values the most promising integers are tried.
+    A start that is an optimum, such as the fit of a calibration, is the base fit: its search is not repeated, and its
+    integers stay. Where it rests in a valley, `nested` and `from_further_points` lead out of it. Else the best of all
+    counts, from the nominal values with the most promising integers; ``only`` leaves these out.
     """
     fits.announce("calibrating the base model")
-    fit_problem, whole = fits.fit_problem(()), 0 if fits.spent(RULES.early) else 1
-    known = None if start is None else fits.candidate_fit((), {**fit_problem.space.values, **start}, whole)
-    if known is not None:
-        adequate = not known.implausible and overall_p(known.fit, fits.hypotheses) > fits.settings.alpha
-        if only or adequate:
-            return known
+    fit_problem = fits.fit_problem(())
+    found = []
+    if start is not None:
+        there = {**fit_problem.space.values, **start}
+        shift = Prior.of(fit_problem.space).residual(there, fit_problem.space.free_names)
+        before = float(np.sum(fit_problem.residual(there) ** 2) + shift @ shift)
+        found = [fits.candidate_fit((), there)]
+        if only or found[0].fit.misfit > before - RULES.rebased:
+            return found[0]
+    whole = 0 if fits.spent(RULES.early) else 1
     begin = nearest_whole(fit_problem, fit_problem.space.values)
     linear = fits.hypotheses.linear_start((), begin)
-    found = [fits.candidate_fit((), one, whole) for one in ([begin] if linear is None else [linear, begin])]
-    return min(found if known is None else [known, *found], key=lambda one: one.fit.misfit)
+    found += [fits.candidate_fit((), one, whole) for one in ([begin] if linear is None else [linear, begin])]
+    return min(found, key=lambda one: one.fit.misfit)
 
 
 def nested(fits: Refits, base: CandidateFit, larger: CandidateFit | None) -> CandidateFit:

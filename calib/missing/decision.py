@@ -24,7 +24,7 @@ from calib.missing.refits import Refits, near_to
 from calib.missing.restarts import led_astray, restarted, restarted_faults
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
-from calib.missing.settings import DEFAULT, Settings, require_modes, require_responses
+from calib.missing.settings import DEFAULT, Settings, require_enough
 from calib.missing.stepwise import Stepwise, further_price
 from calib.problem.candidate import Candidate
 
@@ -49,12 +49,7 @@ def decide(hypotheses: Hypotheses, settings: Settings = DEFAULT, progress: Progr
     EvaluationError
         When the base model cannot be fitted.
     """
-    modes = {row.mode for row in hypotheses.rows if row.mode}
-    responses = sum(not row.mode for row in hypotheses.rows)
-    if modes:
-        require_modes(len(modes) + responses)
-    else:
-        require_responses(responses, len(hypotheses.fit_problem(()).space.free))
+    require_enough(hypotheses.rows, len(hypotheses.fit_problem(()).space.free))
     fits = Refits(hypotheses, settings, 1.0, progress)
     found = _Decision(fits).explanation({}, settings.begin)
     if found.measured_scale > RULES.guard and found.verdict != "nothing_detectable":

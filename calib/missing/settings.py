@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 from calib.errors.errors import InputError
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.rules import RULES
+from calib.problem.problem import Label
 
 
 @dataclass(frozen=True)
@@ -42,25 +43,43 @@ class Settings:
 DEFAULT = Settings()
 
 
-def require_modes(count: int) -> None:
-    """Raise InputError for too few measured modes to name an effect."""
-    if count < RULES.least_modes:
+def require_enough(rows: Iterable[Label], free: int) -> None:
+    """Raise InputError for too few measured modes, or responses beside the fitted parameters, to name an effect.
+
+    Parameters
+    ----------
+    rows : iterable of Label
+        Labels of the rows of the residual, of all tests.
+    free : int
+        Number of fitted parameters.
+    """
+    modes, responses = set[str](), 0
+    for row in rows:
+        modes |= {row.mode} if row.mode else set()
+        responses += not row.mode
+    count, least = len(modes) + responses, RULES.least_modes
+    if modes and count < least:
         raise InputError(
             f"{count} measured modes cannot tell a missing effect from a parameter",
             place="explain",
-            remedy=f"measure at least {RULES.least_modes}, or hold out fewer",
+            remedy=f"measure at least {least}, or hold out fewer",
         )
-
-
-def require_responses(count: int, free: int) -> None:
-    """Raise InputError for too few measured responses to name an effect beside the fitted parameters."""
     least = max(RULES.least_responses, free + 2)
-    if count < least:
+    if not modes and count < least:
         raise InputError(
             f"{count} measured responses cannot tell a missing effect from the {free} fitted parameters",
             place="explain",
             remedy=f"measure at least {least}, hold out fewer or fit fewer parameters",
         )
+
+
+def too_few(rows: Iterable[Label], free: int) -> str:
+    """Why `require_enough` refuses the data, with what to do, in words; empty where they are enough."""
+    try:
+        require_enough(rows, free)
+    except InputError as fault:
+        return f"{fault.problem}: {fault.remedy}"
+    return ""
 
 
 class Allowance:

@@ -56,8 +56,9 @@ def test_what_is_wrong_in_the_measurement_is_checked_before_the_model():
 
 def test_each_doubt_has_its_own_next_step_and_the_gravest_comes_first():
     doubts = [
-        fit(statistics(False, ["frequency of B1"]), verdicts(False), contradictions=("No.",)),
+        fit(statistics(False, ["frequency of B1"]), verdicts(False), contradictions=("No.",), too_few="3 modes: more"),
         fit(statistics(False), verdicts(False), contradictions=("No.",)),
+        fit(statistics(False), verdicts(False), too_few="3 modes: more"),
         fit(statistics(None, ratios_only=True), verdicts(False)),
         fit(statistics(None), verdicts(False)),
         fit(statistics(), verdicts(False), agreement="not settled"),
@@ -66,8 +67,17 @@ def test_each_doubt_has_its_own_next_step_and_the_gravest_comes_first():
     ]
     steps = [answer.then for answer in doubts]
     assert len(set(steps)) == len(steps) and all(steps)
-    assert "frequency of B1" in steps[0] and "calib explain" in steps[1] and "P1" in steps[5] and "P0" not in steps[5]
+    assert "frequency of B1" in steps[0] and "calib explain" in steps[1] and "P1" in steps[6] and "P0" not in steps[6]
     assert fit(contradictions=("No.",)).then == steps[1]
+    assert "3 modes: more" in steps[2] and not any("explain" in step for step in (steps[0], *steps[2:]))
+
+
+def test_an_explanation_weighs_a_datum_before_the_user_doubts_it():
+    then = fit(statistics(False, ["mode 2BT"]), verdicts(False)).then
+    assert then.index("calib explain STUDY") < then.index("mode 2BT")
+    wrong = {"": (compared(0.05, checks=("sensor 2x",)), compared(0.01))}
+    then = fit(statistics(False, ["mode 2BT"]), verdicts(False), wrong).then
+    assert "sensor 2x" in then and "explain" not in then
 
 
 def test_responses_that_agree_call_for_no_calibration():
@@ -75,6 +85,7 @@ def test_responses_that_agree_call_for_no_calibration():
     table = pd.DataFrame(rows, columns=["response", "error", "error_in_std"])
     result = SimpleNamespace(comparison=None, frfs=None, table=table, mean_freq_error=0.2)
     off = of_comparison(result)
+    assert "calib run STUDY" in off.then and "calib calibrate STUDY" in off.then
     assert "20.00 %" in off.found and "-30.00 % (b)" in off.found and "1 of 2" in off.sure
     result.table = table.assign(error_in_std=0.5)
     assert of_comparison(result).then != off.then

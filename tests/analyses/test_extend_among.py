@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.analyses.extend import EARLIER, extend_among, found_among
+from calib.analyses.extend import EARLIER, extend, extend_among, found_among
 from calib.results.written import LOG
 from calib.study.study import LoadedStudy
 
@@ -33,6 +33,21 @@ def test_least_squares_of_a_study_among_results_start_from_known_values(rig):
     known = {space.free_names[0]: space.lower[0], "top_cables": 0.1}
     made = extend_among(study, ["top_cables"], Path("results"), known)
     assert LoadedStudy.load(made.file).settings.calibration.begin_at == known
+
+
+@pytest.mark.parametrize(
+    ("keys", "method"),
+    [('method = "genetic"', "gauss-newton"), ('method = "genetic"\nrefine = false', "genetic"), ("", "gauss-newton")],
+)
+def test_a_search_is_not_repeated_from_scratch(rig, keys, method):
+    text = Path("rig/study.toml").read_text().partition("[calibration]")[0]
+    Path("rig/study.toml").write_text(f"{text}\n[calibration]\n{keys}\n")
+    study = LoadedStudy.load(rig)
+    name = study.search_space.free_names[0]
+    for folder, known in (("known", {name: study.search_space.values[name], "top_cables": 0.1}), ("new", {})):
+        made = LoadedStudy.load(extend(study, ["top_cables"], Path(folder), known).file).settings.calibration
+        assert made.method == (method if known else study.settings.calibration.method)
+        assert made.begin_at == known and made.refine == study.settings.calibration.refine
 
 
 def test_an_identical_study_among_results_stays_and_a_changed_one_is_kept_aside(rig, tree):

@@ -252,9 +252,9 @@ def test_what_does_not_fit_together_is_refused(rig, chain, wrong):
 
 
 def test_without_a_named_effect_none_is_added(explained, library):
-    rest = [e for e in library if e not in explained.named]
-    again = explained.with_named().explain(rest)
+    again = explained.with_named().explain(library)  # what the model has already is left out
     assert again.verdict == "nothing_detectable" and again.named == ()
+    assert set(again.table["name"]) == {e.name for e in library} - {e.name for e in explained.named}
     with pytest.raises(calib.InputError):
         again.with_named()
 

@@ -222,3 +222,13 @@ def test_a_command_computes_on_one_thread(here, monkeypatch):
         assert cli.execute(["report", "mast"]) == 0
         assert {pool["num_threads"] for pool in threadpool_info()} == {2}
     assert seen[0] and {pool["num_threads"] for pool in seen[0]} == {1}
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_where_the_modes_are_too_few_to_explain(here, write_study, capsys, edit):
+    write_study(here / "mast", {"guy": 12000.0})
+    edit(here / "mast", "modes = []", 'modes = ["B2z", "B3x", "B3z"]')
+    assert cli.execute(RUN) == 0
+    out = capsys.readouterr().out
+    assert "3 measured modes cannot tell" in out and "calib explain" not in out
+    assert not (FOLDER / "explanation.json").exists() and (FOLDER / "summary.json").exists()

@@ -7,7 +7,7 @@ import pytest
 
 from calib.execution.stage import silent
 from calib.missing import decision
-from calib.missing.adequacy import overstated
+from calib.missing.adequacy import adequacy_of, overstated
 from calib.missing.base_fit import calibrated, from_further_points, nested
 from calib.missing.decision import decide
 from calib.missing.goodness import goodness
@@ -107,6 +107,14 @@ def test_a_poor_calibration_is_no_better_than_the_nominal_values(toy):
     poor, good = calibrated(fits, {**one.base.values, "P0": 1.8}, only=True), calibrated(fits, None)
     assert poor.fit.misfit > good.fit.misfit + 500
     assert calibrated(fits, {**one.base.values, "P0": 1.8}).fit.misfit == pytest.approx(good.fit.misfit, abs=0.1)
+
+
+def test_an_optimum_is_the_base_fit_though_the_model_is_rejected(toy):
+    """The fit of a calibration costs the confirmation that it is one, whatever the model lacks."""
+    one = dressed(rippled(toy)).drawn(np.random.default_rng(1), {"P0": 0.2, "E1": 3.0})
+    fits = of(one)
+    good = calibrated(fits, None)
+    assert not adequacy_of(fits, good, fits.scores(good.fit, one.effects)).passes(0.01)
     counted = one.count[0]
     again = calibrated(fits, good.fit.values)
     assert again.fit.misfit == pytest.approx(good.fit.misfit, abs=0.1) and one.count[0] - counted <= 3

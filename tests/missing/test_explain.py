@@ -9,7 +9,8 @@ import pytest
 
 from calib.errors.errors import InputError
 from calib.missing.decision import Settings, decide
-from calib.missing.settings import DEFAULT
+from calib.missing.settings import DEFAULT, too_few
+from calib.problem.joint import JointRows
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
 
@@ -208,6 +209,9 @@ def test_progress_has_a_whole_where_the_budget_has(toy, budget):
 def test_too_few_data_are_refused(toy):
     with pytest.raises(InputError, match="3 measured modes cannot tell"):
         decide(toy(modes=3))
+    assert "3 measured modes" in too_few(toy(modes=3).rows, 1) and too_few(toy(modes=4).rows, 1) == ""
+    several = JointRows({name: toy(modes=2) for name in "ab"}).rows
+    assert too_few(several, 1) == "" and "5 fitted" in too_few(toy(modes=0, sensors=6).rows, 5)
 
 
 def test_without_effects_the_local_perturbation_is_reported(toy):
