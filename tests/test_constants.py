@@ -182,7 +182,7 @@ FORMATS = {  # units, codes of files, and what a file may hold
     "measurement/frf_units.py": "GRAVITY LENGTHS FORCES",
     "measurement/places.py": "MILLIMETRES",
     "measurement/files/read_records.py": "_FRF",
-    "measurement/record.py": "SAMPLES_FEWEST",
+    "measurement/record.py": "SAMPLES_FEWEST HIT_SAMPLES_FEWEST",
     "measurement/files/uff.py": "_DAMAGED",
     "measurement/files/uff_labels.py": "_UNSTATED _GENERAL _FORCES _PER_SECOND",
     "measurement/files/uff_nodes.py": "NODES _PER_METRE _CARTESIAN _CYLINDRICAL _SPHERICAL",

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from calib.errors.errors import InputError
 from calib.measurement.files.read import Named, found_files
-from calib.measurement.files.read_frf import read_frfs
+from calib.measurement.files.read_frf import frfs_and_repeats
 from calib.measurement.files.read_records import hold_records, read_records
-from calib.measurement.frf import MeasuredFRFs, Quantity
+from calib.measurement.frf import Quantity
+from calib.measurement.hammer import Estimator
 from calib.modal_analysis.ambient import modes_from_records
 from calib.modal_analysis.identification import Identification, modes_table, sensor_table, shapes_table
 from calib.modal_analysis.identify import modes_from_frfs
@@ -48,13 +49,18 @@ def identify_modes(
     quantity: Quantity | None = None,
     unit: str | None = None,
     averages: int | None = None,
+    channels: Sequence[str] = (),
+    variables: Mapping[str, str] | None = None,
+    length_unit: str | None = None,
+    estimator: Estimator = "H1",
+    exponential_window: float | None = None,
     band: tuple[float, float] | None = None,
     accept: Sequence[float] = (),
     synthetic: bool = False,
 ) -> Written:
-    """Identify modes from files of FRFs or of time records, each a repeat, and write them to a folder.
+    """Identify modes from files of FRFs, hammer records or records of responses alone, and write them to a folder.
 
-    What the files hold is told by their content.
+    What the files hold is told by their content; each file, or each hit, is a repeat.
 
     Writes ``modes.csv``, ``shapes.csv`` and, where places are known, ``sensors.csv``, as `calib.read_modes` reads them;
     ``identified.csv``, ``poles.csv`` and ``synthesised.csv``, the tables of `Identification`; and the stabilisation
@@ -62,9 +68,9 @@ def identify_modes(
 
     Parameters
     ----------
-    files, sensors, quantity, unit, averages, synthetic
-        See `calib.read_frfs`; records have neither quantity nor averages, and ``unit`` is that of their motion (see
-        `calib.measurement.files.read_records.read_records`).
+    files, sensors, quantity, unit, averages, channels, variables, length_unit, estimator, exponential_window, synthetic
+        See `calib.read_frfs`; of records of responses alone ``unit`` is that of their motion (see
+        `calib.measurement.files.read_records.read_records`), and what concerns FRFs is refused.
     into : Path
         Folder; files that calib wrote there are replaced.
     band : (float, float), optional
@@ -81,22 +87,25 @@ def identify_modes(
     """
     paths = found_files(files)
     if hold_records(paths):
-        for name, argument in (("a quantity", quantity), ("averages", averages)):
+        of_frfs = {
+            "quantity": quantity, "averages": averages, "channels": channels or None, "variables": variables or None,
+            "estimator": None if estimator == "H1" else estimator, "exponential_window": exponential_window,
+        }  # fmt: skip
+        for name, argument in of_frfs.items():
             if argument is not None:
                 raise InputError(f"{name} is given beside time records", place=paths[0], remedy="leave it out")
-        records = read_records(paths, unit=unit, sensors=sensors, synthetic=synthetic)
+        records = read_records(paths, unit=unit, sensors=sensors, length_unit=length_unit, synthetic=synthetic)
         known = modes_from_records(records, band, accept=accept)
         squared = f"({records[0].unit})²/Hz" if records[0].unit else "squared unit a Hz"
         return Written(known, _write(known, squared, into))
 
-    def read(which: Named, n: int | None) -> MeasuredFRFs:
-        whole = read_frfs(which, quantity=quantity, unit=unit, sensors=sensors, averages=n, synthetic=synthetic)
-        return whole.in_band(*(band or (whole.lowest_freq, whole.freq[-1])))
-
-    frfs = read(paths, averages)
-    repeats = (
-        [replace(read([path], None), source=path.name) for path in paths] if frfs.n_repeats == len(paths) > 1 else []
-    )
+    whole, every = frfs_and_repeats(
+        paths, quantity=quantity, unit=unit, sensors=sensors, averages=averages, channels=channels,
+        variables=variables, length_unit=length_unit, estimator=estimator, exponential_window=exponential_window,
+        synthetic=synthetic,
+    )  # fmt: skip
+    low, high = band or (whole.lowest_freq, float(whole.freq[-1]))
+    frfs, *repeats = (one.in_band(low, high) for one in (whole, *every))
     found = modes_from_frfs(frfs, repeats, accept=accept)
     unit = frfs.unit(frfs.responses[0], frfs.references[0])
     return Written(found, _write(found, unit, into))

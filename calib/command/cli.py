@@ -19,6 +19,7 @@ from calib.command.options import (
     CachePath,
     CalibrationMethod,
     CaseName,
+    Estimator,
     Format,
     NewFolder,
     Quantity,
@@ -29,6 +30,8 @@ from calib.command.options import (
     Verbose,
     Width,
     Workers,
+    assigned,
+    listed,
     possible,
 )  # fmt: skip
 from calib.errors.errors import InputError
@@ -73,9 +76,9 @@ def schema() -> None:
     typer.echo(json.dumps(settings_schema(), indent=1))
 
 
-@app.command(short_help="Identify modes from FRFs or time records.")
+@app.command(short_help="Identify modes from FRFs, hammer records or ambient records.")
 def modes(
-    files: Annotated[list[Path], typer.Argument(metavar="FILES...", help="Universal or CSV files, one a repeat.")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILES...", help="Universal files, tables, workbooks, .mat.")],
     into: Annotated[
         Path, typer.Option("--into", metavar="FOLDER", callback=possible, help="Folder of the tables and the figure.")
     ] = Path("modes"),
@@ -83,6 +86,17 @@ def modes(
     quantity: Annotated[Quantity | None, typer.Option("--quantity", help="Where the files do not state it.")] = None,
     unit: Annotated[str | None, typer.Option("--unit", help="Such as g/N, or g of records; where not stated.")] = None,
     averages: Annotated[int | None, typer.Option("--averages", help="Averages behind a single file.")] = None,
+    channels: Annotated[
+        str | None, typer.Option("--channels", metavar="12z/3z,...", help="Functions, where files do not name them.")
+    ] = None,
+    variables: Annotated[
+        str | None, typer.Option("--variables", metavar="freq=f,frf=H", help="Names in .mat files, or the sheet.")
+    ] = None,
+    estimator: Annotated[Estimator, typer.Option("--estimator", help="Of hammer records.")] = Estimator.H1,
+    exponential_window: Annotated[
+        float | None,
+        typer.Option("--exponential-window", metavar="S", help="Time constant of the window that the data bear, s."),
+    ] = None,
     band: Annotated[
         tuple[float, float] | None,
         typer.Option("--band", metavar="LOW HIGH", help="Lines that are used, Hz."),
@@ -93,7 +107,7 @@ def modes(
     synthetic: Annotated[bool, typer.Option("--synthetic", help="No structure was measured.")] = False,
     verbose: Verbose = False,
 ) -> None:
-    """Identify modes from FRFs, or from time records of responses alone, and say where modes do not describe these.
+    """Identify modes from FRFs, hammer records or records of responses, and say where modes do not describe these.
 
     Writes modes.csv and shapes.csv for a study, and the stabilisation diagram. Poles count that are stable over model
     orders and whichever repeat is left out; no pole is picked by hand. Time records need: pip install 'calib[ambient]'.
@@ -105,7 +119,8 @@ def modes(
     with one_thread():
         written = identify_modes(
             files, into, sensors=sensors, quantity=None if quantity is None else quantity.value, unit=unit,
-            averages=averages, band=band, accept=accept or (), synthetic=synthetic,
+            averages=averages, channels=listed(channels), variables=assigned(variables), estimator=estimator.value,
+            exponential_window=exponential_window, band=band, accept=accept or (), synthetic=synthetic,
         )  # fmt: skip
     terminal.tell_entries(identified_entries(written), verbose)
 

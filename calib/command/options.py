@@ -22,6 +22,19 @@ def possible(path: Path) -> Path:
         raise InputError(str(fault), place=name, remedy="name another place") from None
 
 
+def listed(text: str | None) -> tuple[str, ...]:
+    """Entries between commas."""
+    return tuple(one.strip() for one in (text or "").split(",") if one.strip())
+
+
+def assigned(text: str | None) -> dict[str, str]:
+    """Names and values such as ``freq=f, frf=H``; InputError for an entry without both."""
+    pairs = [one.partition("=") for one in listed(text)]
+    if wrong := next((name for name, _, value in pairs if not (name.strip() and value.strip())), None):
+        raise InputError(f"{wrong!r:.40} assigns nothing", place="--variables", remedy="write it like freq=f,frf=H")
+    return {name.strip(): value.strip() for name, _, value in pairs}
+
+
 StudyPath = Annotated[Path, typer.Argument(metavar="STUDY", callback=possible, help="Folder with a study.toml.")]
 ResultsPath = Annotated[
     Path, typer.Option("--results", metavar="DIR", callback=possible, help="Where <study>/ with the results goes.")
@@ -74,6 +87,14 @@ class Quantity(StrEnum):
     receptance = "receptance"
     mobility = "mobility"
     accelerance = "accelerance"
+
+
+class Estimator(StrEnum):
+    """Estimator of FRFs from hammer records."""
+
+    H1 = "H1"
+    H2 = "H2"
+    Hv = "Hv"
 
 
 class Format(StrEnum):

@@ -84,6 +84,11 @@ class FRFTest(Test):
         (frfs,) = objects([self.frfs], MeasuredFRFs, f"{place}, frfs")
         object.__setattr__(self, "nuisances", objects(self.nuisances, NUISANCES, f"{place}, nuisances"))
         require_channels(self.nuisances, frfs)
+        if frfs.window_rate > 0:
+            raise InputError(
+                f"an exponential window of {1 / frfs.window_rate:.3g} s is in its FRFs, whose damping no model has",
+                place=f"{place}, frfs", remedy="measure until the responses decay, or compare modes: calib modes",
+            )  # fmt: skip
         try:
             claimed = frfs.accuracy if self.accuracy is None else frf_claim(self.accuracy)
         except (TypeError, ValueError) as fault:

@@ -82,6 +82,8 @@ class MeasuredFRFs:
     accuracy : Claim
         Claimed accuracy in addition to the repeatability, not in ``std``: a share of the modulus and a floor in the
         unit of the quantity, each a standard deviation of the real and of the imaginary part.
+    window_rate : float
+        By how much an exponential window of the records moved every pole to the left, rad/s; 0 without one.
 
     Notes
     -----
@@ -102,6 +104,7 @@ class MeasuredFRFs:
     notes: tuple[str, ...] = ()
     misplaced: tuple[Misplaced, ...] = ()
     accuracy: Claim = NOTHING
+    window_rate: float = 0.0
 
     def __post_init__(self) -> None:
         place, shape = self._place, (len(self.freq), len(self.responses), len(self.references))
@@ -188,7 +191,8 @@ class MeasuredFRFs:
     def fingerprint(self) -> str:
         """Hash over everything an evaluation may depend on."""
         content = (self.responses, self.references, self.quantity, self.n_repeats, self.accuracy)
-        return digest_of(content, *(a.tobytes() for a in (self.freq, self.values, self.std)))[:16]
+        window = [self.window_rate] if self.window_rate else []
+        return digest_of(content, *window, *(a.tobytes() for a in (self.freq, self.values, self.std)))[:16]
 
     @property
     def total_std(self) -> np.ndarray:

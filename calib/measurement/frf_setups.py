@@ -20,7 +20,7 @@ def combine_setups(repeats: Sequence[FRFRepeat], averages: int | None = None, sy
     Files with the same functions are repeats of a set-up (see `combine_frfs`). Those that bring functions of their own
     belong to another one. Set-ups that share functions, such as the driving point, are scaled by them: by the ratio of
     root mean squares, which drifting resonances do not bias. A shared function is then the mean over its set-ups. Those
-    that share a reference alone have the scale of their forces.
+    that share a reference or a response alone have the scale of their force or sensor.
 
     Parameters
     ----------
@@ -37,8 +37,8 @@ def combine_setups(repeats: Sequence[FRFRepeat], averages: int | None = None, sy
     ------
     InputError
         Where `combine_frfs` does; for a file that lacks functions of another and has none of its own; for set-ups that
-        differ in quantity or lines, share neither function nor reference, or whose shared functions differ by more than
-        `RULES.setup_scale`.
+        differ in quantity or lines, share no function, reference or response, or whose shared functions differ by more
+        than `RULES.setup_scale`.
     """
     groups: list[list[FRFRepeat]] = []
     for one in repeats:
@@ -58,10 +58,10 @@ def combine_setups(repeats: Sequence[FRFRepeat], averages: int | None = None, sy
     while rest:
         linked = next((k for k, one in enumerate(rest) if _names(one) & _names(whole)), None)
         if linked is None:
-            linked = next((k for k, one in enumerate(rest) if _references(one) & _references(whole)), None)
+            linked = next((k for k, one in enumerate(rest) if _ends(one) & _ends(whole)), None)
         if linked is None:
             raise InputError(
-                f"it has neither a function nor a reference in common with {whole.source}", place=rest[0].source,
+                f"it has no function, reference or response in common with {whole.source}", place=rest[0].source,
                 remedy="give the set-up that links them, or measure the driving point in each",
             )  # fmt: skip
         whole = _merged(whole, rest.pop(linked))
@@ -73,8 +73,10 @@ def _names(frfs: MeasuredFRFs) -> set[str]:
     return {one.name for one in frfs.functions}
 
 
-def _references(frfs: MeasuredFRFs) -> set[str]:
-    return {one.name for one in frfs.references}
+def _ends(frfs: MeasuredFRFs) -> set[tuple[str, str]]:
+    """References and responses, by their names."""
+    each = (("reference", frfs.references), ("response", frfs.responses))
+    return {(kind, one.name) for kind, sensors in each for one in sensors}
 
 
 def _merged(whole: MeasuredFRFs, one: MeasuredFRFs) -> MeasuredFRFs:
@@ -100,7 +102,9 @@ def _merged(whole: MeasuredFRFs, one: MeasuredFRFs) -> MeasuredFRFs:
         shared = [name for name in (fn.name for fn in one.functions) if name in _names(whole)]
         notes = (*notes, f"{one.source}: scaled by {scale:.4g} to {', '.join(shared)} of {whole.source}")
     else:
-        notes = (*notes, f"{one.source}: shares a reference with {whole.source}, by whose force it is scaled")
+        kinds = {kind for kind, _ in _ends(one) & _ends(whole)}
+        what = "a reference with {}, by whose force" if "reference" in kinds else "a response with {}, by whose sensor"
+        notes = (*notes, f"{one.source}: shares {what.format(whole.source)} it is scaled")
     values = np.where(np.isfinite(ours[0]), ours[0], scale * theirs[0])
     values[common] = (ours[0][common] + scale * theirs[0][common]) / 2
     std = np.where(np.isfinite(ours[0]), ours[1], scale * theirs[1])

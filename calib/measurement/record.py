@@ -1,4 +1,4 @@
-"""Measured time records of responses alone, and their units."""
+"""Measured time records of responses, perhaps of the force of a hammer beside them, and their units."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.errors.errors import InputError
 from calib.errors.place import Place
+from calib.measurement.frf import Quantity
 from calib.measurement.frf_units import GRAVITY, LENGTHS
 from calib.measurement.modal import Sensor
 from calib.measurement.places import Misplaced
@@ -19,17 +20,26 @@ Motion = Literal["displacement", "velocity", "acceleration"]
 UNITS: Mapping[Motion, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
 """Motions of a record, with their unit."""
 
+MOTION_OF: Mapping[Quantity, Motion] = {
+    "receptance": "displacement", "mobility": "velocity", "accelerance": "acceleration",
+}  # fmt: skip
+"""Motion in the numerator of an FRF."""
+QUANTITY_OF: Mapping[str, Quantity] = {motion: quantity for quantity, motion in MOTION_OF.items()}
+"""Quantity of a motion over a force."""
+
 _POWERS: Mapping[Motion, tuple[str, ...]] = {
     "displacement": ("",), "velocity": ("/s",), "acceleration": ("/s2", "/ss"),
 }  # fmt: skip
 
 SAMPLES_FEWEST = 1000
-"""Fewest samples of a record."""
+"""Fewest samples of a record of responses alone."""
+HIT_SAMPLES_FEWEST = 64
+"""The same with a force."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRecord:
-    """Responses of a structure over time under forces that were not measured.
+    """Responses of a structure over time, under forces that were not measured or under those of a hammer.
 
     Attributes
     ----------
@@ -47,6 +57,10 @@ class MeasuredRecord:
         Assumptions made on reading.
     misplaced : tuple of Misplaced
         Nodes whose places in two files contradict each other.
+    references : tuple of Sensor
+        Places and directions of the measured forces; none in an ambient record.
+    forces : ndarray (n_samples, n_references), optional
+        N, or Nm.
     """
 
     rate: float
@@ -57,21 +71,29 @@ class MeasuredRecord:
     source: str = ""
     notes: tuple[str, ...] = ()
     misplaced: tuple[Misplaced, ...] = ()
+    references: tuple[Sensor, ...] = ()
+    forces: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         place = self.source or "record"
+        forces = np.zeros((len(self.values), 0)) if self.forces is None else self.forces
+        if forces.shape != (len(self.values), len(self.references)):
+            words = f"its forces are {forces.shape}, not samples by {len(self.references)} references"
+            raise InputError(words, place=place)
         if self.values.ndim != 2 or self.values.shape[1] != len(self.sensors):
             words = f"its values are {self.values.shape}, not samples by {len(self.sensors)} sensors"
             raise InputError(words, place=place)
         if not self.rate > 0:
             raise InputError(f"its rate is {self.rate:g} Hz", place=place, remedy="give a positive one")
-        if len(self.values) < SAMPLES_FEWEST:
+        least = HIT_SAMPLES_FEWEST if self.references else SAMPLES_FEWEST
+        if len(self.values) < least:
+            better = "" if self.references else ", and better a thousand periods of the first mode"
             raise InputError(
                 f"{len(self.values)} samples are too few to identify modes", place=place,
-                remedy=f"give at least {SAMPLES_FEWEST}, and better a thousand periods of the first mode",
+                remedy=f"give at least {least}{better}",
             )  # fmt: skip
-        for k, sensor in enumerate(self.sensors):
-            own = self.values[:, k]
+        every = [*zip(self.sensors, self.values.T, strict=True), *zip(self.references, forces.T, strict=True)]
+        for sensor, own in every:
             if not np.all(np.isfinite(own)):
                 at = int(np.argmax(~np.isfinite(own))) / self.rate
                 raise InputError(

@@ -96,6 +96,27 @@ class ReadRules:
         single function, ``exp(-10)``, and less often in sums over several.
     setup_scale : float
         Largest relative difference of what two set-ups of FRFs have in common: beyond it one has another sensitivity.
+    hit_level, hit_noise : float
+        A pulse of a hammer's force exceeds this share of the largest one, and this multiple of the noise.
+    hit_share : float
+        Largest share of the samples of a record that pulses take: a shaker's force takes more.
+    double_hit : float
+        Distance to the next pulse, over the usual one, below which it belongs to a double hit.
+    pulse_samples, offset_samples : int
+        Samples beside a pulse that count as part of it, and fewest of which an offset is the mean.
+    clipped_samples : int
+        Samples of a block that are equal to its largest one to the last digit, by which an overload is told.
+    clipped_step : float
+        Jump beside them, over the range of the block: the peak of rounded values is flat without one.
+    decayed : float
+        What an exponential window leaves at the end of a block where a response has not decayed.
+    still_moving : float
+        Power of a line in the last quarter of a block, over the median of all lines, that is no noise: noise alone
+        exceeds it once in a billion.
+    force_drop : float
+        Fall of the force's power spectrum, dB, at which the lines end.
+    rate_over_lines : float
+        Samples a second over the highest line: filters against aliasing act above.
     check_sensors : int
         With fewer sensors that move, a wrong one cannot be identified.
     check_gain : float
@@ -168,6 +189,18 @@ class ReadRules:
     prominence: float = 6.0
     above_noise: float = 10.0
     setup_scale: float = 0.2
+    hit_level: float = 0.1
+    hit_noise: float = 8.0
+    hit_share: float = 0.1
+    double_hit: float = 0.5
+    pulse_samples: int = 4
+    offset_samples: int = 16
+    clipped_samples: int = 3
+    clipped_step: float = 0.01
+    decayed: float = 0.01
+    still_moving: float = 30.0
+    force_drop: float = 30.0
+    rate_over_lines: float = 2.56
     check_sensors: int = 4
     check_gain: float = 0.002
     check_evidence: float = 8.0

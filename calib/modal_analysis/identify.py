@@ -18,12 +18,14 @@ from calib.modal_analysis.adequacy import adequacy, resonances_without_mode
 from calib.modal_analysis.identification import INSTEAD, Identification
 from calib.modal_analysis.judgement import (
     PAIR,
+    WINDOW,
     accepted_modes,
     complex_shape,
     none_counts,
     residual_words,
     scatter_of_modes,
     scatter_words,
+    window_words,
 )
 from calib.modal_analysis.model import ModalFRFModel, fit_residues, most_likely_model, rank_one
 from calib.modal_analysis.poles import poles_by_order
@@ -44,6 +46,9 @@ def modes_from_frfs(
     is refused where two modes explain that better (`hidden_pairs`).
     A mode is refused where the fit misses the FRFs, where a further pole would move it (`adequacy`), where its shape
     is complex under one reference (`complex_shape`), or where it does not appear whichever repeat is left out.
+
+    Where the records of the FRFs bear an exponential window (``window_rate``), which moved every pole to the left by
+    the same amount, the poles are moved back; a mode without damping of its own is refused.
 
     Standard deviations come from the jackknife over the repeats (Efron and Stein 1981): everything is identified again
     without each repeat in turn, modes are matched as those of repeats are (`match_modes`), and the estimated bias is
@@ -110,7 +115,8 @@ def modes_from_frfs(
             own or ("not stable when one of the repeats is left out" if k in lacking else "")
             for k, own in enumerate(why)
         ]
-    freq, damping = _freq_and_damping(moving.poles)
+    freq, damping = _freq_and_damping(moving.poles + frfs.window_rate)
+    why = [own or (WINDOW if ratio <= 0 else "") for own, ratio in zip(why, damping, strict=True)]
     place = frfs.source or "FRFs"
     accepted = accepted_modes(accept, freq, damping, why, place)
     why = ["" if k in accepted else own for k, own in enumerate(why)]
@@ -133,7 +139,7 @@ def modes_from_frfs(
         }
         for k, one in enumerate(checked)
     ])  # fmt: skip
-    poles = pole_table(whole.every, whole.chains)
+    poles = pole_table(whole.every, whole.chains, frfs.window_rate)
     poles["mode"] = [names.get(k - 1, "") for k in poles["mode"]]
     measured, synthesised = (_rms(values) for values in (frfs.values, moving.synthesised))
     curves = pd.DataFrame({"freq": frfs.freq, "measured": measured, "synthesised": synthesised})
@@ -142,6 +148,9 @@ def modes_from_frfs(
     told = residual_words(
         freq[kept], [checked[k].residual_std for k in kept], [checked[k].excess for k in kept]
     )  # fmt: skip
+    if frfs.window_rate > 0:
+        taken = frfs.window_rate / (2 * np.pi * freq[kept])
+        told = "; ".join(filter(None, [window_words(frfs.window_rate, taken), told]))
     own_notes = [f"mode {names[k]} is {note}" for k, note in accepted.items()]
     differ = scatter_of_modes({names[k]: moving.between[k] for k in kept})
     modes = replace(modes, notes=(*modes.notes, *(note for note in (told, differ) if note), *own_notes))

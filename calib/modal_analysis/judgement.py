@@ -14,6 +14,17 @@ from calib.modal_analysis.rules import RULES
 PAIR = "it differs between functions as a mixture of two modes does, which lie closer than their widths"
 """Why a pole is refused that stands for two modes."""
 
+WINDOW = "the damping of the exponential window is all it has"
+"""Why a pole is refused that an exponential window alone damps."""
+
+
+def window_words(rate: float, taken: np.ndarray) -> str:
+    """That the damping of an exponential window was taken off: its rate, 1/s, and that of modes, ratios."""
+    return (
+        f"the damping of an exponential window of {1 / rate:.3g} s is taken off: {100 * taken.min():.2g} to "
+        f"{100 * taken.max():.2g} % of critical damping"
+    )
+
 
 def complex_shape(collinearity: float, deviation: float, n_references: int) -> str:
     """Why a shape cannot be told from that of a computational pole; empty where it can.

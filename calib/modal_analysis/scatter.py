@@ -60,7 +60,7 @@ def scatter(frfs: MeasuredFRFs, model: ModalFRFModel, n_modes: int) -> Scatter:
 
     The standard deviation between functions is that of a random-effects model (Paule and Mandel 1982). It is sure
     where their differences would arise once in `RULES.scatter_chance` by noise, and matters from
-    `RULES.scatter_least` of half a half-power width on.
+    `RULES.scatter_least` of half a half-power width on. Noise that lines share under an exponential window counts once.
     """
     functions = weighed(frfs)
     n, start = len(model.poles), _logs(model.poles)
@@ -69,9 +69,11 @@ def scatter(frfs: MeasuredFRFs, model: ModalFRFModel, n_modes: int) -> Scatter:
     reach = np.concatenate([RULES.own_freq_reach * ratio, np.full(n_modes, RULES.own_damping_reach)])
     own = [_own_poles(frfs, one, start, free, reach) for one in functions]
     moved, variance = (np.array(part) for part in zip(*own, strict=True))
+    fewer = _lines_of_one(frfs)
+    variance *= fewer
     seen = variance < (RULES.own_seen * reach) ** 2
     between, possible = np.zeros(n_modes), np.zeros(n_modes)
-    mean, std = np.zeros(2 * n_modes), _common_std(frfs, model, functions)[free]
+    mean, std = np.zeros(2 * n_modes), _common_std(frfs, model, functions)[free] * np.sqrt(fewer)
     tau = np.zeros(2 * n_modes)
     for k in range(n_modes):
         here = np.flatnonzero(seen[:, k])
@@ -209,6 +211,16 @@ def _cost(frfs: MeasuredFRFs, poles: np.ndarray, moving: bool, count: int) -> fl
         residual, _ = projected(frfs, model.poles, weighed(frfs))
         squares, parameters = float(residual @ residual), (2 + 2 * n) * count
     return float(rows * np.log(max(squares, 1e-300)) + parameters * np.log(rows))
+
+
+def _lines_of_one(frfs: MeasuredFRFs) -> float:
+    """How many lines share their noise: 1, and more under an exponential window.
+
+    The correlation of noise between lines ``d`` apart is ``1/(1 + i pi d / a)`` under a window of rate a, and the sum
+    of its squared moduli over all lines what is returned.
+    """
+    reach = frfs.window_rate / float(np.median(np.diff(frfs.freq)))
+    return float(reach / np.tanh(reach)) if reach > 0 else 1.0
 
 
 def _logs(poles: np.ndarray) -> np.ndarray:

@@ -154,8 +154,8 @@ def _same(one: Chain, other: Chain) -> bool:
     return close and bool(mac(one.residues[-1][:, None], other.residues[-1][:, None])[0, 0] >= RULES.stable_mac)
 
 
-def pole_table(chains: Sequence[Chain], modes: Sequence[Chain]) -> pd.DataFrame:
-    """Every pole with its order, for the stabilisation diagram.
+def pole_table(chains: Sequence[Chain], modes: Sequence[Chain], window_rate: float = 0.0) -> pd.DataFrame:
+    """Every pole with its order, for the stabilisation diagram, without the damping of a window of this rate, rad/s.
 
     Returns
     -------
@@ -166,9 +166,11 @@ def pole_table(chains: Sequence[Chain], modes: Sequence[Chain]) -> pd.DataFrame:
     rows = []
     for chain in chains:
         mode = next((k for k, one in enumerate(modes, start=1) if one is chain), 0)
+        own = chain.poles + window_rate
+        size = np.abs(own)
         rows += [
             {"order": order, "freq": f, "damping": d, "stable": len(chain.orders) > 1, "mode": mode}
-            for order, f, d in zip(chain.orders, chain.natural_freq, chain.damping_ratio, strict=True)
+            for order, f, d in zip(chain.orders, size / (2 * np.pi), -own.real / size, strict=True)
         ]
     columns = ["order", "freq", "damping", "stable", "mode"]
     return pd.DataFrame(rows, columns=columns).sort_values(["order", "freq"], ignore_index=True)

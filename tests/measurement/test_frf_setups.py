@@ -79,7 +79,7 @@ def test_set_ups_are_linked_in_any_order_and_by_a_common_reference():
 @pytest.mark.parametrize(
     ("other", "word"),
     [
-        (setup("two", [(2, 2)]), "in common"),
+        (setup("two", [(3, 2)]), "in common"),
         (setup("two", [(1, 1), (3, 1)], gain=1.5), "1.5 times"),
         (setup("two", [(1, 1), (3, 1)], gain=-1.0), "opposite sign"),
         (setup("two", [(1, 1), (3, 1)], quantity="mobility"), "mobility"),

@@ -1,4 +1,4 @@
-"""Time records from CSV tables: a column ``time`` and one column a sensor."""
+"""Time records from CSV tables: a column ``time``, one column a sensor, and perhaps one of the force of a hammer."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import numpy as np
 from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.measurement.files.csv_format import parse_end
-from calib.measurement.frf_units import SAME_UNIT
+from calib.measurement.frf_units import FRFUnits, parse_unit
 from calib.measurement.modal import DIRECTIONS, Sensor
-from calib.measurement.record import MeasuredRecord, Motion, even_rate, parse_motion_unit
+from calib.measurement.record import MOTION_OF, MeasuredRecord, Motion, even_rate, parse_motion_unit
 from calib.results.table import read_rows
 
+_FORCE = re.compile(r"force[\s_]+(.*)", re.ASCII | re.IGNORECASE)
 _UNIT = re.compile(r"#\s*unit\s*[:=]\s*(.*?)[\s,;]*", re.IGNORECASE)
 TIME = "time"
 """Column of the instants, s."""
@@ -34,20 +35,28 @@ def header_of(path: Path) -> tuple[list[str], str]:
     return [], ","
 
 
+def is_force(column: str) -> bool:
+    """Whether a column is that of a force, such as ``force 3z``."""
+    return _FORCE.fullmatch(column) is not None
+
+
 def read_record_csv(path: Path, unit: str | None = None) -> MeasuredRecord:
     """Read a record from a table with ``time`` in s and one column a sensor, such as ``12z`` or ``12-z``.
 
-    A minus sign reverses the values. A comment line states the unit of all translations once::
+    The force of a hammer has a column such as ``force 3z``. A minus sign reverses the values. A comment line states the
+    unit of all translations once, with a force as in a table of FRFs::
 
         # unit: m/s2
+        # unit: g/N
 
-    Without it SI is assumed; rotations are in rad.
+    Without it SI is assumed; rotations are in rad, moments in the unit of force times m.
 
     Parameters
     ----------
     path : Path
     unit : str, optional
-        Where the file does not state it; see `calib.measurement.record.parse_motion_unit`.
+        Where the file does not state it; see `calib.measurement.record.parse_motion_unit` and
+        `calib.measurement.frf_units.parse_unit`.
 
     Raises
     ------
@@ -56,36 +65,48 @@ def read_record_csv(path: Path, unit: str | None = None) -> MeasuredRecord:
         missing values, or instants that are not equally spaced.
     """
     header, separator = header_of(path)
-    ends = [_end(path, name) for name in header if name != TIME]
+    forced = [name for name in header if is_force(name)]
+    ends, loads = (
+        [_end(path, name) for name in names]
+        for names in ([name for name in header if name != TIME and name not in forced], forced)
+    )
     if not ends:
         raise InputError("it has no sensor", place=path, remedy="give one column a sensor, such as 12z")
-    twice = next((one for k, (one, _) in enumerate(ends) if one in [own for own, _ in ends[:k]]), None)
+    twice = next(
+        (one for own in (ends, loads) for k, (one, _) in enumerate(own) if one in [end for end, _ in own[:k]]), None
+    )
     if twice is not None:
         raise InputError(f"the sensor {Sensor(*twice).name} is there twice", place=path, remedy="keep one")
-    motion, factor, notes = _stated(path, unit)
+    motion, units, notes = _stated(path, unit, bool(loads))
     table = _numbers(path, header, separator)
     time = table[:, header.index(TIME)]
-    values = table[:, [k for k, name in enumerate(header) if name != TIME]]
+    values = table[:, [k for k, name in enumerate(header) if name != TIME and name not in forced]]
+    forces = table[:, [header.index(name) for name in forced]]
     if not np.all(np.isfinite(time)):
         raise InputError("a value of its column 'time' is missing", place=path, remedy="give the time of every sample")
-    signs = np.array([sign * (1.0 if end[1].startswith("r") else factor) for end, sign in ends])
-    sensors = tuple(Sensor(*end) for end, _ in ends)
-    return MeasuredRecord(even_rate(time, str(path)), values * signs, sensors, motion, source=str(path), notes=notes)
+    signs = np.array([sign * (1.0 if end[1].startswith("r") else units.motion) for end, sign in ends])
+    newtons = np.array([sign * units.force for _, sign in loads])
+    sensors, references = (tuple(Sensor(*end) for end, _ in own) for own in (ends, loads))
+    return MeasuredRecord(
+        even_rate(time, str(path)), values * signs, sensors, motion, source=str(path), notes=notes,
+        references=references, forces=forces * newtons if loads else None,
+    )  # fmt: skip
 
 
 def _end(path: Path, name: str) -> tuple[tuple[int, str], int]:
-    found = parse_end(name)
+    force = _FORCE.fullmatch(name)
+    found = parse_end(force.group(1) if force else name)
     if found is None:
         raise InputError(
             f"its column {name!r:.60} is neither {TIME!r} nor a node with a direction", place=path,
-            remedy=f"write it like 12z or 12-z; directions are {', '.join(DIRECTIONS)}",
+            remedy=f"write it like 12z or 12-z, a force like 'force 3z'; directions are {', '.join(DIRECTIONS)}",
         )  # fmt: skip
     return found
 
 
-def _stated(path: Path, unit: str | None) -> tuple[Motion | None, float, tuple[str, ...]]:
-    """Motion, SI value of its unit, and what is assumed."""
-    found: list[tuple[Motion, float]] = []
+def _stated(path: Path, unit: str | None, forced: bool) -> tuple[Motion | None, FRFUnits, tuple[str, ...]]:
+    """Motion, SI values of its unit and that of the force, and what is assumed."""
+    found: list[tuple[Motion, FRFUnits, bool]] = []
     with path.open(encoding="utf-8-sig", errors="replace") as lines:
         for number, line in enumerate(lines, start=1):
             if not line.startswith("#"):
@@ -95,15 +116,29 @@ def _stated(path: Path, unit: str | None) -> tuple[Motion | None, float, tuple[s
                     break
                 continue
             if (match := _UNIT.fullmatch(line.strip())) is not None:
-                found.append(parse_motion_unit(match.group(1), Place(str(path), number, line.rstrip())))
+                found.append(parse_record_unit(match.group(1), Place(str(path), number, line.rstrip()), forced))
     if unit is not None:
-        found.append(parse_motion_unit(unit, path))
+        found.append(parse_record_unit(unit, path, forced))
     for other in found[1:]:
-        if other[0] != found[0][0] or abs(other[1] / found[0][1] - 1) > SAME_UNIT:
+        own, first = (one[1] if other[2] and found[0][2] else FRFUnits(one[1].motion) for one in (other, found[0]))
+        if other[0] != found[0][0] or not own.agrees(first):
             raise InputError("two units are stated for it", place=path, remedy="correct one of them")
-    if found:
-        return *found[0], ()
-    return None, 1.0, (f"{path}: no unit is stated: SI assumed",)
+    if not found:
+        return None, FRFUnits(), (f"{path}: no unit is stated: SI assumed",)
+    motion, units, stated = max(found, key=lambda one: one[2])
+    return motion, units, () if stated or not forced else (f"{path}: no unit of the force is stated: N assumed",)
+
+
+def parse_record_unit(text: str, place: str | Path | Place, forced: bool) -> tuple[Motion, FRFUnits, bool]:
+    """Motion and units of a record, and whether the text states that of the force; InputError where it is no unit."""
+    if forced:
+        try:
+            quantity, units = parse_unit(text, place)
+            return MOTION_OF[quantity], units, True
+        except InputError:
+            pass  # a motion alone
+    motion, metres = parse_motion_unit(text, place)
+    return motion, FRFUnits(metres), False
 
 
 _COMMENTS = 100

@@ -1,4 +1,4 @@
-"""Measured frequency response functions from files: UFF/UNV or CSV, one file a repeat."""
+"""Measured frequency response functions from files: UFF/UNV or CSV, one file a repeat, or hammer records."""
 
 from __future__ import annotations
 
@@ -6,17 +6,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from calib.errors.arguments import integer, names
+from calib.errors.arguments import integer, names, number
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import read_sensor_table
 from calib.measurement.files.csv_frf import read_columns_frfs, read_frfs_csv
 from calib.measurement.files.frf_columns import MATLAB, WORKBOOKS
 from calib.measurement.files.read import TEXT_SUFFIXES, Named, found_files, require_files, require_no_copies
+from calib.measurement.files.read_records import hold_hits, read_record
 from calib.measurement.files.uff_frf import read_uff_frfs
 from calib.measurement.frf import QUANTITIES, MeasuredFRFs, Quantity
+from calib.measurement.frf_repeats import FRFRepeat, combine_frfs
 from calib.measurement.frf_setups import combine_setups
 from calib.measurement.frf_units import parse_length_unit
+from calib.measurement.hammer import Estimator, frfs_of_hits
 from calib.measurement.places import common_points
 from calib.measurement.sensors import place_sensors
 
@@ -31,11 +34,15 @@ def read_frfs(
     channels: Sequence[str] = (),
     variables: Mapping[str, str] | None = None,
     length_unit: str | None = None,
+    estimator: Estimator = "H1",
+    exponential_window: float | None = None,
     synthetic: bool = False,
 ) -> MeasuredFRFs:
     r"""Read measured frequency response functions; each file is one repeat, or a set-up with functions of its own.
 
     Set-ups are merged and scaled by the functions that they share; see `calib.measurement.frf_setups.combine_setups`.
+    Hammer records, time records with a force, become FRFs; each hit is a repeat, and hits at one place under the same
+    sensors are a set-up; see `calib.measurement.hammer.frfs_of_hits`.
 
     Parameters
     ----------
@@ -64,6 +71,11 @@ def read_frfs(
         functions side by side, perhaps the ``sheet``.
     length_unit : str, optional
         Of places in universal files without dataset 164, such as ``mm``; by default m.
+    estimator : {"H1", "H2", "Hv"}
+        Of hammer records.
+    exponential_window : float, optional
+        Time constant, s, of the exponential window that the analyser applied, of records and FRFs alike: within it a
+        window falls by a factor of e. `calib.modes_from_frfs` takes its damping off.
     synthetic : bool
         True when no structure was measured.
 
@@ -88,14 +100,42 @@ def read_frfs(
     >>> frfs.values.real.round(2).tolist()  # (m/s2)/N
     [[[1.96]], [[2.94]]]
     """
+    return frfs_and_repeats(
+        files, quantity=quantity, unit=unit, sensors=sensors, averages=averages, channels=channels,
+        variables=variables, length_unit=length_unit, estimator=estimator, exponential_window=exponential_window,
+        synthetic=synthetic,
+    )[0]  # fmt: skip
+
+
+def frfs_and_repeats(
+    files: Named,
+    *,
+    quantity: Quantity | None = None,
+    unit: str | None = None,
+    sensors: str | Path | None = None,
+    averages: int | None = None,
+    channels: Sequence[str] = (),
+    variables: Mapping[str, str] | None = None,
+    length_unit: str | None = None,
+    estimator: Estimator = "H1",
+    exponential_window: float | None = None,
+    synthetic: bool = False,
+) -> tuple[MeasuredFRFs, tuple[MeasuredFRFs, ...]]:
+    """FRFs as `read_frfs` returns them, and each repeat by itself; none of several set-ups, and of a single repeat."""
     paths = found_files(files)
     table_path = None if sensors is None else path_of(sensors, "sensors")
     averages = None if averages is None else integer(averages, 1, "averages")
     if quantity is not None and quantity not in QUANTITIES:
         raise InputError(f"quantity is {quantity!r}", place="measurement", remedy=f"one of {', '.join(QUANTITIES)}")
     channels = names(channels, "channels")
+    if exponential_window is not None and not number(exponential_window, "exponential_window") > 0:
+        raise InputError(
+            f"its time constant is {exponential_window:g} s", place="exponential_window", remedy="give a positive one"
+        )
     is_uff = require_files(paths, also=(*TEXT_SUFFIXES, *MATLAB, *WORKBOOKS))
-    groups = _repeats(paths, channels)
+    groups, hits = _repeats(paths, channels), hold_hits(paths)
+    if averages is not None and hits:
+        raise InputError("averages are given beside hammer records", place=paths[0], remedy="leave them out")
     if averages is not None and len(groups) > 1:
         raise InputError(
             f"averages are given beside {len(groups)} repeats", place="measurement",
@@ -104,7 +144,8 @@ def read_frfs(
     require_no_copies(paths)
     table = read_sensor_table(table_path) if table_path is not None else {}
     metres = parse_length_unit(length_unit)
-    repeats = [
+    made = frfs_of_hits([read_record(path, unit, metres) for path in paths], quantity, estimator) if hits else None
+    repeats: Sequence[FRFRepeat] = made.repeats if made else [
         read_uff_frfs(own[0], quantity, unit, metres, channels) if is_uff
         else read_frfs_csv(own[0], quantity, unit, channels) if len(own) == 1 and own[0].suffix.lower() == ".csv"
         else read_columns_frfs(own, channels, quantity, unit, variables)
@@ -117,13 +158,17 @@ def read_frfs(
     ends = [(s.node, s.direction) for s in (*found.responses, *found.references)]
     placed = place_sensors(ends, points, table, paths[0], table_path)
     count = len(found.responses)
-    return replace(
+    rate = (made.window_rate if made else 0.0) + (1 / exponential_window if exponential_window else 0.0)
+    whole = replace(
         found,
         responses=placed.sensors[:count],
         references=placed.sensors[count:],
         notes=(*placed.notes, *found.notes),
         misplaced=placed.misplaced,
+        window_rate=rate,
     )
+    each = repeats if len(repeats) == found.n_repeats > 1 else ()
+    return whole, tuple(replace(combine_frfs([one], None, synthetic), window_rate=rate) for one in each)
 
 
 def _repeats(paths: Sequence[Path], channels: Sequence[str]) -> list[list[Path]]:

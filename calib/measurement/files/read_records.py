@@ -9,9 +9,9 @@ from pathlib import Path
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import read_sensor_table
-from calib.measurement.files.csv_record import TIME, header_of, read_record_csv
-from calib.measurement.files.read import Named, found_files, require_files, require_no_copies
-from calib.measurement.files.uff_record import TIME_RESPONSE, function_types, read_record_uff
+from calib.measurement.files.csv_record import TIME, header_of, is_force, read_record_csv
+from calib.measurement.files.read import UFF_SUFFIXES, Named, found_files, require_files, require_no_copies
+from calib.measurement.files.uff_record import FORCE, TIME_RESPONSE, function_types, read_record_uff
 from calib.measurement.frf_units import parse_length_unit
 from calib.measurement.places import Point, common_points
 from calib.measurement.record import SAME_RATE, MeasuredRecord
@@ -21,10 +21,35 @@ _FRF = 4
 
 
 def hold_records(paths: Sequence[Path]) -> bool:
-    """Whether files hold time records rather than FRFs, by their content.
+    """Whether files hold time records of responses alone rather than FRFs or hammer records, by their content.
 
-    Raises InputError for files that cannot be read and where both kinds are given.
+    Raises InputError for files that cannot be read and where records and FRFs are given.
     """
+    return _hold_times(paths) and not any(map(_has_force, paths))
+
+
+def hold_hits(paths: Sequence[Path]) -> bool:
+    """Whether files hold hammer records, time records with the force; raises as `hold_records`."""
+    if not _hold_times(paths):
+        return False
+    forced = [_has_force(path) for path in paths]
+    if len(set(forced)) > 1:
+        raise InputError(
+            f"it holds no force, as {paths[forced.index(True)]} does", place=paths[forced.index(False)],
+            remedy="give hammer records or records of responses alone, one kind at a time",
+        )  # fmt: skip
+    return forced[0]
+
+
+def _has_force(path: Path) -> bool:
+    if path.suffix.lower() == ".csv":
+        return any(map(is_force, header_of(path)[0]))
+    return FORCE in function_types(path)
+
+
+def _hold_times(paths: Sequence[Path]) -> bool:
+    if any(path.suffix.lower() not in (*UFF_SUFFIXES, ".csv") for path in paths):
+        return False  # text files, workbooks and MATLAB files hold FRFs
     is_uff = require_files(paths)
     kinds = [_holds_uff(path) if is_uff else TIME in header_of(path)[0] for path in paths]
     if len(set(kinds)) > 1:
@@ -40,6 +65,15 @@ def _holds_uff(path: Path) -> bool:
     if {TIME_RESPONSE, _FRF} <= types:
         raise InputError("it holds FRFs and time records", place=path, remedy="export them to files of their own")
     return TIME_RESPONSE in types
+
+
+def read_record(
+    path: Path, unit: str | None = None, length_unit: float | None = None
+) -> tuple[MeasuredRecord, dict[int, Point]]:
+    """A record and the places of its nodes, m, of which a table has none; see `read_record_csv`, `read_record_uff`."""
+    if path.suffix.lower() in UFF_SUFFIXES:
+        return read_record_uff(path, unit, length_unit)
+    return read_record_csv(path, unit), {}
 
 
 def read_records(
@@ -98,11 +132,12 @@ def read_records(
     points: list[tuple[str, dict[int, Point]]] = []
     read: list[MeasuredRecord] = []
     for path in paths:
+        own, places = read_record(path, unit, parse_length_unit(length_unit))
+        if own.references:
+            remedy = "read its FRFs: calib.read_frfs, or leave the force out"
+            raise InputError("it holds the force of a hammer", place=path, remedy=remedy)
         if is_uff:
-            own, places = read_record_uff(path, unit, parse_length_unit(length_unit))
             points.append((str(path), places))
-        else:
-            own = read_record_csv(path, unit)
         read.append(own.in_order(read[0].sensors) if read else own)
         if abs(own.rate / read[0].rate - 1) > SAME_RATE or own.motion != read[0].motion:
             what = "motion" if own.motion != read[0].motion else f"rate of {own.rate:.6g} Hz"

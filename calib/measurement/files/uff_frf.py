@@ -15,7 +15,7 @@ from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import VALUE_LIMIT
 from calib.measurement.files.frf_columns import channel_of
 from calib.measurement.files.uff_blocks import Dataset, extract_sets, read_blocks
-from calib.measurement.files.uff_labels import MOTIONS, QUANTITY_OF, Axis, force_axis, hertz, motion_axis
+from calib.measurement.files.uff_labels import MOTIONS, Axis, force_axis, hertz, motion_axis
 from calib.measurement.files.uff_nodes import Nodes, length_factor, nodes_of
 from calib.measurement.files.uff_sets import pyuff_faults
 from calib.measurement.frf import NO_PHASE, Quantity
@@ -23,6 +23,7 @@ from calib.measurement.frf_repeats import FRFRepeat, Key, off_axis, repeat_of
 from calib.measurement.frf_units import GRAVITY, FRFUnits, parse_unit
 from calib.measurement.modal import DIRECTIONS
 from calib.measurement.places import Doubt
+from calib.measurement.record import QUANTITY_OF
 
 _FRF, _COHERENCE = 4, 6
 _COMPLEX = (5, 6)
@@ -71,7 +72,7 @@ def read_uff_frfs(
         if quantity not in (None, stated[0]):
             raise InputError(f"{unit} is no unit of {quantity}", place=path, remedy="correct one of them")
         quantity = stated[0]
-    units = _units(path, blocks)
+    units = file_units(path, blocks)
     frfs, coherences = _datasets(path, quantity, notes, channels)
     found = {one.quantity for one in frfs.values()}
     if len(found) > 1:
@@ -201,7 +202,7 @@ def _sets(path: Path) -> list[dict[str, Any]]:
         return [dict(reader.read_sets(k)) for k, kind in enumerate(reader.get_set_types()) if int(kind) == 58]
 
 
-def _units(path: Path, blocks: Sequence[Dataset]) -> FRFUnits | None:
+def file_units(path: Path, blocks: Sequence[Dataset]) -> FRFUnits | None:
     """Units by dataset 164 of the file; None without one."""
     own = [block for block in blocks if block.kind == 164]
     if not own:

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from calib.errors.errors import InputError
-from calib.measurement.frf import Quantity
 from calib.measurement.frf_units import FORCES, parse_unit
-from calib.measurement.record import Motion, parse_motion_unit
+from calib.measurement.record import MOTION_OF, Motion, parse_motion_unit
 
 TYPES: Mapping[int, str] = {
     0: "unknown", 1: "general", 2: "stress", 3: "strain", 5: "temperature", 6: "heat flux", 8: "displacement",
@@ -20,10 +19,6 @@ TYPES: Mapping[int, str] = {
 }  # fmt: skip
 """Types of data of an axis."""
 MOTIONS: Mapping[int, Motion] = {8: "displacement", 11: "velocity", 12: "acceleration"}
-QUANTITY_OF: Mapping[str, Quantity] = {
-    "displacement": "receptance", "velocity": "mobility", "acceleration": "accelerance",
-}  # fmt: skip
-"""Quantity of a motion over a force."""
 _UNSTATED, _GENERAL = 0, 1
 _FORCES = (9, 13)
 _WORDS: Mapping[str, str] = {
@@ -96,6 +91,16 @@ def force_axis(data: Mapping[str, Any]) -> Axis:
     return Axis(typed, labelled, newtons, f"{words} {unit}".strip())
 
 
+def is_force(data: Mapping[str, Any]) -> bool:
+    """Whether the ordinate of a dataset 58 is a force by itself."""
+    return motion_axis(data)[0].kind in ("force", *(TYPES[code] for code in _FORCES))
+
+
+def force_unit(data: Mapping[str, Any]) -> float | None:
+    """Newtons per unit of an ordinate that is a force, by its label; None where that says nothing."""
+    return FORCES.get(_bare(_entries(data, "ordinate")[2]).removesuffix("m"))
+
+
 def hertz(data: Mapping[str, Any]) -> float:
     """Hz for each unit of the abscissa by its label; 1 where that says nothing."""
     _, _, unit = _entries(data, "abscissa")
@@ -147,4 +152,4 @@ def _unit_of_motion(unit: str) -> tuple[str | None, float | None, float | None]:
         quantity, units = parse_unit(bare, "")
     except InputError:
         return None, None, None
-    return next(of for of, own in QUANTITY_OF.items() if own == quantity), units.motion, units.force
+    return MOTION_OF[quantity], units.motion, units.force

@@ -1,4 +1,4 @@
-"""Time records from universal files: datasets 58 of function type 1, with the units of 164."""
+"""Time records from universal files: datasets 58 of function type 1, the force of a hammer among them, and units."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ import numpy as np
 import pyuff
 
 from calib.errors.errors import InputError
+from calib.measurement.files.csv_record import parse_record_unit
 from calib.measurement.files.uff_blocks import read_blocks
-from calib.measurement.files.uff_labels import MOTIONS, motion_axis
+from calib.measurement.files.uff_frf import file_units
+from calib.measurement.files.uff_labels import MOTIONS, force_unit, is_force, motion_axis
 from calib.measurement.files.uff_nodes import length_factor, nodes_of
 from calib.measurement.files.uff_sets import pyuff_faults
 from calib.measurement.frf_units import SAME_UNIT
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.measurement.places import Doubt, Point
-from calib.measurement.record import SAME_RATE, MeasuredRecord, Motion, even_rate, parse_motion_unit
+from calib.measurement.record import SAME_RATE, MeasuredRecord, Motion, even_rate
 
 TIME_RESPONSE = 1
 """Function type of a time record."""
@@ -27,9 +29,14 @@ _TIME = (0, 17)
 _COMPLEX = (5, 6)
 
 
-def function_types(path: Path) -> set[int]:
-    """Function types of the datasets 58 of a file."""
-    return {int(data["func_type"]) for data in _function_sets(path, header_only=True)}
+FORCE = "force"
+
+
+def function_types(path: Path) -> set[int | str]:
+    """Function types of the datasets 58 of a file, and `FORCE` where one is the record of a force."""
+    every = _function_sets(path, header_only=True)
+    forced = any(int(data["func_type"]) == TIME_RESPONSE and is_force(data) for data in every)
+    return {*(int(data["func_type"]) for data in every), *([FORCE] if forced else [])}
 
 
 def _function_sets(path: Path, header_only: bool = False) -> list[dict[str, Any]]:
@@ -47,15 +54,16 @@ def read_record_uff(
 ) -> tuple[MeasuredRecord, dict[int, Point]]:
     """Read a record and the places of its nodes (m) from a universal file.
 
-    Every dataset 58 of function type 1 that is a motion is a sensor; others are noted. A sensor mounted against its
-    axis (negative direction) reverses the sign. Units are those on the labels, else those of dataset 164; motions in
-    local axes are turned into global ones (see `calib.measurement.files.uff_nodes`).
+    Every dataset 58 of function type 1 that is a motion is a sensor, and one that is a force is that of a hammer;
+    others are noted. A sensor mounted against its axis (negative direction) reverses the sign. Units are those on the
+    labels, else those of dataset 164; motions in local axes are turned into global ones (see
+    `calib.measurement.files.uff_nodes`).
 
     Parameters
     ----------
     path : Path
     unit : str, optional
-        Where neither labels nor dataset 164 say; see `calib.measurement.record.parse_motion_unit`.
+        Where neither labels nor dataset 164 say; see `calib.measurement.files.csv_record.parse_record_unit`.
     length_unit : float, optional
         Metres per unit of length, where the file has no dataset 164.
 
@@ -68,24 +76,27 @@ def read_record_uff(
     notes: list[str] = []
     blocks = read_blocks(path, notes)
     every = _function_sets(path)
-    own, foreign = [], Counter[str]()
+    own, loads, foreign = [], [], Counter[str]()
     for data in every:
         if int(data["func_type"]) == TIME_RESPONSE:
             kind = motion_axis(data)[0].kind
             if kind in (None, *MOTIONS.values()):
                 own.append(data)
+            elif is_force(data):
+                loads.append(data)
             else:
                 foreign[f"{kind}"] += 1
     if not own:
         what = f"; its records are of {' and '.join(sorted(foreign))}" if foreign else ""
         words = f"it holds no time record of a motion (dataset 58 of function type 1){what}"
         raise InputError(words, place=path, remedy="export records of motions")
-    if others := len(every) - len(own) - foreign.total():
+    if others := len(every) - len(own) - len(loads) - foreign.total():
         notes.append(f"{path}: {others} functions that are no time records skipped")
     notes += [f"{path}: {count} records of {kind} skipped: no motion" for kind, count in foreign.items()]
     per_metre = length_factor(path, blocks, [], length_unit)
-    units = any(block.kind == 164 for block in blocks)
-    stated = None if unit is None else parse_motion_unit(unit, path)
+    units = file_units(path, blocks)
+    given = None if unit is None else parse_record_unit(unit, path, bool(loads))
+    stated = None if given is None else (given[0], given[1].motion)
     columns: dict[tuple[int, str], np.ndarray] = {}
     motions = set()
     for data in own:
@@ -103,8 +114,16 @@ def read_record_uff(
             notes.append(f"{path}: no units (dataset 164): SI assumed")
         factor = on_label or (1 / per_metre if units or stated is None else stated[1])
         columns[end] = sign * (1.0 if end[1].startswith("r") else factor) * _samples(where, data)
-    lengths = {len(column) for column in columns.values()}
-    rates = [_rate(f"{path}, response {data['rsp_node']}", data) for data in own]
+    newtons = units.force if units else 1.0 if given is None else given[1].force
+    forces: dict[tuple[int, str], np.ndarray] = {}
+    for data in loads:
+        where = f"{path}, force at {data['rsp_node']}, direction {data['rsp_dir']}"
+        end, sign = _sensor(where, data)
+        if end in forces:
+            raise InputError("this force is there twice", place=where, remedy="export one hit a file")
+        forces[end] = sign * (force_unit(data) or newtons) * _samples(where, data)
+    lengths = {len(column) for column in (*columns.values(), *forces.values())}
+    rates = [_rate(f"{path}, response {data['rsp_node']}", data) for data in (*own, *loads)]
     if len(lengths) > 1 or max(rates) > (1 + SAME_RATE) * min(rates):
         raise InputError(
             "its sensors are not sampled at the same instants", place=path, remedy="export all with one rate and length"
@@ -112,9 +131,11 @@ def read_record_uff(
     (motion,) = motions
     nodes = nodes_of(path, blocks, per_metre, notes)
     columns = nodes.turned(columns, str(path))
+    forces = nodes.turned(forces, str(path)) if forces else {}
     record = MeasuredRecord(
         rates[0], np.stack(list(columns.values()), axis=1), tuple(Sensor(*end) for end in columns), motion,
-        source=str(path), notes=tuple(dict.fromkeys(notes)),
+        source=str(path), notes=tuple(dict.fromkeys(notes)), references=tuple(Sensor(*end) for end in forces),
+        forces=np.stack(list(forces.values()), axis=1) if forces else None,
     )  # fmt: skip
     return record, dict(nodes.points)
 
