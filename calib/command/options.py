@@ -31,7 +31,9 @@ def assigned(text: str | None) -> dict[str, str]:
     """Names and values such as ``freq=f, frf=H``; InputError for an entry without both."""
     pairs = [one.partition("=") for one in listed(text)]
     if wrong := next((name for name, _, value in pairs if not (name.strip() and value.strip())), None):
-        raise InputError(f"{wrong!r:.40} assigns nothing", place="--variables", remedy="write it like freq=f,frf=H")
+        raise InputError(
+            f"{wrong!r:.40} assigns nothing", place="--variables", remedy="give pairs as its help shows them"
+        )
     return {name.strip(): value.strip() for name, _, value in pairs}
 
 

@@ -170,7 +170,7 @@ class Corrections:
             Ascending.
         number : int
         """
-        found = [(-self.value((int(i),)), (int(i),)) for i in free]
+        found: list[tuple[float, Operation]] = [(-self.value((int(i),)), (int(i),)) for i in free]
         first, second = np.triu_indices(len(free), 1)
         pairs = np.column_stack([free[first], free[second]])
         bounds = np.concatenate([np.zeros(0), *self._bounds(pairs)])
