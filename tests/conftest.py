@@ -136,7 +136,7 @@ def functions_in_this_process() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def without_pixels() -> Callable[[Any, str, Any], dict[str, bytes]]:
     """Gives the file of a figure without its pixels, which take longest."""
-    return lambda figure, name, formats: {"png": b"\x89PNG" + name.encode()}
+    return lambda figure, name, formats, *_: {"png": b"\x89PNG" + name.encode()}
 
 
 @pytest.fixture

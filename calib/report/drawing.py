@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import hashlib
+import pickle
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ParamSpec
+from typing import Any, ParamSpec
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -36,6 +38,11 @@ class Drawing:
     draw: Callable[[], Figure]
     tables: tuple[str, ...]
 
+    @property
+    def key(self) -> str:
+        """Digest of what it shows, apart from the code that draws; empty where that is not known."""
+        return self.draw.key if isinstance(self.draw, _Bound) else ""
+
 
 def bound(draw: Callable[_P, Axes | Figure], /, *data: _P.args, **looks: _P.kwargs) -> Callable[[], Figure]:
     """The function that draws the given data, whatever their names refer to by the time it is called.
@@ -47,12 +54,29 @@ def bound(draw: Callable[_P, Axes | Figure], /, *data: _P.args, **looks: _P.kwar
     *data, **looks
         Its arguments.
     """
+    return _Bound(draw, data, looks)
 
-    def figure() -> Figure:
-        found = draw(*data, **looks)
+
+@dataclass(frozen=True, eq=False)
+class _Bound:
+    """A function of drawings with its arguments."""
+
+    draw: Callable[..., Axes | Figure]
+    data: tuple[Any, ...]
+    looks: Mapping[str, Any]
+
+    def __call__(self) -> Figure:
+        found = self.draw(*self.data, **self.looks)
         return owner_of(found) if isinstance(found, Axes) else found
 
-    return figure
+    @property
+    def key(self) -> str:
+        """Digest of function and arguments; empty where they cannot be written."""
+        named = (self.draw.__module__, self.draw.__qualname__)
+        try:
+            return hashlib.sha256(pickle.dumps((named, self.data, self.looks), protocol=5)).hexdigest()
+        except (pickle.PicklingError, TypeError, AttributeError):
+            return ""
 
 
 def existing(folder: Folder, names: Sequence[str]) -> tuple[str, ...]:

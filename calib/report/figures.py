@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import textwrap
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -9,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -19,9 +22,21 @@ from calib.errors.errors import InputError
 from calib.execution.stage import Progress, silent
 from calib.report.draw import plan
 from calib.report.drawing import Drawing
-from calib.report.style import COLUMN, Format, Width, add_heading, content, style, take_dollars_literally, write
+from calib.report.style import (
+    COLUMN,
+    Format,
+    Width,
+    add_heading,
+    content,
+    key_of,
+    style,
+    take_dollars_literally,
+    write,
+)
 from calib.report.svg import svg_text
 from calib.report.tables import CurrentFolder
+from calib.results.code_digest import code_digest
+from calib.results.written import is_own
 
 
 @dataclass(frozen=True)
@@ -146,14 +161,28 @@ class Figures:
             progress("drawing figures", number, len(self.plan))
             known = self._taken(name)
             files = known.files if known else self._content(drawing, formats, width)
-            written += write(files, self.folder.folder / name)
+            written += write(files, self.folder.folder / name) or [self._picture(name)]
         return written
 
+    def _picture(self, name: str) -> Path:
+        return self.folder.folder / f"{name}.png"
+
+    def _key(self, drawing: Drawing, width: Width) -> str:
+        """What a picture of the drawing shows and who draws it; empty where that is not known."""
+        if not (own := drawing.key):
+            return ""
+        parts = (own, self.title, drawing.caption, self.synthetic, width, _drawn_by())
+        return hashlib.sha256(repr(parts).encode()).hexdigest()
+
     def _content(self, drawing: Drawing, formats: Sequence[Format], width: Width) -> dict[Format, bytes]:
+        """Files of a drawing; none where its PNG, the only one asked for, is there and shows the same."""
+        path, key = self._picture(drawing.name), self._key(drawing, width)
+        if key and tuple(formats) == ("png",) and key_of(path) == key and is_own(path):
+            return {}
         narrow = self._narrow(drawing) if width == "column" else None
         with style():
             figure = narrow or self._headed(self._page_wide(drawing), drawing.caption)
-            return content(figure, drawing.name, formats)
+            return content(figure, drawing.name, formats, key)
 
     def _page_wide(self, drawing: Drawing) -> Figure:
         """The figure of the page where it is drawn already."""
@@ -169,6 +198,12 @@ class Figures:
     def _headed(self, figure: Figure, caption: str) -> Figure:
         add_heading(figure, f"{self.title}: {caption}" if self.title else caption, self.synthetic)
         return figure
+
+
+@functools.cache
+def _drawn_by() -> str:
+    """The code that draws: that of this room, and matplotlib."""
+    return f"{code_digest('calib.report.draw', 'calib.report.figures')} {matplotlib.__version__}"
 
 
 _LEAST = 1.0

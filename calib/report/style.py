@@ -20,6 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from PIL import Image
 
 from calib.report.svg import svg_text, without_hover
 from calib.results.written import replacing
@@ -222,10 +223,11 @@ def write(files: Mapping[Format, bytes], stem: Path) -> list[Path]:
     return written
 
 
-def content(figure: Figure, name: str, formats: Sequence[Format]) -> dict[Format, bytes]:
+def content(figure: Figure, name: str, formats: Sequence[Format], key: str = "") -> dict[Format, bytes]:
     """Content of a picture's file in each format.
 
-    Dollar signs in names are literal. A note is added where no font has a character of a name.
+    Dollar signs in names are literal. A note is added where no font has a character of a name. A PNG bears the key of
+    what it shows, which `key_of` reads.
     """
     take_dollars_literally(figure)
     files: dict[Format, bytes] = {}
@@ -233,11 +235,24 @@ def content(figure: Figure, name: str, formats: Sequence[Format]) -> dict[Format
         if kind == "svg":
             files[kind] = svg_text(figure, name).encode()
             continue
-        files[kind], lacking = _picture(figure, kind)
+        files[kind], lacking = _picture(figure, kind, key)
         if lacking:
             figure.text(0.995, 0.003, NO_GLYPH, ha="right", va="bottom", fontsize=6.5, color=GREY)
-            files[kind], _ = _picture(figure, kind)
+            files[kind], _ = _picture(figure, kind, key)
     return files
+
+
+_KEY = "Source"
+"""Entry of a PNG with the key of what it shows."""
+
+
+def key_of(path: Path) -> str:
+    """The key that a PNG bears; empty for any other file."""
+    try:
+        with Image.open(path) as picture:
+            return str(picture.info.get(_KEY, ""))
+    except (OSError, ValueError, SyntaxError):
+        return ""
 
 
 def take_dollars_literally(figure: Figure) -> None:
@@ -260,14 +275,15 @@ def _texts(artist: Artist) -> Iterator[Text]:
             yield from _texts(child)
 
 
-def _picture(figure: Figure, kind: str) -> tuple[bytes, bool]:
+def _picture(figure: Figure, kind: str, key: str) -> tuple[bytes, bool]:
     """A picture, and whether a font lacked a character."""
     if kind == "pdf":
         without_hover(figure)  # addresses would become links
     file = io.BytesIO()
     with warnings.catch_warnings(record=True) as caught, matplotlib.rc_context({"pdf.fonttype": 42}):
         warnings.simplefilter("always")
-        figure.savefig(file, format=kind, dpi=DPI, facecolor="white")
+        metadata = {_KEY: key} if key and kind == "png" else None
+        figure.savefig(file, format=kind, dpi=DPI, facecolor="white", metadata=metadata)
     missing = [w for w in caught if "missing from font" in str(w.message)]
     for other in caught:
         if other not in missing:

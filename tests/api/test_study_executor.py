@@ -157,7 +157,7 @@ def teams(monkeypatch):
             return super().__call__(function, shared, items, told)
 
     monkeypatch.setattr(places, "Team", Seen)
-    monkeypatch.setattr("calib.report.figures.content", lambda figure, name, formats: {"png": name.encode()})
+    monkeypatch.setattr("calib.report.figures.content", lambda figure, name, formats, *_: {"png": name.encode()})
     return seen
 
 

@@ -66,7 +66,7 @@ def saved(monkeypatch):
     """Figures by name, kept instead of written."""
     figures: dict[str, Figure] = {}
 
-    def keep(figure, name, formats):
+    def keep(figure, name, formats, key=""):
         figures[name] = figure
         return {"png": b"pixels"}
 

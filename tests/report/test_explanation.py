@@ -243,7 +243,7 @@ def folder(tmp_path, effects):
 @pytest.fixture
 def saved(monkeypatch):
     figures = {}
-    monkeypatch.setattr("calib.report.figures.content", lambda figure, name, _: figures.update({name: figure}) or {})
+    monkeypatch.setattr("calib.report.figures.content", lambda figure, name, *_: figures.update({name: figure}) or {})
     return figures
 
 
