@@ -102,7 +102,7 @@ def calibrated(
     chosen: Method = run.method or study.settings.calibration.method
     cases, ledger, progress = chosen_cases(study, run.only), run.ledger, run.progress
     seconds = [confirmed(one, ledger) for one in study.studies]
-    study = study.each(lambda one: recorded(one, ledger))
+    study = study.each(lambda one: recorded(one, ledger, run.workers))
     progress("solving the model")
     before = {one.test: compared(one) for one in study.studies}
     finder = CaseFinder(study, ledger, run.homes, run.workers, run.quick, progress, seconds[0])

@@ -127,7 +127,7 @@ def intervals_at(study: AnyStudy, values: Mapping[str, float], run: IntervalsRun
         For a parameter that was not fitted, and for samples without emcee.
     """
     started = time.perf_counter()
-    study = study.each(lambda one: recorded(one, run.ledger))
+    study = study.each(lambda one: recorded(one, run.ledger, run.workers))
     problem, notes = _problem(study, run)
     space = problem.space
     names = tuple(p.name for p in space.free if not p.integer)

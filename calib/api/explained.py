@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any, Generic, TypeAlias, cast
 
@@ -11,6 +12,8 @@ import pandas as pd
 from calib.analyses.added import to_add
 from calib.analyses.explain import explanation_of
 from calib.analyses.propose import RANKED
+from calib.analyses.provenance.places import tasks_shared
+from calib.analyses.provenance.stored import with_passing
 from calib.api.arguments import explain_settings
 from calib.api.display import Displayed
 from calib.api.entries.entry import Entry
@@ -19,10 +22,12 @@ from calib.api.pairs import including, library_of, reporting
 from calib.api.proposed import Proposed, proposed
 from calib.api.protocols import Effects, Finer, P
 from calib.errors.errors import InputError
+from calib.execution.executor import Injected
 from calib.missing.discrepancy import TABLE as PARAMETERS
 from calib.missing.findings import ExplanationResult
 from calib.missing.predictions import TABLE as PREDICTIONS
 from calib.problem.effect import Effect
+from calib.results.ledger import Ledger
 from calib.structure.model import StructuralModel
 from calib.study.loading import lacking, require_distinct
 from calib.study.settings import StudySettings
@@ -178,6 +183,7 @@ def explained(
     reduction: bool | Mapping[str, Any] | None,
     progress: bool,
     begin: Mapping[str, float] | None = None,
+    executor: Executor | Injected | None = None,
 ) -> Explained[P]:
     """See `calib.api.problem.Problem.explain`."""
     known, models = problem.settings.with_effects, [model for model, _ in problem.by_model]
@@ -188,6 +194,12 @@ def explained(
     meshes = finer_of(models, finer) or dict(getattr(problem, "finer", {}))
     require_finer_mesh(settings.explain, meshes, problem.pairs)
     study = problem.study(settings, library, meshes)
-    with reporting("explain", progress) as step:
-        _, answer = explanation_of(study, step, begin=begin)
+    with reporting("explain", progress) as step, Ledger.in_memory() as passing:
+        if executor is None:
+            _, answer = explanation_of(study, step, begin=begin)
+        else:
+            workers = Injected.of(executor)
+            with tasks_shared(workers):
+                shared = study.each(lambda one: with_passing(one, passing, workers))
+                _, answer = explanation_of(shared, step, begin=begin)
     return Explained(problem, library, answer, settings, meshes)

@@ -191,13 +191,14 @@ class Fit(Displayed, Generic[P]):
         *,
         finer: Finer = None,
         reduction: bool | Mapping[str, Any] | None = None,
+        executor: Executor | Injected | None = None,
         progress: bool = True,
         **keys: Unpack[ExplainKeys],
     ) -> Explained[P]:
         """See `calib.Problem.explain`; the fit of the models as they are is not repeated: it begins at this one."""
         from calib.api.explained import explained
 
-        return explained(self.problem, effects, keys, finer, reduction, progress, self.values)
+        return explained(self.problem, effects, keys, finer, reduction, progress, self.values, executor)
 
     def intervals(
         self,

@@ -346,6 +346,7 @@ class Problem:
         *,
         finer: Finer = None,
         reduction: bool | Mapping[str, Any] | None = None,
+        executor: Executor | Injected | None = None,
         progress: bool = True,
         **keys: Unpack[ExplainKeys],
     ) -> Explained[Problem]:
@@ -361,7 +362,7 @@ class Problem:
             one effect.
         finer : StructuralModel, or mapping from str to StructuralModel, optional
             The model on a finer mesh, which tells the scores that are due to the mesh alone; by the name of the model.
-        reduction, progress
+        reduction, executor, progress
             As in `calibrate`.
         **keys
             As under ``[explain]`` of ``study.toml``, with the same defaults: ``alpha`` (false-alarm rate), ``refits``
@@ -394,4 +395,4 @@ class Problem:
         """
         from calib.api.explained import explained
 
-        return explained(self, effects, keys, finer, reduction, progress)
+        return explained(self, effects, keys, finer, reduction, progress, executor=executor)

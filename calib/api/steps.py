@@ -81,7 +81,11 @@ def calibrated(study: Any, case: str | None = None, method: Method | None = None
     study.listener.begins(loaded, "calibrate")
     folder = places.results_of(loaded, root, quick, case, method)
     homes = {one.test: places.results_of(one, root) for one in loaded.studies}
-    with opened_ledger(study, loaded) as ledger, study.listener.progress() as step:
+    with (
+        opened_ledger(study, loaded) as ledger,
+        study.listener.progress() as step,
+        places.tasks_shared(study.workers),
+    ):
         known = [mark for one in loaded.studies for mark in fingerprints(one, homes[one.test])]
         study.listener.other_state(ledger.other_fingerprints(*known))
         folders = {one.test: places.results_of(one, root, quick, case, method) for one in loaded.studies}
@@ -108,7 +112,11 @@ def bounded(study: Any, parameters: tuple[str, ...], samples: int, seed: int) ->
     loaded = _selecting(study)
     study.listener.begins(loaded, "intervals")
     homes = {one.test: places.results_of(one, study.results) for one in loaded.studies}
-    with opened_ledger(study, loaded) as ledger, study.listener.progress() as step:
+    with (
+        opened_ledger(study, loaded) as ledger,
+        study.listener.progress() as step,
+        places.tasks_shared(study.workers),
+    ):
         run = IntervalsRun(ledger, homes, study.workers, parameters, samples, seed, step)
         found = intervals(loaded, study.folder, run, study.quick)
     study.listener.bounded(found, study.folder)
@@ -154,7 +162,7 @@ def explained(study: Any) -> ExplanationResult:
     with (
         study.listener.progress() as step,
         places.tasks_shared(study.workers),
-        with_stored_modes(loaded, lambda: opened_ledger(study, loaded)) as stored,
+        with_stored_modes(loaded, lambda: opened_ledger(study, loaded), study.workers) as stored,
     ):
         homes = {one.test: places.results_of(one, root) for one in loaded.studies}
         answer = explain(stored, study.folder, step, homes, {one.one.test: one.folder for one in study.tests})

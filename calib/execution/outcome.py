@@ -18,6 +18,11 @@ from calib.errors.place import Place
 
 Function = Callable[[Mapping[str, float]], Mapping[str, float]]
 
+
+class PointWanted(BaseException):
+    """A computation asks for a point that is not known yet; see `calib.execution.ahead.together`."""
+
+
 WORKER_DIED = "the worker process died"
 OUT_OF_MEMORY = "there was not enough memory"
 TOOK_TOO_LONG = "it took longer than"
@@ -84,7 +89,7 @@ def attempt(function: Function, values: Mapping[str, float]) -> Outcome:
         error = next((f"the response {n!r} is {v}" for n, v in responses.items() if math.isinf(v)), "")
     except InputError as fault:
         raise fault.with_line(raised_at(fault)) from fault.__cause__
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, PointWanted):
         raise
     except MemoryError:
         error = OUT_OF_MEMORY

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -154,6 +154,17 @@ class FitResult:
         return pd.DataFrame(list(self.steps), columns=columns)
 
 
+T = TypeVar("T")
+Request = tuple[Mapping[str, float], tuple[str, ...]]
+"""What a fit evaluates next: the residual at named values, or with names the derivatives by them."""
+
+
+def requested(problem: LeastSquares, request: Request) -> np.ndarray:
+    """The residual, or the derivatives, that a fit asks for next."""
+    values, names = request
+    return problem.jacobian(values, names) if names else problem.residual(values)
+
+
 def fit(
     problem: LeastSquares,
     space: ParameterSpace,
@@ -190,10 +201,34 @@ def fit(
     EvaluationError
         When the start cannot be evaluated.
     """
+    return finished(fit_steps(problem, space, start, prior, settings, step))
+
+
+def finished(steps: Generator[Request, None, T]) -> T:
+    """The result of steps such as `fit_steps`, done one after the other."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            found: T = end.value
+            return found
+
+
+def fit_steps(
+    problem: LeastSquares,
+    space: ParameterSpace,
+    start: Mapping[str, float] | None = None,
+    prior: Prior | None = None,
+    settings: FitSettings = DEFAULT,
+    step: Step = unstepped,
+) -> Generator[Request, None, FitResult]:
+    """`fit`, which stops before every evaluation and tells it, so that several fits can be evaluated together."""
     region = Region.of(space, space.complete(dict(start or {})))
     prior = Prior.of(space) if prior is None else prior
     search = _Search(problem, region, prior)
-    here = search.at(region.nearest(region.start))
+    first_x = region.nearest(region.start)
+    yield region.values(first_x), ()
+    here = search.at(first_x)
     if here is None:
         raise again(search.fault, f"the fit cannot start: {search.fault}")
     mu, growth = 0.0, 2.0
@@ -201,6 +236,7 @@ def fit(
     rows.append((0, here.misfit, here.data, here.prior, 0.0, math.nan))
     iteration, rejected, reason, converged = 0, 0, "", False
     first = math.nan
+    yield here.values, region.names
     slope = search.slope(here)
     while True:
         matrix, right = search.system(here, slope)
@@ -218,7 +254,9 @@ def fit(
         there = None
         while there is None and rejected < settings.rejections and search.evaluations < settings.evaluations:
             move = region.step(matrix, right, mu, here.x)
-            trial = search.at(region.inside(here.x + move))
+            there_x = region.inside(here.x + move)
+            yield region.values(there_x), ()
+            trial = search.at(there_x)
             if trial is not None and trial.misfit < here.misfit:
                 ratio = (here.misfit - trial.misfit) / max(_promise(matrix, right, move), 1e-300)
                 mu, growth = mu * max(1 / 10, 1 - (2 * ratio - 1) ** 3), 2.0
@@ -233,6 +271,7 @@ def fit(
         iteration += 1
         size = float(np.max(np.abs(there.x - here.x)))
         rows.append((iteration, there.misfit, there.data, there.prior, size, mu))
+        yield there.values, region.names
         here, slope = there, search.slope(there)
     limits, constraints = region.active(here.x)
     return FitResult(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -12,7 +13,20 @@ import numpy as np
 import pandas as pd
 
 from calib.errors.errors import EvaluationError, InputError, again
-from calib.inference.gauss_newton import DEFAULT, FitResult, FitSettings, LeastSquares, Prior, Step, fit, unstepped
+from calib.execution.ahead import in_advance, together
+from calib.inference.gauss_newton import (
+    DEFAULT,
+    FitResult,
+    FitSettings,
+    LeastSquares,
+    Prior,
+    Request,
+    Step,
+    finished,
+    fit_steps,
+    requested,
+    unstepped,
+)
 from calib.inference.region import InfeasibleError
 from calib.inference.starts import Enough, never
 from calib.problem.space import ParameterSpace
@@ -116,15 +130,17 @@ def fit_mixed(
     every: list[FitResult | None] = []
     exhausted, fault = [], EvaluationError()
     lowest = math.inf
+    least = getattr(enough, "least", len(starts))
+    scouted = _scout([_Walk(problem, space, prior, settings, refits, whole) for _ in starts[:least]], starts, step)
     for k, start in enumerate(starts):
         walk = _Walk(problem, space, prior, settings, refits, whole)
-        walk.step = partial(_tell, step, walk, k, len(starts))
-        here = walk.fit(space.complete(dict(start)))
+        walk.step = unstepped if k < scouted else partial(_tell, step, walk, k, len(starts))
+        here = finished(walk.fit(space.complete(dict(start))))
         if here is not None:
             lowest = min(lowest, here.misfit)
         while here is not None:
             progress(k, len(walk.tried), lowest)
-            better = walk.better(here)
+            better = finished(walk.better(here))
             if better is None:
                 break
             here = better
@@ -142,6 +158,35 @@ def fit_mixed(
         raise again(fault)
     table = pd.DataFrame(rows, columns=["start", *whole, "misfit", "converged"])
     return MixedResult(min(ends, key=lambda r: r.misfit), tuple(ends), table, tuple(exhausted))
+
+
+def _scout(walks: Sequence[_Walk], starts: Sequence[Mapping[str, float]], step: Step) -> int:
+    """Walk from several starts side by side, so that what they ask of a function is evaluated together.
+
+    Returns how many starts were walked; their points are known then, and the fits that follow find them. None are where
+    no function is shared, or only one start is given.
+    """
+    if len(walks) < 2:
+        return 0
+    running = {k: walk.whole_walk(starts[k]) for k, walk in enumerate(walks)}
+    share = dict.fromkeys(running, 0.0)
+    for k, walk in enumerate(walks):
+        walk.step = partial(share.__setitem__, k)
+    while running:
+        requests = dict[int, Request]()
+        with in_advance():
+            for k, steps in list(running.items()):
+                request = next(steps, None)
+                if request is None:
+                    share[k] = 1.0
+                    del running[k]
+                else:
+                    requests[k] = request
+        asked = [partial(requested, walks[k].problem, request) for k, request in requests.items()]
+        if asked and not together(asked):
+            return 0
+        step(0.99 * sum(share.values()) / len(share))
+    return len(walks)
 
 
 def _tell(step: Step, walk: _Walk, start: int, starts: int, share: float) -> None:
@@ -165,10 +210,17 @@ class _Walk:
     exhausted: bool = False
     step: Step = unstepped
 
-    def fit(self, values: Mapping[str, float]) -> FitResult | None:
+    def whole_walk(self, start: Mapping[str, float]) -> Generator[Request, None, None]:
+        """Fits from a start to the best integers; stops before every evaluation, as `fit_steps` does."""
+        with suppress(InfeasibleError):
+            here = yield from self.fit(self.space.complete(dict(start)))
+            while here is not None:
+                here = yield from self.better(here)
+
+    def fit(self, values: Mapping[str, float]) -> Generator[Request, None, FitResult | None]:
         key = tuple(round(values[n]) for n in self.whole)
         try:
-            found = fit(self.problem, self.space, values, self.prior, self.settings, self.step)
+            found = yield from fit_steps(self.problem, self.space, values, self.prior, self.settings, self.step)
         except EvaluationError as fault:
             self.fault = again(fault)
             self.tried[key] = (math.inf, False)
@@ -176,7 +228,7 @@ class _Walk:
         self.tried[key] = (found.misfit, found.converged)
         return found
 
-    def better(self, here: FitResult) -> FitResult | None:
+    def better(self, here: FitResult) -> Generator[Request, None, FitResult | None]:
         """The best untried neighbour if it is better, single changes first; None at the optimum."""
         for changed in (1, 2):
             best = None
@@ -195,7 +247,7 @@ class _Walk:
                         self.exhausted = True
                         return best
                     try:
-                        found = self.fit(values)
+                        found = yield from self.fit(values)
                     except InfeasibleError:
                         continue
                     if found is not None and found.misfit < (here if best is None else best).misfit:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import count, pairwise
 from typing import Protocol, TypeAlias
 
 from calib.inference.gauss_newton import FitResult
@@ -98,6 +98,11 @@ class UntilAgreed:
     given: int = 0
     agree: bool = False
     optima: Optima = field(default_factory=lambda: Optima.of(()))
+
+    @property
+    def least(self) -> int:
+        """Starts without which they cannot agree: all of those that are given, and so many random ones."""
+        return self.given + next(n for n in count(2) if 2 / (n * (n - 1)) <= RULES.unseen)
 
     def __call__(self, ends: Sequence[FitResult | None]) -> bool:
         """Whether the starts agree."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
 from calib.errors.errors import EvaluationError
+from calib.execution.ahead import together
 from calib.problem.space import Parameter, ParameterSpace
 
 STEP = 1e-4
@@ -35,7 +37,27 @@ def central_jacobian(
     complete = space.complete(dict(values))
     if not names:
         return np.zeros((len(residual(complete)), 0))
+    ask_ahead(residual, complete, [space[name] for name in names], step)
     return np.column_stack([difference(residual, complete, space[name], step) for name in names])
+
+
+def ask_ahead(
+    function: Callable[[Mapping[str, float]], object],
+    values: Mapping[str, float],
+    parameters: Sequence[Parameter],
+    step: float,
+) -> None:
+    """Evaluate both ends of all differences together, where workers share that; see `difference`."""
+    ends = [{**values, p.name: end} for p in parameters for end in _ends(values, p, step)]
+    together([partial(function, end) for end in ends])
+
+
+def _ends(values: Mapping[str, float], p: Parameter, step: float) -> list[float]:
+    """Ends of a difference within the limits of a parameter; none for an integer and for one that is held."""
+    middle, half = values[p.name], step * (p.upper - p.lower)
+    if p.integer or half == 0:
+        return []
+    return [end for end in (min(middle + half, p.upper), max(middle - half, p.lower)) if end != middle]
 
 
 def difference(
@@ -51,13 +73,11 @@ def difference(
     EvaluationError
         When the vector cannot be evaluated on either side.
     """
-    middle, half = values[p.name], step * (p.upper - p.lower)
-    if p.integer or half == 0:
+    middle = values[p.name]
+    if p.integer or step * (p.upper - p.lower) == 0:
         return np.zeros_like(np.asarray(residual(values), dtype=float))
     ends, fault = [], EvaluationError(f"no difference along {p.name!r} lies within its limits")
-    for at in (min(middle + half, p.upper), max(middle - half, p.lower)):
-        if at == middle:
-            continue
+    for at in _ends(values, p, step):
         try:
             ends.append((at, np.asarray(residual({**values, p.name: at}), dtype=float)))
         except EvaluationError as failed:

@@ -12,11 +12,15 @@ import numpy as np
 import pandas as pd
 
 from calib.errors.errors import EvaluationError, again
+from calib.execution.ahead import is_collecting
 from calib.execution.outcome import Outcome, failure, point_key
 from calib.problem.space import ParameterSpace
 
 REMEMBERED = 8
 """Number of cached solutions, so that a derivative does not solve its point again."""
+
+AHEAD = 200
+"""Number of solutions that are kept for a request that follows; see `calib.execution.ahead`."""
 
 
 class Label(Protocol):
@@ -165,6 +169,10 @@ class Store(Protocol):
         """Keep outcomes."""
         ...
 
+    def first_use(self, fingerprint: str, key: str) -> bool:
+        """Whether a point was evaluated ahead of this request; false from then on."""
+        ...
+
     def vectors(self, fingerprint: str, key: str, names: Sequence[str]) -> dict[str, np.ndarray]:
         """Known vectors of a point by name."""
         ...
@@ -235,6 +243,7 @@ class PairProblem(Generic[P]):
     counts: Counts = field(default_factory=Counts, repr=False)
     _solved: dict[str, Any] = field(init=False, repr=False, default_factory=dict)
     _failed: dict[str, EvaluationError] = field(init=False, repr=False, default_factory=dict)
+    _early: dict[str, Any] = field(init=False, repr=False, default_factory=dict)
     _identity: str = field(init=False, repr=False, default="")
 
     def __post_init__(self) -> None:
@@ -243,12 +252,13 @@ class PairProblem(Generic[P]):
 
     def __getstate__(self) -> dict[str, Any]:
         # Another process does not need the cached points, which are many.
-        return {**self.__dict__, "_solved": {}, "_failed": {}}
+        return {**self.__dict__, "_solved": {}, "_failed": {}, "_early": {}}
 
     def forget(self) -> None:
         """Drop all cached points, so that what is counted does not depend on earlier requests."""
         self._solved.clear()
         self._failed.clear()
+        self._early.clear()
 
     @property
     def rows(self) -> Sequence[Label]:
@@ -282,7 +292,7 @@ class PairProblem(Generic[P]):
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Whitened residual, (n_rows,); EvaluationError where the model cannot be solved or has failed before."""
         complete = self.pair.space.complete(dict(values))
-        if self.store is None or self.pair.told_by_responses:
+        if self.store is None or self.pair.told_by_responses or is_collecting():
             return self.pair.of(self.at(complete))
         key = point_key(complete)
         known = self.store.vectors(self._identity, key, [""])
@@ -301,6 +311,8 @@ class PairProblem(Generic[P]):
         key = point_key(complete)
         known = self.store.vectors(self._identity, key, names)
         new = [name for name in names if name not in known]
+        if is_collecting():
+            return self.pair.slope(complete, new, self.at)
         if new:
             columns = dict(zip(new, self.pair.slope(complete, new, self.at).T, strict=True))
             self.store.keep_vectors(self._identity, key, columns)
@@ -322,6 +334,8 @@ class PairProblem(Generic[P]):
         """The pair's solution at named values; EvaluationError where the model fails."""
         complete = self.pair.space.complete(dict(values))
         key = point_key(complete)
+        if is_collecting():
+            return self._noted(key, complete)
         if key in self._solved:
             self.counts.reused += 1
             return self._solved[key]
@@ -336,15 +350,27 @@ class PairProblem(Generic[P]):
         self._solved[key] = found
         return found
 
+    def _noted(self, key: str, values: dict[str, float]) -> Any:
+        """The solution while points are collected: kept for the request that follows, and not counted before it."""
+        if key in self._failed:
+            raise again(self._failed[key])
+        if key not in self._solved and key not in self._early:
+            found = self.pair.solve(values)
+            while len(self._early) >= AHEAD:
+                del self._early[next(iter(self._early))]
+            self._early[key] = found
+        return self._solved[key] if key in self._solved else self._early[key]
+
     def _found(self, key: str, values: dict[str, float]) -> Any:
         """The stored solution, or a new one."""
         if key in self._failed:
             raise again(self._failed[key])
         found = self._restored(key)
         if found is not None:
-            self.counts.reused += 1
+            ahead = self.store is not None and self.store.first_use(self.pair.problem.fingerprint, key)
+            self.counts.add(Counts(solved=ahead, reused=not ahead))
             return found
-        found = self._solve(values)
+        found = self._solve(key, values)
         self.counts.solved += 1
         return found
 
@@ -357,10 +383,10 @@ class PairProblem(Generic[P]):
             raise failure(known)
         return self.pair.restored(known.responses)
 
-    def _solve(self, values: dict[str, float]) -> Any:
+    def _solve(self, key: str, values: dict[str, float]) -> Any:
         started = time.perf_counter()
         try:
-            found = self.pair.solve(values)
+            found = self._early.pop(key) if key in self._early else self.pair.solve(values)
         except EvaluationError as fault:
             self._keep(Outcome(values, "failed", {}, str(fault), time.perf_counter() - started))
             raise

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 from calib.execution.evaluate import Evaluator
+from calib.execution.executor import Injected
 from calib.execution.outcome import failure
 from calib.experiment.test import ForwardProblem
 from calib.problem.effect import Effect
 from calib.study.study import EvaluationSource, LoadedStudy
+from calib.study.study_file import StudyFile
+
+Workers: TypeAlias = int | Injected | None
+"""Who evaluates points: a number of processes, None for one per core where that pays, or an injected executor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,3 +94,14 @@ class KnownThere:
         """None where the builder returns a function of the extended parameters."""
         built = self.function(model)
         return None if callable(built) else built
+
+
+def stated_time_limit(study: StudyFile) -> float | None:
+    """The time limit in a study's file; None where it has none, since the default holds for the own pool only."""
+    given = study.settings.calibration
+    return given.time_limit if "time_limit" in given.model_fields_set else None
+
+
+def available_cores() -> int:
+    """Number of processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 
-from calib.analyses.provenance.isolation import ChildFunction
-from calib.analyses.provenance.recorded import ModesEvaluator, reevaluated, unrecorded
+from calib.analyses.provenance.isolation import ChildFunction, Workers, available_cores, stated_time_limit
+from calib.analyses.provenance.recorded import Evaluated, ModesEvaluator, reevaluated, unrecorded
 from calib.errors.errors import InputError
+from calib.execution.ahead import points_shared
 from calib.execution.evaluate import BatchEvaluator, Evaluator
 from calib.execution.executor import ExecutorEvaluator, Injected
-from calib.execution.outcome import Function
 from calib.execution.tasks import are_shared, shared_by
 from calib.execution.team import Team
 from calib.experiment.test import ForwardProblem
@@ -33,9 +30,6 @@ QUICK_SAMPLED = 5
 """Sizes of a quick run: enough to see whether a study works, too few to rely on its results."""
 
 LEDGER = "ledger.sqlite"
-
-Workers: TypeAlias = int | Injected | None
-"""Who evaluates points: a number of processes, None for one per core where that pays, or an injected executor."""
 
 
 def results_of(
@@ -147,7 +141,7 @@ def open_evaluator(
     given = problem or study.problem
     bare = unrecorded(given)
     if study.in_memory:
-        here = Here(bare)
+        here = Evaluated(bare)
         return ExecutorEvaluator(here, workers) if isinstance(workers, Injected) else Evaluator(here)
     source = EvaluationSource.of(study, bare, basis)
     if isinstance(workers, Injected):
@@ -163,41 +157,21 @@ def open_evaluator(
     return _opened_for(given, Evaluator(source, chosen, study.settings.calibration.time_limit))
 
 
-@dataclass(frozen=True, eq=False)
-class Here:
-    """Source of an evaluator: a forward problem of this process.
-
-    Attributes
-    ----------
-    problem : ForwardProblem
-    """
-
-    problem: ForwardProblem
-
-    def __call__(self) -> Function:
-        """From named values to named responses."""
-        return self.problem.evaluate
-
-
 @contextmanager
 def tasks_shared(workers: Workers) -> Iterator[None]:
     """While this lasts, worker processes share the tasks of `each`; they are started when they pay off.
 
     Where they are shared already, that goes on, whatever ``workers`` is. An injected executor does not take them: each
-    task needs matrices and bases, which are large.
+    task needs matrices and bases, which are large. Points of a user's function that are asked for together are shared
+    by either, see `calib.analyses.provenance.recorded.recorded`.
     """
-    if isinstance(workers, Injected) or are_shared():
-        yield
-        return
-    team = Team(available_cores(), PATIENCE) if workers is None else Team(workers)
-    with team, shared_by(team):
-        yield
-
-
-def stated_time_limit(study: StudyFile) -> float | None:
-    """The time limit in a study's file; None where it has none, since the default holds for the own pool only."""
-    given = study.settings.calibration
-    return given.time_limit if "time_limit" in given.model_fields_set else None
+    with nullcontext() if workers == 1 else points_shared():
+        if isinstance(workers, Injected) or are_shared():
+            yield
+            return
+        team = Team(available_cores(), PATIENCE) if workers is None else Team(workers)
+        with team, shared_by(team):
+            yield
 
 
 @contextmanager
@@ -218,8 +192,3 @@ _WORTHWHILE = 10.0
 
 PATIENCE = 1.0
 """Seconds of shared tasks after which worker processes are started; see `calib.execution.team.Team`."""
-
-
-def available_cores() -> int:
-    """Number of processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)

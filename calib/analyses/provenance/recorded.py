@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from calib.analyses.provenance.isolation import evaluator_of
+from calib.analyses.provenance.isolation import ChildFunction, Workers, available_cores, evaluator_of, stated_time_limit
 from calib.errors.errors import EvaluationError
-from calib.execution.evaluate import Arrived, BatchEvaluator
-from calib.execution.outcome import Outcome, attempt, failure, point_key
+from calib.execution.ahead import ask, is_collecting
+from calib.execution.evaluate import Arrived, BatchEvaluator, Evaluator
+from calib.execution.executor import ExecutorEvaluator, Injected
+from calib.execution.outcome import Function, Outcome, attempt, failure, point_key
 from calib.experiment.test import ForwardProblem
 from calib.results.fingerprint import digest_of
 from calib.results.ledger import Ledger
@@ -36,6 +39,12 @@ def outcome_of(problem: ForwardProblem, numbers: Outcome) -> Outcome:
     return replace(found, seconds=numbers.seconds)
 
 
+WORTH_SHARING = 0.02
+"""Seconds of an evaluation from which points are shared: sending one takes a tenth of that."""
+SHARED_AFTER = 10.0
+"""Seconds of points asked for together before worker processes are started, where their number is not stated."""
+
+
 @dataclass(frozen=True, eq=False)
 class RecordedFunction:
     """The function of a problem, called only at points that are not in the ledger.
@@ -53,6 +62,10 @@ class RecordedFunction:
         Parameters of the model.
     library : str
         Digest of the effects whose parameters may also be among the values; such points are stored separately.
+    several : BatchEvaluator or None
+        Evaluates points that are asked for together, by several workers; None where nobody shares them.
+    patience : float
+        Seconds of such points before it is used.
     """
 
     asked: Callable[[Mapping[str, float]], Mapping[str, float]]
@@ -61,31 +74,95 @@ class RecordedFunction:
     evaluator: BatchEvaluator
     names: frozenset[str] = frozenset()
     library: str = ""
+    several: BatchEvaluator | None = None
+    patience: float = 0.0
+    _times: list[float] = field(init=False, repr=False, default_factory=lambda: [0.0, 0.0])
 
     def __call__(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Named numbers; EvaluationError where the function fails, or failed before."""
-        own = values.keys() <= self.names
-        kept = self.fingerprint if own else with_library(self.fingerprint, self.library)
-        (outcome,) = self.ledger.evaluate(kept, [values], self.evaluator)
+        if self.several is not None and self._times[0] >= WORTH_SHARING:
+            ask(self, values, lambda: point_key(values) in self.ledger.lookup(self._kept(values), [point_key(values)]))
+        if is_collecting():
+            self.ledger.evaluate_ahead(self._kept(values), [values], self.evaluator)
+        else:
+            self.ledger.first_use(self._kept(values), point_key(values))
+        (outcome,) = self.ledger.evaluate(self._kept(values), [values], self.evaluator)
+        self._times[0] = max(outcome.seconds, self._times[0])
         if outcome.status == "failed":
             raise failure(outcome)
         return outcome.responses
 
+    def ahead(self, points: Sequence[Mapping[str, float]]) -> None:
+        """Evaluate points that are about to be asked for, by several workers once that is worth their start."""
+        self._times[1] += self._times[0] * len(points)
+        if self.several is None or self._times[1] < self.patience:
+            return
+        kept = {self._kept(values): True for values in points}
+        for key in kept:
+            self.ledger.evaluate_ahead(key, [values for values in points if self._kept(values) == key], self.several)
 
-def recorded_problem(problem: ForwardProblem, ledger: Ledger, library: str = "") -> ForwardProblem:
-    """The same problem with its function behind a ledger; unchanged for matrices, or if it is behind one already."""
-    function = problem.user_function
+    def _kept(self, values: Mapping[str, float]) -> str:
+        """Key in the ledger: points with parameters of effects are stored separately."""
+        own = values.keys() <= self.names
+        return self.fingerprint if own else with_library(self.fingerprint, self.library)
+
+
+def recorded(study: LoadedStudy, ledger: Ledger, workers: Workers = 1) -> LoadedStudy:
+    """The study with its function behind the ledger; unchanged for matrices, whose modes are not stored.
+
+    Points that are asked for together, such as those of derivatives and of several starts, are shared by ``workers``
+    (see `calib.execution.ahead`); results are the same whatever their number.
+
+    Parameters
+    ----------
+    study : Study
+    ledger : Ledger
+    workers : int, Injected or None
+        As in `calib.analyses.provenance.places.open_evaluator`. A function in this process is shared by an injected
+        executor only, since it may not exist elsewhere.
+    """
+    problem = study.problem
+    function: Any = problem.user_function
     if function is None or isinstance(function, RecordedFunction):
-        return problem
-    names = frozenset(problem.space.names)
-    return problem.with_function(
-        RecordedFunction(function, problem.ledger_key, ledger, evaluator_of(problem), names, library)
-    )
+        return study
+    patience = SHARED_AFTER if workers is None else 0.0
+    kept = RecordedFunction(
+        function, problem.ledger_key, ledger, evaluator_of(problem), frozenset(problem.space.names),
+        study.library_digest, _several(study, workers), patience,
+    )  # fmt: skip
+    return replace(study, problem=problem.with_function(kept))
 
 
-def recorded(study: LoadedStudy, ledger: Ledger) -> LoadedStudy:
-    """The study with its function behind the ledger; unchanged for matrices, whose modes are not stored."""
-    return replace(study, problem=recorded_problem(study.problem, ledger, study.library_digest))
+def _several(study: LoadedStudy, workers: Workers) -> BatchEvaluator | None:
+    """Evaluator of the function of a study by several workers; None where nobody shares its points."""
+    function = study.problem.user_function
+    if isinstance(workers, Injected):
+        if isinstance(function, ChildFunction):
+            return ExecutorEvaluator(function.evaluator.source, workers, stated_time_limit(study))
+        return ExecutorEvaluator(Evaluated(study.problem, numbers=True), workers)
+    count = available_cores() if workers is None else workers
+    if count == 1 or not isinstance(function, ChildFunction):
+        return None
+    return Evaluator(function.evaluator.source, count, study.settings.calibration.time_limit)
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluated:
+    """Source of an evaluator: a forward problem of this process.
+
+    Attributes
+    ----------
+    problem : ForwardProblem
+    numbers : bool
+        Whether a function of modes returns its numbers instead of the responses.
+    """
+
+    problem: ForwardProblem
+    numbers: bool = False
+
+    def __call__(self) -> Function:
+        """From named values to named numbers."""
+        return (self.problem.numbers_function if self.numbers else None) or self.problem.evaluate
 
 
 def unrecorded(problem: ForwardProblem) -> ForwardProblem:

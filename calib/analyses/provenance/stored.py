@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
+from typing import Any
 
+from calib.analyses.provenance.isolation import Workers
 from calib.analyses.provenance.recorded import outcome_of, recorded, reevaluated, reevaluated_numbers
 from calib.errors.errors import InputError
 from calib.execution.outcome import Outcome
@@ -84,23 +87,33 @@ def confirm(study: LoadedStudy, ledger: Ledger, known: Outcome) -> float:
 
 
 @contextmanager
-def with_stored_modes(study: AnyStudy, opened: Callable[[], AbstractContextManager[Ledger]]) -> Iterator[AnyStudy]:
-    """A study with its functions of modes behind the ledger, one stored point of each checked; others are unchanged.
+def with_stored_modes(
+    study: AnyStudy, opened: Callable[[], AbstractContextManager[Ledger]], workers: Workers = 1
+) -> Iterator[AnyStudy]:
+    """A study with its functions of modes behind the ledger, one stored point of each checked.
 
-    This holds for every test of the study.
+    Other functions are put behind a ledger that is not kept, where ``workers`` may share their points. This holds for
+    every test of the study.
     """
-    if not any(_has_modes(one) for one in study.studies):
-        yield study
-        return
-    with opened() as ledger:
+    modes = any(_has_modes(one) for one in study.studies)
+    with opened() if modes else nullcontext() as ledger, Ledger.in_memory() as passing:
 
         def kept(one: LoadedStudy) -> LoadedStudy:
-            if not _has_modes(one):
-                return one
-            confirmed(one, ledger)
-            return recorded(one, ledger)
+            if ledger is not None and _has_modes(one):
+                confirmed(one, ledger)
+                return recorded(one, ledger, workers)
+            return with_passing(one, passing, workers)
 
         yield study.each(kept)
+
+
+def with_passing(study: LoadedStudy, ledger: Ledger, workers: Workers) -> LoadedStudy:
+    """The study with its function behind a ledger that is not kept, its model too, for workers to share its points."""
+    if study.problem.user_function is None or workers == 1:
+        return study
+    own: Any = recorded(study, ledger, workers)
+    function = own.problem.user_function
+    return study if function.several is None else replace(own, model=own.model.with_function(function))
 
 
 def _has_modes(study: LoadedStudy) -> bool:

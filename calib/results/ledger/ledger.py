@@ -59,6 +59,7 @@ class Ledger:
         self._tried: set[tuple[str, str]] = set()
         self._damaged: set[tuple[str, int]] = set()
         self._again = False
+        self._ahead: set[tuple[str, str]] = set()
 
     @property
     def damaged(self) -> int:
@@ -185,6 +186,22 @@ class Ledger:
             outcomes = evaluator.evaluate(list(new.values()), arrived)
             known |= dict(zip(new, outcomes, strict=True))
         return [known[key] for key in keys]
+
+    def evaluate_ahead(
+        self, fingerprint: str, points: Sequence[Mapping[str, float]], evaluator: BatchEvaluator
+    ) -> None:
+        """Evaluate and store points that are about to be asked for; `first_use` tells them from others."""
+        keys = [point_key(values) for values in points]
+        known = self.lookup(fingerprint, keys)
+        self._ahead |= {(fingerprint, key) for key in keys if key not in known}
+        self.evaluate(fingerprint, points, evaluator)
+
+    def first_use(self, fingerprint: str, key: str) -> bool:
+        """Whether a point was evaluated ahead of this request; false from then on."""
+        if (fingerprint, key) not in self._ahead:
+            return False
+        self._ahead.remove((fingerprint, key))
+        return True
 
     @contextmanager
     def failed_again(self) -> Iterator[None]:

@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from calib.errors.errors import EvaluationError
 from calib.measurement.mac import align
-from calib.problem.differences import difference
+from calib.problem.differences import ask_ahead, difference
 from calib.problem.space import ParameterSpace
 from calib.structure.eigenproblem.derivatives import ModeDerivatives, eigenvalues
 from calib.structure.modes import Modes
@@ -174,6 +174,8 @@ def followed_derivatives(
     kind = complex if modes.is_complex else float
     eigenvalue = np.zeros((len(names), len(chosen)), dtype=complex)
     shapes = np.zeros((len(names), len(rows), len(chosen)), dtype=kind)
+    if len(chosen):
+        ask_ahead(at, complete, [space[name] for name in names], step)
     for q, name in enumerate(names if len(chosen) else ()):
         path = _Path(at, modes, chosen, complete)
         slope = difference(path.vector, complete, space[name], step).reshape(-1, 2, len(chosen))
