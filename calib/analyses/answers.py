@@ -163,6 +163,8 @@ def of_fit(
     changes += [search] if search else []
     sure = [f"The fit has p = {statistics.p_fit:.2g}.", identified_sentence(verdicts), _AGREEMENT[agreement]]
     sure += contradictions
+    held = statistics.considered
+    sure += held.loc[held["matters"].astype(bool), "words"].head(1).tolist()
     if statistics.assumed:
         sure.append(f"This rests on an assumed standard deviation: {statistics.assumed}.")
     if statistics.identification.ratios_only:

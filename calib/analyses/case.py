@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 from calib.analyses.case_found import CaseFound, reported
 from calib.analyses.case_starts import Starts, Steps, evaluable, known_starts, least_squares, until_agreed
 from calib.analyses.explained_fit import explained_fit
-from calib.analyses.fit_statistics import FitProblem, FitStatistics, Terms, fit_problem, statistics_at
+from calib.analyses.fit_statistics import FitProblem, FitStatistics, Near, Terms, fit_problem, statistics_at
 from calib.analyses.joint_responses import Responses, own_values
 from calib.analyses.least_squares import FitProgress, Shared, criteria, ended, fitted_at_full_order
 from calib.analyses.provenance.places import QUICK_GENERATIONS, QUICK_POPULATION, Workers, open_evaluator, tasks_shared
@@ -188,7 +188,7 @@ class CaseFinder:
                             reductions, [search.values, *also], RULES.refits_after_search, shared=True, told=told
                         )
                     else:
-                        statistics = statistics_at(self.exact, Terms.of(study), search.values)
+                        statistics = self.statistics_at(search.values)
                     told("checking at full order")
                     yield self._searched(objective, search, statistics)
                     before = reductions
@@ -206,6 +206,11 @@ class CaseFinder:
         problem = self._only.problem if reduction is None else reduction.problem
         basis, seconds = (None, self.seconds) if reduction is None else (reduction.path, None)
         return open_evaluator(self._only, self.workers, count, problem, basis, seconds)
+
+    def statistics_at(self, values: Mapping[str, float]) -> FitStatistics:
+        """The fit statistics at given values, without a fit."""
+        near = near_of(self.study, self._reductions()) if self.study.held_sd else None
+        return statistics_at(self.exact, Terms.of(self.study), values, near)
 
     def _certifier(self, reductions: Mapping[str, Reduction]) -> Any:
         """Callback that checks every would-be best point of one test; several are checked where a case ended."""
@@ -244,7 +249,7 @@ class CaseFinder:
                 place=study.place("calibration", "method"),
                 remedy="measure FRFs with a response at the place of every force, or choose another method",
             )
-        statistics, steps = statistics_at(self.exact, Terms.of(study), found[0]), Steps()
+        statistics, steps = self.statistics_at(found[0]), Steps()
         steps(1, 1, sum(criteria(self.exact, found[0])))
         seconds = time.perf_counter() - started
         result = CaseResult.fitted(cases[0].name, statistics.values, self.exact.counts, steps.table(), seconds)
@@ -269,11 +274,12 @@ class CaseFinder:
         study, counts = self.study, counts or Counts()
         exact = fit_problem(study, self.ledger, counts=counts)
         reduced: dict[str, ForwardProblem] = {test: one.problem for test, one in reductions.items()}
-        near = fit_problem(study, self.ledger, reduced, counts) if reduced else None
-        common = self._in_common(exact if near is None else near, refits, told) if shared else None
+        on_basis = fit_problem(study, self.ledger, reduced, counts) if reduced else None
+        common = self._in_common(exact if on_basis is None else on_basis, refits, told) if shared else None
         return fitted_at_full_order(
-            exact, near, Terms.of(study), starts, refits, progress, self.known, common, told, enough
-        )
+            exact, on_basis, Terms.of(study), starts, refits, progress, self.known, common, told, enough,
+            near_of(study, reductions),
+        )  # fmt: skip
 
     def _in_common(self, problem: FitProblem, refits: int, told: Progress) -> Shared:
         """Fits from the starting points that all cases share, run once per basis."""
@@ -307,6 +313,25 @@ class CaseFinder:
     ) -> tuple[CaseFound, ...]:
         """A case at its final values, for every test; see `reported`."""
         return tuple(reported(one, result, statistics, search, before, at_search) for one in self.study.studies)
+
+
+def near_of(study: AnyStudy, reductions: Mapping[str, Reduction]) -> Near | None:
+    """The study on its reduced bases, by name of the test, for changes by held parameters; None where it has none.
+
+    A basis is trained over the parameters of the search, and enriched in memory where others leave what it represents.
+    """
+    if not reductions:
+        return None
+
+    def at(points: Sequence[Mapping[str, float]]) -> FitProblem:
+        instead: dict[str, ForwardProblem] = {}
+        for one in study.studies:
+            if one.test in reductions:
+                own = [own_values(one, point) if len(study.studies) > 1 else point for point in points]
+                instead[one.test] = reductions[one.test].covering(own).problem
+        return fit_problem(study, None, instead)
+
+    return Near(at(()), at)
 
 
 def reduction_noted(

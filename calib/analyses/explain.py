@@ -136,10 +136,9 @@ def adapters_for(
 ) -> dict[str, Adapter]:
     """The same test by test."""
     local, mesh_sd = perturbations_of(study), study.settings.explain.mesh_sd
-    adapters = {
-        s.test: adapter_of(with_uncertain(s), homes.get(s.test, results), progress, local[s.test], study.held_sd)
-        for s in study.studies
-    }
+    free = [with_uncertain(s) for s in study.studies]
+    held_sd = {name: sd for s in free for name, sd in s.held_sd.items()}
+    adapters = {s.test: adapter_of(s, homes.get(s.test, results), progress, local[s.test], held_sd) for s in free}
     if mesh_sd is not None:
         progress("error of the mesh")
         adapters |= {s.test: _with_mesh(adapters[s.test], s, mesh_sd) for s in study.studies if s.states_mesh}

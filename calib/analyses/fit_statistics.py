@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -15,7 +15,7 @@ from calib.analyses.uncertainty import assumed_words, in_one
 from calib.experiment.test import ForwardProblem
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import CaseResult
-from calib.inference.considered import At, changes_by_held, considered_table, explained_by_held
+from calib.inference.considered import At, Fittable, Nearby, changes_by_held, considered_table, explained_by_held
 from calib.inference.constraints import ConstraintRows, Hold, constraint_rows, holds, multipliers
 from calib.inference.gauss_newton import FitResult, Prior
 from calib.inference.identify import Identifiability, identify, posterior, prediction_interval
@@ -40,7 +40,7 @@ FitProblem: TypeAlias = PairProblem[Any] | JointProblem
 
 def fit_problem(
     study: AnyStudy,
-    ledger: Ledger,
+    ledger: Ledger | None,
     instead: Mapping[str, ForwardProblem] = MappingProxyType({}),
     counts: Counts | None = None,
 ) -> FitProblem:
@@ -243,9 +243,25 @@ class FitStatistics:
         )
 
 
-def statistics_at(problem: FitProblem, terms: Terms, values: Mapping[str, float]) -> FitStatistics:
+def statistics_at(
+    problem: FitProblem, terms: Terms, values: Mapping[str, float], near: Near | None = None
+) -> FitStatistics:
     """Fit statistics at given values, without a fit."""
-    return statistics_of(problem, terms, dict(values), None, {}, True)
+    return statistics_of(problem, terms, dict(values), None, {}, True, near=near)
+
+
+class Near(NamedTuple):
+    """A reduced problem on which the changes by held parameters are computed.
+
+    Attributes
+    ----------
+    problem : Fittable
+    nearby : callable
+        See `calib.inference.considered.changes_by_held`.
+    """
+
+    problem: Fittable
+    nearby: Nearby
 
 
 def statistics_of(
@@ -256,8 +272,12 @@ def statistics_of(
     profiles: Profiles,
     complete: bool,
     ends: tuple[FitResult, ...] = (),
+    near: Near | None = None,
 ) -> FitStatistics:
-    """Fit statistics at some values; ``fit`` is the fit that led there, ``ends`` are those from all starts."""
+    """Fit statistics at some values; ``fit`` is the fit that led there, ``ends`` are those from all starts.
+
+    ``near`` serves the changes by held parameters, of which a model of full order would have to be solved many times.
+    """
     space, alpha, held_sd = problem.space, terms.alpha, terms.held_sd
     names = tuple(p.name for p in space.free if not p.integer)
     if fit is not None and fit.names == names:
@@ -269,7 +289,7 @@ def statistics_of(
     misfit, shift = float(vector @ vector), Prior.of(space).residual(values, names)
     converged = fit is not None and fit.converged
     end = At(names, values, vector, slope, prior_sd, converged)
-    held = changes_by_held(problem, end, held_sd)
+    held = changes_by_held(problem if near is None else near.problem, end, held_sd, near and near.nearby)
     descent = -slope.T @ vector - shift / prior_sd
     active = active_limits(space, names, values, multipliers(space, names, values, descent))
     free = explained_by_held(end, held, constraints, [name in active for name in names])

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
-from calib.analyses.fit_statistics import FitProblem, FitStatistics, Terms, statistics_of
+from calib.analyses.fit_statistics import FitProblem, FitStatistics, Near, Terms, statistics_of
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import Progress, silent
 from calib.inference.gauss_newton import Prior
@@ -71,6 +71,7 @@ def fitted(
     told: Progress = silent,
     stage: str = LEAST_SQUARES,
     enough: Enough = never,
+    near: Near | None = None,
 ) -> FitStatistics:
     """The best least-squares fit from several starts, with the limits, constraints and priors of the problem's space.
 
@@ -78,7 +79,8 @@ def fitted(
     a final fit that tries no more. ``shared`` holds fits of the same residual from further starts: the fit from the
     nominal values replaces the own one only if its data misfit is lower by more than `Rules.equal`, the fit from known
     points if it is better in data and priors together. ``told`` receives the progress of the stage of that name.
-    ``enough`` tells after every start whether the others may be left out.
+    ``enough`` tells after every start whether the others may be left out. ``near`` as in
+    `calib.analyses.fit_statistics.statistics_of`.
     """
     space = problem.space
     found: MixedResult = fit_mixed(
@@ -93,12 +95,12 @@ def fitted(
         profiles, complete = before.profiles, before.complete
     else:
         profiles, complete = {p.name: found.profile(p.name) for p in space.free if p.integer}, found.complete
-    return statistics_of(problem, terms, found.best.values, found.best, profiles, complete, found.by_start)
+    return statistics_of(problem, terms, found.best.values, found.best, profiles, complete, found.by_start, near)
 
 
 def fitted_at_full_order(
     exact: FitProblem,
-    near: FitProblem | None,
+    reduced: FitProblem | None,
     terms: Terms,
     starts: Sequence[Mapping[str, float]],
     refits: int,
@@ -107,14 +109,16 @@ def fitted_at_full_order(
     shared: Shared | None = None,
     told: Progress = silent,
     enough: Enough = never,
+    near: Near | None = None,
 ) -> FitStatistics:
     """Least squares as in `fitted`, first on a reduced problem if there is one, then at full order.
 
     The full-order fit starts from the best of the reduced fit and ``known``, so that it never ends above them.
     """
-    first = exact if near is None else near
-    found = fitted(first, terms, starts, refits, progress, shared=shared, told=told, enough=enough)
-    if near is None:
-        return found
+    if reduced is None:
+        return fitted(exact, terms, starts, refits, progress, shared=shared, told=told, enough=enough, near=near)
+    exactly = replace(terms, held_sd={})  # whose statistics nobody asks for
+    found = fitted(reduced, exactly, starts, refits, progress, shared=shared, told=told, enough=enough)
     begin = min((found.values, *known), key=lambda values: sum(criteria(exact, values)))
-    return fitted(exact, terms, [begin], 1, before=found, told=told, stage=f"{LEAST_SQUARES} at full order")
+    stage = f"{LEAST_SQUARES} at full order"
+    return fitted(exact, terms, [begin], 1, before=found, told=told, stage=stage, near=near)

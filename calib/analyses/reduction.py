@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -88,6 +88,19 @@ class Reduction(ABC):
     @abstractmethod
     def misses_at(self, values: Mapping[str, float]) -> bool:
         """Whether reduced and full responses at a point differ by more than the tolerance."""
+
+    def covering(self, points: Sequence[Mapping[str, float]]) -> Reduction:
+        """The same with the basis enriched, in memory, at points where its error indicator exceeds its tolerance.
+
+        Points at which the model cannot be solved are left out.
+        """
+        enriched = self
+        for point in points:
+            with contextlib.suppress(EvaluationError):
+                if enriched.error_at(point) > self.basis.tolerance:
+                    basis = enrich_basis(self.whole, enriched.basis, [point], self.target, verified=0)
+                    enriched = Reduction.on(self.full, self.target, basis, None)
+        return enriched
 
     def after_case(self, values: Mapping[str, float], home: Results | None) -> Reduction:
         """The same reduction, or one with an enriched basis when this one misses its tolerance at a case's optimum."""

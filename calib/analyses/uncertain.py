@@ -1,59 +1,37 @@
-"""Parameters that are not selected, taken as uncertain by a stated share: the discrepancy of an explained model."""
+"""Parameters that are not selected: in an explanation they are fitted along under their priors."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from calib.hypotheses.rules import RULES
-from calib.measurement.accuracy import Claim
-from calib.problem.space import Parameter, ParameterSpace
+from calib.problem.space import Parameter
 from calib.study.study import LoadedStudy
 
 
 def with_uncertain(study: LoadedStudy) -> LoadedStudy:
-    """The study with its unselected parameters free about their nominal values; unchanged without ``fixed_sd``.
+    """The study with its unselected parameters free within their limits; unchanged where all are selected or exact.
 
-    Their prior standard deviation is a share of the nominal value. Fitted along and projected out of every score, they
-    count like a covariance ``J S^2 J^T`` added to that of the data, J the derivative of the predictions and S these
-    standard deviations (Kennedy and O'Hagan 2001, to first order).
+    Fitted along and projected out of every score, they count like a covariance ``J S^2 J^T`` added to that of the data,
+    J the derivative of the predictions and S their prior standard deviations (Kennedy and O'Hagan 2001, to first
+    order), as in a calibration; see `calib.inference.considered`.
     """
-    given = study.settings.explain.fixed_sd
-    if given is None:
-        return study
-    return replace(study, search_space=freed(study.search_space, uncertain(study), given))
-
-
-def freed(space: ParameterSpace, parameters: Iterable[Parameter], given: str) -> ParameterSpace:
-    """The space with some parameters free about their nominal values, which are uncertain by a share of themselves."""
-    share = Claim.of(given).share
-    for p in parameters:
-        sd = share * abs(p.value)
-        reach = min(RULES.freed_reach * sd, (1 - RULES.freed_least) * abs(p.value))
-        space = space.replace(
-            p.name, lower=p.value - reach, upper=p.value + reach, prior_sd=sd, distribution="uniform"
-        )  # fmt: skip
-    return space
+    space = study.search_space
+    for p in uncertain(study):
+        own = {"lower": p.lower, "upper": p.upper, "prior_sd": p.prior_width}
+        space = space.replace(p.name, distribution="uniform", **own)
+    return study if space is study.search_space else replace(study, search_space=space)
 
 
 def uncertain(study: LoadedStudy) -> tuple[Parameter, ...]:
-    """Unselected parameters to which a share of their value applies: no integers, none of value 0, none held."""
-    own = (study.sensitivity_space[name] for name in study.unselected)
-    return tuple(p for p in own if not p.integer and p.value != 0)
+    """Unselected parameters whose values are uncertain by their priors; no integers, none that is held."""
+    return tuple(study.model.space[name] for name in study.unselected if name in study.held_sd)
 
 
 def uncertain_note(study: LoadedStudy) -> tuple[str, ...]:
-    """Which parameters are uncertain and by how much, in words; empty without ``fixed_sd``."""
-    given = study.settings.explain.fixed_sd
-    if given is None:
-        return ()
+    """Which parameters that are not selected are uncertain, and which are exact, in words; empty without any."""
     names = [p.name for p in uncertain(study)]
     exact = [name for name in study.unselected if name not in names]
-    return (uncertain_words(given, names, exact),)
-
-
-def uncertain_words(given: str, names: Sequence[str], exact: Sequence[str]) -> str:
-    """Which parameters that are not fitted are uncertain, and which are exact, in words."""
-    told = f"uncertain by {given}: {', '.join(names)}" if names else "all selected, so that none is uncertain"
-    rest = f"; exact, as integers or of value 0: {', '.join(exact)}" if exact else ""
-    return f"Parameters that are not selected are {told}{rest}."
+    if not names:
+        return ()
+    rest = f"; exact, as integers: {', '.join(exact)}" if exact else ""
+    return (f"Parameters that are not selected are uncertain by their priors: {', '.join(names)}{rest}.",)

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ValidationError
 
 from calib.errors.arguments import values
 from calib.errors.errors import InputError
+from calib.results.former_names import MOVED
 from calib.study.settings import CalibrationSettings, ExplainSettings, StudySettings
 
 DEFAULTS = StudySettings.model_construct(title="problem", model="")
@@ -51,7 +52,6 @@ class ExplainKeys(TypedDict, total=False):
     merge: float
     samples: int
     seed: int
-    fixed_sd: str
     mesh_sd: float
 
 
@@ -68,6 +68,10 @@ def with_keys(settings: _Section, verb: str, keys: Mapping[str, Any]) -> _Sectio
         first = fault.errors()[0]
         place = ", ".join([verb, *(str(key) for key in first["loc"])])
         words = str(first["msg"]).removeprefix("Value error, ")
+        if first["type"] == "extra_forbidden" and str(first["loc"][-1]) in MOVED:
+            raise InputError(
+                "there is no such argument any more", place=place, remedy=MOVED[str(first["loc"][-1])]
+            ) from None
         if first["type"] == "extra_forbidden":
             known = ", ".join(type(settings).model_fields)
             raise InputError("there is no such argument", place=place, remedy=f"the keys are {known}") from None

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, Generic, Unpack
 from calib.analyses.calibrate import CalibrationRun
 from calib.analyses.calibrate import calibrated as run_calibration
 from calib.analyses.calibration import Calibration, Fitted
+from calib.analyses.case import CaseFinder
 from calib.analyses.every_mode import errors_at
-from calib.analyses.fit_statistics import FitStatistics, Terms, fit_problem, statistics_at
+from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.joint_responses import own_values
 from calib.analyses.provenance.places import tasks_shared
 from calib.api.arguments import ExplainKeys, calibration_settings
@@ -56,13 +57,16 @@ class Fit(Displayed, Generic[P]):
     >>> space = calib.ParameterSpace((
     ...     calib.Parameter("k", 3.0, 1.0, 9.0, "kN/m"), calib.Parameter("m", 1.0, 0.1, 5.0, "kg"),
     ... ))
-    >>> model = calib.FunctionModel("oscillator", space, lambda v: {f"w2_{n}": 1e3 * v["k"] / v["m"] for n in "abc"})
-    >>> measured = {"w2_a": (4000.0, 40.0), "w2_b": (3970.0, 40.0), "w2_c": (4020.0, 40.0)}
-    >>> problem = calib.Problem(model, calib.ResponseTest(measured))
-    >>> problem.calibrate(["k"]).parameters["identified"].to_dict()
-    {'k': True}
-    >>> problem.calibrate().parameters["identified"].to_dict()
+    >>> def responses(v):
+    ...     return {f"w2_{n}": 1e3 * v["k"] / v["m"] for n in "abc"}
+    >>> test = calib.ResponseTest({"w2_a": (4000.0, 40.0), "w2_b": (3970.0, 40.0), "w2_c": (4020.0, 40.0)})
+    >>> def identified(space):
+    ...     fit = calib.Problem(calib.FunctionModel("oscillator", space, responses), test).calibrate()
+    ...     return fit.parameters["identified"].to_dict()
+    >>> identified(space)
     {'k': False, 'm': False}
+    >>> identified(space.freeze({"m": 1.0}))
+    {'k': True}
     """
 
     problem: P
@@ -341,4 +345,4 @@ def assessed_at(problem: P, values: Mapping[str, float]) -> Fit[P]:
     """See `calib.api.problem.Problem.statistics_at`."""
     study = problem.study()
     with reporting("statistics_at", False), ledger_or_memory(problem.ledger) as ledger:
-        return Fit(problem, statistics_at(fit_problem(study, ledger), Terms.of(study), values))
+        return Fit(problem, CaseFinder(study, ledger).statistics_at(values))

@@ -367,9 +367,10 @@ class Problem:
         **keys
             As under ``[explain]`` of ``study.toml``, with the same defaults: ``alpha`` (false-alarm rate), ``refits``
             (most promising effects that are fitted), ``merge`` (correlation from which effects are collinear),
-            ``samples`` and ``seed`` (of probabilities and recommendation), ``fixed_sd`` (standard deviation of the
-            parameters that `keep` or a fit left out, such as ``"3 %"``) and ``mesh_sd`` (that of the error of the mesh,
-            over the change that the finer mesh makes; see `calib.correlation.mesh_error.MeshError`).
+            ``samples`` and ``seed`` (of probabilities and recommendation) and ``mesh_sd`` (standard deviation of the
+            error of the mesh, over the change that the finer mesh makes; see
+            `calib.correlation.mesh_error.MeshError`). Parameters that `keep` or a fit left out are uncertain by their
+            ``prior_sd``.
 
         Raises
         ------
@@ -378,19 +379,20 @@ class Problem:
 
         Examples
         --------
-        A spring is fitted, the masses that it carries are taken from a list that may be off by 5 %:
+        A spring is fitted, the masses that it carries are taken from a list, which is exact or may be off by 5 %:
 
         >>> import calib
-        >>> space = calib.ParameterSpace((
-        ...     calib.Parameter("k", 10.0, 5.0, 20.0), calib.Parameter("m", 2.0, 1.0, 4.0),
-        ... ))
         >>> def responses(v):
         ...     return {"k": v["k"], "m": 9.81 * v["m"], "sum": v["k"] + v["m"], "rest": v["k"] - v["m"]}
         >>> test = calib.ResponseTest({"k": (10.1, 0.1), "m": (20.2, 0.1), "sum": (12.2, 0.1), "rest": (8.0, 0.1)})
-        >>> problem = calib.Problem(calib.FunctionModel("spring", space, responses), test).keep(["k"])
-        >>> problem.explain(progress=False).verdict
+        >>> def explained(**mass):
+        ...     masses = calib.Parameter("m", 2.0, 1.0, 4.0, **mass)
+        ...     space = calib.ParameterSpace((calib.Parameter("k", 10.0, 5.0, 20.0), masses))
+        ...     problem = calib.Problem(calib.FunctionModel("spring", space, responses), test)
+        ...     return problem.keep(["k"]).explain(progress=False).verdict
+        >>> explained(distribution="fixed")
         'none_explains'
-        >>> problem.explain(fixed_sd="5 %", progress=False).verdict
+        >>> explained(prior_sd=0.1)
         'nothing_detectable'
         """
         from calib.api.explained import explained

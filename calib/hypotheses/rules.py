@@ -33,10 +33,6 @@ class AnalysisRules:
     misread : float
         Plausible measurement error of a part of a function's results: of its scale, or of its offset over its mean
         size.
-    freed_reach : float
-        Half-width of the limits of parameters freed by ``fixed_sd``, in standard deviations.
-    freed_least : float
-        Part of the nominal value below which they cannot fall: they keep their sign.
     bench : float
         Relative standard deviation of a parameter after a bench test of its part.
     together : int
@@ -67,8 +63,6 @@ class AnalysisRules:
     mesh_fits: int = 2
     basis_error: float = 0.05
     misread: float = 0.1
-    freed_reach: float = 5.0
-    freed_least: float = 0.1
     bench: float = 0.03
     together: int = 4
     sensor_places: int = 40

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 import pandas as pd
 
 from calib.errors.errors import EvaluationError
 from calib.inference.constraints import ConstraintRows
-from calib.inference.gauss_newton import fit
+from calib.inference.gauss_newton import FitSettings, fit
 from calib.inference.identify import posterior
 from calib.inference.region import InfeasibleError
 from calib.inference.rules import RULES
-from calib.problem.space import ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
 
 COLUMNS = ("parameter", "value", "unit", "std", "adds_to", "std_without", "std_with", "matters", "words")
 
@@ -61,62 +62,152 @@ class At(NamedTuple):
     fitted: bool
 
 
-def changes_by_held(problem: Fittable, at: At, held_sd: Mapping[str, float]) -> np.ndarray:
+Nearby: TypeAlias = Callable[[Sequence[Mapping[str, float]]], Fittable]
+"""Makes a problem that is accurate at given values too, where one of lower order is not by itself."""
+
+
+def changes_by_held(
+    problem: Fittable, at: At, held_sd: Mapping[str, float], nearby: Nearby | None = None
+) -> np.ndarray:
     """Change of the whitened residual by one standard deviation of each held parameter, (n_rows, n_held).
 
-    The shift of the estimates that follows, ``B = -V G^T H``, is linear. Where that is too coarse, H is taken from the
-    residual at one standard deviation to either side (sigma points; Julier and Uhlmann 2004), within the limits, and
-    after a fit B from new fits there: H is then the change that leads to this B.
+    The shift of the estimates that follows, ``B = -V G^T H``, is linear. Whether that holds is seen from the residual
+    at one standard deviation to either side (sigma points; Julier and Uhlmann 2004), within the limits, with the
+    estimates moved along: where it differs from the linear one by what moves them further than `Rules.linear`, H is
+    taken from these points, and after a fit B from new fits there; H is then the change that leads to this B.
 
     Parameters
     ----------
     problem : Fittable
+        It may be of lower order than the one that was fitted.
     at : At
     held_sd : mapping from str to float
         Standard deviations of the held parameters.
+    nearby : callable, optional
+        For a problem of lower order, which may not represent what a held parameter changes: it is asked only where that
+        is not linear.
     """
     if not held_sd:
         return np.zeros((len(at.residual), 0))
     covariance = posterior(at.names, at.slope, at.prior_sd).covariance
-    std = np.sqrt(np.diag(covariance))
     linear = problem.jacobian(at.values, tuple(held_sd)) * list(held_sd.values())
-    columns = [
-        _column(problem, at, covariance, std, name, sd, linear[:, k]) for k, (name, sd) in enumerate(held_sd.items())
+    centre = problem.residual(at.values)
+    every = [
+        _SigmaPoints.of(problem, at, centre, covariance, name, sd, linear[:, k])
+        for k, (name, sd) in enumerate(held_sd.items())
     ]
-    return np.column_stack(columns)
+    bent = [k for k, one in enumerate(every) if one is not None and not one.is_linear]
+    if bent and nearby is not None:
+        names = tuple(held_sd)
+        problem = nearby([point for k in bent for point in every[k].points])  # type: ignore[union-attr]
+        centre = problem.residual(at.values)
+        sharper = problem.jacobian(at.values, [names[k] for k in bent])
+        for k, column in zip(bent, sharper.T, strict=True):
+            linear[:, k] = column * held_sd[names[k]]
+            every[k] = _SigmaPoints.of(problem, at, centre, covariance, names[k], held_sd[names[k]], linear[:, k])
+    for k, one in enumerate(every):
+        if one is not None and not one.is_linear:
+            linear[:, k] = one.refitted(problem) if at.fitted else one.secant
+    return linear
 
 
-def _column(
-    problem: Fittable, at: At, covariance: np.ndarray, std: np.ndarray, name: str, sd: float, linear: np.ndarray
-) -> np.ndarray:
-    """The change by one held parameter; linear where the model cannot be evaluated to either side."""
-    p, value = problem.space[name], at.values[name]
-    ends = [min(max(value + way * sd, min(p.lower, value)), max(p.upper, value)) for way in (-1, 1)]
-    width = (ends[1] - ends[0]) / sd
-    if not width > 0 or not np.all(np.isfinite(std)):
-        return linear
-    points = [{**at.values, name: end} for end in ends]
-    try:
-        low, high = (problem.residual(point) for point in points)
-    except EvaluationError:
-        return linear
-    secant = (high - low) / width
-    bent = (high - at.residual) / (ends[1] - value) * sd if ends[1] > value else secant
-    shifts = covariance @ (at.slope.T @ np.column_stack([secant - linear, bent - linear]))
-    if np.all(np.abs(shifts) <= RULES.linear * std[:, None]):
-        return linear
-    if not at.fitted:
-        return secant
-    try:
-        moved = [fit(problem, problem.space, point).values for point in points]
-    except (EvaluationError, InfeasibleError):
-        return secant
-    shift = np.array([moved[1][n] - moved[0][n] for n in at.names]) / width
-    # Of all H with this B the one that differs from the secant within the columns of G.
-    scale = np.where(std > 0, std, 1.0)
-    g = at.slope * scale
-    wanted = g.T @ secant + (g.T @ g + np.diag((scale / at.prior_sd) ** 2)) @ (shift / scale)
-    return np.asarray(secant - g @ np.linalg.lstsq(g.T @ g, wanted, rcond=1e-10)[0])
+@dataclass(frozen=True, eq=False)
+class _SigmaPoints:
+    """A held parameter at one standard deviation to either side, with the estimates moved along as far as is linear.
+
+    Attributes
+    ----------
+    at : At
+    covariance : ndarray (n_params, n_params)
+        Of the estimates, without held parameters.
+    linear : ndarray (n_rows,)
+        Change of the residual by one standard deviation, by the derivative.
+    points : pair of dict
+        Values, low and high.
+    off : ndarray (n_rows, 2)
+        What the residual there has beyond the linear one.
+    cut : ndarray (n_params, 2)
+        What limits leave out of the move of the estimates.
+    width : float
+        Distance of the points, in standard deviations: less than two at a limit.
+    """
+
+    at: At
+    covariance: np.ndarray
+    linear: np.ndarray
+    points: tuple[dict[str, float], dict[str, float]]
+    off: np.ndarray
+    cut: np.ndarray
+    width: float
+
+    @classmethod
+    def of(
+        cls,
+        problem: Fittable,
+        at: At,
+        centre: np.ndarray,
+        covariance: np.ndarray,
+        name: str,
+        sd: float,
+        linear: np.ndarray,
+    ) -> _SigmaPoints | None:
+        """The two points; None where there is no room, or the model cannot be evaluated there."""
+        p, value = problem.space[name], at.values[name]
+        ends = [_within(p, value, way * sd) for way in (-1, 1)]
+        width = (ends[1] - ends[0]) / sd
+        if not width > 0 or not np.all(np.isfinite(covariance)):
+            return None
+        shift, points, off, cut = -covariance @ (at.slope.T @ linear), [], [], []
+        for end in ends:
+            far = (end - value) / sd
+            wanted = dict(zip(at.names, far * shift, strict=True))
+            moved = {n: _within(problem.space[n], at.values[n], by) for n, by in wanted.items()}
+            points.append({**at.values, **moved, name: end})
+            by = np.array([moved[n] - at.values[n] for n in at.names])
+            try:
+                there = problem.residual(points[-1])
+            except EvaluationError:
+                return None
+            off.append(there - centre - at.slope @ by - far * linear)
+            cut.append(far * shift - by)
+        pair = points[0], points[1]
+        return cls(at, covariance, linear, pair, np.column_stack(off), np.column_stack(cut), width)
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether neither what is beyond the linear change nor a limit moves an estimate by over `Rules.linear`."""
+        linear, *further = (self.covariance @ (self.at.slope.T @ np.column_stack([self.linear, self.off]))).T
+        size = RULES.linear * np.hypot(np.sqrt(np.diag(self.covariance)), linear)
+        return bool(np.all(np.abs([*further, *self.cut.T]) <= size))
+
+    @property
+    def secant(self) -> np.ndarray:
+        """The change by one standard deviation, from the two points, (n_rows,)."""
+        return np.asarray(self.linear + (self.off[:, 1] - self.off[:, 0]) / self.width)
+
+    def refitted(self, problem: Fittable) -> np.ndarray:
+        """The change that shifts the estimates as fits at the two points do; that of the points where these fail."""
+        at = self.at
+        try:
+            low, high = (fit(problem, problem.space, point, settings=_ROUGH).values for point in self.points)
+        except (EvaluationError, InfeasibleError):
+            return self.secant
+        shift = np.array([high[n] - low[n] for n in at.names]) / self.width
+        # Of all H with this B the one that differs from the secant within the columns of G.
+        std = np.sqrt(np.diag(self.covariance))
+        scale = np.where(std > 0, std, 1.0)
+        g = at.slope * scale
+        wanted = g.T @ self.secant + (g.T @ g + np.diag((scale / at.prior_sd) ** 2)) @ (shift / scale)
+        return np.asarray(self.secant - g @ np.linalg.lstsq(g.T @ g, wanted, rcond=1e-10)[0])
+
+
+def _within(p: Parameter, value: float, change: float) -> float:
+    """A value changed within the limits of its parameter, or not beyond itself where it is outside."""
+    return min(max(value + change, min(p.lower, value)), max(p.upper, value))
+
+
+_ROUGH = FitSettings(iterations=10, gain=1e-2)
+"""A tenth of a standard deviation is enough of a shift."""
 
 
 def explained_by_held(
@@ -199,9 +290,11 @@ def considered_table(
         without, with_it = float(alone.std[most]), float(np.hypot(alone.std[most], shift[most]))
         matters = bool(share[most] >= RULES.considered)
         scale, own = (("" if u == "-" else f" {u}") for u in (space[to].unit, unit))
+        others = [at.names[j] for j in np.argsort(-share)[1:] if share[j] >= RULES.considered]
+        also = f" (and adds to {', '.join(others)})" if others else ""
         words = (
-            f"{name} is held at {at.values[name]:.4g} ± {sd:.3g}{own}, which takes the standard deviation of {to} from "
-            f"{without:.3g} to {with_it:.3g}{scale}: select it, or state how sure its value is."
+            f"{name} is held at {at.values[name]:.5g} ± {sd:.3g}{own}, which takes the standard deviation of {to} from "
+            f"{without:.3g} to {with_it:.3g}{scale}{also}: select it, or state how sure its value is."
         )
         rows.append((share[most], (name, at.values[name], unit, sd, to, without, with_it, matters, words)))
     rows.sort(key=lambda row: -row[0])

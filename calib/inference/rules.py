@@ -27,8 +27,8 @@ class Rules:
     considered : float
         Smallest share of the variance of a fitted parameter that a held one adds where it is named.
     linear : float
-        Largest error of the shift of an estimate by a held parameter, in its standard deviations, up to which the shift
-        counts as linear.
+        Largest error of the shift of an estimate by a held parameter, over its standard deviation with this parameter,
+        up to which the shift counts as linear.
     confounded : float
         Absolute posterior correlation from which two parameters count as confounded.
     trades : float

@@ -7,6 +7,12 @@ from collections.abc import Iterable, Mapping
 KEYS: Mapping[str, str] = {"withheld": "held_out", "polish": "refine", "draws": "samples"}
 """Keys of ``study.toml``, by their last part."""
 
+MOVED: Mapping[str, str] = {
+    "fixed_sd": "parameters that are not selected are uncertain by their prior_sd: state it for each, under "
+    "[parameters.NAME] of a study or as an argument of calib.Parameter, or fix one that is exact (fixed = true)"
+}
+"""Keys of ``study.toml`` in whose place there are others, and what to write."""
+
 TABLES: Mapping[str, str] = {
     "atoms.csv": "perturbations.csv",
     "influence.csv": "variance_share.csv",

@@ -12,7 +12,6 @@ from pydantic import (
 )
 
 from calib.errors.errors import InputError
-from calib.measurement.accuracy import Claim
 from calib.study.measurement_settings import (
     FUNCTION,
     NAME,
@@ -40,12 +39,13 @@ class ParameterSettings(Section):
     search: Pair | None = None
     """Lower and upper limit of the calibration; by default ``limits``."""
     prior_sd: float | None = Field(default=None, gt=0)
-    """Standard deviation of the prior; by default that of a uniform distribution between the limits."""
+    """Standard deviation of the prior; by default that of a uniform distribution between the limits. A parameter that
+    is not selected is uncertain by it."""
     needed: float | None = Field(default=None, gt=0)
     """Largest standard deviation with which it counts as identified; by default 10 % of the nominal value, or the prior
     standard deviation where that value is 0 or a position. Of an integer at most 0.2."""
     fixed: bool | None = None
-    """Whether the parameter keeps its value in every analysis."""
+    """Whether the parameter keeps its value, which counts as exact, in every analysis."""
 
 
 class AdoptedSettings(Section):
@@ -177,21 +177,11 @@ class ExplainSettings(Section):
     """Model options of a finer mesh, from which the discretisation error is estimated."""
     samples: int = Field(default=10, ge=1, le=100_000)
     """Posterior samples over which the recommended next measurement is averaged."""
-    fixed_sd: str | None = None
-    """Standard deviation of parameters that are not selected, a share of their nominal value such as ``"3 %"``; by
-    default they are exact."""
     mesh_sd: float | None = Field(default=None, gt=0, le=10)
     """Standard deviation of the error of the mesh, over the change that the mesh of ``finer_options`` makes in the
     predictions; by default the mesh is exact."""
     seed: Seed = 1
     """Seed of all random numbers of the analysis."""
-
-    @field_validator("fixed_sd")
-    @classmethod
-    def _share(cls, value: str | None) -> str | None:
-        if value is not None and not 0 < Claim.of(value).share <= 0.2:
-            raise ValueError("fixed_sd is a share of the nominal values, from above 0 to '20 %', such as '3 %'")
-        return value
 
 
 class StudySettings(Section):

@@ -117,8 +117,14 @@ class LoadedStudy(StudyFile):
 
     @property
     def held_sd(self) -> dict[str, float]:
-        """Standard deviations of the held parameters whose values are uncertain."""
-        return {name: sd for name, sd in self.adopted_sd.items() if sd > 0}
+        """Standard deviations of the held parameters whose values are uncertain.
+
+        These are adopted ones, as an earlier study left them, and those that a selection leaves out, by their priors.
+        Integers count as exact: they have no derivative.
+        """
+        adopted = {name: sd for name, sd in self.adopted_sd.items() if sd > 0}
+        left_out = (self.model.space[name] for name in self.unselected if name not in adopted)
+        return adopted | {p.name: p.prior_width for p in left_out if not p.integer and p.lower < p.upper}
 
     def measurement(self) -> Measured:
         """Everything that was measured, as it was when the study was read; for verification only."""

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ValidationError
 from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.errors.toml_places import Keys, Mark, keys_in_words, place_in
-from calib.results.former_names import KEYS
+from calib.results.former_names import KEYS, MOVED
 from calib.study.settings import FUNCTION, NAME, StudySettings
 
 
@@ -225,6 +225,8 @@ def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
     shown_value = shown_value if len(shown_value) < 60 else shown_value[:57] + "..."
     if kind == "extra_forbidden":
         known = _known_keys(keys[:-1])
+        if str(keys[-1]) in MOVED:
+            return InputError(f"there is no key {label!r} any more", place=place, remedy=MOVED[str(keys[-1])])
         now = KEYS.get(str(keys[-1]))
         if now in known:
             return InputError(f"the key {label!r} is called {now!r} now", place=place, remedy=f"write {now}")

@@ -85,6 +85,17 @@ def test_a_point_that_the_basis_misses_is_estimated_seen_and_added(study, result
     assert better.basis.version == 2 and better.path.exists() and not better.misses_at(values)
 
 
+def test_a_basis_is_enriched_in_memory_where_held_parameters_leave_what_it_represents(study, results):
+    found = reduction_of(study, results)
+    values = study.search_space.complete({"k": 7e3, "gain_1x": 2.0})
+    assert found.covering([values]) is found
+    few = replace(found.basis, vectors=found.basis.vectors[:, :2])
+    poor = replace(found, problem=study.problem.reduced(few), basis=few)
+    better = poor.covering([values])
+    assert better.error_at(values) <= TOLERANCE and better.basis.size > poor.basis.size
+    assert better.path is None and [path.name for path in results.path.glob("basis_*.npz")] == ["basis_v1.npz"]
+
+
 @pytest.mark.slow
 def test_an_explanation_on_the_basis_is_that_at_full_order(study, results):
     answer = explain(study, results)

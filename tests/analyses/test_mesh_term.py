@@ -146,7 +146,7 @@ def test_a_finer_mesh_alone_tells_its_scores_and_changes_nothing_else(mast, tmp_
     [
         ({"mesh_sd": 1.0}, "no finer mesh is given"),
         ({"mesh_sd": 0.0, "finer": True}, "mesh_sd: it is 0"),
-        ({"fixed_sd": "30 %"}, "fixed_sd: it is '30 %'"),
+        ({"fixed_sd": "3 %"}, "fixed_sd: there is no such argument any more.*prior_sd"),
         ({"finer": "other"}, "no model is named 'other'"),
     ],
 )
@@ -159,21 +159,21 @@ def test_a_stated_error_that_is_none_is_refused(mast, tmp_path, given, words):
 
 
 def test_parameters_left_out_of_a_selection_are_uncertain_as_in_a_study(mast, edited, tmp_path):
-    """The same probabilities as `fixed_sd` of a study, and the note that it has."""
+    """The same probabilities as a study, and the note that it has."""
     folder = mast.write_study(tmp_path / "mast")
-    edited(folder, '"m_top", "K_base"]', '"K_base"]')
-    study = LoadedStudy.load(edited(folder, "[calibration]", '[explain]\nfixed_sd = "15 %"\n\n[calibration]'))
+    study = LoadedStudy.load(edited(folder, '"m_top", "K_base"]', '"K_base"]'))
     asked = explain(study, Results.at(tmp_path / "r", "mast"))
     space = study.search_space.replace("m_top", distribution="uniform")
-    model = replace(study.model, space=space)
     test = calib.ModalTest(study.experiment.modes, **_pairing(study))
-    held = calib.Problem(model, test).keep(["E", "K_base"])
+    held = calib.Problem(replace(study.model, space=space), test).keep(["E", "K_base"])
     assert held.unselected == ("m_top",)
-    told = held.explain(study.candidates, progress=False, fixed_sd="15 %").explanation
+    told = held.explain(study.candidates, progress=False).explanation
     assert told.notes[-1] == asked.notes[-1] and "m_top" in told.notes[-1]
     assert told.verdict == asked.verdict == "nothing_detectable"
     assert told.explanation.base.fit.misfit == pytest.approx(asked.explanation.base.fit.misfit, rel=1e-3)
-    assert held.explain(study.candidates, progress=False).verdict != "nothing_detectable"
+    fixed = replace(study.model, space=space.freeze({"m_top": space["m_top"].value}))
+    exact = calib.Problem(fixed, test)
+    assert exact.keep(["E", "K_base"]).explain(study.candidates, progress=False).verdict != "nothing_detectable"
 
 
 def _pairing(study):

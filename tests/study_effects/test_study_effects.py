@@ -33,7 +33,7 @@ def test_a_library_alone_changes_no_answer_and_no_fingerprint(rig, sums):
 def test_explain_has_the_documented_defaults():
     explain = LoadedStudy.load(RIG).settings.explain
     documented = {"alpha": 0.01, "refits": 6, "merge": 0.98, "finer_options": {}, "samples": 10, "seed": 1}
-    assert explain.model_dump() == {**documented, "fixed_sd": None, "mesh_sd": None}
+    assert explain.model_dump() == {**documented, "mesh_sd": None}
 
 
 # -- models with effects -----------------------------------------------------------------------------------------------

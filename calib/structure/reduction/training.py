@@ -18,6 +18,7 @@ from calib.structure.reduction.basis import CHECK_COLUMNS, Basis
 from calib.structure.reduction.growth import (
     POD,
     SAFETY,
+    VERIFIED,
     Growth,
     Target,
     next_round,
@@ -221,18 +222,22 @@ def _missed(basis: Basis) -> str:
 
 
 def enrich_basis(
-    model: StructuralModel, basis: Basis, points: Sequence[Mapping[str, float]], target: Target | None = None
+    model: StructuralModel,
+    basis: Basis,
+    points: Sequence[Mapping[str, float]],
+    target: Target | None = None,
+    verified: int = VERIFIED,
 ) -> Basis:
     """The next version of a basis, which also meets its tolerance at given points, in the order given.
 
-    ``target`` is the one it was trained for, by default modes. Do not change a basis during a search: results would
-    then depend on the order of evaluations.
+    ``target`` is the one it was trained for, by default modes; so many of the points are ``verified`` at full order.
+    Do not change a basis during a search: results would then depend on the order of evaluations.
     """
     growth = Growth(model, basis)
     if target is None:
         target = ModeTarget(basis.count, basis.freq_max, basis.damping_max, basis.tolerance)
     complete = [{**p, **model.space.complete({n: v for n, v in p.items() if n in model.space})} for p in points]
-    grown = growth.enriched(basis, complete, target, next_round(basis))[0]
+    grown = growth.enriched(basis, complete, target, next_round(basis), verified)[0]
     return replace(grown, version=basis.version + 1)
 
 
