@@ -164,7 +164,7 @@ def of_fit(
     sure = [f"The fit has p = {statistics.p_fit:.2g}.", identified_sentence(verdicts), _AGREEMENT[agreement]]
     sure += contradictions
     held = statistics.considered
-    sure += held.loc[held["matters"].astype(bool), "words"].head(1).tolist()
+    sure += [*held.loc[held["matters"].astype(bool), "words"].head(1), statistics.mesh]
     if statistics.assumed:
         sure.append(f"This rests on an assumed standard deviation: {statistics.assumed}.")
     if statistics.identification.ratios_only:

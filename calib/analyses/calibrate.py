@@ -113,6 +113,10 @@ def calibrated(
     level = sum(expected_misfit(one, before[one.test]) for one in study.studies)
     agreed = with_starts(agreement(summed(every), space, level), every[0], space)
     best, only = best_of(every), len(study.studies) == 1
+    if doubt := finder.mesh_doubt(every[0][best].statistics):
+        for cases_of_test in every:
+            ended = cases_of_test[best]
+            cases_of_test[best] = replace(ended, statistics=replace(ended.statistics, mesh=doubt))
     parts, few = {}, too_few(finder.exact.rows, len(space.free))
     for one in study.studies:
         home = run.homes.get(one.test)

@@ -138,7 +138,7 @@ class Calibration:
             out.append(f"Integers, assessed by how much worse their neighbours fit: {whole}.")
         if not statistics.complete:
             out.append(UNTRIED)
-        return (*out, *filter(None, [statistics.sentence, suspect_sentence(statistics.suspects)]))
+        return (*out, *filter(None, [statistics.mesh, statistics.sentence, suspect_sentence(statistics.suspects)]))
 
     @property
     def case_sentences(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 from calib.analyses.case_found import CaseFound, reported
 from calib.analyses.case_starts import Starts, Steps, evaluable, known_starts, least_squares, until_agreed
 from calib.analyses.explained_fit import explained_fit
-from calib.analyses.fit_statistics import FitProblem, FitStatistics, Near, Terms, fit_problem, statistics_at
+from calib.analyses.fit_statistics import FitProblem, FitStatistics, Near, Terms, fit_problem, mesh_doubt, statistics_at
 from calib.analyses.joint_responses import Responses, own_values
 from calib.analyses.least_squares import FitProgress, Shared, criteria, ended, fitted_at_full_order
 from calib.analyses.provenance.places import QUICK_GENERATIONS, QUICK_POPULATION, Workers, open_evaluator, tasks_shared
@@ -211,6 +211,10 @@ class CaseFinder:
         """The fit statistics at given values, without a fit."""
         near = near_of(self.study, self._reductions()) if self.study.held_sd else None
         return statistics_at(self.exact, Terms.of(self.study), values, near)
+
+    def mesh_doubt(self, found: FitStatistics) -> str:
+        """See `calib.analyses.fit_statistics.mesh_doubt`; empty for a quick run."""
+        return "" if self.quick else mesh_doubt(self.exact, Terms.of(self.study), found)
 
     def _certifier(self, reductions: Mapping[str, Reduction]) -> Any:
         """Callback that checks every would-be best point of one test; several are checked where a case ended."""

@@ -102,17 +102,23 @@ def explanation_of(
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
     pairs = {one.test: one.pair for one in tests}
     require_enough(JointRows(pairs).rows, len(study.search_space.free))
-    started, mesh_sd = time.perf_counter(), study.settings.explain.mesh_sd
+    started, stated = time.perf_counter(), study.settings.explain.mesh_sd
+    mesh_sd = stated if any(one.states_mesh for one in tests) else None
     adapter = adapter_for(study, None, progress, homes)
     answer = explain_tests(
         adapter, study.settings.explain, study.file, started, mesh_words(mesh_sd), progress, _doubts(tests), begin
     )  # fmt: skip
     taken = dict.fromkeys(note for one in tests for note in uncertain_note(one))
+    if stated is not None and mesh_sd is None:
+        taken[_MESH_OF_NUMBERS] = None
     adapter = granting(adapter, answer.explanation)
     figures = answer.figures if mesh_sd is None else answer.figures | {"mesh_sd": mesh_sd}
     fits = explained_fits(study, answer.explanation, answer.richer)
     tables, notes = answer.tables | {TABLE: fits}, (*answer.notes, *taken)
     return adapter, replace(answer, tables=tables, notes=notes, figures=figures)
+
+
+_MESH_OF_NUMBERS = "The error of the mesh does not count here: an explanation knows it in modes and FRFs alone."
 
 
 def _begin(study: AnyStudy, results: Results) -> dict[str, float] | None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
 
@@ -11,7 +12,9 @@ import numpy as np
 import pandas as pd
 import scipy.linalg as la
 
+from calib.analyses.uncertain import mesh_changes
 from calib.analyses.uncertainty import assumed_words, in_one
+from calib.errors.errors import InputError
 from calib.experiment.test import ForwardProblem
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import CaseResult
@@ -70,16 +73,37 @@ class Terms:
         Standard deviations of held parameters that an earlier study determined; see `identify`.
     assumed : str
         Assumed standard deviations, in words; see `calib.analyses.uncertainty.assumed_words`.
+    mesh_sd : float or None
+        Standard deviation of the error of the mesh, over the change to a finer one; None for an exact mesh.
+    mesh : callable
+        That change of the residual at named values; see `calib.analyses.uncertain.mesh_changes`.
     """
 
     alpha: float = MISSING.suspect
     held_sd: Mapping[str, float] = field(default_factory=dict)
     assumed: str = ""
+    mesh_sd: float | None = None
+    mesh: Callable[[Mapping[str, float]], np.ndarray] | None = None
 
     @classmethod
     def of(cls, study: AnyStudy) -> Terms:
         """The terms of a study."""
-        return cls(study.settings.explain.alpha, study.held_sd, in_one(study, assumed_words))
+        stated = study.settings.explain
+        known = any(one.has_finer_mesh for one in study.studies)
+        if stated.mesh_sd is not None and not known:
+            raise InputError(
+                "mesh_sd states an error of the mesh, but no finer mesh is known",
+                place=study.place("explain", "mesh_sd"),
+                remedy="name its model options in finer_options, or leave mesh_sd out",
+            )
+        mesh = partial(mesh_changes, study) if known else None
+        return cls(stated.alpha, study.held_sd, in_one(study, assumed_words), stated.mesh_sd, mesh)
+
+    def mesh_at(self, values: Mapping[str, float], rows: int) -> np.ndarray:
+        """Change of the residual by one standard deviation of the error of each mesh, (n_rows, n_meshes)."""
+        if self.mesh is None or self.mesh_sd is None:
+            return np.zeros((rows, 0))
+        return self.mesh_sd * self.mesh(values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +157,8 @@ class FitStatistics:
         What held parameters whose values are uncertain add, see `calib.inference.considered.considered_table`.
     considered_misfit : float
         Sum of squares of the data that is left with these parameters free under their priors; it is tested.
+    mesh : str
+        What an error of the mesh may change that nobody stated, in words; see `mesh_doubt`.
     """
 
     values: dict[str, float]
@@ -157,6 +183,7 @@ class FitStatistics:
     held_by: Mapping[str, Hold]
     considered: pd.DataFrame
     considered_misfit: float
+    mesh: str = ""
 
     def verdicts(
         self,
@@ -292,6 +319,9 @@ def statistics_of(
     held = changes_by_held(problem if near is None else near.problem, end, held_sd, near and near.nearby)
     descent = -slope.T @ vector - shift / prior_sd
     active = active_limits(space, names, values, multipliers(space, names, values, descent))
+    mesh = terms.mesh_at(values, len(vector))
+    own_held, own_constraints = held, constraints
+    held, constraints = np.hstack([held, mesh]), constraints.beside(mesh.shape[1])
     free = explained_by_held(end, held, constraints, [name in active for name in names])
     at = _Fitted.of(*free, constraints, converged)
     dof = effective_dof(at.slope, at.prior_sd, sum(problem.fitted_factors.values()))
@@ -313,16 +343,38 @@ def statistics_of(
     if isinstance(problem, JointProblem):
         by_test = std_by_test(space, names, slope, [row.test for row in problem.rows], held, birge, constraints)
     if isinstance(problem, JointProblem) or len(constraints.slope):
-        parts = joint_parts(problem, names, vector, slope, prior_sd, shift, held, held_sd, constraints)
+        parts = joint_parts(problem, names, vector, slope, prior_sd, shift, own_held, held_sd, own_constraints)
     return FitStatistics(
         values=values, misfit=misfit, prior_misfit=float(shift @ shift), dof=dof, p_fit=p_fit, alpha=alpha,
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
         predictions=predictions, fit=fit, ends=ends, suspects=suspected,
         assumed=terms.assumed, by_test=by_test, parts=parts,
         active=active, held_by=held_by,
-        considered=considered_table(space, end, held, held_sd, constraints, birge),
+        considered=considered_table(space, end, held, held_sd, constraints, birge, terms.mesh_sd),
         considered_misfit=float(free[0] @ free[0]),
     )  # fmt: skip
+
+
+def mesh_doubt(problem: FitProblem, terms: Terms, found: FitStatistics) -> str:
+    """Which estimates a finer mesh would move, in words; empty where it moves none, is unknown, or already counts."""
+    if terms.mesh is None or terms.mesh_sd is not None:
+        return ""
+    try:
+        change = terms.mesh(found.values)
+    except InputError as fault:
+        return f"The error of the mesh is unknown: {fault.problem}."
+    names = tuple(p.name for p in problem.space.free if not p.integer)
+    slope = problem.jacobian(found.values, names) / found.birge
+    own = found.identification.posterior
+    shift = np.sqrt(np.sum((own.covariance @ (slope.T @ change / found.birge)) ** 2, axis=1))
+    share = np.nan_to_num(shift**2 / (shift**2 + own.std**2))
+    moved = [f"{names[k]} by {shift[k] / own.std[k]:.2g}" for k in np.argsort(-share) if share[k] >= RULES.considered]
+    if not moved:
+        return ""
+    return (
+        f"A finer mesh would move estimates, in their standard deviations: {', '.join(moved)}. Refine the mesh, or "
+        "state how far off it may be (mesh_sd)."
+    )
 
 
 @dataclass(frozen=True, eq=False)

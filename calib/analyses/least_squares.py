@@ -117,7 +117,7 @@ def fitted_at_full_order(
     """
     if reduced is None:
         return fitted(exact, terms, starts, refits, progress, shared=shared, told=told, enough=enough, near=near)
-    exactly = replace(terms, held_sd={})  # whose statistics nobody asks for
+    exactly = replace(terms, held_sd={}, mesh_sd=None)  # whose statistics nobody asks for
     found = fitted(reduced, exactly, starts, refits, progress, shared=shared, told=told, enough=enough)
     begin = min((found.values, *known), key=lambda values: sum(criteria(exact, values)))
     stage = f"{LEAST_SQUARES} at full order"

@@ -1,10 +1,17 @@
-"""Parameters that are not selected: in an explanation they are fitted along under their priors."""
+"""What is uncertain beside the fitted parameters: those that are not selected, and the mesh of a model."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
+import numpy as np
+
+from calib.analyses.joint_responses import own_values
+from calib.errors.errors import EvaluationError, InputError
 from calib.problem.space import Parameter
+from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 
 
@@ -35,3 +42,49 @@ def uncertain_note(study: LoadedStudy) -> tuple[str, ...]:
         return ()
     rest = f"; exact, as integers: {', '.join(exact)}" if exact else ""
     return (f"Parameters that are not selected are uncertain by their priors: {', '.join(names)}{rest}.",)
+
+
+def mesh_changes(study: AnyStudy, values: Mapping[str, float]) -> np.ndarray:
+    """Change of the whitened residual from the mesh of each model to its finer one, (n_rows, n_models).
+
+    Both are solved at the named values. The tests of one model change together: their mesh is one. Rows of modes that
+    only one of both meshes pairs are 0.
+
+    Raises
+    ------
+    InputError
+        Where a finer model has other parameters, or cannot be solved.
+    """
+    several, of_model, blocks = len(study.studies) > 1, dict[str, int](), []
+    for one in study.studies:
+        pair, finer = one.experiment.residual(one.problem), one.on_finer_mesh()
+        change, k = np.zeros(len(pair.rows)), None
+        if finer is not None:
+            k = of_model.setdefault(one.model_key, len(of_model))
+            own = own_values(one, values) if several else {n: v for n, v in values.items() if n in pair.space}
+            change = _mesh_change(one, pair, finer, pair.space.complete(own))
+        blocks.append((k, change))
+    out = np.zeros((sum(len(change) for _, change in blocks), len(of_model)))
+    begin = 0
+    for k, change in blocks:
+        if k is not None:
+            out[begin : begin + len(change), k] = change
+        begin += len(change)
+    return out
+
+
+def _mesh_change(study: LoadedStudy, pair: Any, finer: Any, values: Mapping[str, float]) -> np.ndarray:
+    place = study.place("explain", "finer_options")
+    if other := sorted(set(study.model.space.names) ^ set(finer.space.names)):
+        raise InputError(
+            f"only one of model and finer model has the parameter {other[0]}", place=place,
+            remedy="change the size of the elements alone",
+        )  # fmt: skip
+    refined = pair.with_model(finer)
+    try:
+        here, there = pair.solve(values), refined.solve(values)
+        change = np.asarray(refined.of(there) - pair.of(here))
+    except EvaluationError as fault:
+        raise InputError(f"the finer model cannot be solved ({fault})", place=place) from None
+    lost = pair.unpaired(here) ^ refined.unpaired(there)
+    return np.where([row.mode in lost for row in pair.rows], 0.0, change)

@@ -34,7 +34,7 @@ class SearchKeys(TypedDict, total=False):
 
 
 class CalibrationKeys(SearchKeys, total=False):
-    """Keys of ``[calibration]`` that steer a calibration, and ``alpha`` of ``[explain]``, the level of its test.
+    """Keys of ``[calibration]`` that steer a calibration; ``alpha`` and ``mesh_sd`` of ``[explain]``, which it shares.
 
     ``time_limit`` is not among them: a function in this process cannot be ended.
     """
@@ -42,6 +42,7 @@ class CalibrationKeys(SearchKeys, total=False):
     method: str
     starts: int
     alpha: float
+    mesh_sd: float
 
 
 class ExplainKeys(TypedDict, total=False):
@@ -102,7 +103,7 @@ def calibration_settings(
         Whether large models are reduced, or keys of ``[reduction]``.
     """
     keys = dict(keys)
-    explain = with_keys(settings.explain, verb, {"alpha": keys.pop("alpha", None)})
+    explain = with_keys(settings.explain, verb, {name: keys.pop(name, None) for name in ("alpha", "mesh_sd")})
     if keys.get("starts") is not None:
         keys.setdefault("method", "gauss-newton")
     if keys.get("begin_at") is not None:

@@ -23,7 +23,6 @@ from calib.problem.problem import Counts
 from calib.problem.problem import PairProblem as OneTestProblem
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
-from calib.structure.model import StructuralModel
 from calib.study.in_memory import TestedModel, study_in_memory
 from calib.study.loading import extended
 from calib.study.settings import StudySettings
@@ -139,16 +138,15 @@ def studied(
     problem: Any,
     settings: StudySettings,
     effects: Mapping[str, tuple[Effect, ...]],
-    finer: Mapping[str, StructuralModel],
+    finer: Mapping[str, Model],
 ) -> AnyStudy:
     """A problem in memory as the analyses take it; ``effects`` and ``finer`` by the name of the model."""
 
-    def finer_of(tested: TestedModel) -> StructuralModel | None:
+    def finer_of(tested: TestedModel) -> Any:
         found = finer.get(tested.model.name)
         if found is None:
             return None
-        held: Any = under(found, tested.test.name, tested.test.condition)
-        return cast(StructuralModel, held)
+        return under(found, tested.test.name, tested.test.condition)
 
     return study_in_memory(problem.tested, settings, effects, problem.unselected, problem.held_sd, finer_of)
 

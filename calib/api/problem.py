@@ -74,8 +74,8 @@ class Problem:
         The model before effects were added.
     held_sd : mapping from str to float
         Standard deviations of held parameters that an earlier study determined.
-    finer : mapping from str to StructuralModel
-        Models on a finer mesh by the name of the model, for `explain`.
+    finer : mapping from str to StructuralModel, ModalFunctionModel or FunctionModel
+        Models on a finer mesh by the name of the model, for `calibrate` and, of matrices, `explain`.
 
     Raises
     ------
@@ -110,7 +110,7 @@ class Problem:
     settings: StudySettings = DEFAULTS
     base: Model | None = None
     held_sd: Mapping[str, float] = field(default_factory=dict)
-    finer: Mapping[str, StructuralModel] = field(default_factory=dict)
+    finer: Mapping[str, Model] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         objects([self.model], (StructuralModel, ModalFunctionModel, FunctionModel), "problem, model")
@@ -170,7 +170,7 @@ class Problem:
         self,
         settings: StudySettings | None = None,
         effects: Mapping[str, tuple[Effect, ...]] | None = None,
-        finer: Mapping[str, StructuralModel] | None = None,
+        finer: Mapping[str, Model] | None = None,
     ) -> AnyStudy:
         """The problem as the analyses take it, with effects that its models may lack."""
         return studied(self, settings or self.settings, effects or {}, self.finer if finer is None else finer)
@@ -238,8 +238,8 @@ class Problem:
             As in ``study.toml``, with the same defaults: ``method`` (``"auto"``, ``"genetic"``, ``"gauss-newton"`` or
             ``"cmcf"``), ``starts`` (of ``"gauss-newton"``, which it asks for), ``refine``, ``begin_at``,
             ``weight_freq``, ``weight_mac``, ``population``, ``generations``, ``crossover``, ``mutation``,
-            ``sigma_start``, ``sigma_end``, and ``alpha`` of ``[explain]``; see
-            `calib.study.settings.CalibrationSettings`.
+            ``sigma_start``, ``sigma_end``, and of ``[explain]`` ``alpha`` and ``mesh_sd`` (standard deviation of the
+            error of the mesh, over the change to that of ``finer``); see `calib.study.settings.CalibrationSettings`.
 
         Raises
         ------

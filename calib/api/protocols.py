@@ -63,7 +63,7 @@ class ProblemLike(Protocol):
         self,
         settings: StudySettings | None = None,
         effects: Mapping[str, tuple[Effect, ...]] | None = None,
-        finer: Mapping[str, StructuralModel] | None = None,
+        finer: Mapping[str, Model] | None = None,
     ) -> AnyStudy:
         """The problem as the analyses take it."""
         ...

@@ -388,7 +388,7 @@ def _in_memory(study: Loaded) -> Problem:
     space = study.search_space
     own = {name: value for name, value in space.values.items() if name not in study.model.space}
     model = replace(study.model, space=space.without(own))
-    finer = study.finer_model()
+    finer = study.on_finer_mesh()
     return Problem(
         model, study.experiment, unselected=study.unselected, settings=study.settings, base=study.base,
         held_sd=study.held_sd, finer={} if finer is None else {model.name: finer},

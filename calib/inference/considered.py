@@ -254,6 +254,7 @@ def considered_table(
     held_sd: Mapping[str, float],
     constraints: ConstraintRows,
     birge: float = 1.0,
+    mesh_sd: float | None = None,
 ) -> pd.DataFrame:
     """What each held parameter adds to the standard deviation of the fitted one that it affects most.
 
@@ -261,12 +262,14 @@ def considered_table(
     ----------
     space : ParameterSpace
     at : At
-    held : ndarray (n_rows, n_held)
-        From `changes_by_held`.
+    held : ndarray (n_rows, n_held + n_meshes)
+        From `changes_by_held`, and changes by one standard deviation of the errors of meshes.
     held_sd : mapping from str to float
     constraints : ConstraintRows
     birge : float
         As in `calib.inference.identify.identify`.
+    mesh_sd : float, optional
+        Standard deviation of these errors, over the change to a finer mesh.
 
     Returns
     -------
@@ -278,7 +281,8 @@ def considered_table(
     rows = []
     slope = np.vstack([at.slope / birge, constraints.slope])
     alone = posterior(at.names, slope, at.prior_sd)
-    for k, (name, sd) in enumerate(held_sd.items()):
+    meshes = [(MESH_ERROR, mesh_sd or 0.0)] * (held.shape[1] - len(held_sd))
+    for k, (name, sd) in enumerate([*held_sd.items(), *meshes]):
         h = np.concatenate([held[:, k] / birge, constraints.held[:, k]])
         shift = alone.covariance @ (slope.T @ h)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -286,16 +290,27 @@ def considered_table(
         if not len(share):
             continue
         most = int(np.argmax(share))
-        to, unit = at.names[most], space[name].unit
+        to = at.names[most]
         without, with_it = float(alone.std[most]), float(np.hypot(alone.std[most], shift[most]))
         matters = bool(share[most] >= RULES.considered)
-        scale, own = (("" if u == "-" else f" {u}") for u in (space[to].unit, unit))
         others = [at.names[j] for j in np.argsort(-share)[1:] if share[j] >= RULES.considered]
         also = f" (and adds to {', '.join(others)})" if others else ""
-        words = (
-            f"{name} is held at {at.values[name]:.5g} ± {sd:.3g}{own}, which takes the standard deviation of {to} from "
-            f"{without:.3g} to {with_it:.3g}{scale}{also}: select it, or state how sure its value is."
-        )
-        rows.append((share[most], (name, at.values[name], unit, sd, to, without, with_it, matters, words)))
+        grows = f"takes the standard deviation of {to} from {without:.3g} to {with_it:.3g}{_unit(space[to].unit)}{also}"
+        if k < len(held_sd):
+            value, unit = at.values[name], space[name].unit
+            words = f"{name} is held at {value:.5g} ± {sd:.3g}{_unit(unit)}, which {grows}: select it, or state how "
+            words += "sure its value is."
+        else:
+            value, unit = 0.0, "-"
+            words = f"The error of the mesh, ± {sd:.3g} times the change to a finer one, {grows}: refine the mesh."
+        rows.append((share[most], (name, value, unit, sd, to, without, with_it, matters, words)))
     rows.sort(key=lambda row: -row[0])
     return pd.DataFrame([row for _, row in rows], columns=list(COLUMNS))
+
+
+MESH_ERROR = "mesh_error"
+"""What the table calls the error of a mesh."""
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "-" else f" {unit}"

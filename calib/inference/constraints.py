@@ -43,6 +43,10 @@ class ConstraintRows(NamedTuple):
         """No constraint."""
         return ConstraintRows(np.zeros((0, n_params)), np.zeros((0, n_held)))
 
+    def beside(self, n: int) -> ConstraintRows:
+        """The same beside ``n`` more held quantities that no constraint contains."""
+        return ConstraintRows(self.slope, np.hstack([self.held, np.zeros((len(self.held), n))]))
+
 
 def constraint_rows(
     space: ParameterSpace, names: Sequence[str], covariance: np.ndarray, held_sd: Mapping[str, float] = _NONE

@@ -44,11 +44,6 @@ def experiment_of(study: StudyFile, model: Model) -> Test:
             f"the model {model.name!r} has no matrices, so it has no FRFs", place=study.place("measurement", "kind"),
             remedy="return a StructuralModel; matrices of other codes make one too",
         )  # fmt: skip
-    if settings.responses and study.settings.explain.finer_options:
-        raise InputError(
-            "finer_options tell the error of the mesh in modes and FRFs, and the study measures scalar responses",
-            place=study.place("explain", "finer_options"), remedy="take finer_options out",
-        )  # fmt: skip
     data = study.measured_data()
     _require_own(study, _KINDS[type(data)][0])
     with with_place(study, model):

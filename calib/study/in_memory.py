@@ -9,7 +9,6 @@ from typing import Any
 
 from calib.experiment import Test
 from calib.problem.effect import Effect
-from calib.structure.model import StructuralModel
 from calib.study.loading import Model
 from calib.study.settings import StudySettings
 from calib.study.several import AnyStudy, JointStudy
@@ -31,7 +30,7 @@ class MemoryStudy(LoadedStudy):
         Name of the test where it is one of several; empty for the only one.
     not_selected : tuple of str
         Parameters that a selection holds at their nominal values.
-    finer : StructuralModel, optional
+    finer : StructuralModel, ModalFunctionModel or FunctionModel, optional
         The model on a finer mesh.
     """
 
@@ -39,7 +38,7 @@ class MemoryStudy(LoadedStudy):
     label: str = field(default="", kw_only=True)
     among: str = field(default="", kw_only=True)
     not_selected: tuple[str, ...] = field(default=(), kw_only=True)
-    finer: StructuralModel | None = field(default=None, kw_only=True)
+    finer: Model | None = field(default=None, kw_only=True)
 
     in_memory = True
 
@@ -80,14 +79,19 @@ class MemoryStudy(LoadedStudy):
 
     @property
     def states_mesh(self) -> bool:
-        """Whether its model has a finer mesh: of several models some may have none."""
-        return self.finer is not None
+        """Whether an explanation counts an error of its mesh: of several models some may have no finer one."""
+        return self.finer_model() is not None
 
     def place(self, *keys: int | str, mark: Any = "value") -> Any:
         """The argument that holds a setting, as an error names it."""
         return ", ".join(str(key) for key in keys) or str(self.file)
 
-    def finer_model(self) -> StructuralModel | None:
+    @property
+    def has_finer_mesh(self) -> bool:
+        """Whether a finer mesh of its model is known."""
+        return self.finer is not None
+
+    def on_finer_mesh(self) -> Model | None:
         """The model on a finer mesh, under the condition of the test; None where there is none."""
         return self.finer
 
@@ -137,7 +141,7 @@ def study_in_memory(
     library: Mapping[str, tuple[Effect, ...]],
     not_selected: Sequence[str] = (),
     held_sd: Mapping[str, float] | None = None,
-    finer: Callable[[TestedModel], StructuralModel | None] = lambda tested: None,
+    finer: Callable[[TestedModel], Model | None] = lambda tested: None,
 ) -> AnyStudy:
     """Models and tests as a study of one test or of several.
 
@@ -170,7 +174,7 @@ def _part(
     library: Mapping[str, tuple[Effect, ...]],
     not_selected: Sequence[str],
     held_sd: Mapping[str, float],
-    finer: StructuralModel | None,
+    finer: Model | None,
     among: str,
 ) -> MemoryStudy:
     model, test = tested.held, tested.test

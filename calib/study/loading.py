@@ -67,11 +67,6 @@ class Sources:
                 remedy="return a StructuralModel, a ModalFunctionModel or a FunctionModel",
                 at=self._definition("model", name),
             )
-        if not isinstance(model, StructuralModel) and self.settings.explain.finer_options:
-            raise InputError(
-                "finer_options ask for a finer mesh, which needs a model of matrices",
-                place=self.place("explain", "finer_options"), remedy="take finer_options out",
-            )  # fmt: skip
         if not isinstance(model, StructuralModel) and (retry := self.settings.retry) is not None:
             model = replace(model, function=retrying(model.function, retry.pattern, retry.times, retry.wait))
         if isinstance(model, StructuralModel):
@@ -83,13 +78,13 @@ class Sources:
                 raise InputError(fault.problem, place=there, remedy=fault.remedy, at=fault.at or at) from None
         return model
 
-    def finer(self) -> StructuralModel | None:
-        """The structural model without effects on a finer mesh; None when the study names no options for one."""
+    def finer(self) -> Model | None:
+        """The model without effects on a finer mesh; None when the study names no options for one."""
         options = self.settings.explain.finer_options
         if not options:
             return None
         model = self._call("finer_options", self.settings.model, {**self.settings.model_options, **options})
-        return model if isinstance(model, StructuralModel) else None
+        return model if isinstance(model, StructuralModel | ModalFunctionModel | FunctionModel) else None
 
     def library(self, base: Model) -> tuple[Effect, ...]:
         """The effects that the model may lack, in the order of their library; none when the study names none.

@@ -174,7 +174,7 @@ class ExplainSettings(Section):
     merge: float = Field(default=0.98, gt=0, le=1)
     """Correlation of signatures from which effects count as collinear, unless the data discriminate between them."""
     finer_options: dict[str, Any] = {}
-    """Model options of a finer mesh, from which the discretisation error is estimated."""
+    """Model options of a finer mesh, from which the discretisation error is estimated, in calibrations as well."""
     samples: int = Field(default=10, ge=1, le=100_000)
     """Posterior samples over which the recommended next measurement is averaged."""
     mesh_sd: float | None = Field(default=None, gt=0, le=10)

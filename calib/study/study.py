@@ -21,7 +21,6 @@ from calib.measurement.modal import MeasuredModes
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of, digest_of_files
-from calib.structure.effects.extend import extend
 from calib.structure.effects.perturbations import scaling_by_function
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.basis import Basis
@@ -92,8 +91,8 @@ class LoadedStudy(StudyFile):
 
     @property
     def states_mesh(self) -> bool:
-        """Whether its model has a finer mesh where an error of the mesh is stated; that is checked where it is used."""
-        return True
+        """Whether an explanation counts an error of its mesh, where one is stated: that of numbers does not."""
+        return self.experiment.shows_mesh
 
     @property
     def unselected(self) -> tuple[str, ...]:
@@ -192,10 +191,20 @@ class LoadedStudy(StudyFile):
         with with_place(self, self.model):
             return self.experiment.whole_problem(self.problem)
 
-    def finer_model(self) -> StructuralModel | None:
+    @property
+    def has_finer_mesh(self) -> bool:
+        """Whether a finer mesh of its model is known."""
+        return bool(self.settings.explain.finer_options)
+
+    def on_finer_mesh(self) -> Model | None:
         """The model on a finer mesh, effects included; None when the study names no options for one."""
         finer = Sources(self.settings, self.folder, self.place).finer()
-        return None if finer is None else extend(finer, self.included)
+        return None if finer is None else with_effects(finer, self.included, self.place("with_effects"))
+
+    def finer_model(self) -> StructuralModel | None:
+        """The same of a model of matrices; None for others."""
+        finer = self.on_finer_mesh()
+        return finer if isinstance(finer, StructuralModel) else None
 
     def selecting(self, names: tuple[str, ...]) -> LoadedStudy:
         """The same study with the named parameters selected, for a selection left to the sensitivity analysis."""

@@ -19,11 +19,12 @@ def verdicts(*identified):
     return pd.DataFrame({"parameter": [f"P{k}" for k in range(len(identified))], "identified": list(identified)})
 
 
-def statistics(fits=True, suspected=(), ratios_only=False, complete=True, assumed=""):
+def statistics(fits=True, suspected=(), ratios_only=False, complete=True, assumed="", held=(), mesh=""):
+    considered = pd.DataFrame({"matters": [m for m, _ in held], "words": [w for _, w in held]})
     table = pd.DataFrame({"what": list(suspected), "explains": [True] * len(suspected)}, columns=["what", "explains"])
     return SimpleNamespace(
         fits=fits, p_fit=0.25, suspects=table, assumed=assumed, complete=complete,
-        identification=SimpleNamespace(ratios_only=ratios_only),
+        identification=SimpleNamespace(ratios_only=ratios_only), considered=considered, mesh=mesh,
     )  # fmt: skip
 
 
@@ -45,6 +46,13 @@ def test_a_fit_is_as_sure_as_its_parameters_and_its_assumptions():
     assert "p = 0.25" in sure and "1 of 2" in sure and "P1" in sure
     assert "shapes 3 %" in sure and UNTRIED in sure and "No." in sure
     assert "None" not in fit().sure and "  " not in fit().sure
+
+
+def test_a_fit_is_as_sure_as_what_is_held_and_as_its_mesh():
+    held = [(True, "m is held."), (True, "c is held."), (False, "b is held.")]
+    sure = fit(statistics(held=held, mesh="The mesh moves k.")).sure
+    assert "m is held." in sure and "The mesh moves k." in sure and "c is held." not in sure
+    assert "b is held." not in fit(statistics(held=held[2:])).sure
 
 
 def test_what_is_wrong_in_the_measurement_is_checked_before_the_model():

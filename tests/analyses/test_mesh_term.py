@@ -12,6 +12,7 @@ import scipy.linalg as la
 import calib
 from calib.analyses.explain import explain
 from calib.analyses.hypotheses_of_study import modal_hypotheses
+from calib.analyses.uncertain import mesh_changes
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.mesh_error import MeshError
 from calib.errors.errors import InputError
@@ -179,3 +180,81 @@ def test_parameters_left_out_of_a_selection_are_uncertain_as_in_a_study(mast, ed
 def _pairing(study):
     own = study.settings.pairing
     return {"mode_count": own.mode_count, "freq_window": own.freq_window, "clusters": own.clusters}
+
+
+# -- in a calibration --------------------------------------------------------------------------------------------------
+
+
+def scaled(by=1.0):
+    """Four numbers proportional to a stiffness k; a coarse mesh is off by a factor."""
+    space = calib.ParameterSpace((calib.Parameter("k", 10.0, 1.0, 20.0, "kN/m"),))
+    return calib.FunctionModel("scale", space, lambda v: {f"y_{n}": by * v["k"] / 2**n for n in range(4)})
+
+
+def pressed(n=1, **finer):
+    """A problem with ``n`` tests of 1 %; alone they tell k = 10 within 0.05 over the root of n."""
+    tests = [calib.ResponseTest({f"y_{k}": (10 / 2**k, 0.1 / 2**k) for k in range(4)}, name=f"t{j}") for j in range(n)]
+    return calib.Problem(scaled(), tests, **finer)
+
+
+def test_an_error_of_the_mesh_is_one_of_all_data():
+    """A mesh that is off by 3 % moves k by 3 %, however many tests there are."""
+    finer = {"finer": {"scale": scaled(1.03)}}
+    for n in (1, 4):
+        exact = pressed(n).calibrate(progress=False)
+        told = pressed(n, **finer).calibrate(progress=False, mesh_sd=2.0)
+        alone = exact.parameters.loc["k", "std"]
+        assert alone == pytest.approx(0.05 / np.sqrt(n), rel=0.01)
+        assert told.values["k"] == pytest.approx(exact.values["k"])
+        assert told.parameters.loc["k", "std"] == pytest.approx(np.hypot(alone, 2.0 * 0.03 * 10), rel=0.02)
+        row = told.statistics.considered.iloc[0]
+        assert row["parameter"] == "mesh_error" and row["std"] == 2.0 and row["adds_to"] == "k" and row["matters"]
+        assert any("error of the mesh" in words and "k from" in words for words in told.sentences)
+
+
+def test_estimates_that_a_finer_mesh_would_move_are_named_where_its_error_is_not_stated():
+    moved = pressed(finer={"scale": scaled(1.03)}).calibrate(progress=False)
+    assert moved.parameters.loc["k", "std"] == pytest.approx(0.05, rel=0.01)
+    (said,) = (words for words in moved.sentences if "finer mesh would move" in words)
+    assert "k by 6" in said and "mesh_sd" in said and said in moved.calibration.answer.sure
+    still = pressed(finer={"scale": scaled(1.001)}).calibrate(progress=False)
+    assert not any("finer mesh" in words for words in still.sentences)
+
+
+def test_the_fit_is_tested_with_the_error_of_the_mesh():
+    """What the coarse mesh cannot fit, its error explains."""
+    test = calib.ResponseTest({f"y_{n}": (10 * (1 + 0.05 * n) / 2**n, 0.1 / 2**n) for n in range(4)})
+    space = scaled().space
+    tilted = calib.FunctionModel("scale", space, lambda v: {f"y_{n}": v["k"] * (1 + 0.05 * n) / 2**n for n in range(4)})
+    exact = calib.Problem(scaled(), test).calibrate(progress=False)
+    told = calib.Problem(scaled(), test, finer={"scale": tilted}).calibrate(progress=False, mesh_sd=1.5)
+    assert exact.statistics.fits is False and told.statistics.fits is True
+    assert told.statistics.considered_misfit < 1 < exact.statistics.misfit
+
+
+def test_modes_of_a_coarse_mesh_likewise_from_a_folder_and_in_python(mast, edited, tmp_path):
+    """The coarse mast is off by half of its standard deviations and more; both doors say the same."""
+    own = f"model_options = {{ element_size = {COARSE} }}\n"
+    folder = edited(mast.write_study(tmp_path / "mast"), "effects = ", f"{own}effects = ")
+    edited(folder, "[calibration]", f"[explain]\nfiner_options = {{ element_size = {FINER} }}\n\n[calibration]")
+    study = LoadedStudy.load(folder)
+    change = mesh_changes(study, study.model.space.values)
+    by_hand = study.experiment.residual(study.problem.with_model(mast.mast(FINER))).residual(study.problem.space.values)
+    assert change[:, 0] == pytest.approx(by_hand - study.pair.residual(study.problem.space.values), abs=1e-6)
+    assert np.abs(change).max() > 0.5
+    found = calib.Study.load(folder, results=tmp_path / "r", progress=False).problem.calibrate(starts=1, progress=False)
+    assert any("finer mesh would move" in words for words in found.sentences)
+
+
+def test_mesh_sd_in_a_calibration_needs_a_finer_mesh():
+    with pytest.raises(InputError, match="no finer mesh is known"):
+        pressed().calibrate(progress=False, mesh_sd=1.0)
+
+
+def test_a_finer_mesh_with_other_parameters_is_told():
+    space = calib.ParameterSpace((calib.Parameter("q", 10.0, 1.0, 20.0),))
+    other = calib.FunctionModel("scale", space, lambda v: {f"y_{n}": v["q"] for n in range(4)})
+    with pytest.raises(InputError, match="only one of model and finer model has the parameter k"):
+        pressed(finer={"scale": other}).calibrate(progress=False, mesh_sd=1.0)
+    told = pressed(finer={"scale": other}).calibrate(progress=False)
+    assert any("only one of model and finer model" in words for words in told.sentences)

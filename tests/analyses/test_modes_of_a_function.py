@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import calib
 from calib.analyses.calibrate import calibrate
 from calib.analyses.compare import compare
 from calib.analyses.explain import explain
@@ -17,6 +18,7 @@ from calib.analyses.provenance.recorded import recorded
 from calib.analyses.provenance.stored import with_stored_modes
 from calib.analyses.reduction import fingerprints
 from calib.analyses.sensitivity import sensitivity
+from calib.analyses.uncertain import mesh_changes
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.outcome import WORKER_DIED
 from calib.report.figures import Figures
@@ -251,12 +253,15 @@ def test_clusters_are_refused(own):
         LoadedStudy.load(folder)
 
 
-def test_a_finer_mesh_is_refused(own):
+def test_a_finer_mesh_changes_the_rows_of_a_calibration(own):
+    """Here it is the same function: no row changes."""
     folder, _ = own
     edit(folder / "study.toml", "[sensitivity]", "[explain]\nfiner_options = { elements = 16 }\n[sensitivity]")
     edit(folder / "model.py", "def function():", "def function(elements=8):")
-    with pytest.raises(InputError, match="matrices"):
-        LoadedStudy.load(folder)
+    study = LoadedStudy.load(folder)
+    assert study.finer_model() is None and isinstance(study.on_finer_mesh(), calib.ModalFunctionModel)
+    change = mesh_changes(study, study.model.space.values)
+    assert change.shape == (len(study.pair.rows), 1) and np.abs(change).max() < 1e-9
 
 
 def test_more_modes_than_the_function_gives_are_refused(own, tmp_path):

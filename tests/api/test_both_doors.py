@@ -120,7 +120,7 @@ def test_set_ups_are_suspected_from_both_doors(tmp_path):
 
 def test_every_key_that_steers_an_analysis_is_an_argument():
     calibration, explain = get_type_hints(CalibrationKeys).keys(), get_type_hints(ExplainKeys).keys()
-    assert set(CalibrationSettings.model_fields) == calibration - {"alpha"} | {"time_limit", "cases"}
+    assert set(CalibrationSettings.model_fields) == calibration - {"alpha", "mesh_sd"} | {"time_limit", "cases"}
     assert set(ExplainSettings.model_fields) == explain | {"finer_options"}
 
 
