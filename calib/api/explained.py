@@ -191,8 +191,8 @@ def explained(
     for model in models:
         require_distinct(library.get(model.name, ()), model, "effects")
     settings = explain_settings(problem.settings, keys, reduction)
-    known = {name: mesh for name, mesh in getattr(problem, "finer", {}).items() if isinstance(mesh, StructuralModel)}
-    meshes = finer_of(models, finer) or known
+    refined = {name: mesh for name, mesh in getattr(problem, "finer", {}).items() if isinstance(mesh, StructuralModel)}
+    meshes = finer_of(models, finer) or refined
     if meshes or any(test.shows_mesh for _, test in problem.pairs):  # else it does not count, which is told
         require_finer_mesh(settings.explain, meshes, problem.pairs)
     study = problem.study(settings, library, meshes)
