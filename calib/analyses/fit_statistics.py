@@ -274,7 +274,7 @@ def statistics_at(
     problem: FitProblem, terms: Terms, values: Mapping[str, float], near: Near | None = None
 ) -> FitStatistics:
     """Fit statistics at given values, without a fit."""
-    return statistics_of(problem, terms, dict(values), None, {}, True, near=near)
+    return statistics_of(problem, terms, problem.space.complete(values), None, {}, True, near=near)
 
 
 class Near(NamedTuple):

@@ -45,7 +45,7 @@ class ConstraintRows(NamedTuple):
 
     def beside(self, n: int) -> ConstraintRows:
         """The same beside ``n`` more held quantities that no constraint contains."""
-        return ConstraintRows(self.slope, np.hstack([self.held, np.zeros((len(self.held), n))]))
+        return self._replace(held=np.hstack([self.held, np.zeros((len(self.held), n))]))
 
 
 def constraint_rows(
