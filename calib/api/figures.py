@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from calib.analyses.calibrate import Method
 from calib.analyses.designs import Designs
 from calib.analyses.extend import found_among
 from calib.analyses.provenance import places
-from calib.analyses.provenance.stale import stale_answers
+from calib.analyses.provenance.stale import Stale, stale_answers
 from calib.analyses.versions import write_versions
 from calib.api.figures_made import make_all
 from calib.api.first_test import first_test_first
@@ -25,8 +25,18 @@ from calib.report.style import FORMATS, Format, Width, add_heading, owner_of, sa
 from calib.report.tables import CurrentFolder
 from calib.results.results import RESULTS, Results
 from calib.results.written import is_own
-from calib.study.several import AnyStudy
+from calib.study.several import JointStudy
 from calib.study.study_file import StudyFile, shell_argument
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """One folder of results as figures and pages show it."""
+
+    study: StudyFile
+    folder: Results
+    stale: Stale
+    results: StudyResults
 
 
 def draw(
@@ -39,7 +49,9 @@ def draw(
     width: Width = "page",
     workers: places.Workers = None,
 ) -> None:
-    """Draw the figures of all tables in a folder; the report is written on request, and where an older one exists.
+    """Draw the figures of a folder, and of the folders of its tests where there are several.
+
+    The report is written on request, and where an older one exists; several tests have one together.
 
     Parameters
     ----------
@@ -61,28 +73,60 @@ def draw(
     InputError
         Where a file cannot be written.
     """
-    title, synthetic = study.settings.title, study.synthetic
-    stale = stale_answers(study, folder, None if root == RESULTS else root)
+    if study.test:
+        folder.remove(REPORT)  # the tests have one together
+    place = folder.path
     try:
-        current = CurrentFolder(folder.path, stale.files)
-        shown = StudyResults(current, title, synthetic, stale.sentences, stale.other_code)
-        report = report or folder.has(REPORT)
-
+        each = _shown(study, folder, root)
+        whole = each[-1]
+        report = not study.test and (report or folder.has(REPORT))
         with listener.progress() as step, places.tasks_shared(workers):
-            own = shown.figures
-            own.take(lambda: make_all(own, FigureRequest(pictures(shown) if report else (), formats, width), step))
-            written = write_report(shown, step) if report else None
-            figures = own.save(formats, step, width)
+            for one in each:
+                place, own = one.folder.path, one.results.figures
+                request = FigureRequest(pictures(one.results) if report else (), formats, width)
+                own.take(lambda own=own, request=request: make_all(own, request, step))
+            place = whole.folder.path
+            written = write_report(whole.results, step) if report else None
+            for one in each:
+                place = one.folder.path
+                figures = one.results.figures.save(formats, step, width)
+                if one.stale.files:
+                    old = [file for kind in FORMATS for file in place.glob(f"*.{kind}")]
+                    one.folder.remove(*(file.name for file in old if is_own(file) and file not in figures))
+                listener.drawn(one.study, figures, one.stale.told, written if one is whole else None)
     except OSError as fault:
         raise InputError(
             f"a figure or the report cannot be written ({fault.strerror})",
-            place=folder.path,
+            place=place,
             remedy="free some space and draw again with 'calib report', or choose another --results",
         ) from None
-    if stale.files:
-        old = [file for kind in FORMATS for file in folder.path.glob(f"*.{kind}")]
-        folder.remove(*(file.name for file in old if is_own(file) and file not in figures))
-    listener.drawn(study, figures, stale.told, written)
+
+
+def _shown(study: StudyFile, folder: Results, root: Path) -> list[_Shown]:
+    """The folders of several tests, the one shown first last, since what is drawn last leads; then that of all."""
+    if not study.settings.several:
+        return [_one(study, folder, root)]
+    part = folder.path.relative_to(root / study.name).as_posix()
+    parts = study.studies if isinstance(study, JointStudy) else study.parts
+    found = []
+    for one in first_test_first(parts, folder):
+        own = Results(root / one.name / part)
+        if any(own.path.glob("*.csv")):
+            own = places.opened(one, root, "" if part == "." else part)
+            own.remove(REPORT)
+            found.append(_one(one, own, root, f"test{len(found) + 1}-"))
+    return [*reversed(found), _one(study, folder, root, tests=tuple(one.results for one in found))]
+
+
+def _one(
+    study: StudyFile, folder: Results, root: Path, prefix: str = "", tests: tuple[StudyResults, ...] = ()
+) -> _Shown:
+    stale = stale_answers(study, folder, None if root == RESULTS else root)
+    current = CurrentFolder(folder.path, stale.files)
+    results = StudyResults(
+        current, study.settings.title, study.synthetic, stale.sentences, stale.other_code, tests, study.test, prefix
+    )
+    return _Shown(study, folder, stale, results)
 
 
 def draw_designs(
@@ -122,7 +166,7 @@ def _plain(name: str) -> str:
 
 
 def redraw(path: Path, root: Path, listener: Listener, formats: Sequence[Format], width: Width) -> Path:
-    """Redraw all figures and reports of the study at a path; returns the report of the test that is shown first.
+    """Redraw all figures and the report of the study at a path; returns the report.
 
     Raises
     ------
@@ -131,47 +175,26 @@ def redraw(path: Path, root: Path, listener: Listener, formats: Sequence[Format]
     """
     study = StudyFile.read(path)
     home = Results(root / study.name)
-    parts = [part for part in first_test_first(study.parts, home) if places.answers_of(part, root)]
-    if not parts:
+    if not any(places.answers_of(one, root) for one in (study, *study.parts)):
         remedy = f"run the study first: calib run {shell_argument(path)}"
         raise InputError("there are no results to draw", place=home.path, remedy=remedy)
     redraw_study(study, root, listener, formats, width)
-    return root / parts[0].name / REPORT
+    return home.path / REPORT
 
 
 def redraw_study(study: StudyFile, root: Path, listener: Listener, formats: Sequence[Format], width: Width) -> None:
     """Redraw every figure and report of a study, and of the extended studies among its results; see `draw`."""
-    for part in first_test_first(study.parts, Results(root / study.name)):
-        folders = places.answers_of(part, root)
-        if Results(root / part.name) in folders:  # versions compare full results only
-            listener.versions(write_versions(part, root))
-        for folder in folders:
-            draw(part, folder, root, listener, True, formats, width)
+    found: dict[str, None] = {}
+    for one in study.parts:
+        folders = places.answers_of(one, root)
+        if Results(root / one.name) in folders:  # versions compare full results only
+            listener.versions(write_versions(one, root))
+        found |= dict.fromkeys(folder.path.relative_to(root / one.name).as_posix() for folder in folders)
+    own = [folder.path.relative_to(root / study.name).as_posix() for folder in places.answers_of(study, root)]
+    for part in dict.fromkeys([*found, *own]):
+        folder = places.opened(study, root, "" if part == "." else part)
+        draw(study, folder, root, listener, True, formats, width)
     together = places.answers_of(study, root)
-    if study.settings.several:
-        for folder in together:
-            draw(study, folder, root, listener, False, formats, width)
     written = [file for folder in together if (file := found_among(study, folder.path))]
     for file in written[:1]:  # the extended study of a quick run has its results in the same place
         redraw_study(StudyFile.read(file), root, listener, formats, width)
-
-
-def draw_tests(
-    study: AnyStudy,
-    root: Path,
-    listener: Listener,
-    quick: bool = False,
-    workers: places.Workers = None,
-    case: str | None = None,
-    method: Method | None = None,
-    report: bool = False,
-) -> None:
-    """Draw every test, the one shown first last, since a run tells what was drawn last first; then all together.
-
-    Arguments as in `draw`; ``quick``, ``case`` and ``method`` choose the folders of results.
-    """
-    whole = places.results_of(study, root, quick, case, method)
-    for part in reversed(first_test_first(study.studies, whole)):
-        draw(part, places.results_of(part, root, quick, case, method), root, listener, report, workers=workers)
-    if study.settings.several:
-        draw(study, whole, root, listener, workers=workers)

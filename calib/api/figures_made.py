@@ -29,7 +29,7 @@ def make_all(figures: Figures, request: FigureRequest, progress: Progress) -> di
         A table is damaged.
     """
     names = list(figures.plan)
-    task = _Task(figures.folder, figures.title, figures.synthetic, request)
+    task = _Task(figures.folder, figures.title, figures.synthetic, figures.prefix, request)
     found = each(_make_one, task, names, lambda done: progress("drawing figures", done, len(names)))
     return dict(zip(names, found, strict=True))
 
@@ -41,11 +41,12 @@ class _Task:
     folder: CurrentFolder
     title: str
     synthetic: bool
+    prefix: str
     request: FigureRequest
 
     @cached_property
     def figures(self) -> Figures:
-        return Figures(self.folder, self.title, self.synthetic)
+        return Figures(self.folder, self.title, self.synthetic, self.prefix)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "figures"}

@@ -266,7 +266,7 @@ class Fit(Displayed, Generic[P]):
         return draw_figure(self, name, test, ax)
 
     def report(self, path: str | Path) -> tuple[Path, ...]:
-        """Write an HTML report of the fit that opens offline; for several tests one file each, with the test's name.
+        """Write an HTML report of the fit that opens offline; several tests are told in one.
 
         Raises
         ------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ from calib.execution.temporary import TemporaryFolder
 from calib.experiment import Test
 from calib.experiment.test import Model, test_place
 from calib.inference.cases import CaseResult
+from calib.problem.joint import stacked
 from calib.problem.problem import Counts
 from calib.results.results import Results
 from calib.results.written import whole
@@ -108,21 +110,47 @@ def write_pages(fit: Solved, path: Path) -> tuple[Path, ...]:
     from calib.report.html.write import page
 
     pairs = fit.problem.pairs
-    out = []
-    for model, test in pairs:
-        where = path if len(pairs) == 1 else path.with_name(f"{path.stem}_{test.name}{path.suffix}")
-        with TemporaryFolder() as folder:
+    several = len(pairs) > 1
+    with ExitStack() as stack:
+        tests = []
+        for number, (model, test) in enumerate(pairs, 1):
+            folder = stack.enter_context(TemporaryFolder())
             _write(fit, model, test, Results(folder))
-            text = page(StudyResults(folder, f"{model.name} against {test.name}", test.synthetic))
-        try:
-            with whole(where) as draft:
-                draft.write_text(text, encoding="utf-8")
-        except OSError as fault:
-            raise InputError(
-                f"it cannot be written ({fault.strerror})", place=where, remedy="name another place"
-            ) from None
-        out.append(where)
-    return tuple(out)
+            title = f"{model.name} against {test.name}"
+            part = (test.name, f"test{number}-") if several else ("", "")
+            tests.append(StudyResults(folder, title, test.synthetic, {}, "", (), *part))
+        if several:
+            folder = stack.enter_context(TemporaryFolder())
+            _write_together(fit, Results(folder))
+            models = " and ".join(dict.fromkeys(model.name for model, _ in pairs))
+            title = f"{models} against {', '.join(test.name for _, test in pairs)}"
+            synthetic = any(one.synthetic for one in tests)
+            text = page(StudyResults(folder, title, synthetic, {}, "", tuple(tests)))
+        else:
+            text = page(tests[0])
+    try:
+        with whole(path) as draft:
+            draft.write_text(text, encoding="utf-8")
+    except OSError as fault:
+        raise InputError(f"it cannot be written ({fault.strerror})", place=path, remedy="name another place") from None
+    return (path,)
+
+
+def _write_together(fit: Solved, folder: Results) -> None:
+    """Write the tables of all tests together: parameters, what is assumed, and the answer."""
+    pairs, space = fit.problem.pairs, fit.problem.space
+    for name, table in _tables(fit).items():
+        folder.write_table(name, table)
+    folder.write_table("parameter_space", limits_table(space, space))
+    assumed = {test.name: assumptions_of(model, test.assumed) for model, test in pairs}
+    folder.write_table("assumptions", stacked(assumed))
+    stages = {test.name: compared_stages(fit, test) for _, test in pairs}
+    answer = of_fit(fit.statistics, fit.parameters.reset_index(), stages)
+    answer = answer if fit.calibration is None else fit.calibration.answer
+    made = {**made_with("calibrate"), "quick": False, "sentences": list(fit.sentences), "answer": answer.plain}
+    named = [f"{model.name} ({test.pair(model).fingerprint})" for model, test in pairs]
+    record = {"notebook": True, "model": ", ".join(dict.fromkeys(named)), "analyses": {"calibrate": made}}
+    folder.write_json("record", record)
 
 
 def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:

@@ -167,7 +167,7 @@ class Study:
         for study in self.tests:
             name = study.one.test or study.one.name
             answers[name], studies[name] = steps.compared(study), study.one
-            study.draw()
+        self.draw()
         return Compared(answers, studies)
 
     def sensitivity(
@@ -187,7 +187,7 @@ class Study:
         for study in self._by(executor).tests:
             found = steps.sampled(study) if method == "ranks" else steps.screened(study, method, ignore_constraints)
             answers[study.one.test], entries[study.one.test] = found, sensitivity_entries(study.one, found)
-            study.draw()
+        self.draw()
         printed = by_test(entries)
         if len(answers) == 1:
             return AnalysisResult(found.sentences, found.table, self.tests[0].folder.path, found, printed)
@@ -210,8 +210,8 @@ class Study:
 
         study = self._by(executor)
         found = steps.calibrated(study, case, method)
-        study._draw_tests(case, method)
         folder = places.results_of(self.loaded, self.results, self.quick, case, method)
+        study.draw(folder)
         printed = tuple(calibrated_entries(self.loaded, found))
         return AnalysisResult(found.sentences, found.verdicts, folder.path, found, printed)
 
@@ -273,7 +273,7 @@ class Study:
         with places.tasks_shared(self.workers):
             found = steps.explained(self)
             self.listener.may_add(self.loaded, found.explanation)
-            self._draw_tests()
+            self.draw()
         printed = tuple(explained_entries(self.loaded, found))
         return AnalysisResult((*found.sentences, *found.notes), found.effects, self.folder.path, found, printed)
 
@@ -349,8 +349,8 @@ class Study:
             extended = with_named(self, before, steps.explained(self).explanation)
         with places.tasks_shared(self.workers):
             if extended is not None:
-                extended._draw_tests(report=True)
-            self._draw_tests(report=True)
+                extended.draw(report=True)
+            self.draw(report=True)
         return extended or self
 
     def report(self, formats: Sequence[Format] = ("png",), width: Width = "page") -> Path:
@@ -371,16 +371,10 @@ class Study:
     # -- figures -------------------------------------------------------------------------------------------------------
 
     def draw(self, folder: Results | None = None, report: bool = False) -> None:
-        """Draw the figures of all tables; the report is written on request, and where an older one exists."""
+        """Draw the figures of all tables, and of each test; see `calib.api.figures.draw`."""
         from calib.api.figures import draw
 
         draw(self.loaded, folder or self.folder, self.results, self.listener, report, workers=self.workers)
-
-    def _draw_tests(self, case: str | None = None, method: Method | None = None, report: bool = False) -> None:
-        """Draw every test, the one shown first last, since a run tells what was drawn last first; then all together."""
-        from calib.api.figures import draw_tests
-
-        draw_tests(self.loaded, self.results, self.listener, self.quick, self.workers, case, method, report)
 
 
 def _in_memory(study: Loaded) -> Problem:

@@ -77,12 +77,15 @@ class Figures:
         First part of every figure's heading.
     synthetic : bool
         Whether the measurement is synthetic; every file is then labelled so.
+    prefix : str
+        Beginning of the identifiers in a page that has the figures of several folders.
     """
 
-    def __init__(self, folder: Path | CurrentFolder, title: str, synthetic: bool):
+    def __init__(self, folder: Path | CurrentFolder, title: str, synthetic: bool, prefix: str = ""):
         self.folder = folder if isinstance(folder, CurrentFolder) else CurrentFolder(Path(folder), frozenset())
         self.title = title
         self.synthetic = synthetic
+        self.prefix = prefix
         self._figures: dict[str, Figure] = {}
         self._rendered: Mapping[str, RenderedFigure] = {}
         self._render_all: Callable[[], Mapping[str, RenderedFigure]] | None = None
@@ -115,7 +118,7 @@ class Figures:
         with style():
             self._figures[name] = figure = self.plan[name].draw()
             take_dollars_literally(figure)
-            return svg_text(figure, identifier or name)
+            return svg_text(figure, identifier or f"{self.prefix}{name}")
 
     def render(self, name: str, request: FigureRequest) -> RenderedFigure:
         """Make one figure for page and files, without writing it; see `save` for what is raised."""

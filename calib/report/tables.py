@@ -77,9 +77,23 @@ def without_stage(name: str) -> str:
     return name
 
 
+def key_of(name: str) -> tuple[str, ...]:
+    """Columns that identify a row of a table; empty where rows may be equal."""
+    return KEYS.get(without_stage(name), ())
+
+
+def has_column(path: Path, column: str) -> bool:
+    """Whether the first line of a table names a column; a damaged table has none, and its reader tells the fault."""
+    try:
+        with path.open(encoding="utf-8") as stream:
+            return column in stream.readline().rstrip("\r\n").split(",")
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
 def read_results(path: Path, text: Sequence[str], numbers: Sequence[str] = (), **more: Any) -> pd.DataFrame:
     """Read a table as `calib.results.table.read_table` does, with rows that are unique by their `KEYS`."""
-    more.setdefault("unique", KEYS.get(without_stage(path.stem), ()))
+    more.setdefault("unique", key_of(path.stem))
     return table.read_table(path, text, numbers, **more)
 
 
@@ -108,14 +122,9 @@ _NUMBERS = {
 
 def kind_of(path: Path) -> Kind:
     """Kind of the data in a table of a measurement or a comparison."""
-    try:
-        with path.open(encoding="utf-8") as stream:
-            heads = stream.readline()
-    except (OSError, UnicodeDecodeError):
-        return "modes"  # the reader of the whole table reports the fault
-    if heads.startswith("response,reference,"):
-        return "frf"
-    return "responses" if heads.startswith("response,") else "modes"
+    if not has_column(path, "response"):
+        return "modes"
+    return "frf" if has_column(path, "reference") else "responses"
 
 
 def read_stages(folder: Folder, name: str, stages: Iterable[str]) -> dict[str, pd.DataFrame]:

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import calib
-from calib.report.numbers import significant
+from calib.report.numbers import fixed, significant
 from models.four_storey_rig import four_storey_rig
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
@@ -51,12 +51,21 @@ def test_the_report_holds_every_value(fit, tmp_path):
     assert "Analyses not run" not in text and not re.search(r"""(src|href)=["']http""", text)
 
 
-def test_several_tests_have_a_report_each(unrendered, tmp_path):
+def test_several_tests_have_one_report(unrendered, tmp_path):
     space = calib.ParameterSpace((calib.Parameter("k", 3.0, 1.0, 9.0),))
     model = calib.FunctionModel("spring", space, lambda v: {"u": 1 / v["k"], "w": v["k"] ** 2})
     tests = [calib.ResponseTest({"u": (0.25, 0.001), "w": (16.0, 0.1)}, name=name) for name in ("a", "b")]
     fit = calib.Problem(model, tests).calibrate(starts=1)
-    assert [p.name for p in fit.report(str(tmp_path / "page.html"))] == ["page_a.html", "page_b.html"]
+    (path,) = fit.report(str(tmp_path / "page.html"))
+    assert [p.name for p in tmp_path.iterdir()] == [path.name] == ["page.html"]
+    text = path.read_text()
+    assert text.count("<caption>Identifiability of the parameters</caption>") == 1
+    sections = re.findall(r'<section id="([^"]+)"', text)
+    assert sections[:4] == ["calibrated", "evidence", "test1-test", "test2-test"]
+    assert len(ids := re.findall(r' id="([^"]+)"', text)) == len(set(ids))
+    rms = fit.errors.set_index(["test", "group"])["rms"]
+    for name in ("a", "b"):
+        assert f"{name} {fixed(rms[name, 'fit'], 2)} σ" in text[: text.index("<section")]
     with pytest.raises(calib.InputError):
         fit.figure("parameters")
     assert fit.figure("parameters", test="b") is not None

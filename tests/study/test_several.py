@@ -1,5 +1,6 @@
 """A study with several tests: read, compared, fitted and explained together; bad input is refused."""
 
+import re
 import shutil
 
 import numpy as np
@@ -12,6 +13,7 @@ from calib.api.first_test import first_test_first
 from calib.command import cli
 from calib.errors.errors import InputError
 from calib.report.figures import Figures
+from calib.report.numbers import fixed
 from calib.results.results import Results
 from calib.study.several import JointStudy, load
 from calib.study.study import LoadedStudy
@@ -106,7 +108,7 @@ def test_the_run_draws_each_test_by_itself_and_all_together(run, unrendered, tmp
     assert drawn == extended + [f"frame{end}" for end in order]
     assert table["shown_first"].tolist() == [test == first for test in table.index]
     assert first_test_first(StudyFile.read(study).parts, Results(results / "frame"))[0].test == first
-    assert reported == [name for name in drawn if "." in name]
+    assert reported == ["frame_extended", "frame"]
     together = shutil.copytree(results / "frame", tmp_path / "frame")
     assert {path.stem for path in Figures(together, "together", True).save()} >= OF_ALL
 
@@ -119,8 +121,22 @@ def test_report_draws_what_every_folder_holds(frame, tmp_path):
     assert cli.execute(["report", str(study), "--results", str(results)]) == 0
     names = {end: {png.stem for png in results.glob(f"frame{end}/*.png")} for end in ("", ".empty", ".loaded")}
     assert names[""] >= OF_ALL
+    assert [path.parent.name for path in results.rglob("report.html")] == ["frame"]
+    _check_page((results / "frame/report.html").read_text(), told(results / "frame/explanation.json"))
     of_one = {"model", "mode_shapes_before", "mode_shapes_after", "modes", "selection", "sensor_misfit", "added_errors"}
     assert names[".empty"] == names[".loaded"] >= of_one | {"ranked_effects"}
+
+
+def _check_page(text, explained):
+    """One page: parameters once, the errors of all tests at its head, a section for each test."""
+    head = text[: text.index("<section")]
+    for group in ("held_out_modes", "held_out_sensors"):
+        before, after = (fixed(explained["errors"][group][stage], 2) for stage in ("before", "after"))
+        assert f"{before} → {after} σ" in head
+    assert text.count("<caption>Identifiability of the parameters</caption>") == 1
+    names = re.findall(r'<section id="([^"]+)"', text)
+    assert [name for name in names if name.startswith("test")] == ["test1-test", "test2-test"]
+    assert len(ids := re.findall(r' id="([^"]+)"', text)) == len(set(ids))
 
 
 @pytest.mark.slow

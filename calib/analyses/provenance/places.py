@@ -38,7 +38,7 @@ def results_of(
     """Folder of results: that of a full run, or a sub-folder for a quick run, a single case or another method."""
     other = method if method and method != study.settings.calibration.method else None
     parts = [part for part in (QUICK * quick, f"case_{only}" if only else "", other or "") if part]
-    return _opened(study, root, "-".join(parts))
+    return opened(study, root, "-".join(parts))
 
 
 def is_quick(study: StudyFile, results: Results) -> bool:
@@ -61,7 +61,7 @@ def answers_of(study: StudyFile, root: Path) -> tuple[Results, ...]:
     home = root / study.name
     inside = sorted(p.parent for p in home.glob(f"*/{LOG}"))  # other folders there are the user's
     filled = [p for p in (home, *inside) if any(p.glob("*.csv"))]
-    return tuple(_opened(study, root, "" if p is home else p.name) for p in filled)
+    return tuple(opened(study, root, "" if p is home else p.name) for p in filled)
 
 
 def root_for(study_file: Path, root: Path) -> Path:
@@ -71,7 +71,7 @@ def root_for(study_file: Path, root: Path) -> Path:
     return next((place for place in places if not _same(place / own.name, own)), root)
 
 
-def _opened(study: StudyFile, root: Path, part: str) -> Results:
+def opened(study: StudyFile, root: Path, part: str) -> Results:
     """One folder of a study's results; InputError where it would overlap its inputs, or another study's results."""
     home = Results(root / study.name)
     _refuse_inputs(study, root, home.path, part)

@@ -11,8 +11,8 @@ import pandas as pd
 from markupsafe import Markup
 
 from calib.report import numbers
-from calib.report.html.verified import group_words
 from calib.report.numbers import flag
+from calib.report.verification import GROUPS
 
 
 class TextCells(list[str]):
@@ -39,6 +39,11 @@ def filled(pattern: str, *columns: Any) -> list[str]:
 def flagged(table: pd.DataFrame, column: str) -> pd.DataFrame:
     """Rows in which a flag holds; unknown counts as no."""
     return table[table[column].map(flag).astype(bool)]
+
+
+def group_words(group: str) -> str:
+    """A group of data in words."""
+    return GROUPS.get(group, group)
 
 
 def rows(columns: Sequence[tuple[str, Sequence[str]]]) -> list[tuple[str, ...]]:

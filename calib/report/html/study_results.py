@@ -10,10 +10,20 @@ from typing import Any
 import pandas as pd
 
 from calib.errors.errors import InputError
+from calib.problem.joint import TEST
 from calib.report.figures import Figures
 from calib.report.html.columns import COLUMNS
 from calib.report.style import stage_words
-from calib.report.tables import Folder, Kind, kind_of, read_results, read_stages, without_stage
+from calib.report.tables import (
+    Folder,
+    Kind,
+    has_column,
+    key_of,
+    kind_of,
+    read_results,
+    read_stages,
+    without_stage,
+)
 from calib.results.json_file import ANY, read_json
 
 STAGES = ("before", "after")
@@ -34,7 +44,7 @@ _FIGURES = {
         "failed",
     )
 }
-SUMMARY = {"best_case": str, "method": str, **_FIGURES, "cases": {ANY: _FIGURES}}
+SUMMARY = {"best_case": str, "method": str, **_FIGURES, "cases": {ANY: _FIGURES}, "tests": {ANY: _FIGURES}}
 EXPLANATION = {
     "verdict": str, "sentence": str, "sentences": [str], "notes": [str], "chosen": [str], "credible_set": [str],
     "alpha": float, "p_family": float, "p_fit": float, "adequacy_p_family": float, "adequacy_p_fit": float,
@@ -63,6 +73,10 @@ class StudyResults:
         Analyses of another state of the study, with a sentence about each; ``folder`` hides their results.
     other_code : str
         A sentence on the analyses that other code of calib has computed; empty without.
+    tests : tuple of StudyResults
+        Of several tests that are fitted together each by itself; this folder then holds what they say together.
+    test, prefix : str
+        One of such tests: its name, and the beginning of the names of its parts of the page. Empty without others.
     """
 
     folder: Folder
@@ -70,6 +84,9 @@ class StudyResults:
     synthetic: bool
     stale: Mapping[str, str] = field(default_factory=dict)
     other_code: str = ""
+    tests: tuple[StudyResults, ...] = ()
+    test: str = ""
+    prefix: str = ""
     _tables: dict[str, pd.DataFrame | None] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @cached_property
@@ -80,7 +97,8 @@ class StudyResults:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """``summary.json`` of a calibration."""
-        return self._json("summary", SUMMARY, ("mean_freq_error_before", "mean_freq_error_after"))
+        errors = () if self.tests else ("mean_freq_error_before", "mean_freq_error_after")
+        return self._json("summary", SUMMARY, errors)
 
     @cached_property
     def explanation(self) -> dict[str, Any]:
@@ -89,7 +107,9 @@ class StudyResults:
 
     @cached_property
     def added(self) -> dict[str, Any]:
-        """``added.json``: the effects added after an explanation, or why there are none."""
+        """``added.json``: the effects added after an explanation, or why there are none; of several tests in one."""
+        if self.tests:
+            return _together({test.test: test.added for test in self.tests if test.added})
         found = self._json("added", ADDED, ("sentence",))
         if found.get("effects") and not {"study", "mean_freq_error", "mean_mac"} <= found.keys():
             raise InputError("it is incomplete", place=self.folder / "added.json", remedy="run the analysis again")
@@ -103,7 +123,7 @@ class StudyResults:
     @cached_property
     def figures(self) -> Figures:
         """The figures of the folder."""
-        return Figures(self.folder, self.title, self.synthetic)
+        return Figures(self.folder, self.title, self.synthetic, self.prefix)
 
     @property
     def added_effects(self) -> str:
@@ -126,8 +146,11 @@ class StudyResults:
     def table(self, name: str) -> pd.DataFrame | None:
         """Read the `COLUMNS` of ``name.csv``; None without the file or without rows in it.
 
-        Each table is read once: who changes one makes a copy.
+        Each table is read once: who changes one makes a copy. Of several tests, parameters with and without added
+        effects, and assumptions, are those of all.
         """
+        if self.tests and name == "added_parameters":
+            return next((table for one in self.tests if (table := one.table(name)) is not None), None)
         if name not in self._tables:
             self._tables[name] = self._read(name) if self.has(name) else None
         return self._tables[name]
@@ -144,7 +167,14 @@ class StudyResults:
     def _read(self, name: str) -> pd.DataFrame | None:
         kind = without_stage(name)
         columns = dict(COLUMNS.get(kind) or COLUMNS[f"{kind} of {self.kind}"])
-        table = read_results(self.folder / f"{name}.csv", columns.pop("text"), may_be_empty=True, **columns)
+        path, text = self.folder / f"{name}.csv", list(columns.pop("text"))
+        if not self.tests or TEST in text or not has_column(path, TEST):
+            table = read_results(path, text, may_be_empty=True, **columns)
+        else:
+            columns["unique"] = (TEST, *key_of(name)) if key_of(name) else ()
+            table = read_results(path, [*text, TEST], may_be_empty=True, **columns)
+            if name == "assumptions":
+                table = table.drop(columns=TEST).drop_duplicates(ignore_index=True)
         return None if table.empty else table
 
     def sentences(self, analysis: str) -> tuple[str, ...]:
@@ -210,8 +240,8 @@ class StudyResults:
         if self.record.get("notebook"):  # there is no study folder for the command
             return {}
         lacking = {
-            "Model against measurement, mode by mode": ("compare", not self.has("comparison_before")),
-            "Which parameters matter": ("sensitivity", not self.has("selection")),
+            "Model against measurement, mode by mode": ("compare", not self._any_has("comparison_before")),
+            "Which parameters matter": ("sensitivity", not self._any_has("selection")),
             "Identified parameters and errors after a calibration": ("calibrate", not self.has("parameters")),
             "Which effects the model lacks": (
                 "explain", not self.explanation and bool(self.record.get("effects_known"))
@@ -223,9 +253,25 @@ class StudyResults:
         }  # fmt: skip
         return {what: name for what, (name, lacks) in lacking.items() if lacks and name not in self.stale}
 
+    def _any_has(self, name: str) -> bool:
+        """Whether this folder, or that of one of several tests, has a table."""
+        return any(one.has(name) for one in (self, *self.tests))
+
     def _json(self, name: str, kinds: Mapping[Any, Any], required: Sequence[str] = ()) -> dict[str, Any]:
         path = self.folder / f"{name}.json"
         return read_json(path, kinds, required) if path.exists() else {}
+
+
+def _together(added: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The effects that were added to a model of several tests, by what each test says of them."""
+    if not added:
+        return {}
+    first = next(iter(added.values()))
+    if not first.get("effects"):
+        return dict(first)
+    conclusion = " ".join(f"{test}: {one['conclusion']}" for test, one in added.items() if one.get("conclusion"))
+    sentence = f"Added: {' and '.join(str(effect['name']) for effect in first['effects'])}. {conclusion}".strip()
+    return {"sentence": sentence, "conclusion": conclusion, "effects": first["effects"], "study": first["study"]}
 
 
 def _listed(named: Mapping[str, object]) -> str:

@@ -49,12 +49,22 @@ class Summary:
 
 
 def page_summary(results: StudyResults) -> Summary:
-    """Return the answer of the last analysis that has one, with the key numbers."""
-    facts = [*_measured(results), *_calibrated(results), *_explained(results)]
-    answer = next(filter(None, map(results.answer, ANSWERING)), {"found": _nothing(results)})
+    """Return the answer of the last analysis that has one, with the key numbers of every test."""
+    calibrated = [*_errors_of_tests(results), *_parameters(results)] if results.tests else _calibrated(results)
+    facts = [*_measured(results), *calibrated, *_explained(results)]
+    answer = next(filter(None, map(results.answer, ANSWERING)), None) or _compared(results)
     sure = f"{answer.get('sure', '')} {results.added.get('conclusion', '')}".strip()
     found, sure, then = (w.replace(" -> ", " → ") for w in (answer["found"], sure, answer.get("then", "")))
     return Summary(found, sure, then, tuple(facts), _origin(results))
+
+
+def _compared(results: StudyResults) -> dict[str, str]:
+    """What the comparison of each of several tests found; that there is none without it."""
+    answers = {one.test: answer for one in results.tests if (answer := one.answer("compare"))}
+    if not answers:
+        return {"found": _nothing(results)}
+    joined = {key: " ".join(f"{test}: {one[key]}" for test, one in answers.items()) for key in ("found", "sure")}
+    return {**joined, "then": next(iter(answers.values()))["then"]}
 
 
 def _nothing(results: StudyResults) -> str:
@@ -73,6 +83,9 @@ def _origin(results: StudyResults) -> str:
 
 
 def _measured(results: StudyResults) -> list[tuple[str, str]]:
+    if results.tests:
+        words = [f"{one.test}: {fact}" for one in results.tests for _, fact in _measured(one)]
+        return [("measured", "; ".join(words))] if words else []
     name = _MEASURED[results.kind]
     table = results.table("measured")
     if table is None:
@@ -106,13 +119,47 @@ def _calibrated(results: StudyResults) -> list[tuple[str, str]]:
         noise = "" if figures.get("noise_mac") is None else f" (noise allows {fixed(figures['noise_mac'], 3)})"
         macs = [figures[f"mean_mac_{stage}"] for stage in ("before", "after")] + ([added["mean_mac"]] if added else [])
         out.append((f"mean {criterion}, nominal → calibrated{more}", " → ".join(fixed(mac, 3) for mac in macs) + noise))
-    verdicts = results.table("verdicts")
-    if verdicts is not None:
-        counts = [_identified(verdicts["identified"])]
-        table = results.table("added_parameters") if added else None
-        counts += [] if table is None else [_identified(table["after_identified"])]
-        out.append(("parameters identified", " → ".join(counts)))
+    return [*out, *_parameters(results)]
+
+
+def _errors_of_tests(results: StudyResults) -> list[tuple[str, str]]:
+    """Mean errors, and mean MAC or FRAC, of each of several tests."""
+    stages = {one.test: one.summary for one in results.tests if one.summary}
+    if not stages:
+        return [(f"{what}, {one.test}", fact) for one in results.tests for what, fact in _calibrated(one)]
+    added = {one.test: one.added for one in results.tests if one.added_effects}
+    more = f" → calibrated with {results.added_effects}" if added else ""
+    out = []
+    kinds = (("mean error", "mean_freq_error", _in_percent), ("mean MAC or FRAC", "mean_mac", _in_three))
+    for label, key, form in kinds:
+        words = []
+        for test, figures in stages.items():
+            values = [figures.get(f"{key}_{stage}") for stage in STAGES]
+            values += [added[test].get(key)] if test in added else []
+            if None not in values:
+                words.append(f"{test} {' → '.join(map(form, values))}")
+        if words:
+            out.append((f"{label}, nominal → calibrated{more}", "; ".join(words)))
     return out
+
+
+def _in_percent(value: float) -> str:
+    return f"{percent(value)} %"
+
+
+def _in_three(value: float) -> str:
+    return fixed(value, 3)
+
+
+def _parameters(results: StudyResults) -> list[tuple[str, str]]:
+    """How many parameters are identified, without and with added effects."""
+    verdicts = results.table("verdicts")
+    if verdicts is None:
+        return []
+    counts = [_identified(verdicts["identified"])]
+    table = results.table("added_parameters") if results.added_effects else None
+    counts += [] if table is None else [_identified(table["after_identified"])]
+    return [("parameters identified", " → ".join(counts))]
 
 
 def _identified(flags: pd.Series) -> str:
@@ -132,11 +179,24 @@ def _explained(results: StudyResults) -> list[tuple[str, str]]:
                 out.append(
                     (f"magnitude of {r['name']}", f"{with_unit(r['magnitude'], str(r['unit']))} (95 %: {interval})")
                 )
-    for group, found in (_added_errors(results) or explanation.get("errors", {})).items():
+    known = _added_errors(results) or explanation.get("errors", {})
+    if results.tests and not known:
+        return [*out, *_calibrated_errors(results)]
+    for group, found in known.items():
         if found.get("before") is not None:
             after = "" if found.get("after") is None else f" → {fixed(found['after'], 2)}"
             out.append((DATA.get(group, group), f"{fixed(found['before'], 2)}{after} σ"))
     return out
+
+
+def _calibrated_errors(results: StudyResults) -> list[tuple[str, str]]:
+    """Errors of the calibrated model in each group of data, test by test."""
+    tables = {one.test: table for one in results.tests if (table := one.table("data_errors")) is not None}
+    words: dict[str, list[str]] = {}
+    for test, table in tables.items():
+        for group, rms in zip(table["group"], table["rms"], strict=True):
+            words.setdefault(str(group), []).append(f"{test} {fixed(rms, 2)} σ")
+    return [(DATA.get(group, group), "; ".join(each)) for group, each in words.items()]
 
 
 def _added_errors(results: StudyResults) -> dict[str, dict[str, float]]:

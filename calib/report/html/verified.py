@@ -6,14 +6,11 @@ from collections.abc import Mapping
 
 import pandas as pd
 
-from calib.report.numbers import fixed, flag, percent
+from calib.report.html.cells import TextCells, group_words
+from calib.report.html.study_results import StudyResults
+from calib.report.numbers import UNKNOWN, fixed, flag, p_in_words, percent
 from calib.report.style import added
 from calib.report.verification import GROUPS
-
-
-def group_words(group: str) -> str:
-    """A group of data in words."""
-    return GROUPS.get(group, group)
 
 
 def groups(table: pd.DataFrame) -> pd.Series:
@@ -37,6 +34,39 @@ def models(table: pd.DataFrame, effects: str) -> list[str]:
     """The model of every row in words; ``effects`` are those in the other model."""
     stages = table["stage"] if "stage" in table else ["before"] * len(table)
     return [added("base" if stage == "before" else str(stage), effects) for stage in stages]
+
+
+def columns_of_errors(table: pd.DataFrame) -> list[tuple[str, list[str]]]:
+    """Columns of errors by group of data, one of each number for every stage of the model."""
+    stages = list(dict.fromkeys(table["stage"])) if "stage" in table else [""]
+    each = [at_stage(table, stage) if stage else table.set_index("group").reindex(groups(table)) for stage in stages]
+    marks = [""] if len(stages) == 1 else [f" {stage}" for stage in stages]
+    return [
+        ("data", TextCells(group_words(group) for group in groups(table))),
+        ("residuals", [fixed(rows, 0) for rows in each[-1]["rows"]]),
+        *((f"rms{mark}, σ", [fixed(v, 2) for v in e["rms"]]) for mark, e in zip(marks, each, strict=True)),
+        ("expected, σ", [fixed(value, 2) for value in each[-1]["expected"]]),
+        *((f"p{mark}", [p_in_words(v) for v in e["p"]]) for mark, e in zip(marks, each, strict=True)),
+    ]
+
+
+def errors_by_test(results: StudyResults) -> list[tuple[str, list[str]]]:
+    """Columns of the errors of each of several tests: with added effects, of an explanation, or of the calibration."""
+    kinds = ("added_errors", "errors", "data_errors")
+    name = next((name for name in kinds if any(test.table(name) is not None for test in results.tests)), None)
+    found = {test.test: table for test in results.tests if name and (table := test.table(name)) is not None}
+    if not found:
+        return []
+    each = {test: columns_of_errors(table) for test, table in found.items()}
+    heads = list(dict.fromkeys(head for columns in each.values() for head, _ in columns))
+    out: dict[str, list[str]] = {"test": TextCells(), **{head: TextCells() if head == "data" else [] for head in heads}}
+    for test, columns in each.items():
+        cells = dict(columns)
+        number = len(cells["data"])
+        out["test"] += [test] * number
+        for head in heads:
+            out[head] += cells.get(head, [UNKNOWN] * number)
+    return list(out.items())
 
 
 def inside(errors: pd.DataFrame, predictions: pd.DataFrame, column: str) -> list[str]:

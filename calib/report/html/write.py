@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from itertools import count
 from pathlib import Path
@@ -38,6 +38,13 @@ SECTIONS = (
     *("proposals", "suspect", "added", "next", "errors", "candidate_fits", "assumptions", "versions", "not_run"),
 )
 """The sections in their order on the page, each a template; one without content is omitted."""
+OF_TEST = "test"
+"""The section of one of several tests."""
+OF_SEVERAL = (
+    *("stale", "calibrated", "evidence", "pulled", "effects", "verdict", "steps", "proposals", "suspect", "added"),
+    *("next", OF_TEST, "candidate_fits", "assumptions", "versions", "not_run"),
+)
+"""Those of several tests together; each test has one."""
 VIEWER = "viewer"
 """The figure that can be turned; the others are drawings."""
 LONGEST = 12
@@ -91,32 +98,51 @@ def templates() -> Environment:
 
 @dataclass(frozen=True)
 class Contents:
-    """What a section holds beside words and tables: numbers of figures, their drawings, and tables as addresses."""
+    """What a section holds beside words and tables: numbers of figures, their drawings, and tables as addresses.
+
+    Names of figures that are numbered begin with the prefix of one of several tests.
+    """
 
     number: Callable[[str], int]
-    drawing: Callable[[str], Markup] = lambda name: Markup()
-    file: Callable[[str], str] = lambda table: ""
+    drawing: Callable[[StudyResults, str], Markup] = lambda results, name: Markup()
+    file: Callable[[StudyResults, str], str] = lambda results, table: ""
 
 
 def section(name: str, results: StudyResults, contents: Contents) -> PageSection | None:
     """Return a section; None without tables for it."""
-    values: dict[str, Any] = {"results": results, **vars(contents)}
+    values: dict[str, Any] = {
+        "results": results,
+        "number": lambda figure: contents.number(results.prefix + figure),
+        "drawing": partial(contents.drawing, results),
+        "file": partial(contents.file, results),
+    }
     made = templates().get_template(f"section/{name}.html.j2").make_module(values)
     body = Markup(made).strip()
-    return PageSection(name, vars(made)["title"], body) if body else None
+    return PageSection(results.prefix + name, vars(made)["title"], body) if body else None
+
+
+def outline(results: StudyResults) -> Iterator[tuple[StudyResults, str]]:
+    """The sections of a page in their order, each with the results that it shows."""
+    if results.prefix:
+        yield results, OF_TEST
+    else:
+        for name in OF_SEVERAL if results.tests else SECTIONS:
+            yield from ((one, name) for one in (results.tests if name == OF_TEST else (results,)))
 
 
 def sections(results: StudyResults, contents: Contents | None = None) -> tuple[PageSection, ...]:
     """Return the sections for which there are tables, without drawings and files unless ``contents`` holds them."""
     contents = contents or Contents(_Numbers())
-    return tuple(found for name in SECTIONS if (found := section(name, results, contents)) is not None)
+    return tuple(found for own, name in outline(results) if (found := section(name, own, contents)) is not None)
 
 
 def pictures(results: StudyResults) -> list[str]:
-    """Return the names of the drawings in these sections, in their order."""
+    """Return the names of the drawings in these sections, in their order; of several tests those of all together."""
     numbers = _Numbers()
-    sections(results, Contents(numbers))
-    return [name for name in numbers.names if name != VIEWER]
+    for own, name in outline(results):
+        if own is results:
+            section(name, own, Contents(numbers))
+    return [name for full in numbers.names if (name := full.removeprefix(results.prefix)) != VIEWER]
 
 
 @dataclass(frozen=True)
@@ -152,17 +178,19 @@ def write_report(results: StudyResults, progress: Progress = silent) -> Page:
 
 def page(results: StudyResults, progress: Progress = silent) -> str:
     """Return the HTML of the whole page."""
-    done, total, number = count(), len(pictures(results)), _Numbers()
+    done, number = count(), _Numbers()
+    total = sum(len(pictures(one)) for one in (results, *results.tests))
 
-    def drawing(name: str) -> Markup:
+    def drawing(own: StudyResults, name: str) -> Markup:
         progress("drawing the report", next(done), total)
-        return Markup(results.figures.svg(name))
+        return Markup(own.figures.svg(name))
 
-    def file(table: str) -> str:
-        return _address(results.folder / f"{table}.csv")
+    def file(own: StudyResults, table: str) -> str:
+        return _address(own.folder / f"{table}.csv")
 
     found = sections(results, Contents(number, drawing, file))
-    scripts = ("report.js", "three.min.js", "viewer.js") if VIEWER in number.names else ("report.js",)
+    turned = any(name.endswith(VIEWER) for name in number.names)
+    scripts = ("report.js", "three.min.js", "viewer.js") if turned else ("report.js",)
     template = templates().get_template("page.html.j2")
     return template.render(
         results=results,

@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 from jinja2 import nodes
 
-from calib.report.html.write import ASKED, SECTIONS, templates
+from calib.report.html.write import ASKED, OF_SEVERAL, SECTIONS, templates
 
 GIVEN = {"results", "number", "drawing", "file"}
 """What every section is rendered with; see `calib.report.html.write.Contents`."""
@@ -20,7 +20,9 @@ def parsed(name):
 
 
 def test_every_section_has_a_template_and_a_title():
-    assert {name for name in TEMPLATES if name.startswith("section/")} == {f"section/{n}.html.j2" for n in SECTIONS}
+    assert {name for name in TEMPLATES if name.startswith("section/")} == {
+        f"section/{n}.html.j2" for n in (*SECTIONS, *OF_SEVERAL)
+    }
     for name in SECTIONS:
         assigned = [node.target for node in parsed(f"section/{name}.html.j2").find_all(nodes.Assign)]
         assert "title" in [target.name for target in assigned if isinstance(target, nodes.Name)], name
