@@ -20,6 +20,7 @@ from calib.modal_analysis.identification import AMBIENT, Identification
 from calib.modal_analysis.judgement import accepted_modes
 from calib.modal_analysis.model import fit_residues, rank_one
 from calib.modal_analysis.rules import RULES
+from calib.modal_analysis.setups import merged_setups
 from calib.modal_analysis.spread import Spread, aligned, both_parts
 from calib.modal_analysis.stabilisation import Chain
 from calib.modal_analysis.subspace import (
@@ -57,7 +58,8 @@ def modes_from_records(
     Parameters
     ----------
     records : sequence of MeasuredRecord
-        With the same sensors and rate; see `calib.measurement.files.read_records.read_records`.
+        Of one rate; see `calib.measurement.files.read_records.read_records`. Records with the same sensors are repeats;
+        others are set-ups, which need a sensor in common, at its place in each (see `merged_setups`).
     band : (float, float), optional
         In which modes are identified, Hz; records that are sampled faster than it needs are decimated, as far as the
         samples that this leaves suffice.
@@ -87,6 +89,32 @@ def modes_from_records(
     >>> calib.modes_from_records([record]).modes.natural_freq.round(1).tolist()
     [4.0]
     """
+    setups: dict[frozenset[str], list[MeasuredRecord]] = {}
+    for one in records:
+        setups.setdefault(frozenset(sensor.name for sensor in one.sensors), []).append(one)
+    if len(setups) < 2:
+        return _of_setup(records, band, accept)
+    found = [_of_setup(own, band, ()) for own in setups.values()]
+    # an accepted mode may be one that a single set-up refuses
+    near = [[f for f in accept if _refuses(one, f)] for one in found]
+    found = [
+        _of_setup(own, band, wanted) if wanted else one
+        for own, wanted, one in zip(setups.values(), near, found, strict=True)
+    ]
+    given = {f for wanted in near for f in wanted}
+    return merged_setups(found, [f for f in accept if f not in given])
+
+
+def _refuses(found: Identification, freq: float) -> bool:
+    """Whether a mode near a frequency, Hz, is refused, and none counts there."""
+    near = found.fit[(found.fit["freq"] / freq - 1).abs() <= RULES.accepted_reach]
+    return bool(len(near)) and bool((near["refused"] != "").all())
+
+
+def _of_setup(
+    records: Sequence[MeasuredRecord], band: tuple[float, float] | None, accept: Sequence[float]
+) -> Identification:
+    """Modes from records with the same sensors."""
     place = ", ".join(one.source for one in records) or "records"
     low, high = _in_record(band, records[0].rate, place)
     used = [_prepared(one, None if band is None else high, _samples_least(records)) for one in records]

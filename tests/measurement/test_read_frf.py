@@ -5,6 +5,7 @@ import pytest
 import pyuff
 
 from calib.errors.errors import InputError
+from calib.measurement.doubts import doubts_of
 from calib.measurement.files.csv_frf import read_frfs_csv
 from calib.measurement.files.read_frf import read_frfs
 from calib.measurement.files.uff_frf import read_uff_frfs
@@ -301,6 +302,24 @@ def test_an_abscissa_in_seconds_and_a_coherence_given_twice_are_refused(tmp_path
         pyuff.UFF(str(twice)).write_sets([one], "add")
     with pytest.raises(InputError, match="coherence is there twice"):
         read_uff_frfs(twice)
+
+
+def test_a_driving_point_that_is_there_twice_is_its_mean(tmp_path):
+    first, second = accelerance(3e4), 1.06 * accelerance(3.001e4)
+    path = universal(tmp_path / "twice.uff", {((1, 3), (1, 3)): first, ((2, 3), (1, 3)): accelerance(5e3)})
+    again = universal(tmp_path / "again.uff", {((1, 3), (1, 3)): second, ((3, 1), (1, 3)): accelerance(9e3)})
+    path.write_bytes(path.read_bytes() + again.read_bytes())
+    found = read_uff_frfs(path)
+    assert list(found.functions) == [((1, "z"), (1, "z")), ((2, "z"), (1, "z")), ((3, "x"), (1, "z"))]
+    np.testing.assert_allclose(found.functions[(1, "z"), (1, "z")], (first + second) / 2, rtol=1e-5)
+    apart = 100 * np.linalg.norm(second - first) / np.linalg.norm(first)
+    assert any("1z/1z" in note and f"{apart:.2g} %" in note for note in doubts_of(found))
+    for gain, word in ((-1.0, "sign"), (1.5, "1.5 times")):
+        other = universal(tmp_path / "other.uff", {((1, 3), (1, 3)): gain * first})
+        both = tmp_path / "both.uff"
+        both.write_bytes(universal(tmp_path / "one.uff", {((1, 3), (1, 3)): first}).read_bytes() + other.read_bytes())
+        with pytest.raises(InputError, match=word):
+            read_uff_frfs(both)
 
 
 def test_a_function_with_a_value_too_few_is_refused(tmp_path):

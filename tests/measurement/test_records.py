@@ -146,10 +146,23 @@ def test_records_that_differ_are_refused(tmp_path):
     first = table(tmp_path)
     fewer = table(tmp_path, VALUES[:, :3], "fewer.csv", header="# unit: m/s2\ntime,1x,2x,3x")
     other = table(tmp_path, VALUES, "other.csv", header="# unit: m/s\ntime,1x,2x,3x,4x")
-    with pytest.raises(InputError, match="lacks 4x"):
-        read_records([first, fewer])
+    for files in ([first, fewer], [fewer, first]):
+        with pytest.raises(InputError, match="lacks 4x"):
+            read_records(files)
     with pytest.raises(InputError, match="motion is not that"):
         read_records([first, other])
+
+
+def test_records_with_sensors_of_their_own_are_set_ups(tmp_path):
+    first = table(tmp_path, VALUES[:, :3], "one.csv", header="# unit: m/s2\ntime,1x,2x,4x")
+    other = table(tmp_path, VALUES[:, [3, 0]], "two.csv", header="# unit: m/s2\ntime,3x,1x")
+    again = table(tmp_path, 2 * VALUES[:, [0, 3]], "three.csv", header="# unit: m/s2\ntime,1x,3x")
+    places = tmp_path / "sensors.csv"
+    places.write_text("node,x,y,z\n1,0,0,0\n2,1,0,0\n3,2,0,0\n4,3,0,0\n", encoding="utf-8")
+    read = read_records([first, other, again], sensors=places)
+    assert [[s.name for s in one.sensors] for one in read] == [["1x", "2x", "4x"], ["3x", "1x"], ["3x", "1x"]]
+    np.testing.assert_allclose(read[2].values, 2 * read[1].values, rtol=1e-6)
+    assert read[1].sensors[0].point == (2.0, 0.0, 0.0)
 
 
 def test_values_that_are_not_finite_are_refused_in_python_too():

@@ -84,7 +84,7 @@ def read_records(
     length_unit: str | None = None,
     synthetic: bool = False,
 ) -> tuple[MeasuredRecord, ...]:
-    r"""Read measured time records; each file is one record.
+    r"""Read measured time records; each file is one record, a repeat or, with sensors of its own, another set-up.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def read_records(
     Returns
     -------
     tuple of MeasuredRecord
-        All with the same sensors, in the order of the first file.
+        Those with the same sensors in the order of the first one.
 
     Raises
     ------
@@ -138,16 +138,28 @@ def read_records(
             raise InputError("it holds the force of a hammer", place=path, remedy=remedy)
         if is_uff:
             points.append((str(path), places))
-        read.append(own.in_order(read[0].sensors) if read else own)
+        names = {sensor.name for sensor in own.sensors}
+        same = next((one for one in read if {sensor.name for sensor in one.sensors} == names), None)
+        read.append(own if same is None else own.in_order(same.sensors))
         if abs(own.rate / read[0].rate - 1) > SAME_RATE or own.motion != read[0].motion:
             what = "motion" if own.motion != read[0].motion else f"rate of {own.rate:.6g} Hz"
             raise InputError(
                 f"its {what} is not that of {read[0].source}", place=path, remedy="give records measured alike"
             )
-    measured = [(sensor.node, sensor.direction) for sensor in read[0].sensors]
+    _require_setups(read)
+    measured = list(dict.fromkeys((sensor.node, sensor.direction) for one in read for sensor in one.sensors))
     placed = place_sensors(measured, common_points(points, table), table, paths[0], table_path)
+    of = {sensor.name: sensor for sensor in placed.sensors}
     return tuple(
-        replace(one, sensors=placed.sensors, notes=(*placed.notes * (k == 0), *one.notes), misplaced=placed.misplaced,
-                synthetic=synthetic)
+        replace(one, sensors=tuple(of[sensor.name] for sensor in one.sensors),
+                notes=(*placed.notes * (k == 0), *one.notes), misplaced=placed.misplaced, synthetic=synthetic)
         for k, one in enumerate(read)
     )  # fmt: skip
+
+
+def _require_setups(records: Sequence[MeasuredRecord]) -> None:
+    """InputError for a record that lacks sensors of another and brings none of its own: it is no set-up."""
+    every = [{sensor.name for sensor in one.sensors} for one in records]
+    for own, one in zip(every, records, strict=True):
+        if (larger := next((k for k, other in enumerate(every) if own < other), None)) is not None:
+            one.in_order(records[larger].sensors)  # which names what it lacks

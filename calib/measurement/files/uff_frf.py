@@ -19,11 +19,12 @@ from calib.measurement.files.uff_labels import MOTIONS, Axis, force_axis, hertz,
 from calib.measurement.files.uff_nodes import Nodes, length_factor, nodes_of
 from calib.measurement.files.uff_sets import pyuff_faults
 from calib.measurement.frf import NO_PHASE, Quantity
-from calib.measurement.frf_repeats import FRFRepeat, Key, off_axis, repeat_of
+from calib.measurement.frf_repeats import FRFRepeat, Key, function_name, off_axis, repeat_of
 from calib.measurement.frf_units import GRAVITY, FRFUnits, parse_unit
 from calib.measurement.modal import DIRECTIONS
 from calib.measurement.places import Doubt
 from calib.measurement.record import QUANTITY_OF
+from calib.measurement.rules import RULES
 
 _FRF, _COHERENCE = 4, 6
 _COMPLEX = (5, 6)
@@ -43,7 +44,8 @@ def read_uff_frfs(
     Every dataset 58 with a frequency response function of a motion over a force counts; coherences are kept beside
     them, other functions, pressures and strains among them, are noted. A sensor mounted against its axis (negative
     direction) reverses the sign. Units are those on the labels of the axes, else those of dataset 164; a line at 0 Hz
-    is dropped where the motion is no displacement, and a value that is not finite was not measured. Places and axes of
+    is dropped where the motion is no displacement, and a value that is not finite was not measured. A function that is
+    there several times, as the driving point of several runs is, is their mean. Places and axes of
     the nodes are those of `calib.measurement.files.uff_nodes`.
 
     Parameters
@@ -62,8 +64,9 @@ def read_uff_frfs(
     Raises
     ------
     InputError
-        For a file that cannot be read, without such functions, with amplitudes alone, a function twice, a label that
-        contradicts the type of its axis, or lines that differ between functions.
+        For a file that cannot be read, without such functions, with amplitudes alone, a function twice whose two
+        versions differ in scale or sign, a label that contradicts the type of its axis, or lines that differ between
+        functions.
     """
     notes: list[str] = []
     blocks = read_blocks(path, notes)  # a truncated file would lose its last functions without a word
@@ -73,12 +76,15 @@ def read_uff_frfs(
             raise InputError(f"{unit} is no unit of {quantity}", place=path, remedy="correct one of them")
         quantity = stated[0]
     units = file_units(path, blocks)
-    frfs, coherences = _datasets(path, quantity, notes, channels)
-    found = {one.quantity for one in frfs.values()}
+    frfs, again, coherences = _datasets(path, quantity, notes, channels)
+    found = {one.quantity for one in (*frfs.values(), *again)}
     if len(found) > 1:
         raise InputError(f"it holds {' and '.join(sorted(found))}", place=path, remedy="export one quantity")
     (own,) = found
     functions = {key: _values(one, units, stated, notes) for key, one in frfs.items()}
+    for key in dict.fromkeys(one.key for one in again):
+        every = [functions[key], *(_values(one, units, stated, notes) for one in again if one.key == key)]
+        functions[key] = _mean_of_same(path, key, every, notes)
     coherence = {key: np.asarray(np.real(one.data["data"]), dtype=float) for key, one in coherences.items()}
     assumed: list[str] = []
     per_metre = length_factor(path, blocks, assumed, length_unit)
@@ -122,9 +128,10 @@ class _Dataset:
 
 def _datasets(
     path: Path, stated: Quantity | None, notes: list[str], channels: Sequence[str]
-) -> tuple[dict[Key, _Dataset], dict[Key, _Dataset]]:
-    """FRFs and coherences on common lines; what is neither is noted."""
+) -> tuple[dict[Key, _Dataset], list[_Dataset], dict[Key, _Dataset]]:
+    """FRFs, those that are there again, and coherences, on common lines; what is none of them is noted."""
     frfs: dict[Key, _Dataset] = {}
+    again: list[_Dataset] = []
     coherences: dict[Key, _Dataset] = {}
     every = _with_channels(path, _sets(path), channels) if channels else _sets(path)
     foreign: Counter[str] = Counter()
@@ -133,13 +140,22 @@ def _datasets(
             foreign[what] += 1
         elif data["func_type"] == _FRF:
             one = _checked(path, data, stated, notes)
-            _enter(one, frfs, frfs, "function")
+            _require_axis(one, frfs)
+            if frfs.setdefault(one.key, one) is not one:
+                again.append(one)
+    repeated, seen = {one.key for one in again}, list[_Dataset]()
     for data in every:
         # a coherence of what is skipped may have no direction
         if data["func_type"] == _COHERENCE and all(1 <= abs(int(data[f"{end}_dir"])) <= 6 for end in ("rsp", "ref")):
             one = _checked(path, data, None, [])
             if one.key in frfs:
-                _enter(one, coherences, frfs, "coherence")
+                _require_axis(one, frfs)
+                seen.append(one)
+                if one.key in repeated:
+                    continue  # that of one of them is not that of their mean
+                if coherences.setdefault(one.key, one) is not one:
+                    words = "this coherence is there twice, its function once"
+                    raise InputError(words, place=one.where, remedy="export each once, one file a repeat")
     if not frfs:
         what = f"{' and '.join(sorted(foreign))}, no motion over force" if foreign else "no frequency response function"
         raise InputError(
@@ -148,10 +164,10 @@ def _datasets(
         )  # fmt: skip
     for what, count in foreign.items():
         notes.append(f"{path}: {_functions(count)} of {what} skipped: no motion over force")
-    if skipped := len(every) - len(frfs) - len(coherences) - foreign.total():
+    if skipped := len(every) - len(frfs) - len(again) - len(seen) - foreign.total():
         what = "1 function that is neither an FRF" if skipped == 1 else f"{skipped} functions that are neither FRFs"
         notes.append(f"{path}: {what} nor {'a coherence' if skipped == 1 else 'coherences'} of one skipped")
-    return frfs, coherences
+    return frfs, again, coherences
 
 
 def _with_channels(path: Path, every: Sequence[dict[str, Any]], channels: Sequence[str]) -> list[dict[str, Any]]:
@@ -175,16 +191,31 @@ def _functions(count: int) -> str:
     return "1 function" if count == 1 else f"{count} functions"
 
 
-def _enter(one: _Dataset, into: dict[Key, _Dataset], frfs: Mapping[Key, _Dataset], kind: str) -> None:
-    """Add a dataset that is on the lines of the first function and not there yet."""
+def _mean_of_same(path: Path, key: Key, every: Sequence[np.ndarray], notes: list[str]) -> np.ndarray:
+    """Mean of the versions of one function; InputError where one differs in scale, as between set-ups, or in sign."""
+    first, known = every[0], np.all(np.isfinite(every), axis=0)
+    farthest = 0.0
+    most = 1 + RULES.setup_scale
+    for other in every[1:]:
+        sizes = [float(np.linalg.norm(one[known])) for one in (first, other)]
+        ratio, same = sizes[1] / max(sizes[0], 1e-300), float(np.real(np.vdot(first[known], other[known]))) > 0
+        if not same or not 1 / most <= ratio <= most:
+            words = f"{function_name(key)} is there {len(every)} times, and one of them is {ratio:.3g} times as large"
+            remedy = "leave the wrong one out of the export; check sensitivities and directions"
+            raise InputError(f"{words} or has the opposite sign", place=path, remedy=remedy)
+        farthest = max(farthest, float(np.linalg.norm((other - first)[known])) / sizes[0])
+    words = f"{function_name(key)} is there {len(every)} times, {100 * farthest:.2g} % apart: their mean is used"
+    notes.append(Doubt(f"{path}: {words}"))
+    return np.asarray(np.mean(every, axis=0))
+
+
+def _require_axis(one: _Dataset, frfs: Mapping[Key, _Dataset]) -> None:
+    """InputError unless a dataset is on the lines of the first function."""
     first = next(iter(frfs.values()), one)
     if off_axis(one.freq, first.freq).any():
         raise InputError(
             "its lines are not those of the first function", place=one.where, remedy="export all on common frequencies"
         )
-    if one.key in into:
-        raise InputError(f"this {kind} is there twice", place=one.where, remedy="export each once, one file a repeat")
-    into[one.key] = one
 
 
 def _foreign(data: Mapping[str, Any]) -> str | None:
