@@ -84,7 +84,7 @@ def draw(
             for one in each:
                 place, own = one.folder.path, one.results.figures
                 request = FigureRequest(pictures(one.results) if report else (), formats, width)
-                own.take(lambda own=own, request=request: make_all(own, request, step))
+                own.take(partial(make_all, own, request, step))
             place = whole.folder.path
             written = write_report(whole.results, step) if report else None
             for one in each:
@@ -108,7 +108,7 @@ def _shown(study: StudyFile, folder: Results, root: Path) -> list[_Shown]:
         return [_one(study, folder, root)]
     part = folder.path.relative_to(root / study.name).as_posix()
     parts = study.studies if isinstance(study, JointStudy) else study.parts
-    found = []
+    found = list[_Shown]()
     for one in first_test_first(parts, folder):
         own = Results(root / one.name / part)
         if any(own.path.glob("*.csv")):

@@ -67,6 +67,8 @@ KEYS = {
     "why_places": ("effect", "perturbation"),
 }
 """Columns that identify a row, by the name of the table without its stage."""
+TEST = "test"
+"""Column of tables of several tests: the name of the test."""
 _SUFFIXES = ("_initial", "_before", "_after", "_added")
 
 

@@ -116,7 +116,7 @@ def test_lines_are_the_same_to_the_rounding_of_single_precision():
     ("sets", "words"),
     [
         ([dataset(np.abs(receptance()))], "amplitude and phase"),
-        ([dataset(receptance()), dataset(receptance())], "twice"),
+        ([dataset(receptance()), dataset(-receptance())], "opposite sign"),
         ([dataset(receptance()), dataset(receptance()[:-1], (3, 3), x=FREQ[:-1])], "common frequencies"),
         ([dataset(receptance()), dataset(receptance(), (3, 3), numerator=12)], "one quantity"),
         ([dataset(receptance(), numerator=0)], "neither displacement"),

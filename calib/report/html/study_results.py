@@ -10,11 +10,11 @@ from typing import Any
 import pandas as pd
 
 from calib.errors.errors import InputError
-from calib.problem.joint import TEST
 from calib.report.figures import Figures
 from calib.report.html.columns import COLUMNS
 from calib.report.style import stage_words
 from calib.report.tables import (
+    TEST,
     Folder,
     Kind,
     has_column,

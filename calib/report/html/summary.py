@@ -84,8 +84,8 @@ def _origin(results: StudyResults) -> str:
 
 def _measured(results: StudyResults) -> list[tuple[str, str]]:
     if results.tests:
-        words = [f"{one.test}: {fact}" for one in results.tests for _, fact in _measured(one)]
-        return [("measured", "; ".join(words))] if words else []
+        each = [f"{one.test}: {fact}" for one in results.tests for _, fact in _measured(one)]
+        return [("measured", "; ".join(each))] if each else []
     name = _MEASURED[results.kind]
     table = results.table("measured")
     if table is None:
@@ -136,8 +136,9 @@ def _errors_of_tests(results: StudyResults) -> list[tuple[str, str]]:
         for test, figures in stages.items():
             values = [figures.get(f"{key}_{stage}") for stage in STAGES]
             values += [added[test].get(key)] if test in added else []
-            if None not in values:
-                words.append(f"{test} {' → '.join(map(form, values))}")
+            known = [value for value in values if value is not None]
+            if len(known) == len(values):
+                words.append(f"{test} {' → '.join(map(form, known))}")
         if words:
             out.append((f"{label}, nominal → calibrated{more}", "; ".join(words)))
     return out
