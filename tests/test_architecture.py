@@ -21,7 +21,7 @@ RANKS = (
     {"results"},
     {"problem"},
     {"measurement"},
-    {"structure"},
+    {"structure", "imports"},
     {"modal_analysis"},
     {"correlation"},
     {"inference", "sensitivity"},

@@ -202,6 +202,7 @@ FORMATS = {  # units, codes of files, and what a file may hold
     "study/measurement_settings.py": "LONGEST_NAME",
     "structure/amplitude.py": "_LEFT",
     "structure/dof_table.py": "_EXACT _PACKED",
+    "imports/frd.py": "_COMPONENTS _FIRST _WIDTH",
     "structure/unit_system.py": "_TOKENS",
     "structure/effects/attach.py": "GRAVITY",
 }

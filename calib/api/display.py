@@ -80,6 +80,8 @@ class Compared(Displayed):
         By name of the test.
     studies : mapping from str to LoadedStudy
         The tests with their models, likewise.
+    notes : tuple of str
+        How computed modes were read, and how measured nodes were placed on them; see `calib.compare_modes`.
 
     Examples
     --------
@@ -94,11 +96,13 @@ class Compared(Displayed):
 
     by_test: Mapping[str, ComparisonResult]
     studies: Mapping[str, LoadedStudy]
+    notes: tuple[str, ...] = ()
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Where each model fails, and doubtful pairs, sensors or units."""
-        return prefixed({name: (*answer.sentences, *_remarks(answer)) for name, answer in self.by_test.items()})
+        """Where each model fails, doubtful pairs, sensors or units, and how the files were read."""
+        found = prefixed({name: (*answer.sentences, *_remarks(answer)) for name, answer in self.by_test.items()})
+        return (*found, *self.notes)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -121,7 +125,14 @@ class Compared(Displayed):
         """What the command prints below the answer, test by test."""
         from calib.api.entries.compared import compared_entries
 
-        return by_test({name: compared_entries(self.studies[name], answer) for name, answer in self.by_test.items()})
+        found = by_test({name: compared_entries(self.studies[name], answer) for name, answer in self.by_test.items()})
+        return (*found, *(Words(note, "always") for note in self.notes))
+
+    def report(self, path: str | Path) -> tuple[Path, ...]:
+        """Write the comparison as an HTML page with its figures; several tests are told in one. Returns the file."""
+        from calib.api.page import write_comparison_page
+
+        return (write_comparison_page(self, Path(path)),)
 
     def orthogonality(self, test: str = "", by: By | None = None) -> Orthogonality:
         """Mass-orthogonality of the measured shapes, to the model's and among themselves.

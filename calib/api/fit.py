@@ -273,9 +273,9 @@ class Fit(Displayed, Generic[P]):
         InputError
             Where it cannot be written.
         """
-        from calib.api.page import write_pages
+        from calib.api.page import write_page
 
-        return write_pages(self, path_of(path, "report"))
+        return (write_page(self, path_of(path, "report")),)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,6 +29,8 @@ from calib.study.study import LoadedStudy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from calib.api.display import Compared
 
 
 CASE = "fit"
@@ -104,24 +106,51 @@ def draw_figure(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
     return draw_comac(before.comparison.comac_table(), after.comparison.comac_table(), ax)
 
 
-def write_pages(fit: Solved, path: Path) -> tuple[Path, ...]:
+def write_page(fit: Solved, path: Path) -> Path:
     """See `calib.api.fit.Fit.report`."""
+
+    def write(model: Model, test: Test, folder: Results) -> None:
+        _write(fit, model, test, folder)
+
+    return _page(fit.problem.pairs, path, write, lambda folder: _write_together(fit, folder))
+
+
+def write_comparison_page(found: Compared, path: Path) -> Path:
+    """See `calib.api.display.Compared.report`."""
+    pairs = [(one.model, one.experiment) for one in found.studies.values()]
+
+    def write(model: Model, test: Test, folder: Results) -> None:
+        answer = found.by_test[test.name]
+        write_comparison(folder, answer, "before")
+        _write_inputs(model, test, folder)
+        told = {"compare": ((*answer.sentences, *found.notes), answer.answer.plain)}
+        _write_record(_named(model, test), folder, told)
+
+    return _page(pairs, path, write, lambda folder: _write_record(_all_named(pairs), folder, {}))
+
+
+def _page(
+    pairs: Sequence[tuple[Model, Test]],
+    path: Path,
+    write: Callable[[Model, Test, Results], None],
+    write_together: Callable[[Results], None],
+) -> Path:
+    """A page of the tables that ``write`` puts into a folder for each test, and ``write_together`` for several."""
     from calib.report.html.study_results import StudyResults
     from calib.report.html.write import page
 
-    pairs = fit.problem.pairs
     several = len(pairs) > 1
     with ExitStack() as stack:
         tests = []
         for number, (model, test) in enumerate(pairs, 1):
             folder = stack.enter_context(TemporaryFolder())
-            _write(fit, model, test, Results(folder))
+            write(model, test, Results(folder))
             title = f"{model.name} against {test.name}"
             part = (test.name, f"test{number}-") if several else ("", "")
             tests.append(StudyResults(folder, title, test.synthetic, {}, "", (), *part))
         if several:
             folder = stack.enter_context(TemporaryFolder())
-            _write_together(fit, Results(folder))
+            write_together(Results(folder))
             models = " and ".join(dict.fromkeys(model.name for model, _ in pairs))
             title = f"{models} against {', '.join(test.name for _, test in pairs)}"
             synthetic = any(one.synthetic for one in tests)
@@ -133,7 +162,7 @@ def write_pages(fit: Solved, path: Path) -> tuple[Path, ...]:
             draft.write_text(text, encoding="utf-8")
     except OSError as fault:
         raise InputError(f"it cannot be written ({fault.strerror})", place=path, remedy="name another place") from None
-    return (path,)
+    return path
 
 
 def _write_together(fit: Solved, folder: Results) -> None:
@@ -147,10 +176,7 @@ def _write_together(fit: Solved, folder: Results) -> None:
     stages = {test.name: compared_stages(fit, test) for _, test in pairs}
     answer = of_fit(fit.statistics, fit.parameters.reset_index(), stages)
     answer = answer if fit.calibration is None else fit.calibration.answer
-    made = {**made_with("calibrate"), "quick": False, "sentences": list(fit.sentences), "answer": answer.plain}
-    named = [f"{model.name} ({test.pair(model).fingerprint})" for model, test in pairs]
-    record = {"notebook": True, "model": ", ".join(dict.fromkeys(named)), "analyses": {"calibrate": made}}
-    folder.write_json("record", record)
+    _write_record(_all_named(pairs), folder, {"calibrate": (fit.sentences, answer.plain)})
 
 
 def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
@@ -171,24 +197,35 @@ def _write(fit: Solved, model: Model, test: Test, folder: Results) -> None:
     folder.write_table("data_errors", errors[errors["test"] == test.name].drop(columns="test"))
     space = fit.problem.space
     folder.write_table("parameter_space", limits_table(space, space))
+    _write_inputs(model, test, folder)
+    answer = of_fit(fit.statistics, fit.parameters.reset_index(), {"": (before, after)})
+    answer = answer if fit.calibration is None else fit.calibration.answer
+    told = {"compare": (before.sentences, before.answer.plain), "calibrate": (fit.sentences, answer.plain)}
+    _write_record(_named(model, test), folder, told)
+
+
+def _write_inputs(model: Model, test: Test, folder: Results) -> None:
+    """Write what the results rest on: assumptions and sensors."""
     folder.write_table("assumptions", assumptions_of(model, test.assumed))
     if (modes := test.measured_modes) is not None and modes.has_shapes:
         folder.write_table("sensors", sensors_table(modes, test.held_out_sensors))
-    answer = of_fit(fit.statistics, fit.parameters.reset_index(), {"": (before, after)})
-    answer = answer if fit.calibration is None else fit.calibration.answer
-    folder.write_json("record", {
-        "notebook": True,
-        "model": f"{model.name} ({test.pair(model).fingerprint})",
-        "analyses": {
-            "compare": {
-                **made_with("compare"), "quick": False, "sentences": list(before.sentences),
-                "answer": before.answer.plain,
-            },
-            "calibrate": {
-                **made_with("calibrate"), "quick": False, "sentences": list(fit.sentences), "answer": answer.plain,
-            },
-        },
-    })  # fmt: skip
+
+
+def _write_record(named: str, folder: Results, told: Mapping[str, tuple[Sequence[str], Mapping[str, str]]]) -> None:
+    """Write what each analysis says of models, in words: its sentences and its answer."""
+    analyses = {
+        name: {**made_with(name), "quick": False, "sentences": list(sentences), "answer": answer}
+        for name, (sentences, answer) in told.items()
+    }
+    folder.write_json("record", {"notebook": True, "model": named, "analyses": analyses})
+
+
+def _named(model: Model, test: Test) -> str:
+    return f"{model.name} ({test.pair(model).fingerprint})"
+
+
+def _all_named(pairs: Sequence[tuple[Model, Test]]) -> str:
+    return ", ".join(dict.fromkeys(_named(model, test) for model, test in pairs))
 
 
 def _tables(fit: Solved) -> dict[str, pd.DataFrame]:

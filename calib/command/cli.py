@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib.command import terminal
+from calib.command.compare import compare
 from calib.command.options import (
     CachePath,
     CalibrationMethod,
@@ -125,11 +126,7 @@ def modes(
     terminal.tell_entries(identified_entries(written), verbose)
 
 
-@app.command(short_help="Compare model and measurement without fitting.")
-def compare(study: StudyPath, results: ResultsPath = RESULTS, verbose: Verbose = False) -> None:
-    """Compare model and measurement without fitting: errors, MAC, and where the model fails."""
-    with _study("compare", study, results, verbose) as loaded:
-        loaded.compare()
+app.command(short_help="Compare model and measurement without fitting.")(compare)
 
 
 @app.command(short_help="Find which parameters matter.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -311,8 +312,7 @@ def _sensors(given: Any, place: str) -> tuple[Sensor, ...]:
         found.append(one)
     if not found:
         raise InputError("there are none", place=place, remedy=remedy)
-    names = [s.name for s in found]
-    for name in names:
-        if names.count(name) > 1:
+    for name, count in Counter(s.name for s in found).items():
+        if count > 1:
             raise InputError(f"{name} is named twice", place=place, remedy="give each sensor one row of the shapes")
     return tuple(found)

@@ -1,0 +1,210 @@
+"""Computed modes against measured ones, without matrices, parameters or a study: the first table of MAC."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from calib.api.display import Compared, compared
+from calib.errors.arguments import path as path_of
+from calib.errors.errors import InputError
+from calib.experiment import ModalTest
+from calib.imports.fe_modes import read_fe_modes
+from calib.measurement.files.read import read_modes
+from calib.measurement.modal import MeasuredModes, Sensor
+from calib.measurement.partners import NodePartners, node_partners
+from calib.measurement.places import Point
+from calib.problem.space import ParameterSpace
+from calib.results.results import Results
+from calib.structure.modal_function import ModalFunctionModel
+
+Given: TypeAlias = str | Path | MeasuredModes
+
+NAME = "computed modes"
+"""Name of the model in tables and messages."""
+
+
+def compare_modes(
+    modes: Given,
+    measured: Given | Sequence[str | Path] | ModalTest,
+    *,
+    shapes: str | Path | Sequence[str | Path] = (),
+    sensors: str | Path | None = None,
+    coordinates: str | Path | None = None,
+    modes_shapes: str | Path | None = None,
+    length_unit: str | None = None,
+    node_limit: float | None = None,
+) -> Compared:
+    """Compare the modes that a finite-element code has computed with measured ones: MAC, pairs, frequency errors.
+
+    Neither matrices nor parameters are needed. Measured nodes belong to the nearest computed ones where both have
+    coordinates (see `calib.measurement.partners.node_partners`), else to those of the same number.
+
+    Parameters
+    ----------
+    modes : path or MeasuredModes
+        Computed modes: a universal file, CalculiX .frd or .dat, Nastran .f06, Abaqus .dat, a listing of ANSYS, a modes
+        table (.csv), or those of `calib.modes`; see `calib.imports.fe_modes.read_fe_modes`.
+    measured : path, sequence of paths, MeasuredModes or ModalTest
+        As `calib.read_modes` takes them.
+    shapes, sensors : path, optional
+        Tables of measured shapes and of places of measured nodes, m, beside tables of modes.
+    coordinates : path, optional
+        Places of computed nodes where the file of modes has none: a table ``node, x, y, z`` in m or a deck.
+    modes_shapes : path, optional
+        Shapes table beside a table of computed modes.
+    length_unit : str, optional
+        Of coordinates of computed nodes where no file states it, such as ``mm``.
+    node_limit : float, optional
+        Largest distance between a measured node and its computed one, m.
+
+    Returns
+    -------
+    Compared
+        Prints pairs and errors; ``table``, ``sentences``, ``report(path)``.
+
+    Raises
+    ------
+    InputError
+        For files that cannot be read, fewer computed than measured modes, and measured nodes or directions without a
+        computed one.
+
+    Examples
+    --------
+    A beam on two supports, with an error of the second frequency:
+
+    >>> import numpy as np
+    >>> import calib
+    >>> shapes = np.sin(np.pi * np.outer([0.2, 0.5, 0.7], [1, 2]))
+    >>> fe = calib.modes([10.0, 40.0], shapes, sensors=["1z", "2z", "3z"])
+    >>> test = calib.modes([10.1, 38.0], -shapes, sensors=["1z", "2z", "3z"])
+    >>> calib.compare_modes(fe, test).table[["mode", "model_mode", "mac"]].round(3).values.tolist()
+    [['1', 1, 1.0], ['2', 2, 1.0]]
+    """
+    computed = modes if isinstance(modes, MeasuredModes) else read_fe_modes(
+        path_of(modes, "modes"),
+        shapes=None if modes_shapes is None else path_of(modes_shapes, "modes_shapes"),
+        coordinates=None if coordinates is None else path_of(coordinates, "coordinates"),
+        length_unit=length_unit,
+    )  # fmt: skip
+    test = _test(measured, shapes, sensors, computed.n_modes)
+    if computed.n_modes < test.used.n_modes:
+        raise InputError(
+            f"{computed.n_modes} modes are computed, and {test.used.n_modes} were measured",
+            place=computed.source or "modes", remedy="compute at least as many, better twice as many",
+        )  # fmt: skip
+    model, partners = model_of_modes(computed, test.measured, node_limit)
+    found = compared(_problem(model, test), None)
+    notes = (*computed.notes, *(() if partners is None else (partners.sentence, *partners.warnings)))
+    return Compared(found.by_test, found.studies, tuple(note for note in notes if note))
+
+
+def compare_files(
+    study: Path | None, modes: Path | None, measured: Sequence[Path], into: Path, **options: Any
+) -> tuple[Compared, tuple[Path, ...]]:
+    """As `compare_modes`, for the command: writes ``report.html`` and the tables into a folder; returns the files.
+
+    Raises
+    ------
+    InputError
+        Also where a study is named beside the files, or one of the two kinds of files is missing.
+    """
+    if study is not None:
+        raise InputError("it is named beside files", place=f"study {study}", remedy="name the study, or the files")
+    if modes is None or not measured:
+        name = "modes" if modes is None else "measured"
+        raise InputError("no file is named", place=f"--{name}", remedy="give computed and measured modes")
+    given = {name: value for name, value in options.items() if value is not None}
+    found = compare_modes(modes, list(measured), **given)
+    (answer,) = found.by_test.values()
+    home = Results(into)
+    home.path.mkdir(parents=True, exist_ok=True)
+    home.write_table("comparison", answer.table)
+    if answer.comparison is not None and answer.comparison.measured.has_shapes:
+        home.write_table("mac", answer.comparison.mac_table())
+        home.write_table("shapes", answer.comparison.shapes_table())
+    return found, found.report(into / "report.html")
+
+
+def _problem(model: ModalFunctionModel, test: ModalTest) -> Any:
+    from calib.api.problem import Problem
+
+    return Problem(model, test)
+
+
+def _test(measured: Any, shapes: Any, sensors: Any, count: int) -> ModalTest:
+    """The measured modes as a test, with all computed modes available for pairs."""
+    if isinstance(measured, ModalTest):
+        return measured
+    read = measured if isinstance(measured, MeasuredModes) else read_modes(measured, shapes=shapes, sensors=sensors)
+    return ModalTest(read, mode_count=max(count, read.n_modes))
+
+
+def model_of_modes(
+    computed: MeasuredModes, measured: MeasuredModes, node_limit: float | None = None
+) -> tuple[ModalFunctionModel, NodePartners | None]:
+    """Computed modes as a model without parameters, whose sensors bear the numbers of the measured nodes.
+
+    Other computed nodes are kept for figures, under numbers that no measured node has.
+
+    Parameters
+    ----------
+    computed, measured : MeasuredModes
+    node_limit : float, optional
+        See `compare_modes`.
+
+    Returns
+    -------
+    model : ModalFunctionModel
+    partners : NodePartners or None
+        Of measured nodes by distance; None where either side has no coordinates, and numbers count.
+    """
+    own, places = _points(measured), _points(computed)
+    partners, of = None, {node: node for node in {s.node for s in measured.sensors}}
+    if own and places:
+        partners = node_partners(own, places, node_limit).require(NAME)
+        of |= partners.of
+    rows = {(s.node, s.direction): k for k, s in enumerate(computed.sensors)}
+    directions: dict[int, list[str]] = {}
+    for node, direction in rows:
+        directions.setdefault(node, []).append(direction)
+    sensors, index = list[Sensor](), list[int]()
+    for node, at in of.items():
+        for direction in directions.get(at, ()):
+            sensors.append(Sensor(node, direction, places.get(at)))
+            index.append(rows[at, direction])
+    if measured.has_shapes and not sensors:
+        raise InputError(
+            "no measured node has the number of a computed one", place="sensors",
+            remedy="give coordinates of both, or number them alike",
+        )  # fmt: skip
+    beyond = max((abs(node) for node in of), default=0) + 1
+    for k, s in enumerate(computed.sensors):
+        if s.node not in of.values():
+            sensors.append(Sensor(s.node + beyond, s.direction, s.point))
+            index.append(k)
+    damped = bool(np.isfinite(computed.damping_ratio).all())
+    shapes = computed.shapes[index] if computed.has_shapes else np.ones((1, computed.n_modes))
+    shapes = shapes if np.iscomplexobj(shapes) and np.any(np.imag(shapes)) else np.real(shapes)
+    result = {"natural_freq": computed.natural_freq, "shapes": shapes}
+    result |= {"damping_ratio": computed.damping_ratio} if damped else {}
+    known = _Known(result)
+    listed = sensors or [Sensor(1, "x")]
+    return ModalFunctionModel(NAME, ParameterSpace(()), known, tuple(listed), computed.n_modes, damped), partners
+
+
+class _Known:
+    """A function of no parameters: the modes as they were read."""
+
+    def __init__(self, result: Mapping[str, np.ndarray]):
+        self.result = result
+
+    def __call__(self, values: Mapping[str, float]) -> Mapping[str, np.ndarray]:
+        return self.result
+
+
+def _points(modes: MeasuredModes) -> dict[int, Point]:
+    return {s.node: s.point for s in modes.sensors if s.point is not None}

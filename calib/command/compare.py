@@ -1,0 +1,61 @@
+"""The ``compare`` command: a study, or files of computed and of measured modes without one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib.command import terminal
+from calib.command.options import ResultsPath, Verbose, possible
+from calib.errors.errors import InputError
+from calib.results.results import RESULTS
+
+
+def compare(
+    study: Annotated[
+        Path | None, typer.Argument(metavar="[STUDY]", help="Folder with a study.toml; or use the options below.")
+    ] = None,
+    results: ResultsPath = RESULTS,
+    computed: Annotated[
+        Path | None, typer.Option("--modes", metavar="FILE", help="Modes that a finite-element code has computed.")
+    ] = None,
+    measured: Annotated[
+        list[Path] | None, typer.Option("--measured", metavar="FILE", help="Measured modes; again for a repeat.")
+    ] = None,
+    shapes: Annotated[Path | None, typer.Option("--shapes", metavar="CSV", help="Measured shapes.")] = None,
+    sensors: Annotated[Path | None, typer.Option("--sensors", metavar="CSV", help="Places of measured nodes.")] = None,
+    coordinates: Annotated[
+        Path | None, typer.Option("--coordinates", metavar="FILE", help="Computed nodes: table, .inp or .bdf.")
+    ] = None,
+    length_unit: Annotated[str | None, typer.Option("--length-unit", help="Of computed nodes, such as mm.")] = None,
+    into: Annotated[
+        Path, typer.Option("--into", metavar="FOLDER", callback=possible, help="Report and tables of --modes.")
+    ] = Path("compared"),
+    verbose: Verbose = False,
+) -> None:
+    """Compare model and measurement without fitting: errors, MAC, and where the model fails.
+
+    Without a study: --modes with what a finite-element code has computed (.unv, .frd, .f06, .dat, .csv and others), and
+    --measured with measured modes.
+    """
+    if computed is not None or measured:
+        from calib.api.fe_comparison import compare_files
+
+        found, written = compare_files(
+            study, computed, measured or [], into, shapes=shapes, sensors=sensors, coordinates=coordinates,
+            length_unit=length_unit,
+        )  # fmt: skip
+        for label, text in found.lines.items():
+            if label != "Evidence":
+                terminal.say(f"{label}:".ljust(10) + text)
+        terminal.say(f"Results:  {written[0]}")
+        terminal.tell_entries(found.entries, verbose)
+        return
+    if study is None:
+        raise InputError("nothing is named", place="compare", remedy="name a study, or --modes and --measured")
+    from calib.command.cli import _study  # which registers this command
+
+    with _study("compare", possible(study), results, verbose) as loaded:
+        loaded.compare()

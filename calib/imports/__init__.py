@@ -1,0 +1,1 @@
+"""Modes that finite-element codes have computed, from their own files."""

@@ -1,0 +1,134 @@
+"""Computed modes of any finite-element code: read from its files, as named frequencies and motions of nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from calib.errors.errors import InputError
+from calib.imports.coordinates import read_coordinates
+from calib.imports.frd import read_frd
+from calib.imports.printed import read_printed
+from calib.measurement.files.csv_format import is_rigid
+from calib.measurement.files.read import UFF_SUFFIXES, read_modes
+from calib.measurement.frf_units import LENGTHS
+from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
+from calib.measurement.places import Point
+
+
+@dataclass(frozen=True, eq=False)
+class ReadModes:
+    """What a file of a code says of its modes, in its own unit of length.
+
+    Attributes
+    ----------
+    freq : ndarray (n_modes,)
+        Hz, in the order of the file.
+    motions : mapping from (node, direction index) to ndarray (n_modes,)
+        Real or complex; directions 0..5 for ux, uy, uz, rx, ry, rz. NaN in a mode that does not print the node.
+    points : mapping from node to (x, y, z)
+        Empty where the file has no coordinates.
+    notes : tuple of str
+        What was left out or assumed.
+    """
+
+    freq: np.ndarray
+    motions: Mapping[tuple[int, int], np.ndarray]
+    points: Mapping[int, Point] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def read_fe_modes(
+    file: Path,
+    *,
+    shapes: Path | None = None,
+    coordinates: Path | None = None,
+    length_unit: str | None = None,
+) -> MeasuredModes:
+    """Read the modes that a finite-element code has computed.
+
+    Rigid-body modes are left out and noted. Units of shapes do not matter: each is scaled to a largest modulus of 1.
+
+    Parameters
+    ----------
+    file : Path
+        Universal file (datasets 55, 2414), modes table (.csv), CalculiX .frd, or what a code has printed: Nastran .f06,
+        Abaqus and CalculiX .dat, ANSYS PRNSOL (.txt, .lis, .out).
+    shapes : Path, optional
+        Shapes table beside a modes table.
+    coordinates : Path, optional
+        Where the file has none: a table ``node, x, y, z`` in m, or a deck (.inp, .bdf); see `read_coordinates`.
+    length_unit : str, optional
+        Of coordinates in files that do not state it, such as ``mm``; by default m.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read, has no modes, or is of a kind that is not read.
+    """
+    if not file.is_file():
+        raise InputError("there is no such file", place=file, remedy="check the path")
+    if length_unit is not None and length_unit not in LENGTHS:
+        raise InputError(f"length_unit is {length_unit!r:.40}", place=file, remedy=f"one of {', '.join(LENGTHS)}")
+    metres, suffix = LENGTHS.get(length_unit or "m", 1.0), file.suffix.lower()
+    if suffix in (*UFF_SUFFIXES, ".csv"):
+        is_table = coordinates is not None and coordinates.suffix.lower() == ".csv"
+        found = read_modes(
+            file, shapes=() if shapes is None else shapes, sensors=coordinates if is_table else None,
+            length_unit=length_unit if suffix in UFF_SUFFIXES else None,
+        )  # fmt: skip
+        return found if coordinates is None or is_table else _placed(found, read_coordinates(coordinates, metres))
+    if suffix == ".op2":
+        raise InputError(
+            "binary results of Nastran are not read", place=file,
+            remedy="print them: DISPLACEMENT(PRINT) = ALL writes the .f06, which is read",
+        )  # fmt: skip
+    freq, motions, points, notes = read_frd(file) if suffix == ".frd" else read_printed(file)
+    read = ReadModes(freq, motions, {n: _scaled(p, metres) for n, p in points.items()}, notes)
+    if coordinates is not None:
+        read = ReadModes(freq, motions, read_coordinates(coordinates, metres), notes)
+    return _as_modes(file, read)
+
+
+def _as_modes(file: Path, read: ReadModes) -> MeasuredModes:
+    """Modes in ascending frequency, without rigid-body motions and rows that are not printed in every mode."""
+    freq, notes = read.freq, list(read.notes)
+    if not len(freq):
+        raise InputError("it holds no modes", place=file, remedy="let the code print or write its modes")
+    highest = float(np.abs(freq).max())
+    elastic = np.array([not is_rigid(float(f), highest) and f > 0 for f in freq])
+    if not elastic.any():
+        raise InputError("all of its modes are rigid-body motions", place=file, remedy="compute elastic modes too")
+    if not elastic.all():
+        notes.append(f"{int((~elastic).sum())} rigid-body modes of {file.name} were left out.")
+    order = np.flatnonzero(elastic)[np.argsort(freq[elastic], kind="stable")]
+    whole = {at: row[order] for at, row in read.motions.items() if np.isfinite(row[order]).all()}
+    partial = len(read.motions) - len(whole)
+    if partial:
+        notes.append(f"{partial} motions that {file.name} does not have in every mode were left out.")
+    sensors = tuple(Sensor(node, DIRECTIONS[d], read.points.get(node)) for node, d in whole)
+    rows = np.array(list(whole.values())) if whole else np.zeros((0, len(order)))
+    size = np.abs(rows).max(axis=0, initial=0.0)
+    if whole and not np.all(size > 0):
+        k = int(np.argmin(size))
+        raise InputError(
+            f"its mode {int(order[k]) + 1} ({freq[order[k]]:.6g} Hz) moves no node", place=file,
+            remedy="let the code print the modes of all nodes",
+        )  # fmt: skip
+    n, unknown = len(order), np.full(len(order), np.nan)
+    return MeasuredModes(
+        tuple(str(k + 1) for k in order), freq[order], freq[order], unknown, unknown, unknown, sensors,
+        rows / np.where(size > 0, size, 1.0), np.full((len(sensors), n), np.nan), source=str(file), notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _scaled(point: Point, metres: float) -> Point:
+    x, y, z = point
+    return metres * x, metres * y, metres * z
+
+
+def _placed(modes: MeasuredModes, points: Mapping[int, Point]) -> MeasuredModes:
+    return replace(modes, sensors=tuple(replace(s, point=points.get(s.node, s.point)) for s in modes.sensors))

@@ -1,0 +1,240 @@
+"""Computed modes from files of finite-element codes, and their comparison with measured ones.
+
+The files are written here after the codes' own descriptions of their formats; each holds a beam with known modes.
+"""
+
+import numpy as np
+import pytest
+
+import calib
+from calib.command import cli
+from calib.errors.errors import InputError
+from calib.imports.coordinates import read_coordinates
+from calib.imports.fe_modes import read_fe_modes
+
+X = np.linspace(0.0, 1.0, 6)
+NUMBER = np.arange(1, 4)
+FREQ = 10.0 * NUMBER**2
+SHAPES = np.sin(np.pi * np.outer(X, NUMBER)) + 0.1
+ALONG = 1e-3 * np.cos(np.outer(X, NUMBER))
+
+
+def frd():
+    out = ["    1C", "    1UUSER", f"    2C{len(X):30d}{'':37}1"]
+    out += [f" -1{k + 1:10d}{1e3 * x:12.5E}{0.0:12.5E}{-4.0:12.5E}" for k, x in enumerate(X)] + [" -3"]
+    for j, freq in enumerate(FREQ):
+        out.append(f"  100CL{101 + j:5d}{freq:12.5E}{len(X):12d}{'':20}{2:2d}{j + 1:5d}MODAL     {1:2d}")
+        out += [
+            " -4  DISP        4    1",
+            " -5  D1          1    2    1    0",
+            " -5  ALL         1    2    0    0    1ALL",
+        ]
+        out += [f" -1{k + 1:10d}{ALONG[k, j]:12.5E}{0.0:12.5E}{SHAPES[k, j]:12.5E}" for k in range(len(X))] + [" -3"]
+        out += [" -4  STRESS      6    1", f" -1{1:10d}{9.0:12.5E}{9.0:12.5E}{9.0:12.5E}", " -3"]
+    return "\n".join([*out, " 9999"]) + "\n"
+
+
+def f06():
+    out = ["1    BEAM", "                   R E A L   E I G E N V A L U E S", ""]
+    for j, freq in enumerate(FREQ):
+        for page in (slice(0, 3), slice(3, None)):  # a table goes on behind a page break
+            out += ["1    BEAM                    NOVEMBER  28, 2026  MSC.NASTRAN   PAGE    12", "0",
+                    f"      EIGENVALUE = {(2 * np.pi * freq) ** 2:13.6E}",
+                    f"          CYCLES = {freq:13.6E}         R E A L   E I G E N V E C T O R   N O . {j + 1:10d}", " ",
+                    "      POINT ID.   TYPE          T1             T2             T3             R1             R2"
+                    "             R3"]  # fmt: skip
+            for k in range(len(X))[page]:
+                values = (ALONG[k, j], 0.0, SHAPES[k, j], 0.0, -1e-12, 0.0)
+                out.append(f"{k + 1:14d}      G   " + "".join(f"{v:15.6E}" for v in values))
+        out.append(f"{900001:14d}      S   {1.0:15.6E}")
+    return "\n".join(out) + "\n"
+
+
+def abaqus():
+    out = ["                              E I G E N V A L U E    O U T P U T", "",
+           " MODE NO      EIGENVALUE              FREQUENCY         GENERALIZED MASS   COMPOSITE MODAL DAMPING",
+           "                             (RAD/TIME)   (CYCLES/TIME)", ""]  # fmt: skip
+    out += [f"{j + 1:8d} {(2 * np.pi * f) ** 2:12.5G} {2 * np.pi * f:12.5G} {f:12.5G} {1.0:12.5G} {0.0:12.4F}"
+            for j, f in enumerate(FREQ)]  # fmt: skip
+    out += [
+        "",
+        "                   M E M O R Y   E S T I M A T E",
+        "     1          2.55E+07               18       40",
+    ]
+    for j in range(len(FREQ)):
+        out += ["", f"                    E I G E N V A L U E    N U M B E R{j + 1:6d}", "",
+                "   THE FOLLOWING TABLE IS PRINTED FOR ALL NODES", "",
+                "       NODE FOOT-  U1             U2             U3",
+                "            NOTE", ""]  # fmt: skip
+        out += [f"{k + 1:11d}      {ALONG[k, j]:14.6E} {0.0:14.6E} {SHAPES[k, j]:14.6E}" for k in range(len(X))]
+        out += ["", " MAXIMUM            9.0000  9.0000   9.0000", " AT NODE                  2          2        2"]
+    return "\n".join(out) + "\n"
+
+
+def calculix():
+    out = ["", "     E I G E N V A L U E   O U T P U T", "", " MODE NO    EIGENVALUE                       FREQUENCY",
+           "                                     REAL PART            IMAGINARY PART",
+           "                           (RAD/TIME)      (CYCLES/TIME   (RAD/TIME)", ""]  # fmt: skip
+    out += [f"{j + 1:7d} {(2 * np.pi * f) ** 2:14.7E} {2 * np.pi * f:14.7E} {f:14.7E} {0.0:14.7E}"
+            for j, f in enumerate(FREQ)]  # fmt: skip
+    for j in range(len(FREQ)):
+        out += ["", f"                    E I G E N V A L U E    N U M B E R {j + 1:5d}", "",
+                f" displacements (vx,vy,vz) for set NALL and time  {0.0:14.7E}", ""]  # fmt: skip
+        out += [f"{k + 1:10d} {ALONG[k, j]:13.6E} {0.0:13.6E} {SHAPES[k, j]:13.6E}" for k in range(len(X))]
+    return "\n".join(out) + "\n"
+
+
+def ansys():
+    out = []
+    for j, freq in enumerate(FREQ):
+        out += [" PRINT U    NODAL SOLUTION PER NODE", "", "  ***** POST1 NODAL DEGREE OF FREEDOM LISTING *****", "",
+                f"  LOAD STEP=     1  SUBSTEP= {j + 1:5d}", f"   FREQ= {freq:10.5g}     LOAD CASE=   0", "",
+                "  THE FOLLOWING DEGREE OF FREEDOM RESULTS ARE IN THE GLOBAL COORDINATE SYSTEM", "",
+                "    NODE       UX           UY           UZ           USUM"]  # fmt: skip
+        # numbers touch where they are negative, and exponents have three digits
+        out += [f"{k + 1:8d} " + "".join(f"{fortran(v):>13}" for v in (ALONG[k, j], -0.5, SHAPES[k, j], 1.0))
+                for k in range(len(X))]  # fmt: skip
+        out += ["", " MAXIMUM ABSOLUTE VALUES", " NODE          3            2            1", " VALUE   9.0  9.0  9.0"]
+    return "\n".join(out) + "\n"
+
+
+def fortran(value):
+    digits, power = f"{value:.4E}".split("E")
+    return f"{float(digits) / 10:.5f}E{int(power) + 1:+04d}"
+
+
+FILES = {"beam.frd": frd, "beam.f06": f06, "beam.dat": abaqus, "ccx.dat": calculix, "modes.txt": ansys}
+
+
+@pytest.fixture(params=FILES)
+def file(request, tmp_path):
+    path = tmp_path / request.param
+    path.write_text(FILES[request.param]())
+    return path
+
+
+def test_frequencies_and_shapes_are_read_as_they_were_written(file):
+    found = read_fe_modes(file)
+    assert found.natural_freq == pytest.approx(FREQ, rel=1e-4)
+    z = np.array([k for k, s in enumerate(found.sensors) if s.direction == "z"])
+    assert [found.sensors[k].node for k in z] == list(range(1, 7))
+    largest = np.abs(SHAPES).max(axis=0)
+    ansys_scale = np.maximum(largest, 0.5) if file.name == "modes.txt" else largest
+    assert found.shapes[z].real == pytest.approx(SHAPES / ansys_scale, abs=5e-5)
+    x = [k for k, s in enumerate(found.sensors) if s.direction == "x"]
+    assert found.shapes[x].real == pytest.approx(ALONG / ansys_scale, abs=5e-5)
+
+
+@pytest.fixture
+def places(tmp_path):
+    path = tmp_path / "nodes.inp"
+    lines = [f"{k + 1}, {1e3 * x:.3f}, 0., -4." for k, x in enumerate(X)]
+    path.write_text("*HEADING\n** a comment\n*NODE, NSET=NALL\n" + "\n".join(lines) + "\n*NODE FILE\nU\n1, 2, 3\n")
+    return path
+
+
+def measured(noise=0.0):
+    rng = np.random.default_rng(1)
+    seen = [1, 2, 4]
+    shapes = -SHAPES[seen, :2] + noise * rng.standard_normal((3, 2))
+    sensors = [calib.Sensor(70 + k, "z", (float(X[at]), 0.0, 0.001)) for k, at in enumerate(seen)]
+    return calib.modes(1.02 * FREQ[:2], shapes, sensors=sensors, freq_std=0.1)
+
+
+def test_modes_are_compared_by_the_places_of_nodes_whatever_their_numbers(file, places):
+    given = {} if file.suffix == ".frd" else {"coordinates": places}
+    found = calib.compare_modes(file, measured(), length_unit="mm", **given)
+    assert found.table["mac"].tolist() == pytest.approx([1.0, 1.0], abs=1e-6)
+    assert found.table["model_mode"].tolist() == [1, 2]
+    assert found.table["freq_error"].tolist() == pytest.approx([1 / 1.02 - 1] * 2, abs=1e-4)
+    assert any("by distance" in note for note in found.sentences)
+
+
+def test_without_coordinates_numbers_count(tmp_path):
+    (path := tmp_path / "beam.f06").write_text(f06())
+    own = calib.modes(FREQ[:2], SHAPES[[1, 2, 4], :2], sensors=["2z", "3z", "5z"])
+    assert calib.compare_modes(path, own).table["mac"].tolist() == pytest.approx([1.0, 1.0], abs=1e-6)
+    with pytest.raises(InputError, match="number"):
+        calib.compare_modes(path, calib.modes(FREQ[:2], SHAPES[[1, 2], :2], sensors=["91z", "92z"]))
+
+
+def test_a_wrong_unit_of_length_is_named(tmp_path):
+    (path := tmp_path / "beam.frd").write_text(frd())
+    with pytest.raises(InputError, match="mm"):
+        calib.compare_modes(path, measured())
+
+
+def test_frequencies_alone_are_paired_by_their_order():
+    found = calib.compare_modes(calib.modes(FREQ), calib.modes(1.02 * FREQ[:2]))
+    assert found.table["model_mode"].tolist() == [1, 2]
+
+
+def test_rigid_modes_are_left_out_and_told(tmp_path):
+    rigid = abaqus().replace(f"{FREQ[0]:12.5G} {1.0:12.5G}", f"{1e-6:12.5G} {1.0:12.5G}", 1)
+    (path := tmp_path / "free.dat").write_text(rigid)
+    found = read_fe_modes(path)
+    assert found.names == ("2", "3") and any("rigid" in note for note in found.notes)
+
+
+def test_complex_modes_keep_their_phases():
+    turned = SHAPES[:, :2] * np.exp(0.6j)
+    sensors = [f"{k + 1}z" for k in range(len(X))]
+    fe = calib.modes(FREQ[:2], turned, sensors=sensors, damping=[0.01, 0.02])
+    found = calib.compare_modes(fe, calib.modes(FREQ[:2], SHAPES[:, :2], sensors=sensors))
+    assert found.table["mac"].tolist() == pytest.approx([1.0, 1.0])
+    skewed = SHAPES[:, :2] * np.exp(1j * np.linspace(0, 3, len(X)))[:, None]
+    other = calib.compare_modes(calib.modes(FREQ[:2], skewed, sensors=sensors), calib.modes(FREQ[:2], SHAPES[:, :2],
+                                sensors=sensors))  # fmt: skip
+    assert (other.table["mac"] < 0.97).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.f06", "nothing here\n", "no modes"), ("a.frd", "    1C\n 9999\n", "no displacements"),
+        ("a.op2", "x", "f06"), ("a.frd", frd().replace("MODAL", "     "), "none of modes"),
+        ("a.frd", frd()[:600] + "\n -1         2 1.0E+0x\n", "cannot be read"),
+    ],
+)  # fmt: skip
+def test_files_without_modes_are_refused(tmp_path, name, text, words):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_fe_modes(tmp_path / name)
+
+
+def test_fewer_computed_than_measured_modes_are_refused():
+    with pytest.raises(InputError, match="1 modes are computed, and 2"):
+        calib.compare_modes(calib.modes(FREQ[:1]), calib.modes(FREQ[:2]))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "GRID           7            1.5   -2.+0     3.-1", "GRID,7,,1.5,-2.0,.3",
+        "GRID*                  7                             1.5            -2.0\n*                    0.3",
+    ],
+)  # fmt: skip
+def test_nodes_of_nastran_decks(tmp_path, line):
+    (path := tmp_path / "deck.bdf").write_text(f"$ comment\nBEGIN BULK\n{line}\nENDDATA\n")
+    assert read_coordinates(path, 1e-3)[7] == pytest.approx((1.5e-3, -2e-3, 0.3e-3))
+
+
+def test_nodes_in_local_systems_are_refused(tmp_path):
+    (path := tmp_path / "deck.bdf").write_text("GRID           7       3     1.5     0.0     0.0\n")
+    with pytest.raises(InputError, match="local"):
+        read_coordinates(path)
+
+
+def test_the_command_needs_no_study(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "beam.frd").write_text(frd())
+    (tmp_path / "modes.csv").write_text("mode,freq,freq_kind\nB1,10.2,natural\n")
+    shapes = [f"B1,{k + 1},z,{SHAPES[k, 0]:.4f}" for k in (1, 2, 4)]
+    (tmp_path / "shapes.csv").write_text("mode,node,direction,re\n" + "\n".join(shapes) + "\n")
+    told = ["compare", "--modes", "beam.frd", "--measured", "modes.csv", "--shapes", "shapes.csv"]
+    assert cli.execute(told) == 0
+    assert "1 of 1 measured modes are paired" in capsys.readouterr().out
+    assert (tmp_path / "compared" / "report.html").stat().st_size > 10_000
+    assert (tmp_path / "compared" / "mac.csv").is_file()
+    for wrong in (["compare"], ["compare", "--modes", "beam.frd"], ["compare", "study", *told[1:]]):
+        assert cli.execute(wrong) == 2
