@@ -160,7 +160,7 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
     "errors/place.py": "WIDEST _LEAST TAB",
     "inference/agreement.py": "_NAMED",
     "inference/constraints.py": "_LEVEL",
-    "measurement/partners.py": "_NAMED",
+    "measurement/partners.py": "_NAMED _ROUNDED",
     "measurement/sensors.py": "NAMED_MOST",
     "missing/competing.py": "EIGHT_OF_TEN",
     "missing/pattern.py": "MOST",

@@ -197,7 +197,7 @@ def test_a_sensor_off_the_model_is_told(example):
     text = (example / "sensors.csv").read_text()
     (example / "sensors.csv").write_text(text.replace("4,0.0,6.0,0.0", "4,0.0,9.0,0.0"))
     said = complaint(example)
-    assert "4x" in said and "3.000 m off the model" in said
+    assert "node 4 by 3 m (limit 120 mm)" in said
 
 
 def test_every_file_of_a_study_is_read_at_once(example):

@@ -33,8 +33,10 @@ from calib.experiment.test import ForwardProblem
 from calib.measurement.check import SensorFinding
 from calib.measurement.doubts import doubts_of, modal_doubts
 from calib.measurement.modal import MeasuredModes
+from calib.measurement.partners import NodePartners
 from calib.results.answer import Answer
 from calib.results.results import Results
+from calib.structure.located import sensor_partners
 from calib.study.study import LoadedStudy
 
 
@@ -70,6 +72,8 @@ class ComparisonResult:
         Those of the hints that concern the units of the measurement.
     data_doubts : tuple of str
         Those of the hints on measured modes that contradict themselves; see `calib.measurement.doubts.modal_doubts`.
+    partners : NodePartners or None
+        Measured nodes on the model, by distance; None where numbers decide.
     """
 
     table: pd.DataFrame
@@ -85,6 +89,7 @@ class ComparisonResult:
     gross_errors: tuple[GrossError, ...] = ()
     unit_hints: tuple[str, ...] = ()
     data_doubts: tuple[str, ...] = ()
+    partners: NodePartners | None = None
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -135,10 +140,11 @@ class ComparisonResult:
     def sentences(self) -> tuple[str, ...]:
         """Caveats on the comparison and, for modes, where the model fails."""
         found = self.comparison
+        partners = [self.partners.sentence] if self.partners is not None else []
         if found is None:
-            return (*self.hints, *self.std_notes)
+            return (*self.hints, *partners, *self.std_notes)
         kinds = [root.kind for root in found.modes.excluded]
-        out = list(self.std_notes)
+        out = [*partners, *self.std_notes]
         if kinds:
             parts = ", ".join(f"{kinds.count(k)} {k}" for k in dict.fromkeys(kinds))
             out.append(f"Eigenvalues of the model that are no vibration modes and are not paired: {parts}.")
@@ -213,7 +219,9 @@ def comparison_of(
     Modes are paired, FRFs compared function by function, any other kind of data value by value. ``hints`` and
     ``std_notes`` are passed on to the result, with what must not be missed about the measurement.
     """
-    hints = (*doubts_of(getattr(problem, "measured", None)), *hints)
+    partners = _partners(problem)
+    told = () if partners is None else (f"Check this: {words}" for words in partners.warnings)
+    hints = (*doubts_of(getattr(problem, "measured", None)), *told, *hints)
     if isinstance(problem, FRFProblem):
         found = FRFResidual(problem).compared(values)
         table = found.functions_table()
@@ -222,6 +230,7 @@ def comparison_of(
         return ComparisonResult(
             table, _mean(table["error"]), _mean(table["frac"]), np.nan, None, found,
             hints=(*hints, *unit_hints), std_notes=tuple(std_notes), gross_errors=wrong, unit_hints=unit_hints,
+            partners=partners,
         )  # fmt: skip
     if not isinstance(problem, ModalProblem):
         return _scalar_answer(problem, values, hints, std_notes)
@@ -241,7 +250,15 @@ def comparison_of(
         std_notes=tuple(std_notes),
         unit_hints=unit_hints,
         data_doubts=modal_doubts(comparison.measured),
+        partners=partners,
     )
+
+
+def _partners(problem: ForwardProblem) -> NodePartners | None:
+    """Measured nodes on the model; None where nothing was measured by sensors, or numbers decide."""
+    if isinstance(problem, FRFProblem):
+        return sensor_partners(problem.model, (*problem.measured.responses, *problem.measured.references))
+    return sensor_partners(problem.model, problem.measured.sensors) if isinstance(problem, ModalProblem) else None
 
 
 def _place_hints(measured: MeasuredModes, sensor_findings: Sequence[SensorFinding]) -> tuple[str, ...]:
@@ -315,6 +332,10 @@ def compare(study: LoadedStudy, results: Results) -> ComparisonResult:
         (f.kind, " ".join(f.sensors), f.mac_before, f.mac_after, f.sentence) for f in answer.sensor_findings
     ]
     columns = ["kind", "sensors", "mac_before", "mac_after", "sentence"]
+    if answer.partners is None:
+        results.remove("node_partners.csv")
+    else:
+        results.write_table("node_partners", answer.partners.table)
     results.write_table("sensor_check", pd.DataFrame(sensor_findings, columns=columns))
     write_record(study, results, "compare", {}, answer.sentences, answer=answer.answer)
     return answer

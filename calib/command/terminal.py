@@ -107,7 +107,7 @@ def output_lost() -> bool:
 
 
 def complain_of_input(fault: InputError, arguments: list[str]) -> None:
-    """A sentence on bad input, then the line of the user's file where it is known.
+    """A sentence on bad input, then the line of the user's file where it is known, and the table of the error.
 
     The traceback of an exception in the user's own code goes to the log.
     """
@@ -115,6 +115,8 @@ def complain_of_input(fault: InputError, arguments: list[str]) -> None:
     log = None if fault.__cause__ is None else _log(" ".join(arguments), traceback.format_exc())
     ERR.print("Error: " + (text if log is None else f"{text.rstrip('.')}; the traceback is in {log}."))
     for line in () if fault.at is None else excerpt(fault.at, min(WIDEST, ERR.width) if ERR.is_terminal else WIDEST):
+        ERR.print(line)
+    for line in fault.table.splitlines():
         ERR.print(line)
 
 

@@ -22,6 +22,8 @@ class InputError(ValueError):
         What to do about it.
     at : Place, optional
         The line of a file to show; default ``place``, if that is one.
+    table : str
+        Lines to show below the sentence, such as every offset of which it names the largest.
 
     Attributes
     ----------
@@ -46,6 +48,7 @@ class InputError(ValueError):
         place: str | Path | Place | None = None,
         remedy: str | None = None,
         at: Place | None = None,
+        table: str = "",
     ):
         self.problem = problem.strip().rstrip(".")
         self._given = place
@@ -53,9 +56,12 @@ class InputError(ValueError):
         self.remedy = None if remedy is None else remedy.strip().rstrip(".")
         own = place if isinstance(place, Place) and place.line is not None else None
         self.at = own if at is None or at.line is None else at
+        self.table = table
         super().__init__(str(self))
         if self.at is not None and (shown := excerpt(self.at)):
             self.add_note("\n".join(shown))
+        if table:
+            self.add_note(table)
 
     def __str__(self) -> str:
         return self._sentence(self.place)
@@ -76,17 +82,22 @@ class InputError(ValueError):
         """The same error with a line of a file to show; unchanged where it has one already or none is given."""
         if at is None or self.at is not None:
             return self
-        return type(self)(self.problem, place=self._given, remedy=self.remedy, at=at)
+        return type(self)(self.problem, place=self._given, remedy=self.remedy, at=at, table=self.table)
 
     def __reduce__(self) -> tuple[object, ...]:
         # Keyword-only arguments do not survive the default pickling between processes.
-        return _rebuild_input_error, (type(self), self.problem, self._given, self.remedy, self.at)
+        return _rebuild_input_error, (type(self), self.problem, self._given, self.remedy, self.at, self.table)
 
 
 def _rebuild_input_error(
-    kind: type[InputError], problem: str, place: str | Path | Place | None, remedy: str | None, at: Place | None
+    kind: type[InputError],
+    problem: str,
+    place: str | Path | Place | None,
+    remedy: str | None,
+    at: Place | None,
+    table: str,
 ) -> InputError:
-    return kind(problem, place=place, remedy=remedy, at=at)
+    return kind(problem, place=place, remedy=remedy, at=at, table=table)
 
 
 class ToleranceError(InputError):

@@ -39,7 +39,7 @@ class FRFTest(Test):
     nuisances : sequence of Nuisance
         Errors of the test itself that a fit may find, each with its prior; see `calib.correlation.frf.nuisance`. In a
         problem with several tests their parameters bear the test's name.
-    name, condition
+    name, condition, node_limit
         As in `calib.ModalTest`.
     accuracy : str, float or mapping, optional
         Claimed accuracy beside the repeatability: a share of the modulus such as ``"2 %"``, a floor in the unit of the
@@ -74,6 +74,7 @@ class FRFTest(Test):
     name: str = UNNAMED
     condition: Mapping[str, float] = field(default_factory=dict)
     accuracy: Claimed = None
+    node_limit: float | None = None
 
     words = "FRFs"
     can_hold_out = ("sensors", "references", "bands")
@@ -155,6 +156,7 @@ class FRFTest(Test):
                 f"the model {model.name} has no matrices, so it has no FRFs",
                 "give a StructuralModel; matrices of other codes make one too", test_place(self), "measurement", "kind",
             )  # fmt: skip
+        model = self.on_nodes(model, (*self.used.responses, *self.used.references))
         return FRFProblem(model, self.used, concerned(self.nuisances, self.used))
 
     @property

@@ -58,6 +58,9 @@ class ModalTest(Test):
         Sensors that were scaled together, by the name of their set-up; an explanation suspects the factor of each.
     corrected : mapping from str to float
         Faults that are taken out, as an explanation names them, such as ``{"gain of sensor 12y": -0.1}``.
+    node_limit : float, optional
+        Largest distance of a measured node from the model node nearest to it, m; see
+        `calib.measurement.partners.node_partners`.
 
     Examples
     --------
@@ -92,6 +95,7 @@ class ModalTest(Test):
     override: Mapping[str, int] = field(default_factory=dict)
     set_ups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     corrected: Mapping[str, float] = field(default_factory=dict)
+    node_limit: float | None = None
 
     words = "modes"
     can_hold_out = ("modes", "sensors")
@@ -206,7 +210,7 @@ class ModalTest(Test):
             )  # fmt: skip
         held_out = set(self.held_out) & set(self.modes.names)
         return ModalProblem(
-            model=model,
+            model=self.on_nodes(model, used.sensors),
             measured=used,
             mode_clusters={m: c for m, c in self.clusters.items() if m not in held_out},
             mode_count=count + model.n_modes - n_base,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -20,9 +21,11 @@ from calib.errors.errors import InputError
 from calib.experiment.held_out import HeldOutGroups
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.modal import MeasuredModes
+from calib.measurement.modal import MeasuredModes, Sensor
+from calib.measurement.partners import require_limit
 from calib.problem.space import ParameterSpace
 from calib.structure.function_model import FunctionModel
+from calib.structure.located import sensor_partners
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import Assumption, StructuralModel
 
@@ -76,6 +79,7 @@ class Test(ABC):
     name: str
     condition: Mapping[str, float]
     held_out: tuple[str, ...]
+    node_limit: float | None = None
 
     words: ClassVar[str]
     """The kind in words."""
@@ -104,6 +108,20 @@ class Test(ABC):
     @abstractmethod
     def residual(self, problem: Any) -> Residual:
         """The whitened residual of a forward problem over such data."""
+
+    def located(self, model: Any) -> Any:
+        """A model on which sensors may lie as far off as the test states; itself where it states nothing."""
+        if self.node_limit is None or not isinstance(model, StructuralModel | ModalFunctionModel):
+            return model
+        return replace(model, sensor_tolerance=self.node_limit)
+
+    def on_nodes(self, model: Any, sensors: Iterable[Sensor]) -> Any:
+        """The model as `located`; InputError where the nodes of sensors have no partners on it."""
+        found = self.located(model)
+        partners = sensor_partners(found, sensors)
+        if partners is not None and partners.unit:  # what lies off the model is told sensor by sensor
+            partners.require(found.name)
+        return found
 
     def pair(self, model: Any) -> Any:
         """The whitened residual of a model, without held-out data."""
@@ -220,6 +238,9 @@ def require_named(test: Any) -> str:
     place = test_place(test)
     object.__setattr__(test, "held_out", names(test.held_out, f"{place}, held_out"))
     object.__setattr__(test, "condition", values(test.condition, f"{place}, condition"))
+    if test.node_limit is not None:
+        object.__setattr__(test, "node_limit", number(test.node_limit, f"{place}, node_limit"))
+        require_limit(test.node_limit)
     return place
 
 

@@ -24,6 +24,8 @@ _NAMED = 3
 """Nodes that one sentence names."""
 _COINCIDE = 1e-6
 """Distance, over the size of the model, within which nodes coincide."""
+_ROUNDED = 0.01
+"""Distance over its limit that is not worth a word."""
 _AXES = ("x", "y", "z")
 
 
@@ -36,7 +38,7 @@ class NodePartners:
     table : DataFrame
         One row a measured node: ``node, x, y, z`` (m); ``partner``, the number of the model node, and its place
         ``partner_x, partner_y, partner_z`` (m), missing where the model interpolates between nodes; ``distance`` and
-        ``limit`` (m); and ``remark``, empty where nothing is to be said.
+        ``limit`` (m), missing on a model at one place; and ``remark``, empty where nothing is to be said.
     unit : str
         What the places seem to be given in, such as ``measured places in mm``, where they do not fit in m.
     warnings : tuple of str
@@ -50,7 +52,7 @@ class NodePartners:
     @property
     def of(self) -> dict[int, int]:
         """Model node of every measured node within its limit."""
-        near = self.table[(self.table["distance"] <= self.table["limit"]) & self.table["partner"].notna()]
+        near = self.table[~(self.table["distance"] > self.table["limit"]) & self.table["partner"].notna()]
         return {int(node): int(partner) for node, partner in zip(near["node"], near["partner"], strict=True)}
 
     @property
@@ -58,13 +60,33 @@ class NodePartners:
         """How far measured nodes and model are apart; empty without nodes."""
         if not len(self.table):
             return ""
-        distance, limit = self.table["distance"], self.table["limit"]
-        worst = self.table.iloc[int(np.argmax(distance / limit))]
         what = "nodes of the model" if self.table["partner"].notna().all() else "the model"
+        worst = self._worst_first.iloc[0]
+        if not worst["distance"] > _ROUNDED * np.nan_to_num(worst["limit"], nan=1.0):
+            return f"{_nodes(len(self.table))} placed on {what} by distance, all where the model has them."
+        most = f" of {_length(worst['limit'])}" if np.isfinite(worst["limit"]) else ""
         return (
-            f"{_nodes(len(self.table))} placed on {what} by distance: in the median {_length(distance.median())} off, "
-            f"node {worst['node']} the most for its limit ({_length(worst['distance'])} of {_length(worst['limit'])})."
+            f"{_nodes(len(self.table))} placed on {what} by distance, "
+            f"{_length(self.table['distance'].median())} off in the median; node {worst['node']} is the farthest for "
+            f"its limit, {_length(worst['distance'])}{most}."
         )
+
+    @property
+    def _worst_first(self) -> pd.DataFrame:
+        """The table, the largest distance over its limit first."""
+        share = np.nan_to_num((self.table["distance"] / self.table["limit"]).to_numpy())
+        return self.table.iloc[np.argsort(-share, kind="stable")]
+
+    def text(self, most: int = 40) -> str:
+        """The table in lines of text, the worst for its limit first, of at most so many nodes."""
+        rows = self._worst_first.head(most)
+        places = {axis: rows[axis].map("{:.4g}".format) for axis in _AXES}
+        cells = pd.DataFrame({"node": rows["node"], **places, "partner": rows["partner"].map(_number)})
+        for name in ("distance", "limit"):
+            cells[name] = rows[name].map(_length)
+        cells["remark"] = rows["remark"]
+        more = f"\nand {len(self.table) - most} more nodes" if len(self.table) > most else ""
+        return "\n".join(line.rstrip() for line in cells.to_string(index=False).splitlines()) + more
 
     def require(self, model: str) -> NodePartners:
         """Itself; InputError with the offsets where a measured node has no partner on the model of that name.
@@ -79,10 +101,11 @@ class NodePartners:
             remedy = f"it looks like {self.unit}: give both in m, or state length_unit of a universal file"
         if not len(beyond):
             words = f"{_nodes(len(self.table))} crowded on {self.table['partner'].nunique()} of the model {model}"
-            raise InputError(words, place="sensors", remedy=remedy)
+            raise InputError(words, place="sensors", remedy=remedy, table=self.text())
         rows = beyond.sort_values("distance", ascending=False, kind="stable")
-        words = f"{len(beyond)} of {len(self.table)} measured nodes lie off the model {model}: {_offsets(rows)}"
-        raise InputError(words, place=f"sensor {rows['node'].iloc[0]}", remedy=remedy)
+        lie = "lies" if len(beyond) == 1 else "lie"
+        words = f"{len(beyond)} of {len(self.table)} measured nodes {lie} off the model {model}: {_offsets(rows)}"
+        raise InputError(words, place=f"sensor {rows['node'].iloc[0]}", remedy=remedy, table=self.text())
 
 
 def node_partners(
@@ -137,8 +160,7 @@ def node_partners(
             row.append(f"the model's own node {nodes[k]} is {_length(away)} away")
     table["remark"] = [", ".join(row) for row in remarks]
     between = np.linalg.norm(places[found.after] - places[found.index], axis=1)
-    size = size_limit(places)
-    matters = found.ambiguous & ((between > size) | (between <= _COINCIDE * size))
+    matters = found.ambiguous & ((between > size_limit(places)) | (between <= _COINCIDE * found.size))
     return NodePartners(table, found.unit, _warnings(table, matters, after, moved))
 
 
@@ -156,7 +178,7 @@ def partner_table(nodes: np.ndarray, points: np.ndarray, distance: np.ndarray, l
     table = pd.DataFrame({"node": nodes, **{axis: points[:, k] for k, axis in enumerate(_AXES)}})
     table["partner"] = pd.array([pd.NA] * len(nodes), dtype="Int64")
     table[["partner_x", "partner_y", "partner_z"]] = np.nan
-    table = table.assign(distance=distance, limit=limit)
+    table = table.assign(distance=distance, limit=np.where(np.isfinite(limit), limit, np.nan))
     table["remark"] = np.where(table["distance"] > table["limit"], "beyond its limit", "").astype(object)
     return table[list(PARTNER_COLUMNS)]
 
@@ -168,8 +190,12 @@ def require_limit(limit: float | None) -> None:
 
 
 def size_limit(places: np.ndarray) -> float:
-    """Largest distance of a measured node from a model with nodes (n_nodes, 3), by its size alone, m."""
-    return RULES.partner_size * float(np.ptp(places, axis=0).max(initial=0.0))
+    """Largest distance of a measured node from a model with nodes (n_nodes, 3), by its size alone, m.
+
+    Infinite for a model at one place, such as a single rigid body, whose size is not known.
+    """
+    size = float(np.ptp(places, axis=0).max(initial=0.0)) if len(places) else 0.0
+    return RULES.partner_size * size if size > 0 else np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,6 +210,8 @@ class _Nearest:
         m.
     ambiguous : ndarray, bool
         Whether the one after it is as near.
+    size : float
+        Largest extent of the nodes, m.
     unit : str
         As in `NodePartners`.
     """
@@ -193,7 +221,8 @@ class _Nearest:
     distance: np.ndarray
     limit: np.ndarray
     ambiguous: np.ndarray
-    unit: str = ""
+    size: float
+    unit: str
 
     @classmethod
     def of(cls, points: np.ndarray, places: np.ndarray, limit: float | None) -> _Nearest:
@@ -213,7 +242,7 @@ class _Nearest:
         ambiguous = (after != index) & (nearer <= RULES.partner_ambiguous * between + _COINCIDE * size)
         allowed = _limits(tree, places[index], size, limit)
         unit = _unit(points, places, tree, allowed, index, distance, limit)
-        return cls(index, after, distance, allowed, ambiguous, unit)
+        return cls(index, after, distance, allowed, ambiguous, size, unit)
 
 
 def _limits(tree: cKDTree, at: np.ndarray, size: float, limit: float | None) -> np.ndarray:
@@ -225,7 +254,7 @@ def _limits(tree: cKDTree, at: np.ndarray, size: float, limit: float | None) -> 
     spacing = np.where(far > _COINCIDE * size, far, np.inf).min(axis=1, initial=np.inf)
     spacing = np.where(np.isfinite(spacing), spacing, 0.0)
     # rounding of a point in the middle between two nodes puts it beyond neither
-    return np.asarray(np.maximum(RULES.partner_size * size, RULES.partner_spacing * spacing + _COINCIDE * size))
+    return np.asarray(np.maximum(size_limit(tree.data), RULES.partner_spacing * spacing + _COINCIDE * size))
 
 
 def _unit(
@@ -301,6 +330,10 @@ def _offsets(rows: pd.DataFrame) -> str:
 
 def _nodes(count: int) -> str:
     return f"{count} measured node{' is' if count == 1 else 's are'}"
+
+
+def _number(node: Any) -> str:
+    return "" if pd.isna(node) else str(node)
 
 
 def _length(metres: float) -> str:

@@ -23,6 +23,7 @@ from calib.structure.eigenproblem.derivatives import ModeDerivatives
 from calib.structure.eigenproblem.mode_tracking import followed_derivatives
 from calib.structure.function_parts import ScaledPart, scaled_parts
 from calib.structure.geometry import Mesh
+from calib.structure.located import sensor_partners
 from calib.structure.modal_result import Numbered, modes_from_result, numbers_of
 from calib.structure.model import Assumption
 from calib.structure.modes import Modes
@@ -80,7 +81,7 @@ class ModalFunctionModel:
         `damped`, and ``shapes`` (n_sensors, n_modes), real or complex, in any scale; or as a tuple of these in that
         order. An exception marks a failed point.
     sensors : sequence of Sensor, of (node, direction), or of names like ``12y``
-        Sensor of each row of the shapes. Positions (`Sensor.point`) are for figures only.
+        Sensor of each row of the shapes. Where all have a position (`Sensor.point`), measured ones are found by it.
     n_modes : int
         Modes that the function returns at every point; of more the lowest are taken. A few more than were measured let
         the pairing consider close neighbours and leave room for modes that an effect adds.
@@ -89,6 +90,8 @@ class ModalFunctionModel:
     step : float
         Half step of a difference, over the range between the limits; raise it for a solver with numerical noise.
     assumptions : tuple of Assumption
+    sensor_tolerance : float, optional
+        Largest distance of a measured node from a declared one, as in `calib.StructuralModel`.
     parts : tuple of ScaledPart
         Parts that the function scales where it is asked to; an explanation asks whether one of them is wrong.
     identity : str
@@ -126,6 +129,7 @@ class ModalFunctionModel:
     damped: bool = False
     step: float = STEP
     assumptions: tuple[Assumption, ...] = ()
+    sensor_tolerance: float | None = field(default=None, kw_only=True)
     parts: tuple[ScaledPart, ...] = ()
     identity: str = ""
     memory: Memory = field(default_factory=Memory, repr=False, compare=False)
@@ -245,14 +249,16 @@ class ModalFunctionModel:
         return None
 
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
-        """Declared sensor of each one, (n_sensors, n_declared): by node and direction, or by position."""
+        """Declared sensor of each one, (n_sensors, n_declared): by the nearest place, else by node and direction.
+
+        Raises InputError for a sensor off the declared ones or in a direction that they do not have.
+        """
+        partners = sensor_partners(self, sensors)
+        nodes = {} if partners is None else partners.require(self.name).of
         named = {(s.node, s.direction): k for k, s in enumerate(self.sensors)}
-        placed = {(s.point, s.direction): k for k, s in enumerate(self.sensors) if s.point is not None}
         rows = np.zeros((len(sensors), len(self.sensors)))
         for i, sensor in enumerate(sensors):
-            k = named.get((sensor.node, sensor.direction))
-            if k is None and sensor.point is not None:
-                k = placed.get((sensor.point, sensor.direction))
+            k = named.get((nodes.get(sensor.node, sensor.node), sensor.direction))
             if k is None:
                 raise InputError(
                     f"the function of the model {self.name} gives no motion there", place=f"sensor {sensor.name}",
@@ -278,6 +284,11 @@ class ModalFunctionModel:
     def places(self) -> tuple[ModelPlace, ...]:
         """None: what a function does inside is not known."""
         return ()
+
+    @property
+    def labels(self) -> tuple[int, ...]:
+        """Nodes of its sensors, in the order of the mesh."""
+        return tuple(self._nodes)
 
     @property
     def mesh(self) -> Mesh:

@@ -20,6 +20,7 @@ from calib.structure.eigenproblem.derivatives import Analytic
 from calib.structure.eigenproblem.solve import solve_modes
 from calib.structure.energy import strain_energy, strain_energy_shares
 from calib.structure.geometry import DofMap, Locator, Mesh, NodeLocator
+from calib.structure.located import row_of, sensor_rows
 from calib.structure.matrices import Terms, affine, require_mass, require_used
 from calib.structure.modes import Modes
 from calib.structure.null_space import without_null
@@ -81,8 +82,9 @@ class StructuralModel(Analytic):
         energies.
     locator : Locator
     assumptions : tuple of Assumption
-    sensor_tolerance : float
-        Largest distance in metres between a sensor and the part that carries it.
+    sensor_tolerance : float, optional
+        Largest distance in metres between a sensor and the part that carries it; by default from the size of the model
+        and the spacing of its nodes, see `calib.measurement.partners.node_partners`.
     parts : tuple of Part
         Contributions to the matrices, each a candidate for a local perturbation. The modes do not depend on them.
     labels : tuple of int
@@ -112,7 +114,7 @@ class StructuralModel(Analytic):
     clusters: Mapping[str, np.ndarray]
     locator: Locator
     assumptions: tuple[Assumption, ...] = ()
-    sensor_tolerance: float = 0.25
+    sensor_tolerance: float | None = None
     parts: tuple[Part, ...] = ()
     labels: tuple[int, ...] = ()
 
@@ -310,39 +312,8 @@ class StructuralModel(Analytic):
         return solve_modes(k, c if self.is_damped else None, m, count, rotational=self.dofs.direction >= 3)
 
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
-        """Motion at the sensors over the free degrees of freedom, shape (n_sensors, n_dof).
-
-        Raises InputError for a sensor without coordinates, off the model, or on a motion that the model suppresses.
-        """
-        rows = np.zeros((len(sensors), self.n_dof))
-        for i, sensor in enumerate(sensors):
-            place = f"sensor {sensor.name}"
-            row, distance = self._row_of(sensor)
-            if distance > self.sensor_tolerance:
-                raise InputError(
-                    f"it lies {distance:.3f} m off the model {self.name}"
-                    + (f" (part {sensor.on!r})" if sensor.on else ""),
-                    place=place,
-                    remedy=f"correct its coordinates or its part (largest distance {self.sensor_tolerance:g} m)"
-                    + self._other_unit(sensor),
-                )
-            if not np.abs(row).max(initial=0.0) > 1e-9:  # suppressed motions of an inclined member carry rounding error
-                raise InputError(
-                    "the model suppresses this motion, so model and measurement can never agree",
-                    place=place,
-                    remedy="take it out of the measured shapes",
-                )
-            rows[i] = row
-        return rows
-
-    def _other_unit(self, sensor: Sensor) -> str:
-        """The unit of length in which the place of a sensor would lie on the model, in words; empty without one."""
-        for unit, metres in (("mm", 1e-3), ("cm", 1e-2), ("in", 0.0254)):
-            if sensor.point is not None:
-                x, y, z = (metres * own for own in sensor.point)
-                if self._row_of(replace(sensor, point=(x, y, z)))[1] <= self.sensor_tolerance:
-                    return f"; it looks like {unit}: give m, or state length_unit = {unit!r} of a universal file"
-        return ""
+        """Motion at the sensors over the free degrees of freedom, (n_sensors, n_dof); see `calib.structure.located`."""
+        return sensor_rows(self, sensors)
 
     def translations(self, sensor: Sensor) -> np.ndarray:
         """Motions in x, y and z at the place of a sensor, (3, n_dof), zero where the model suppresses them.
@@ -350,29 +321,7 @@ class StructuralModel(Analytic):
         Raises like `sensor_rows`.
         """
         self.sensor_rows([sensor])
-        return np.array([self._row_of(replace(sensor, direction=d))[0] for d in DIRECTIONS[:3]])
-
-    def _row_of(self, sensor: Sensor) -> tuple[np.ndarray, float]:
-        """Motion at a sensor and its distance from the model, by coordinates or else by node label."""
-        if sensor.direction not in DIRECTIONS:
-            raise InputError(
-                f"its direction is {sensor.direction!r}", place=f"sensor {sensor.name}",
-                remedy=f"one of {', '.join(DIRECTIONS)}",
-            )  # fmt: skip
-        direction = DIRECTIONS.index(sensor.direction)
-        if sensor.point is not None and np.all(np.isfinite(self.mesh.points)):
-            return self.locator.row(sensor.point, direction, sensor.on)
-        if sensor.node in self.labels:
-            index = 6 * self.labels.index(sensor.node) + direction
-            return self.dofs.expansion[[index]].toarray()[0], 0.0
-        known = "no place is known for it" if sensor.point is None else "the model has no coordinates"
-        if not self.labels:
-            raise InputError(known, place=f"sensor {sensor.name}", remedy="add its node to the study's sensor table")
-        raise InputError(
-            f"{known}, and the model {self.name} has no node {sensor.node}",
-            place=f"sensor {sensor.name}",
-            remedy="give coordinates to both, or number its node as the model does",
-        )
+        return np.array([row_of(self, replace(sensor, direction=d))[0] for d in DIRECTIONS[:3]])
 
     def energy_shares(self, values: Mapping[str, float], shapes: np.ndarray, names: Sequence[str]) -> np.ndarray:
         """Share of each mode's strain energy in each named cluster, (n_names, n_modes); see `strain_energy_shares`."""

@@ -64,14 +64,16 @@ def _modal(study: StudyFile, modes: MeasuredModes, model: Any) -> ModalTest:
         threshold=pairing.threshold,
         override=pairing.override,
         set_ups=settings.measurement.set_ups,
+        node_limit=settings.measurement.node_limit,
     )
 
 
 def _frf(study: StudyFile, frfs: MeasuredFRFs, model: StructuralModel) -> FRFTest:
     held = study.settings.held_out
     test = FRFTest(
-        frfs, held.sensors, held.references, held.bands, name=study.test or UNNAMED, condition=study.condition
-    )
+        frfs, held.sensors, held.references, held.bands, name=study.test or UNNAMED, condition=study.condition,
+        node_limit=study.settings.measurement.node_limit,
+    )  # fmt: skip
     return replace(test, nuisances=nuisances_of(study, test, model))
 
 
@@ -149,7 +151,8 @@ def _mismatch(study: StudyFile, model: Any, fault: InputError) -> InputError:
     if fault.place and fault.place.startswith("sensor"):
         table, node = settings.sensors, re.match(r"sensor (\d+)", fault.place)
         at = place_of_node(study.folder / table, int(node[1])) if table and node else None
-        return InputError(fault.problem, place=f"{study.file}, {fault.place}", remedy=fault.remedy, at=at)
+        where = f"{study.file}, {fault.place}"
+        return InputError(fault.problem, place=where, remedy=fault.remedy, at=at, table=fault.table)
     clusters = study.settings.pairing.clusters.items()
     unknown = [(mode, k) for mode, named in clusters for k, name in enumerate(named) if name not in model.clusters]
     place = study.place("pairing", "clusters", *unknown[0]) if unknown else study.place("pairing")

@@ -161,7 +161,13 @@ def study_in_memory(
     """
     parts = tuple(
         _part(
-            tested, settings, library, not_selected, held_sd or {}, finer(tested), tested.test.name * (len(tests) > 1)
+            tested,
+            settings,
+            library,
+            not_selected,
+            held_sd or {},
+            tested.test.located(finer(tested)),
+            tested.test.name * (len(tests) > 1),
         )
         for tested in tests
     )
@@ -177,8 +183,9 @@ def _part(
     finer: Model | None,
     among: str,
 ) -> MemoryStudy:
-    model, test = tested.held, tested.test
-    problem = test.problem(model, tested.base)
+    test = tested.test
+    model, base = test.located(tested.held), test.located(tested.base)
+    problem = test.problem(model, base)
     space = with_nuisances(model.space, problem)
     space = space if among else space.without(dict(test.condition))
     return MemoryStudy(

@@ -99,6 +99,9 @@ class MeasurementSettings(Section):
     """Names of ``freq``, ``frf`` and ``coherence`` in MATLAB files of FRFs, or of the ``sheet`` of workbooks."""
     length_unit: Literal["m", "cm", "mm", "um", "in", "ft"] | None = None
     """Unit of places in universal files that do not state it (dataset 164); by default m."""
+    node_limit: float | None = Field(default=None, gt=0, le=1e4)
+    """Largest distance of a measured node from the model node nearest to it, m; by default from the size of the model
+    and the distance between its nodes."""
     band: Pair | None = None
     """Lines of FRFs that are used, from and to, Hz; by default all."""
     lines: Literal["all", "resonances"] = "all"

@@ -199,7 +199,11 @@ class LoadedStudy(StudyFile):
     def on_finer_mesh(self) -> Model | None:
         """The model on a finer mesh, effects included; None when the study names no options for one."""
         finer = Sources(self.settings, self.folder, self.place).finer()
-        return None if finer is None else with_effects(finer, self.included, self.place("with_effects"))
+        return (
+            None
+            if finer is None
+            else with_effects(self.experiment.located(finer), self.included, self.place("with_effects"))
+        )
 
     def finer_model(self) -> StructuralModel | None:
         """The same of a model of matrices; None for others."""
@@ -257,6 +261,7 @@ def _study(
     for k, name in enumerate(file.settings.depends_on):
         file.path(name, "depends_on", k)
     experiment = experiment_of(file, model)
+    base, model = experiment.located(base), experiment.located(model)
     model = _identified(file, base, included, model)
     problem = problem_of(file, experiment, model, base)
     selected = with_nuisances(search_space(space, file.settings, file.place, elsewhere=elsewhere), problem)

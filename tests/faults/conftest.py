@@ -380,7 +380,7 @@ class Mistakes:
         fault = caught.value
         copy = pickle.loads(pickle.dumps(fault))  # as on the way from a worker process
         assert (copy.at, copy.sentence, str(copy)) == (fault.at, fault.sentence, str(fault))
-        assert copy.__notes__ == fault.__notes__ and len(fault.__notes__) == 1
+        assert copy.__notes__ == fault.__notes__ and len(fault.__notes__) == 1 + bool(fault.table)
         return fault
 
 

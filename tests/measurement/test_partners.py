@@ -128,7 +128,7 @@ def test_a_distance_near_its_limit_is_told():
     found = node_partners({1: (0.0, 0.0, 0.045), 2: (0.0, 0.5, 0.02)}, _PLATE)
     (words,) = found.warnings
     assert "node 1 by 45 mm of 50 mm" in words and "node 2" not in words
-    assert "node 1 the most" in found.sentence
+    assert "node 1 is the farthest" in found.sentence
 
 
 def test_a_model_of_one_node_and_no_measured_nodes():

@@ -242,10 +242,11 @@ def test_a_distance_within_the_sensor_tolerance_is_accepted(body):
         def row(self, point, direction, on=None):
             return np.eye(3)[direction], float(np.linalg.norm(point))
 
-    model = replace(body, locator=Off())
-    assert motion(model, (None, (body.sensor_tolerance, 0.0, 0.0)), 0).any()
+    model = replace(body, locator=Off(), sensor_tolerance=0.25)
+    assert motion(model, (None, (0.25, 0.0, 0.0)), 0).any()
     with pytest.raises(InputError):
-        motion(model, (None, (1.01 * body.sensor_tolerance, 0.0, 0.0)), 0)
+        motion(model, (None, (1.01 * 0.25, 0.0, 0.0)), 0)
+    assert motion(replace(model, sensor_tolerance=None), (None, (3.0, 0.0, 0.0)), 0).any()
 
 
 def test_motions_of_points(body):

@@ -40,6 +40,7 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
     "sensors": _columns("sensor direction", "x y z shape_std", flags="held_out", blank="part"),
     "repeat_disagreements": _columns("sentence"),
     "sensor_check": _columns("sentence"),
+    "node_partners": _columns("node", "x y z distance limit", blank="partner remark"),
     # comparison
     "comparison of modes": _columns(
         "mode",

@@ -17,6 +17,7 @@ from calib.errors.errors import InputError
 from calib.structure.affine import Coefficient, Monomial, SelectedTerm, SeriesLoss, StretchPower, Term, parameter
 from calib.structure.effects.extend import Addition
 from calib.structure.elongations import elongations
+from calib.structure.located import nearest_limit
 from calib.structure.model import Part, PartKind, StructuralModel
 
 GRAVITY = 9.81
@@ -34,7 +35,7 @@ def motion(model: StructuralModel, place: Place, direction: int) -> np.ndarray:
     """
     part, point = place
     row, distance = model.locator.row(point, direction, part)
-    if distance > model.sensor_tolerance and distance > float(np.ptp(model.mesh.points, axis=0).max(initial=0.0)):
+    if distance > max(nearest_limit(model), float(np.ptp(model.mesh.points, axis=0).max(initial=0.0))):
         raise InputError(
             f"the point ({', '.join(f'{c:g}' for c in point)}) lies {distance:.4g} m from the {part or 'model'}",
             remedy="coordinates are in m",
