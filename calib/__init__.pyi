@@ -2,6 +2,7 @@ from .api.display import Compared as Compared
 from .api.explained import Explained as Explained
 from .api.fe_comparison import compare_modes as compare_modes
 from .api.fit import Fit as Fit
+from .api.look import look as look
 from .api.problem import Problem as Problem
 from .api.sensitivity import Assessed as Assessed
 from .api.study import Study as Study

@@ -16,6 +16,7 @@ import typer
 
 from calib.command import terminal
 from calib.command.compare import compare
+from calib.command.look import look
 from calib.command.options import (
     CachePath,
     CalibrationMethod,
@@ -99,8 +100,7 @@ def modes(
         typer.Option("--exponential-window", metavar="S", help="Time constant of the window that the data bear, s."),
     ] = None,
     band: Annotated[
-        tuple[float, float] | None,
-        typer.Option("--band", metavar="LOW HIGH", help="Lines that are used, Hz."),
+        tuple[float, float] | None, typer.Option("--band", metavar="LOW HIGH", help="Lines that are used, Hz.")
     ] = None,
     accept: Annotated[
         list[float] | None, typer.Option("--accept", metavar="FREQ", help="Keep the refused mode near this, Hz.")
@@ -126,6 +126,7 @@ def modes(
     terminal.tell_entries(identified_entries(written), verbose)
 
 
+app.command(short_help="Look at measured files, without a model.")(look)
 app.command(short_help="Compare model and measurement without fitting.")(compare)
 
 
@@ -361,9 +362,6 @@ def _study(
             yield Study.load(path, results, workers=workers, quick=quick, listener=listener)
         else:
             yield Study(path, results, listener=listener)
-
-
-# -- leaving -----------------------------------------------------------------------------------------------------------
 
 
 def main() -> None:

@@ -95,6 +95,14 @@ class IdentifyRules:
         Lags of the correlations behind half-spectra.
     window_end : float
         What the exponential window leaves of the last one.
+    look_alike : float
+        MAC of two measured shapes from which a first look says that sensors do not tell them apart.
+    look_complex : float
+        Phase collinearity of a shape below which a first look tells it.
+    look_coherence : float
+        Coherence at a resonance below which it is told.
+    look_held : float
+        Share of samples at the largest or smallest value from which a channel counts as clipped or held.
     """
 
     frf_order_most: int = 40
@@ -138,6 +146,10 @@ class IdentifyRules:
     one_shape_least: float = 0.9
     lags: int = 256
     window_end: float = 0.01
+    look_alike: float = 0.9
+    look_complex: float = 0.9
+    look_coherence: float = 0.8
+    look_held: float = 0.01
 
 
 RULES = IdentifyRules()
