@@ -107,6 +107,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "missing/effect_facts.py": "_ASKED _CLOSE _INWARD _LEAST",
     "modal_analysis/ambient.py": "DECIMATED_MOST",
     "modal_analysis/scatter.py": "STEPS PAIR_START",
+    "measurement/thinning.py": "DEGREE NEIGHBOURS _POWER",
     "modal_analysis/setups.py": "ROUNDS LEAST_STD",
     "modal_analysis/model.py": "ROUNDS EVALUATIONS SMALLEST_STEP BEYOND BEYOND_DAMPING BEYOND_LINES FARTHEST",
     "problem/sampling.py": "_FEWEST _TRIES _NARROW",

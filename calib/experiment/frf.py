@@ -19,12 +19,16 @@ from calib.experiment.test import UNNAMED, Claimed, Test, TestError, band, requi
 from calib.measurement.accuracy import frf_claim
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_parts import HeldOutFRFs
+from calib.measurement.thinning import thinned
 from calib.structure.model import Assumption, StructuralModel
 
 
 @dataclass(frozen=True, eq=False)
 class FRFTest(Test):
     """Measured frequency response functions, compared with those of a model with matrices.
+
+    More than 2000 lines are thinned to means over close ones, which tell as much of parameters (see
+    `calib.measurement.thinning.thinned`).
 
     Attributes
     ----------
@@ -110,7 +114,8 @@ class FRFTest(Test):
 
     @cached_property
     def _parts(self) -> tuple[MeasuredFRFs, dict[str, MeasuredFRFs]]:
-        return self._held_out.split(self.frfs)
+        used, unseen = self._held_out.split(self.frfs)
+        return thinned(used), {group: thinned(own) for group, own in unseen.items()}
 
     @property
     def measured(self) -> MeasuredFRFs:

@@ -84,6 +84,9 @@ class MeasuredFRFs:
         unit of the quantity, each a standard deviation of the real and of the imaginary part.
     window_rate : float
         By how much an exponential window of the records moved every pole to the left, rad/s; 0 without one.
+    behind : ndarray (n_freq, n_responses, n_references), int, optional
+        Lines whose mean an entry is, where lines are thinned (see `calib.measurement.thinning.thinned`): ``std`` is
+        that of the mean, and claimed and assumed standard deviations are those of a line.
 
     Notes
     -----
@@ -105,6 +108,7 @@ class MeasuredFRFs:
     misplaced: tuple[Misplaced, ...] = ()
     accuracy: Claim = NOTHING
     window_rate: float = 0.0
+    behind: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         place, shape = self._place, (len(self.freq), len(self.responses), len(self.references))
@@ -203,7 +207,12 @@ class MeasuredFRFs:
         if not self.accuracy.given:
             return self.std
         claimed = np.hypot(self.accuracy.share * np.abs(self.values), self.accuracy.own)
-        return np.asarray(np.hypot(np.nan_to_num(self.std), claimed))
+        return np.asarray(np.hypot(np.nan_to_num(self.std), claimed * self.per_line))
+
+    @property
+    def per_line(self) -> np.ndarray | float:
+        """Standard deviation of an entry over that of a line, of errors that are independent."""
+        return 1.0 if self.behind is None else 1 / np.sqrt(np.maximum(self.behind, 1))
 
     # -- which entries enter -------------------------------------------------------------------------------------------
 
@@ -324,4 +333,5 @@ class MeasuredFRFs:
             references=tuple(self.references[n] for n in j),
             values=np.where(kept, self.values, complex(np.nan, np.nan))[here],
             std=np.where(kept, self.std, np.nan)[here],
+            behind=None if self.behind is None else self.behind[here],
         )

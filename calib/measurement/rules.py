@@ -96,6 +96,10 @@ class ReadRules:
         single function, ``exp(-10)``, and less often in sums over several.
     setup_scale : float
         Largest relative difference of what two set-ups of FRFs have in common: beyond it one has another sensitivity.
+    lines_most : int
+        Lines of FRFs up to which each is a line by itself in a test.
+    group_width : float
+        Width of a group of lines that become one, over their distance from the nearest pole.
     hit_level, hit_noise : float
         A pulse of a hammer's force exceeds this share of the largest one, and this multiple of the noise.
     hit_share : float
@@ -189,6 +193,8 @@ class ReadRules:
     prominence: float = 6.0
     above_noise: float = 10.0
     setup_scale: float = 0.2
+    lines_most: int = 2000
+    group_width: float = 0.2
     hit_level: float = 0.1
     hit_noise: float = 8.0
     hit_share: float = 0.1

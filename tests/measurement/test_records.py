@@ -1,5 +1,6 @@
 """Time records from tables and universal files: what is read, and what is refused with the place and the remedy."""
 
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -163,6 +164,50 @@ def test_records_with_sensors_of_their_own_are_set_ups(tmp_path):
     assert [[s.name for s in one.sensors] for one in read] == [["1x", "2x", "4x"], ["3x", "1x"], ["3x", "1x"]]
     np.testing.assert_allclose(read[2].values, 2 * read[1].values, rtol=1e-6)
     assert read[1].sensors[0].point == (2.0, 0.0, 0.0)
+
+
+def stamped(path, form, separator=","):
+    """A record whose time is given by time stamps that cross midnight."""
+    start = datetime(2026, 11, 29, 23, 59, 55)
+    rows = []
+    for k, row in enumerate(VALUES[:1100]):
+        cells = [f"{v:.7f}" for v in row]
+        if separator == ";":
+            cells = [cell.replace(".", ",") for cell in cells]
+        rows.append(separator.join([form(start + timedelta(seconds=k / 64)), *cells]))
+    path.write_text("\n".join(["# unit: m/s2", separator.join(["time", "1x", "2x", "3x", "4x"]), *rows]), "utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("form", "separator"),
+    [
+        (lambda t: t.isoformat(" ", "microseconds"), ","),
+        (lambda t: t.isoformat("T", "milliseconds") + "Z", ","),
+        (lambda t: f"{t:%d.%m.%Y %H:%M:%S},{t.microsecond // 1000:03d}", ";"),
+        (lambda t: f"{t:%H:%M:%S}.{t.microsecond // 1000:03d}", ","),
+        (lambda t: f'"{t:%m/%d/%Y %I:%M:%S}.{t.microsecond // 1000:03d} {t:%p}"', "\t"),
+    ],
+)
+def test_time_stamps_are_seconds(tmp_path, form, separator):
+    (own,) = read_records(stamped(tmp_path / "stamped.csv", form, separator))
+    assert own.rate == pytest.approx(64.0, rel=1e-4)
+    np.testing.assert_allclose(own.values, VALUES[:1100], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("form", "word"),
+    [
+        (lambda t: f"{t:%H:%M:%S}", "not equally spaced"),  # whole seconds
+        (lambda t: "12:00:00" if t.second == 0 else "noon", "noon"),
+        (lambda t: f"{40 - t.day:02d}.11.2026 {t:%H:%M:%S.%f}", "do not ascend"),
+        (lambda t: f"{6 + (t.day > 29)}/{7 + (t.day > 29)}/2026 {t:%H:%M:%S.%f}", "two ways"),
+    ],
+)
+def test_time_stamps_that_say_no_instant_are_refused(tmp_path, form, word):
+    with pytest.raises(InputError, match=word) as fault:
+        read_records(stamped(tmp_path / "stamped.csv", form))
+    assert fault.value.remedy
 
 
 def test_values_that_are_not_finite_are_refused_in_python_too():

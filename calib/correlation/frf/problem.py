@@ -146,7 +146,8 @@ class FRFProblem:
     def entry_std(self) -> np.ndarray:
         """Standard deviation of every entry, (n_freq, n_responses, n_references), in the unit of the quantity."""
         total = self.measured.total_std
-        return np.where(np.isfinite(total), total, RULES.unknown_frf_std * np.abs(self.measured.values))
+        assumed = RULES.unknown_frf_std * np.abs(self.measured.values) * self.measured.per_line
+        return np.where(np.isfinite(total), total, assumed)
 
     def basis_target(self, tolerance: float) -> FRFTarget:
         """All FRFs in use in units of their standard deviations, without suspects, at full order.

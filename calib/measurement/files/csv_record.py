@@ -10,6 +10,7 @@ import numpy as np
 from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.measurement.files.csv_format import parse_end
+from calib.measurement.files.time_stamps import is_stamp, seconds_of
 from calib.measurement.frf_units import FRFUnits, parse_unit
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.measurement.record import MOTION_OF, MeasuredRecord, Motion, even_rate, parse_motion_unit
@@ -41,10 +42,11 @@ def is_force(column: str) -> bool:
 
 
 def read_record_csv(path: Path, unit: str | None = None) -> MeasuredRecord:
-    """Read a record from a table with ``time`` in s and one column a sensor, such as ``12z`` or ``12-z``.
+    """Read a record from a table with ``time`` and one column a sensor, such as ``12z`` or ``12-z``.
 
-    The force of a hammer has a column such as ``force 3z``. A minus sign reverses the values. A comment line states the
-    unit of all translations once, with a force as in a table of FRFs::
+    The time is in s, or a time stamp (see `calib.measurement.files.time_stamps.seconds_of`). The force of a hammer has
+    a column such as ``force 3z``. A minus sign reverses the values. A comment line states the unit of all translations
+    once, with a force as in a table of FRFs::
 
         # unit: m/s2
         # unit: g/N
@@ -146,7 +148,19 @@ _COMMENTS = 100
 
 
 def _numbers(path: Path, header: list[str], separator: str) -> np.ndarray:
-    """All values, (n_samples, n_columns); NaN where one is missing."""
+    """All values, (n_samples, n_columns); NaN where one is missing, and seconds where the time is a time stamp."""
+    at, names = header.index(TIME), (TIME, *(name for name in header if name != TIME))
+    given = [line for line in path.read_text("utf-8-sig").splitlines() if line.strip() and not line.startswith("#")]
+    cells = given[1].split(separator) if len(given) > 1 else []
+    if len(cells) > at and is_stamp(cells[at]):
+        stamps = [line.split(separator)[at] if line.count(separator) >= at else "" for line in given[1:]]
+        seconds = seconds_of(stamps, path)
+        rows = read_rows(path, names)
+        values = [[row.number(name) if name != TIME and row.cells[name].lower() != "nan" else np.nan for name in header]
+                  for row in rows]  # fmt: skip
+        table = np.array(values)
+        table[:, at] = seconds
+        return table
     if separator == ",":
         try:
             with path.open(encoding="utf-8-sig") as lines:
@@ -157,6 +171,6 @@ def _numbers(path: Path, header: list[str], separator: str) -> np.ndarray:
                 return table
         except (ValueError, StopIteration):
             pass  # read again below, line by line, for the place of the fault
-    rows = read_rows(path, (TIME, *(name for name in header if name != TIME)))
+    rows = read_rows(path, names)
     return np.array([[row.number(name) if row.cells[name].lower() != "nan" else np.nan for name in header]
                      for row in rows])  # fmt: skip
