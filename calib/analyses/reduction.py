@@ -240,9 +240,10 @@ def training(study: LoadedStudy) -> Iterator[None]:
 
 
 def worthwhile(study: LoadedStudy) -> bool:
-    """Whether a study is solved on a reduced basis: requested, and the model is large enough."""
-    model = study.problem.reducible
-    return study.settings.reduction.use and model is not None and is_large(model)
+    """Whether a study is solved on a reduced basis: requested, and the model is large enough for its modes."""
+    problem = study.problem
+    count = problem.mode_count if isinstance(problem, ModalProblem) else 0
+    return study.settings.reduction.use and problem.reducible is not None and is_large(problem.reducible, count)
 
 
 def fingerprints(study: LoadedStudy, home: Results | None) -> tuple[str, ...]:

@@ -22,6 +22,8 @@ from calib.structure.reduction.training import train
 
 WORTHWHILE_DOFS = 300
 """Degrees of freedom below which a model is fast enough at full order."""
+WORTHWHILE_MODES = 25
+"""Number of modes up to which that holds; of more, the limit grows in proportion."""
 
 Reducible = ModalProblem | FRFProblem
 """Problems that a reduced basis serves."""
@@ -91,6 +93,9 @@ def parameter_key(p: Parameter) -> tuple[object, ...]:
     return p.name, p.value, p.lower, p.upper, p.unit, p.distribution, p.integer
 
 
-def is_large(model: StructuralModel) -> bool:
-    """Whether a basis saves time: smaller models are fast enough at full order."""
-    return model.n_dof >= WORTHWHILE_DOFS
+def is_large(model: StructuralModel, count: int) -> bool:
+    """Whether a basis saves time for so many modes: smaller models are fast enough at full order.
+
+    A basis has several vectors for each mode and parameter, so that one of many modes is nearly as large as the model.
+    """
+    return model.n_dof >= WORTHWHILE_DOFS * max(1.0, count / WORTHWHILE_MODES)

@@ -1,13 +1,17 @@
 """Kills commands at random moments, injects errors of disk and memory, starts them again, and compares what they leave.
 
 A resumed command must end with the tables, the evaluations and the written study of one that was never disturbed, to
-the byte, and leave no process, no draft and no temporary folder behind.
+the byte, and leave no process, no draft and no temporary folder behind. Ctrl-C ends the bench with the counts so far.
+
+Records hold the digest of calib's own code, so that results differ where somebody edits it while the bench runs; the
+bench then says so. Run it in a clone that nobody edits.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import hashlib
 import itertools
 import json
 import os
@@ -46,6 +50,8 @@ ERRORS: dict[str, Callable[[], BaseException]] = {
     "disk error": lambda: sqlite3.OperationalError("disk I/O error"),
     "no memory": MemoryError,
 }
+LONGEST = 3600.0
+"""Seconds that a command may take on a busy machine before it counts as hanging."""
 _AT_ERRORS = (1, 2, 5, 10, 20, 40, 80)
 """Of so many writes, one fails."""
 
@@ -69,29 +75,52 @@ def bench(home: Path, kills: int, draw: random.Random) -> int:
     prepare(runner)
     whole, seconds = undisturbed(runner)
     counts: Counter[tuple[str, str]] = Counter()
-    wrong = 0
-    for number in range(kills):
-        verb = list(COMMANDS)[number % len(COMMANDS)]
-        how = draw.choice([*SIGNALS, *ERRORS])
-        begin(verb)
-        ended = disturbed(runner, verb, how, draw, seconds[verb])
-        counts[verb, ended] += 1
-        again = runner.fork(*COMMANDS[verb], draw=verb == "report")
-        faults = []
-        if again.wait() != 0:
-            faults.append(f"the resumed command ended with {again.code}: {again.err}")
-        elif different := differences(left(), whole[verb]):
-            faults.append(f"differs: {', '.join(different)}")
-        faults += remains(temporary, runner)
-        for fault in faults:
-            print(f"{number}: {verb}, {how}: {fault}", flush=True)
-        wrong += bool(faults)
+    code, wrong = own_code(), []
+    with contextlib.suppress(KeyboardInterrupt):
+        for number in range(kills):
+            verb, ended, faults = one_kill(runner, number, draw, whole, seconds, temporary)
+            counts[verb, ended] += 1
+            wrong += [number] * bool(faults)
     ends = sorted({ended for _, ended in counts})
     print(f"{'':12s}" + "".join(f"{end:>12s}" for end in ends))
     for verb in COMMANDS:
         print(f"{verb:12s}" + "".join(f"{counts[verb, end]:12d}" for end in ends))
-    print(f"{kills} disturbed commands, {kills - wrong} resumed as if nothing had happened")
-    return int(wrong > 0)
+    done = sum(counts.values())
+    print(f"{done} disturbed commands, {done - len(wrong)} resumed as if nothing had happened")
+    if own_code() != code:
+        print("calib's own code was edited while the bench ran: records differ, and the counts do not hold")
+    return int(bool(wrong) or own_code() != code)
+
+
+def own_code() -> str:
+    """Digest of calib's own files."""
+    files = sorted((ROOT / "calib").rglob("*.py"))
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
+def one_kill(
+    runner: Runner,
+    number: int,
+    draw: random.Random,
+    whole: dict[str, dict[str, Any]],
+    seconds: dict[str, float],
+    temporary: Path,
+) -> tuple[str, str, list[str]]:
+    """Disturb one command and run it again: its verb, how it ended, and what is wrong then, which is printed."""
+    verb = list(COMMANDS)[number % len(COMMANDS)]
+    how = draw.choice([*SIGNALS, *ERRORS])
+    begin(verb)
+    ended = disturbed(runner, verb, how, draw, seconds[verb])
+    again = runner.fork(*COMMANDS[verb], draw=verb == "report")
+    faults = []
+    if again.wait(LONGEST) != 0:
+        faults.append(f"the resumed command ended with {again.code}: {again.err}")
+    elif different := differences(left(), whole[verb]):
+        faults.append(f"differs: {', '.join(different)}")
+    faults += remains(temporary, runner)
+    for fault in faults:
+        print(f"{number}: {verb}, {how}: {fault}", flush=True)
+    return verb, ended, faults
 
 
 def prepare(runner: Runner) -> None:
@@ -104,7 +133,7 @@ def prepare(runner: Runner) -> None:
     effects.write_text("".join(line for line in lines if not line.strip().startswith('_one("guy"')))
     for command in (COMMANDS["calibrate"], COMMANDS["explain"]):
         run = runner.fork(*command)
-        assert run.wait() == 0, run.err
+        assert run.wait(LONGEST) == 0, run.err
     shutil.move("results", "prepared")
 
 
@@ -122,7 +151,7 @@ def undisturbed(runner: Runner) -> tuple[dict[str, dict[str, Any]], dict[str, fl
         begin(verb)
         began = time.monotonic()
         run = runner.fork(*command, draw=verb == "report")
-        assert run.wait() == 0, run.err
+        assert run.wait(LONGEST) == 0, run.err
         whole[verb], seconds[verb] = left(), time.monotonic() - began
     return whole, seconds
 
@@ -133,12 +162,12 @@ def disturbed(runner: Runner, verb: str, how: str, draw: random.Random, seconds:
         run = runner.fork(*COMMANDS[verb], draw=verb == "report")
         if run.wait(draw.uniform(0.0, seconds)) is None:
             run.send(SIGNALS[how], everybody=how != "SIGKILL")
-        run.wait()
+        run.wait(LONGEST)
         stopped = {"SIGKILL": -signal.SIGKILL}.get(how, 130)
         return "got through" if run.code == 0 else how if run.code == stopped else f"code {run.code}"
     at = draw.choice(_AT_ERRORS)
     run = runner.fork(*COMMANDS[verb], draw=verb == "report", prepare=lambda: fail(at, ERRORS[how]))
-    run.wait()
+    run.wait(LONGEST)
     return "got through" if run.code == 0 else how if run.code in (1, 2) else f"code {run.code}"
 
 

@@ -1,10 +1,12 @@
 import dataclasses
 import math
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from calib.correlation.basis import is_large
 from calib.correlation.modal.problem import RESPONSES, ModalProblem
 from calib.correlation.response.problem import FunctionProblem
 from calib.errors.errors import EvaluationError, InputError
@@ -221,3 +223,9 @@ def test_targets_must_be_numbers_with_a_positive_standard_deviation(targets):
         function_problem(lambda v: v, targets)
     with pytest.raises(InputError, match="no target"):
         FunctionProblem(SPACE, lambda v: v, {}, "")
+
+
+def test_a_basis_saves_time_for_few_modes_of_a_large_model_alone():
+    sizes = [(200, 20), (2000, 0), (2000, 20), (2000, 200)]
+    large = [is_large(SimpleNamespace(n_dof=n_dof), count) for n_dof, count in sizes]
+    assert large == [False, True, True, False]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -226,15 +228,13 @@ def arrays_of(
 def _matlab(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Numeric variables of a MATLAB file by their names, with the axes as MATLAB has them."""
     from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
 
     try:
         found = loadmat(path, variable_names=list(names))
     except NotImplementedError:  # version 7.3 is HDF5
         return _matlab_hdf5(path, names)
-    except (OSError, ValueError, TypeError, MatReadError) as fault:
-        words = str(fault).splitlines()[0] if str(fault) else type(fault).__name__
-        raise InputError(f"it is no MATLAB file ({words})", place=path, remedy="save it again") from None
+    except Exception as fault:  # a damaged file raises what its parts raise
+        raise _no_matlab_file(path, fault) from None
     return {name: np.asarray(one) for name, one in found.items() if np.asarray(one).dtype.kind in "iufc"}
 
 
@@ -245,16 +245,24 @@ def _matlab_hdf5(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
         remedy = "pip install 'calib[files]', or save it with '-v7'"
         raise InputError("it is of version 7.3, which h5py reads", place=path, remedy=remedy) from None
     out = {}
-    with h5py.File(path) as file:
-        for name in names:
-            if name not in file or not isinstance(file[name], h5py.Dataset):
-                continue
-            one = np.asarray(file[name])
-            if one.dtype.names == ("real", "imag"):
-                one = one["real"] + 1j * one["imag"]
-            if one.dtype.kind in "iufc":
-                out[name] = one.T  # MATLAB stores columns
+    try:
+        with h5py.File(path) as file:
+            for name in names:
+                if name not in file or not isinstance(file[name], h5py.Dataset):
+                    continue
+                one = np.asarray(file[name])
+                if one.dtype.names == ("real", "imag"):
+                    one = one["real"] + 1j * one["imag"]
+                if one.dtype.kind in "iufc":
+                    out[name] = one.T  # MATLAB stores columns
+    except Exception as fault:  # a damaged file raises what its parts raise
+        raise _no_matlab_file(path, fault) from None
     return out
+
+
+def _no_matlab_file(path: Path, fault: Exception) -> InputError:
+    words = str(fault).splitlines()[0] if str(fault).strip() else type(fault).__name__
+    return InputError(f"it is no MATLAB file ({words[:80]})", place=path, remedy="save it again")
 
 
 def sheet_of(path: Path, sheet: str | None = None) -> tuple[list[str], np.ndarray]:
@@ -264,16 +272,21 @@ def sheet_of(path: Path, sheet: str | None = None) -> tuple[list[str], np.ndarra
     except ImportError:
         remedy = "pip install 'calib[files]', or save the sheet as CSV"
         raise InputError("openpyxl, which reads workbooks, is not installed", place=path, remedy=remedy) from None
+    rows: list[list[Any]] | None = None
     try:
-        book = load_workbook(path, read_only=True, data_only=True)
-    except Exception as fault:  # a damaged archive raises what its parts raise
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            book = load_workbook(path, read_only=True, data_only=True)
+            sheets = list(book.sheetnames)
+            if sheet is None or sheet in sheets:
+                page = book[sheet] if sheet is not None else book.worksheets[0]
+                read = (list(row) for row in page.iter_rows(values_only=True))
+                rows = [row for row in read if any(cell is not None for cell in row)]
+            book.close()
+    except Exception as fault:  # a damaged archive raises what its parts raise, its sheets row by row
         raise InputError(f"it is no workbook ({type(fault).__name__})", place=path, remedy="save it again") from None
-    if sheet is not None and sheet not in book.sheetnames:
-        words = f"it has no sheet {sheet!r:.40}"
-        raise InputError(words, place=path, remedy=f"the sheets are {', '.join(book.sheetnames)}")
-    page = book[sheet] if sheet is not None else book.worksheets[0]
-    rows = [list(row) for row in page.iter_rows(values_only=True) if any(cell is not None for cell in row)]
-    book.close()
+    if rows is None:
+        raise InputError(f"it has no sheet {sheet!r:.40}", place=path, remedy=f"the sheets are {', '.join(sheets)}")
     at = next((k for k, row in enumerate(rows) if isinstance(row[0], int | float)), None)
     if at is None:
         raise InputError("it holds no line of numbers", place=path, remedy="begin each with its frequency in Hz")
