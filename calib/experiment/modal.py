@@ -14,13 +14,13 @@ from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import assumed_deviations, std_for
 from calib.errors.arguments import by_name, integer, names, number, objects, values
-from calib.errors.errors import InputError
+from calib.errors.errors import EvaluationError, InputError
 from calib.experiment.test import UNNAMED, Claimed, Model, Test, TestError, band, require_named, test_place
 from calib.measurement.accuracy import Accuracy
 from calib.measurement.corrections import corrected
 from calib.measurement.modal import MeasuredModes
 from calib.structure.function_model import FunctionModel
-from calib.structure.model import Assumption
+from calib.structure.model import Assumption, StructuralModel
 
 MODE_COLUMNS = (
     "mode", "held_out", "natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std", "repeats",
@@ -197,7 +197,15 @@ class ModalTest(Test):
                 test_place(self), "measurement",
             )  # fmt: skip
         used, n_base = self.used, _n_modes(model if base is None else base)
-        count = self.mode_count if self.mode_count is not None else min(2 * used.n_modes, n_base)
+        count = self.mode_count
+        if count is None:
+            count = _vibration_modes(model if base is None else base, 2 * used.n_modes)
+            if count < used.n_modes:
+                raise TestError.at_keys(
+                    f"the model {model.name} has {count} vibration modes, but {used.n_modes} modes were measured",
+                    "leave out measured modes that it cannot have, or give it more degrees of freedom",
+                    test_place(self),
+                )  # fmt: skip
         if count < used.n_modes:
             raise TestError.at_keys(
                 f"mode_count is {count}, but {used.n_modes} modes were measured",
@@ -266,6 +274,21 @@ class ModalTest(Test):
         fitted, rows = std_for(used), [self.modes.names.index(name) for name in used.names]
         freq[rows], damping[rows] = fitted.freq, fitted.damping
         return freq, damping
+
+
+def _vibration_modes(model: Model, wanted: int) -> int:
+    """The number wanted, or that which the model has at its nominal values: it may be free, or have few at all."""
+    count = min(wanted, _n_modes(model))
+    if not isinstance(model, StructuralModel) or model.n_dof > _MANY * wanted:
+        return count
+    try:
+        return min(count, model.modes(model.space.values, count).n_modes)
+    except EvaluationError:
+        return count
+
+
+_MANY = 4
+"""A model with so many times the modes wanted has them, whatever its rigid-body modes."""
 
 
 def _n_modes(model: Any) -> int:

@@ -83,6 +83,8 @@ def _checked(matrix: Array, dofs: DofTable, place: str) -> sp.csr_array:
         require_consistent(matrix, place)
     else:
         matrix = numbers(matrix, place)
+        if matrix.dtype.kind == "f":  # sparse arrays know no numbers of 16 bits
+            matrix = matrix.astype(float)
     if tuple(matrix.shape) != (n, n):
         raise InputError(
             f"its shape is {tuple(matrix.shape)}, and {n} rows are named",

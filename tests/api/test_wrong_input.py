@@ -138,3 +138,24 @@ def test_an_error_names_the_test(name, place):
     with pytest.raises(calib.InputError) as found:
         modal(held_out=["B"], **name)
     assert str(found.value).startswith(f"{place}: held-out mode or sensor 'B' was not measured")
+
+
+def test_no_more_modes_are_wanted_than_a_free_structure_has():
+    """Of five masses on a line that nothing holds, one motion is rigid."""
+    links = 2 * np.eye(5) - np.eye(5, k=1) - np.eye(5, k=-1)
+    links[0, 0] = links[-1, -1] = 1.0
+    model = calib.StructuralModel.from_matrices(
+        {"k": links}, np.eye(5), dofs=[(n, "x") for n in range(1, 6)],
+        parameters=[calib.Parameter("k", 100.0, 50.0, 200.0, "N/m")],
+    )  # fmt: skip
+    modes = model.modes({"k": 110.0}, 4)
+
+    def problem(count):
+        freq = np.arange(1.0, 6.0)
+        freq[: modes.n_modes] = modes.natural_freq
+        return calib.Problem(model, calib.ModalTest(calib.modes(freq[:count], names=[f"m{n}" for n in range(count)])))
+
+    for count in (3, 4):
+        assert problem(count).compare().table["freq_error"].tolist() == pytest.approx([(10 / 11) ** 0.5 - 1] * count)
+    with pytest.raises(calib.InputError, match="4 vibration modes, but 5"):
+        problem(5).compare()

@@ -45,6 +45,11 @@ def test_frequencies_are_those_of_the_matrices():
     assert chain().modes({"k": 1.5, "t": 4.0}, N).natural_freq == pytest.approx(wanted, rel=1e-9)
 
 
+def test_matrices_of_half_precision_are_taken_as_their_numbers():
+    half = chain(mass=MASS.astype(np.float16)).modes({"k": 1.5}, N).natural_freq
+    assert half == pytest.approx(chain().modes({"k": 1.5}, N).natural_freq, rel=1e-12)
+
+
 def test_derivatives_are_those_of_the_coefficients():
     slope = chain().matrix_derivatives({"t": 4.0}, "t")[0].toarray()
     assert slope == pytest.approx(1e11 * 3 * 0.004**2 * 1e-3 * BENT)
