@@ -230,3 +230,11 @@ def test_a_sheet_of_a_workbook(tmp_path, sheet):
     path.write_bytes(b"PK nothing")
     with pytest.raises(InputError, match="no workbook"):
         read_frfs(path, unit="m/N")
+
+
+def test_numbers_that_are_not_finite_bring_no_warning_of_numpy(tmp_path, recwarn):
+    path = tmp_path / "h.csv"
+    path.write_text("# unit: m/N\nfreq,1z/1z re,1z/1z im\n1,2,3\n2,1,1e400\n3,1,2\n")
+    (one,) = (frfs := read_frfs(path)).functions
+    assert frfs.values[one.index][np.isin(frfs.freq, [1.0, 3.0])].tolist() == [2 + 3j, 1 + 2j]
+    assert not recwarn.list

@@ -324,6 +324,7 @@ def _number(cell: str, separator: str | None) -> float | None:
         return None
 
 
+@np.errstate(over="ignore")
 def _part(path: Path, name: str, column: np.ndarray) -> tuple[str, np.ndarray]:
     """What a column holds, by its name, and its values with phases in rad and plain magnitudes."""
     match = _CHANNEL.match(name)
@@ -344,6 +345,7 @@ def _part(path: Path, name: str, column: np.ndarray) -> tuple[str, np.ndarray]:
     return said[0], column
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is not finite is judged by the reader
 def _complex(path: Path, key: Key, parts: Mapping[str, np.ndarray]) -> np.ndarray:
     if {"re", "im"} <= set(parts):
         values = parts["re"] + 1j * parts["im"]
