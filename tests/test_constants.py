@@ -90,6 +90,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "analyses/provenance/places.py": "QUICK_SAMPLES QUICK_POPULATION QUICK_GENERATIONS QUICK_STARTS "
     "QUICK_TRAJECTORIES QUICK_BASE QUICK_SAMPLED",
     "analyses/sensitivity.py": "TRAJECTORIES BASE",
+    "analyses/extend.py": "STARTS",
     "correlation/modal/order.py": "_STEP",
     "analyses/extend.py": "STARTS",
     "inference/cases.py": "FAILED",
@@ -97,6 +98,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "measurement/partners.py": "_NEIGHBOURS",
     "measurement/files/csv_frf.py": "LARGE",
     "missing/accuracy.py": "GRID",
+    "missing/accuracy_by_kind.py": "GRIDS",
     "missing/competing.py": "_TESTS",
     "missing/discrepancy.py": "_LEAST _POINTS",
     "inference/profile_likelihood.py": "_AIM _CLOSE _CORRECTIONS _MOST",

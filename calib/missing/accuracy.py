@@ -45,25 +45,15 @@ def less_accurate(found: Explanation, labelled: Labelled, relative_std: np.ndarr
         ``nothing_detectable`` and ``noise_underestimated``.
     """
     lines: list[tuple[float, float, float, float, float, float, bool]] = []
-    rows, std = labelled.rows, np.asarray(relative_std, dtype=float) * found.noise_scale
+    std = np.asarray(relative_std, dtype=float) * found.noise_scale
     for accuracy in GRID if found.verdict not in ("nothing_detectable", "noise_underestimated") else ():
-        with np.errstate(invalid="ignore"):
-            weight = np.where(np.isfinite(std), std / np.hypot(std, accuracy), 1.0)
-        fit = _weighted(found.base.fit, weight)
-        std_dof = {
-            kind: beside_known(dof, weight[[row.kind == kind for row in rows]] ** 2)
-            for kind, dof in labelled.std_dof.items()
-        }
-        weighted = RowLabels(rows, labelled.fitted_factors, std_dof)
+        weight = at_accuracy(std, accuracy)
+        fit, weighted = reweighted(found.base.fit, weight), weighted_labels(labelled, weight)
         kinds, modes = goodness(fit, weighted)
-        p_values = [
-            family_p(_rescored(fit, scores, weight), weighted, seed)
-            for scores in (found.base_adequacy.named, found.base_adequacy.perturbations)
-        ]
-        p_family, p_fit = min(1.0, 2 * min(p_values)), overall(kinds, modes)
+        p_family, p_fit = family_p_at(found, fit, weight, weighted, seed), overall(kinds, modes)
         missing = not (p_family > found.alpha and p_fit > found.alpha)
         misfit, dof = float(fit.residual @ fit.residual), float(kinds["dof"].sum())
-        behind_std = behind(dict(zip(kinds["kind"], kinds["dof"], strict=True)), std_dof)
+        behind_std = behind(dict(zip(kinds["kind"], kinds["dof"], strict=True)), weighted.std_dof)
         p_smaller = 1.0 - float(p_value(misfit, dof, behind_std))
         lines.append((accuracy, p_family, p_fit, misfit, dof, p_smaller, missing))
         if not missing:
@@ -95,7 +85,36 @@ def accuracy_sentence(table: pd.DataFrame, level: float) -> str:
     return f"If every value were accurate to only {100 * at:g} %, nothing would be detectable ({basis})."
 
 
-def _weighted(fit: LinearisedFit, weight: np.ndarray) -> LinearisedFit:
+def at_accuracy(std: np.ndarray, accuracy: float | np.ndarray) -> np.ndarray:
+    """Weight of every row (n_rows,) once an accuracy is added in quadrature to its relative standard deviation."""
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isfinite(std), std / np.hypot(std, accuracy), 1.0)
+
+
+def weighted_labels(labelled: Labelled, weight: np.ndarray) -> RowLabels:
+    """Labels of rows whose standard deviations are known in part: an added accuracy is no estimate from repeats."""
+    rows = labelled.rows
+    std_dof = {
+        kind: beside_known(dof, weight[[row.kind == kind for row in rows]] ** 2)
+        for kind, dof in labelled.std_dof.items()
+    }
+    return RowLabels(rows, labelled.fitted_factors, std_dof)
+
+
+def family_p_at(found: Explanation, fit: LinearisedFit, weight: np.ndarray, weighted: Labelled, seed: int) -> float:
+    """Family-wise p-value of the largest score of a fit with other weights, by the signatures of the base fit.
+
+    ``weight`` (n_rows,) is over that of the base fit; ``weighted`` has the labels for the new weights.
+    """
+    p_values = [
+        family_p(_rescored(fit, scores, weight), weighted, seed)
+        for scores in (found.base_adequacy.named, found.base_adequacy.perturbations)
+    ]
+    return min(1.0, 2 * min(p_values))
+
+
+def reweighted(fit: LinearisedFit, weight: np.ndarray) -> LinearisedFit:
+    """First-order end point of a fit whose rows have other weights (n_rows,)."""
     weighted = replace(fit, residual=weight * fit.residual, slope=weight[:, None] * fit.slope)
     return weighted.relinearised({}, weighted.residual)
 

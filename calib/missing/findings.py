@@ -11,6 +11,8 @@ import pandas as pd
 
 from calib.execution.stage import Progress, silent
 from calib.missing.accuracy import accuracy_sentence, changing, less_accurate
+from calib.missing.accuracy_by_kind import TABLE as ACCURACY_BY_KIND
+from calib.missing.accuracy_by_kind import AccuracyByKind, accuracy_by_kind
 from calib.missing.adapter import Adapter
 from calib.missing.adequacy import contradicting
 from calib.missing.between_tests import BETWEEN
@@ -27,7 +29,8 @@ from calib.missing.effect_facts import (
     untested,
 )
 from calib.missing.explanation import Explanation
-from calib.missing.goodness import misfit_at
+from calib.missing.goodness import misfit_at, overall_p
+from calib.missing.hypotheses import Hypotheses
 from calib.missing.partial import remainder_of
 from calib.missing.pattern import BY_TEST, parameter_table, pattern_table, place_table, reduction_table
 from calib.missing.profile import profile_interval
@@ -151,6 +154,7 @@ def findings(
     notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *notes]
     facts, places, labels = adapter.facts, adapter.places(), adapter.labels()
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)
+    by_kind = accuracy_by_kind(found, adapter.hypotheses, facts.seed, progress)
     differing, (beside_misfit, misfit_words) = adapter.between(found), unexplained(adapter, found)
     of_test = adapter.tables(_stages(found))
     acting = _acting(found, of_test)
@@ -172,6 +176,7 @@ def findings(
         correction_offered(found, correctable),
         "" if found.faulty or found.verdict == "effect" else suspect_sentence(found.suspects),
         accuracy_sentence(accuracy, found.alpha),
+        "" if by_kind is None else by_kind.sentence,
         "" if differing is None else differing.sentence(found.alpha),
         places_sentence(placed),
         "" if remainder is None else remainder.sentence,
@@ -204,6 +209,7 @@ def findings(
         "candidate_fits": candidate_fits_table(found),
         "next_measurement": next_table,
         "accuracy": accuracy,
+        **({} if by_kind is None else {ACCURACY_BY_KIND: by_kind.table}),
         "suspects_explained": found.suspects,
         "why": pattern_table(found, labels),
         "why_parameters": parameter_table(found),
@@ -213,7 +219,7 @@ def findings(
     }
     answer = replace(
         verdict.answer, sure=f"{verdict.answer.sure} {at_limits}".strip(),
-        then=f"{verdict.answer.then} {detailed_next(detailed)}".strip(),
+        then=f"{_then(found, verdict.answer.then, by_kind, adapter.hypotheses)} {detailed_next(detailed)}".strip(),
     )  # fmt: skip
     answer = answer if differing is None else differing.told(answer, found.alpha, found.names_something)
     sentences = dict.fromkeys((answer.found, *verdict.sentences, *filter(None, added)))
@@ -222,6 +228,17 @@ def findings(
         errors.assign(std_from="assumed" if facts.assumed else "stated"), tables, figures,
         time.perf_counter() - started, richer=detailed,
     )  # fmt: skip
+
+
+def _then(found: Explanation, then: str, by_kind: AccuracyByKind | None, hypotheses: Hypotheses) -> str:
+    """What to do next; where no effect, place or fault is adequate, also an accuracy with which the model would fit.
+
+    It comes first where no place is told either.
+    """
+    opened = found.verdict in ("partial", "none_explains", "misfit_unlocated") and found.datum is None
+    if by_kind is None or not opened or (found.place and overall_p(found.place.fit, hypotheses) > found.alpha):
+        return then
+    return " ".join(filter(None, (then, by_kind.then) if found.place else (by_kind.then, then)))
 
 
 def _intervals(found: Explanation) -> dict[str, tuple[float, float]]:

@@ -83,8 +83,8 @@ class Altered:
     Attributes
     ----------
     inner : FitProblem
-    scale : float
-        Factor on the standard deviation.
+    scale : float or ndarray (n_kept,)
+        Factor on the standard deviation, of all rows or of each.
     kept : ndarray (n_kept,), int, or None
         Rows kept; None for all.
     held : mapping from str to float
@@ -92,7 +92,7 @@ class Altered:
     """
 
     inner: FitProblem
-    scale: float = 1.0
+    scale: float | np.ndarray = 1.0
     kept: np.ndarray | None = None
     held: Mapping[str, float] = field(default_factory=dict)
 
@@ -110,4 +110,5 @@ class Altered:
         return self._weighted(self.inner.jacobian({**values, **self.held}, names))
 
     def _weighted(self, rows: np.ndarray) -> np.ndarray:
-        return (rows if self.kept is None else rows[self.kept]) / self.scale
+        of_all = rows if self.kept is None else rows[self.kept]
+        return (of_all.T / self.scale).T

@@ -146,6 +146,8 @@ class DecisionRules:
         mounts.
     tried_mounts : int
         Damper mounts of which signatures are taken, those at the dampers with the largest scores.
+    accuracies : int
+        Combinations of accuracies of frequencies, damping and shapes that are fitted, to tell where a verdict changes.
     equal : float
         Log evidence, less the logarithm of the choices, within which proposals count as equal, whether it is that of a
         fit or predicted from a signature.
@@ -218,6 +220,7 @@ class DecisionRules:
     proposed_hung: int = 3
     proposed_mounts: int = 2
     tried_mounts: int = 12
+    accuracies: int = 3
     equal: float = 3.0
 
 

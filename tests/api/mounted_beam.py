@@ -100,16 +100,25 @@ def solved(left=lambda lam: 1.0, right=None, **factors):
     return lambdas, seen / seen[abs(seen).argmax(axis=0), range(MODES)]
 
 
-def tested(folder, seed, left=lambda lam: 1.0, right=None, **factors):
-    """Synthetic modes of the other beam, five repeats, written to tables of a new folder and read from there."""
+def tested(folder, seed, left=lambda lam: 1.0, right=None, along=0.0, scatter=0.0, noise=NOISE_SHAPE, **factors):
+    """Synthetic modes of the other beam, five repeats, written to tables of a new folder and read from there.
+
+    Errors of the shapes that all repeats have in common: ``along`` is the share by which the amplitudes of the first
+    modes grow or fall along the beam, ``scatter`` a standard deviation. ``noise`` is that of one repeat.
+    """
     lambdas, shapes = solved(left, right, **factors)
     rng = np.random.default_rng(seed)
+    if along:  # by another share in every mode: no gain of a channel is behind it
+        signs = np.array([1, -1, 0.5, 0, 0])[:MODES]
+        shapes = shapes * (1 + along * np.linspace(-1, 1, SENSORS)[:, None] * signs)
+    if scatter:
+        shapes = shapes + scatter * rng.standard_normal(shapes.shape)
     freq, ratio = abs(lambdas) / (2 * np.pi), -lambdas.real / abs(lambdas)
     poles, entries = ["mode,freq,freq_kind,damping,repeat"], ["mode,node,direction,re,im,repeat"]
     for r in range(REPEATS):
         f = freq * (1 + NOISE_FREQ * rng.standard_normal(MODES))
         z = ratio * (1 + NOISE_DAMPING * rng.standard_normal(MODES))
-        found = shapes + NOISE_SHAPE * (rng.standard_normal(shapes.shape) + 1j * rng.standard_normal(shapes.shape))
+        found = shapes + noise * (rng.standard_normal(shapes.shape) + 1j * rng.standard_normal(shapes.shape))
         poles += [f"M{k + 1},{f[k]:.12g},natural,{z[k]:.12g},r{r}" for k in range(MODES)]
         entries += [
             f"M{k + 1},{j + 1},z,{found[j, k].real:.12g},{found[j, k].imag:.12g},r{r}"

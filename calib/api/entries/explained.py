@@ -12,6 +12,7 @@ from calib.analyses.versions import Versions
 from calib.api.entries.calibrated import ERRORS, errors_row, suspects
 from calib.api.entries.compared import held_out
 from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
+from calib.missing.accuracy_by_kind import TABLE as ACCURACY_BY_KIND
 from calib.missing.findings import ExplanationResult
 from calib.missing.local import unit_words
 from calib.missing.pattern import BY_TEST
@@ -43,6 +44,7 @@ def explained_entries(study: AnyStudy, result: ExplanationResult, followed: bool
         Rows.of(title, heads, rows, left=("remark",), when="verbose"),
         *_errors(result, followed and to_add(found) is not None),
         *_predictions(result),
+        *_accuracies(result),
         *_steps(result),
         *_by_test(result),
         *([] if to_add(found) else suspects(result.tables["suspects_explained"])),
@@ -101,6 +103,28 @@ def _errors(result: ExplanationResult, followed: bool) -> list[Rows]:
         *([] if followed else [Rows.of(title, heads, short, when="brief")]),
         Rows.of(title, ("data", "stage", *ERRORS), rows, ("stage",), when="verbose"),
     ]
+
+
+def _accuracies(result: ExplanationResult) -> list[Rows]:
+    """Whether the model fits by the accuracies of frequencies and shapes."""
+    table = result.tables.get(ACCURACY_BY_KIND)
+    if table is None:
+        return []
+    table = table.assign(cell=[_accuracy(r) for r in table.to_dict("records")])
+    cells = table.pivot(index="frequency", columns="shape", values="cell")
+    heads = ("frequencies", *(f"shapes {_as_stated(at)}" for at in cells.columns))
+    rows = [(_as_stated(at), *cells.loc[at]) for at in cells.index]
+    title = "Whether the model without any effect fits, by the accuracy of the measurement (a fact, no advice):"
+    return [Rows.of(title, heads, rows, when="verbose" if result.explanation.names_something else "always")]
+
+
+def _accuracy(r: Mapping[Any, Any]) -> str:
+    damped = f", damping {100 * r['damping']:g} %" if r["damping"] > 0 else ""
+    return "no" if r["missing"] else f"yes{damped}"
+
+
+def _as_stated(accuracy: float) -> str:
+    return f"{100 * accuracy:g} %" if accuracy else "as stated"
 
 
 def _predictions(result: ExplanationResult) -> list[Rows]:
