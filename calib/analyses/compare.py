@@ -21,6 +21,7 @@ from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.mesh_error import geometry_tables
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.expansion import ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
+from calib.correlation.modal.found_twice import FoundTwice, found_twice
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.rigid import unpaired_sentence, unpaired_table
 from calib.correlation.modal.sensors import suspicious_sensors
@@ -70,6 +71,8 @@ class ComparisonResult:
         Of FRFs.
     unit_hints : tuple of str
         Those of the hints that concern the units of the measurement.
+    found_twice : tuple of FoundTwice
+        Measured modes that look like one.
     data_doubts : tuple of str
         Those of the hints on measured modes that contradict themselves; see `calib.measurement.doubts.modal_doubts`.
     partners : NodePartners or None
@@ -90,12 +93,14 @@ class ComparisonResult:
     unit_hints: tuple[str, ...] = ()
     data_doubts: tuple[str, ...] = ()
     partners: NodePartners | None = None
+    found_twice: tuple[FoundTwice, ...] = ()
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """What looks wrong in the measurement itself: units, signs and sensors."""
         sensors = (f"Check this sensor: {finding.sentence}" for finding in self.sensor_findings)
-        return (*self.data_doubts, *self.unit_hints, *sensors)
+        twice = (one.sentence for one in self.found_twice)
+        return (*self.data_doubts, *self.unit_hints, *twice, *sensors)
 
     @property
     def checks(self) -> tuple[str, ...]:
@@ -103,7 +108,7 @@ class ComparisonResult:
         doubtful = list(dict.fromkeys(name for finding in self.sensor_findings for name in finding.sensors))
         sensors = [f"{'sensor' if len(doubtful) == 1 else 'sensors'} {listed(doubtful)}"] if doubtful else []
         data = ["the measured modes, whose values are doubtful"] if self.data_doubts else []
-        return (*data, *(error.check for error in self.gross_errors), *sensors)
+        return (*data, *(error.check for error in (*self.gross_errors, *self.found_twice)), *sensors)
 
     @property
     def orthogonality(self) -> Orthogonality | None:
@@ -237,7 +242,7 @@ def comparison_of(
     comparison = problem.compare(values)
     table = comparison.comparison_table()
     sensor_findings = suspicious_sensors(problem, comparison)
-    unit_hints = _frequency_hints(comparison)
+    unit_hints, twice = _frequency_hints(comparison), found_twice(comparison)
     return ComparisonResult(
         table=table,
         mean_freq_error=_mean(table["freq_error"].abs()),
@@ -246,11 +251,17 @@ def comparison_of(
         comparison=comparison,
         sensor_findings=sensor_findings,
         chosen=problem.override,
-        hints=(*hints, *unit_hints, *_place_hints(comparison.measured, sensor_findings)),
+        hints=(
+            *hints,
+            *unit_hints,
+            *(one.sentence for one in twice),
+            *_place_hints(comparison.measured, sensor_findings),
+        ),
         std_notes=tuple(std_notes),
         unit_hints=unit_hints,
         data_doubts=modal_doubts(comparison.measured),
         partners=partners,
+        found_twice=twice,
     )
 
 

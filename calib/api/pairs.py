@@ -8,7 +8,6 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
-from calib.analyses.extend import beginning_at
 from calib.api.progress import in_python
 from calib.errors.arguments import objects
 from calib.errors.arguments import path as path_of
@@ -109,6 +108,8 @@ def including(
     made = replace(changed, model=model, base=base, beside=beside, settings=settings)
     fitted = {name: float(value) for name, value in known.items() if name in made.space.free_names}
     if fitted:
+        from calib.analyses.extend import beginning_at
+
         calibration = settings.calibration.model_copy(update=beginning_at(settings.calibration, fitted))
         made = replace(made, settings=settings.model_copy(update={"calibration": calibration}))
     return cast(P, made)

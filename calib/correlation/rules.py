@@ -62,6 +62,12 @@ class CompareRules:
         whose modes are close by chance, would end at the jump.
     subspace_seen : float
         Least singular value, over the largest, of a motion of such modes that the sensors see.
+    twice_near : float
+        Relative difference of frequencies below which two measured modes of one shape may be one, found twice.
+    twice_mac : float
+        MAC of their shapes from which they may.
+    twice_like : float
+        MAC from which a model mode looks like them; they are one if exactly one does.
     rigid_left : float
         Largest residual power of a rigid-body shape, per remaining degree of freedom; a random shape leaves about 1.
     rigid_spare : int
@@ -111,6 +117,9 @@ class CompareRules:
     subspace_equal: float = 0.02
     subspace_reach: float = 2.0
     subspace_seen: float = 0.1
+    twice_near: float = 0.01
+    twice_mac: float = 0.98
+    twice_like: float = 0.8
     rigid_left: float = 0.1
     rigid_spare: int = 3
     corrections_tried: int = 12
