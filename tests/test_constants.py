@@ -92,7 +92,6 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "analyses/sensitivity.py": "TRAJECTORIES BASE",
     "analyses/extend.py": "STARTS",
     "correlation/modal/order.py": "_STEP",
-    "analyses/extend.py": "STARTS",
     "inference/cases.py": "FAILED",
     "measurement/frf_repeats.py": "_RANGE _NAMED",
     "measurement/partners.py": "_NEIGHBOURS",

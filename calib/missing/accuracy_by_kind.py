@@ -96,8 +96,8 @@ def accuracy_by_kind(
     the sum of the logarithms of the growth of the standard deviations, until one passes all tests after a fit of its
     own with no parameter on a limit. Accuracies add in quadrature to the stated standard deviations.
 
-    None for the verdict ``nothing_detectable``, without shapes or without frequencies, and where the model cannot be
-    fitted.
+    None where an effect is named or nothing is missing, without shapes or without frequencies, and where the model
+    cannot be fitted.
 
     Parameters
     ----------
@@ -109,7 +109,8 @@ def accuracy_by_kind(
     progress : callable
     """
     kinds = tuple(kind for kind in GRIDS if any(row.kind == kind for row in hypotheses.rows))
-    if found.verdict == "nothing_detectable" or not {"frequency", "shape"} <= {*kinds}:
+    settled = found.names_something or found.verdict == "nothing_detectable"
+    if settled or not {"frequency", "shape"} <= {*kinds}:
         return None
     progress("accuracy at which the verdict would change")
     search = _Search(found, hypotheses, seed, kinds)

@@ -115,7 +115,7 @@ def _accuracies(result: ExplanationResult) -> list[Rows]:
     heads = ("frequencies", *(f"shapes {_as_stated(at)}" for at in cells.columns))
     rows = [(_as_stated(at), *cells.loc[at]) for at in cells.index]
     title = "Whether the model without any effect fits, by the accuracy of the measurement (a fact, no advice):"
-    return [Rows.of(title, heads, rows, when="verbose" if result.explanation.names_something else "always")]
+    return [Rows.of(title, heads, rows)]
 
 
 def _accuracy(r: Mapping[Any, Any]) -> str:
