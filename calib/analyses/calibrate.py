@@ -11,13 +11,15 @@ from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 import numpy as np
+import pandas as pd
 
-from calib.analyses.calibration import Calibration, Fitted, JointCalibration, best_of, summed, with_starts
+from calib.analyses.calibration import WITH_MISFIT, Calibration, Fitted, JointCalibration, best_of, summed, with_starts
 from calib.analyses.calibration_tables import noise_errors, tables_of, write_calibration, write_jointly
 from calib.analyses.case import CaseFinder
 from calib.analyses.case_found import CaseFound
 from calib.analyses.compare import ComparisonResult, compare, nominal_comparison
 from calib.analyses.every_mode import all_stages, errors_at, every_mode, every_response
+from calib.analyses.explain import misfit_intervals
 from calib.analyses.failures import reasons_sentence, stored_reasons
 from calib.analyses.joint_responses import Responses, own_values
 from calib.analyses.provenance.places import Workers
@@ -124,7 +126,10 @@ def calibrated(
         why = partial(why_failed_in, one, ledger, home)
         parts[one.test] = _assembled(one, by_test[one.test], best, before[one.test], agreed, noted, why, ledger.retried)
     contradicted = any(part.contradictions for part in parts.values())  # which also casts doubt on joint parameters
-    parts = {test: replace(_with_tables(part, space, contradicted), too_few=few) for test, part in parts.items()}
+    wide = None
+    if every[0][best].statistics.fits is False:
+        wide = misfit_intervals(study, every[0][best].statistics.values, progress, run.homes)
+    parts = {test: replace(_with_tables(part, space, contradicted, wide), too_few=few) for test, part in parts.items()}
     if only:
         return next(iter(parts.values()))
     failed = reasons_sentence(space, *stored_reasons(ledger, [Responses.of(study).fingerprint]))
@@ -210,12 +215,17 @@ def _assembled(
     )
 
 
-def _with_tables(part: Calibration, space: ParameterSpace, contradicted: bool) -> Calibration:
-    """A calibration with the tables on its parameters; ``contradicted`` where held-out data of any test contradict."""
+def _with_tables(
+    part: Calibration, space: ParameterSpace, contradicted: bool, wide: pd.DataFrame | None
+) -> Calibration:
+    """A calibration with the tables on its parameters; ``contradicted`` where held-out data of any test contradict.
+
+    ``wide`` are the intervals with the misfit of a rejected model.
+    """
     fits = [(case.result, case.statistics) for case in part.cases]
     searched = [case.search for case in part.cases if case.search is not None]
     tables = tables_of(space, fits, part.best.statistics, searched, part.agreement.differing, contradicted)
-    return replace(part, tables=tables)
+    return replace(part, tables=tables if wide is None or wide.empty else tables | {WITH_MISFIT: wide})
 
 
 def expected_misfit(study: LoadedStudy, answer: ComparisonResult) -> float:

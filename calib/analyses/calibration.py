@@ -17,10 +17,15 @@ from calib.inference.agreement import Agreement, agreement_sentences
 from calib.inference.cases import CaseResult
 from calib.inference.rules import RULES
 from calib.inference.verdicts import identified_sentence
+from calib.missing.discrepancy import parameters_sentence
 from calib.missing.suspect import suspect_sentence
 from calib.problem.joint import of_test
 from calib.problem.space import ParameterSpace
 from calib.results.answer import Answer
+
+WITH_MISFIT = "unexplained_calibrated"
+"""Name of the table of intervals that know of the misfit of a rejected model."""
+_UNHELD = "The model does not fit, so that the standard deviations do not hold: what is missing may have pulled values."
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,11 @@ class Calibration:
         return self.tables["verdicts"]
 
     @property
+    def with_misfit(self) -> pd.DataFrame | None:
+        """``unexplained_calibrated.csv``: intervals that know of the misfit of a rejected model; None without them."""
+        return self.tables.get(WITH_MISFIT)
+
+    @property
     def contradictions(self) -> tuple[str, ...]:
         """Sentences on held-out data that contradict the calibrated model."""
         each = self.modes if self.responses is None else self.responses
@@ -138,6 +148,9 @@ class Calibration:
             out.append(f"Integers, assessed by how much worse their neighbours fit: {whole}.")
         if not statistics.complete:
             out.append(UNTRIED)
+        if statistics.fits is False:
+            with_misfit = self.with_misfit
+            out.append(_UNHELD if with_misfit is None else parameters_sentence(with_misfit))
         return (*out, *filter(None, [statistics.mesh, statistics.sentence, suspect_sentence(statistics.suspects)]))
 
     @property

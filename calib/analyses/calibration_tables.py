@@ -95,8 +95,8 @@ def _without_whole(table: pd.DataFrame, space: ParameterSpace) -> pd.DataFrame:
 def write_calibration(study: LoadedStudy, results: Results, answer: Calibration, method: str, seconds: float) -> None:
     """Write all tables on one test and ``summary.json``."""
     begin_analysis(results, "calibrate")
-    gone = ("considered.csv", "std_by_test.csv", "modes.csv", "data_errors.csv", "responses.csv")
-    results.remove(*gone, *ADDED, *INTERVALS)
+    gone = ("considered", "unexplained_calibrated", "std_by_test", "modes", "data_errors", "responses")
+    results.remove(*(f"{name}.csv" for name in gone), *ADDED, *INTERVALS)
     write_comparison(results, answer.best.answer, "after")
     for name, table in answer.tables.items():
         results.write_table(name, table)
@@ -118,7 +118,7 @@ def write_jointly(study: AnyStudy, results: Results, answer: JointCalibration, m
     """Write the parameters and the tables on all tests together; those on one test are in its own folder."""
     best = answer.any.best
     begin_analysis(results, "calibrate")
-    results.remove("considered.csv", "data_errors.csv", *INTERVALS)
+    results.remove("considered.csv", "unexplained_calibrated.csv", "data_errors.csv", *INTERVALS)
     for name, table in answer.any.tables.items():
         results.write_table(name, table)
     errors = {test: one.errors for test, one in answer.tests.items() if one.errors is not None}

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+import pandas as pd
 
 from calib.analyses.compare import comparison_at
 from calib.analyses.explained_fit import TABLE, explained_fits
@@ -24,17 +25,21 @@ from calib.execution.outcome import as_cause, failure
 from calib.execution.stage import Progress, silent
 from calib.hypotheses.discretisation_error import mesh_words, with_mesh_error
 from calib.hypotheses.joint import JointAdapter, together
+from calib.inference.region import InfeasibleError
 from calib.measurement.corrections import correctable
 from calib.missing import decision as engine
 from calib.missing.adapter import Adapter
 from calib.missing.between_tests import BETWEEN
 from calib.missing.candidate_fit import CandidateFit, WrongDatum
 from calib.missing.data_words import GROUPS as UNSEEN_GROUPS
+from calib.missing.discrepancy import COLUMNS, discrepancy, parameter_intervals
 from calib.missing.explanation import Explanation
 from calib.missing.findings import ExplanationResult, findings
+from calib.missing.linearised_fit import least_squares_fit
 from calib.missing.local import local_perturbation
 from calib.missing.partial import is_simpler_form
 from calib.missing.pattern import BY_TEST
+from calib.missing.score import scores
 from calib.missing.settings import Settings, require_enough
 from calib.missing.verdict import NO_DOUBTS, Doubts
 from calib.problem.candidate import Candidate
@@ -149,6 +154,47 @@ def adapters_for(
         progress("error of the mesh")
         adapters |= {s.test: _with_mesh(adapters[s.test], s, mesh_sd) for s in study.studies if s.states_mesh}
     return adapters
+
+
+def misfit_intervals(
+    study: AnyStudy,
+    values: Mapping[str, float],
+    progress: Progress = silent,
+    homes: Mapping[str, Results] = MappingProxyType({}),
+) -> pd.DataFrame:
+    """Fitted parameters with 95 % intervals of the fit alone and with its misfit, without naming a cause of it.
+
+    Every effect and every local perturbation is taken to be present a little, as in an explanation that leaves a misfit
+    unexplained (see `calib.missing.discrepancy`), at a fit that begins at given values.
+
+    Parameters
+    ----------
+    study : Study or JointStudy
+    values : mapping from str to float
+        Where the model was fitted.
+    progress, homes
+        As in `explain`, which uses the same reduced bases.
+
+    Returns
+    -------
+    DataFrame
+        `calib.missing.discrepancy.COLUMNS`; empty where a test is not one of modes or FRFs of a model of matrices, and
+        where the fit cannot be evaluated.
+    """
+    if not all(one.problem.reducible is not None for one in study.studies):
+        return pd.DataFrame(columns=list(COLUMNS))
+    progress("intervals with the misfit")
+    try:
+        hypotheses = adapter_for(study, None, progress, homes).hypotheses
+        fit_problem = hypotheses.fit_problem(())
+        start = {name: value for name, value in values.items() if name in fit_problem.space}
+        fit = least_squares_fit(fit_problem, (), fit_problem.space.complete(start))
+        every = [*hypotheses.effects, *hypotheses.perturbations]
+        tested = scores(fit, every, {e.name: hypotheses.fit_problem((e.name,)) for e in every if e.grid})
+    except (EvaluationError, InfeasibleError):
+        return pd.DataFrame(columns=list(COLUMNS))
+    table = parameter_intervals(fit, discrepancy(fit, tested) if len(tested.owners) else None)
+    return table[table["parameter"].isin(study.search_space.free_names)].reset_index(drop=True)
 
 
 def _with_mesh(adapter: Adapter, study: LoadedStudy, sd: float) -> Adapter:

@@ -86,7 +86,9 @@ def draw_figure(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
         raise InputError(f"there is no figure {name!r}", place="figure", remedy=f"the figures are {', '.join(FIGURES)}")
     _, selected = chosen(fit, test)
     if name == "parameters":
-        return draw_parameters(_tables(fit)["parameters"], ax, prior=fit.problem.space.frame())
+        tables = _tables(fit)
+        wide = tables.get("unexplained_calibrated")
+        return draw_parameters(tables["parameters"], ax, prior=fit.problem.space.frame(), with_misfit=wide)
     if (modes := selected.fitted_modes) is None:
         raise InputError("it has no modes", place=test_place(selected), remedy="draw its parameters")
     if name != "frequency_errors" and not modes.has_shapes:

@@ -157,14 +157,14 @@ def discrepancy_of(found: Explanation) -> Discrepancy | None:
     return discrepancy(found.base.fit, tests.perturbations, tests.named) if found.verdict in UNEXPLAINED else None
 
 
-def parameter_intervals(found: Explanation, wide: Discrepancy | None) -> pd.DataFrame:
-    """Parameters of the base model with 95 % intervals of the fit alone and with the unexplained misfit.
+def parameter_intervals(fit: LinearisedFit, wide: Discrepancy | None) -> pd.DataFrame:
+    """Parameters of a fit with 95 % intervals of the fit alone and with its unexplained misfit.
 
     Parameters
     ----------
-    found : Explanation
+    fit : LinearisedFit
     wide : Discrepancy or None
-        From `discrepancy_of`.
+        From `discrepancy` or `discrepancy_of`, at this fit.
 
     Returns
     -------
@@ -173,7 +173,6 @@ def parameter_intervals(found: Explanation, wide: Discrepancy | None) -> pd.Data
     """
     if wide is None:
         return pd.DataFrame(columns=list(COLUMNS))
-    fit = found.base.fit
     rows: list[tuple[object, ...]] = []
     alone, together = (np.sqrt(np.diag(c)) for c in (fit.covariance, wide.covariance))
     for k, name in enumerate(fit.names):

@@ -111,7 +111,7 @@ def unexplained(adapter: Adapter, found: Explanation) -> tuple[dict[str, pd.Data
     wide = discrepancy_of(found)
     if wide is None:
         return {}, ("", "")
-    parameters = parameter_intervals(found, wide)
+    parameters = parameter_intervals(found.base.fit, wide)
     predicted, errors = adapter.predictions(found.base, wide, found.noise_scale)
     tables = {PARAMETERS: parameters, PREDICTIONS: predicted, ERRORS: errors}
     words = (parameters_sentence(parameters), predictions_sentence(predicted, errors))

@@ -216,7 +216,10 @@ def _calibration(folder: Folder) -> Iterator[Drawing]:
         best = _best_case(folder / "summary.json", list(dict.fromkeys(found["case"])))
         space = folder / "parameter_space.csv"
         known = read_results(space, ["parameter"], ["value", "prior_sd"]) if space.exists() else None
-        draw = bound(draw_parameters, found, None, best, known)
+        path = folder / "unexplained_calibrated.csv"
+        ends = ["low_unexplained", "high_unexplained"]
+        wide = read_results(path, ["parameter"], ends, unique="parameter") if path.exists() else None
+        draw = bound(draw_parameters, found, None, best, known, wide)
         yield Drawing("parameters", "calibrated parameters", draw, ("parameters",))
         if found["case"].nunique() > 1 or ("search_value" in found and found["search_value"].notna().any()):
             draw = bound(draw_searches, found, best_case=best)

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from calib.report.numbers import fixed, significant, with_unit
-from calib.report.style import BLACK, BLUE, GREY, VERMILLION, legend_above, own_axes
+from calib.report.style import BLACK, BLUE, GREY, ORANGE, VERMILLION, legend_above, own_axes
 from calib.report.svg import hover, hover_points
 
 _PRIOR = "#E8E8E8"
@@ -21,7 +21,11 @@ _INTERVAL = 1.96
 
 
 def draw_parameters(
-    table: pd.DataFrame, ax: Axes | None = None, best_case: str | None = None, prior: pd.DataFrame | None = None
+    table: pd.DataFrame,
+    ax: Axes | None = None,
+    best_case: str | None = None,
+    prior: pd.DataFrame | None = None,
+    with_misfit: pd.DataFrame | None = None,
 ) -> Axes:
     """Draw prior and posterior of every calibrated parameter between its limits.
 
@@ -36,6 +40,8 @@ def draw_parameters(
         The case that is reported; by default the first.
     prior : DataFrame, optional
         Columns ``parameter, value`` (nominal), ``prior_sd``, in the same units; NaN where unknown.
+    with_misfit : DataFrame, optional
+        Columns ``parameter, low_unexplained, high_unexplained``: intervals that know of the misfit of a rejected model.
 
     Returns
     -------
@@ -61,6 +67,7 @@ def draw_parameters(
     ax.hlines(
         rows[has], *(np.clip(end[has], 0.0, 1.0) for end in ends), color=BLUE, linewidth=2.6, gid="posterior", zorder=3
     )
+    wide = _draw_with_misfit(ax, best, span, with_misfit)
     dot: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": BLUE, "markersize": 7.5, "markeredgewidth": 1.6}
     for flag, face in ((True, BLUE), (False, "white"), (None, BLUE)):
         some = [value is flag for value in known]
@@ -94,6 +101,8 @@ def draw_parameters(
     handles.append(Line2D([], [], label=label if has.any() else best_case, **{**dot, "linestyle": "-"}))
     if False in known:
         handles.append(Line2D([], [], label="not identified", **{**dot, "markerfacecolor": "white"}))
+    if wide:
+        handles.append(Line2D([], [], color=ORANGE, linewidth=1.4, label="95 % interval with the misfit"))
     if nominal:
         look: dict[str, Any] = {"linestyle": "none", "marker": "D", "color": GREY, "markerfacecolor": "white"}
         handles += [Patch(color=_PRIOR, label="prior ± 2 std"), Line2D([], [], label="nominal value", **look)]
@@ -122,6 +131,20 @@ def _draw_prior(ax: Axes, best: pd.DataFrame, span: np.ndarray, prior: pd.DataFr
         hover(band, f"{name}: {words}")
     ax.plot(nominal, rows, "D", color=GREY, markerfacecolor="white", markersize=4.5, gid="nominal", zorder=2)
     return bool(np.isfinite(nominal).any())
+
+
+def _draw_with_misfit(ax: Axes, best: pd.DataFrame, span: np.ndarray, table: pd.DataFrame | None) -> bool:
+    """Draw the interval with the misfit of each row; whether there are any."""
+    if table is None or "lower" not in best:
+        return False
+    known, rows = table.set_index("parameter").reindex(best.index), np.arange(len(best))
+    low, high = (
+        ((known[f"{end}_unexplained"] - best["lower"]) / span).to_numpy(dtype=float) for end in ("low", "high")
+    )
+    has = np.isfinite(low) & np.isfinite(high)
+    ends = (np.clip(end[has], 0.0, 1.0) for end in (low, high))
+    ax.hlines(rows[has] + 0.22, *ends, color=ORANGE, linewidth=1.4, gid="with the misfit", zorder=3)
+    return bool(has.any())
 
 
 def _flag(value: Any) -> bool | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+import calib
 from calib.analyses.explain import explain, write_explanation
 from calib.api.entries.explained import _predictions
 from calib.results.results import Results
@@ -57,3 +58,57 @@ def test_a_named_effect_leaves_no_second_interval(guyed):
     _, results, answer, _ = guyed
     assert answer.verdict == "effect" and not any((results.path / f"{name}.csv").exists() for name in FILES)
     assert not any(s.startswith(("The unexplained misfit", "Held-out data inside")) for s in answer.sentences)
+
+
+# -- after a calibration -----------------------------------------------------------------------------------------------
+
+
+def calibrated(mast, tmp_path, hidden):
+    """A mast of which a guy rope may be missing, calibrated in a folder."""
+    return calib.Study.load(mast.write_study(tmp_path / "mast", hidden), results=tmp_path / "r", progress=False)
+
+
+def test_a_rejected_calibration_gives_intervals_that_know_of_the_misfit(mast, tmp_path):
+    study = calibrated(mast, tmp_path, {"guy": 12000.0})
+    fit = study.problem.calibrate(starts=1, progress=False)
+    table = fit.calibration.with_misfit.set_index("parameter")
+    assert fit.statistics.fits is False and set(table.index) == set(TRUE)
+    inside = [table["low_unexplained"][n] <= v <= table["high_unexplained"][n] for n, v in TRUE.items()]
+    alone = [table["low"][n] <= v <= table["high"][n] for n, v in TRUE.items()]
+    assert all(inside) and not all(alone)
+    assert any("times as wide as those of the fit alone" in words for words in fit.sentences)
+    assert "with the misfit" in str(fit)
+    (drawn,) = [c for c in fit.figure("parameters").collections if c.get_gid() == "with the misfit"]
+    space = fit.problem.space
+    for segment, (name, row) in zip(drawn.get_segments(), table.reindex(fit.parameters.index).iterrows(), strict=True):
+        ends = [(row[f"{end}_unexplained"] - space[name].lower) for end in ("low", "high")]
+        assert segment[:, 0] * (space[name].upper - space[name].lower) == pytest.approx(ends, rel=1e-6)
+
+
+def test_a_calibration_that_fits_has_the_intervals_of_the_fit_alone(mast, tmp_path):
+    fit = calibrated(mast, tmp_path, None).problem.calibrate(starts=1, progress=False)
+    assert fit.statistics.fits and fit.calibration.with_misfit is None
+    assert not any("do not hold" in words or "misfit makes" in words for words in fit.sentences)
+
+
+def test_a_rejected_function_says_that_its_standard_deviations_do_not_hold():
+    space = calib.ParameterSpace((calib.Parameter("k", 2.0, 1.0, 4.0),))
+    model = calib.FunctionModel("line", space, lambda v: {f"y{n}": v["k"] for n in range(4)})
+    test = calib.ResponseTest({f"y{n}": (2.0 + n, 0.1) for n in range(4)})
+    fit = calib.Problem(model, test).calibrate(progress=False)
+    assert fit.statistics.fits is False and fit.calibration.with_misfit is None
+    assert any("standard deviations do not hold" in words for words in fit.sentences)
+
+
+@pytest.mark.slow
+def test_these_intervals_stand_on_the_screen_and_in_the_report(mast, tmp_path, capsys):
+    study = calibrated(mast, tmp_path, {"guy": 12000.0})
+    study.compare()
+    answer = study.calibrate()
+    folder = answer.folder
+    table = pd.read_csv(folder / "unexplained_calibrated.csv").set_index("parameter")
+    assert missing(folder) == {}
+    assert any("times as wide" in words for words in answer.sentences)
+    study.report()
+    page = (folder / "report.html").read_text("utf-8")
+    assert "Parameters with the misfit" in page and set(table.index) == set(TRUE)

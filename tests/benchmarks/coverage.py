@@ -115,7 +115,7 @@ def run(world: World, scenario: Scenario, measured: Measured) -> dict[str, Any]:
     start = {**found.base.fit.values, **{n: measured.values[n] for e in hidden for n in e.names}}
     right = least_squares_fit(asked.fit_problem(names), names, start)
     informed = intervals(right)
-    told = parameter_intervals(found, discrepancy_of(found)).set_index("parameter")
+    told = parameter_intervals(found.base.fit, discrepancy_of(found)).set_index("parameter")
     parameters = {
         name: {
             "true": measured.values[name], "alone": own, "informed": informed[name],

@@ -81,7 +81,7 @@ def test_the_table_tells_both_intervals_and_only_after_an_unexplained_misfit():
     fit, scores, _ = world(3, 6.0)
     tests = SimpleNamespace(perturbations=scores, named=scored(fit, [], [], np.zeros((N, 0)), [], []))
     found = SimpleNamespace(verdict="none_explains", base=SimpleNamespace(fit=fit), base_adequacy=tests)
-    table = parameter_intervals(found, discrepancy_of(found))
+    table = parameter_intervals(found.base.fit, discrepancy_of(found))
     wide = discrepancy(fit, scores)
     half = 1.96 * np.sqrt(np.diag(wide.covariance))
     np.testing.assert_allclose(table["high_unexplained"] - table["value_unexplained"], half)
@@ -90,7 +90,7 @@ def test_the_table_tells_both_intervals_and_only_after_an_unexplained_misfit():
     width = np.median(half / (1.96 * np.sqrt(np.diag(fit.covariance))))
     assert f"are {width:.2g} times as wide" in parameters_sentence(table)
     effect = SimpleNamespace(verdict="effect", base=found.base, base_adequacy=tests)
-    named = parameter_intervals(effect, discrepancy_of(effect))
+    named = parameter_intervals(effect.base.fit, discrepancy_of(effect))
     assert discrepancy_of(effect) is None and named.empty and parameters_sentence(named) == ""
 
 

@@ -57,7 +57,7 @@ PROPOSED = ("proposals.csv", "proposal_places.csv", "proposals.json")
 _MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivity_samples", "input_correlation")
 _CALIBRATED = ("parameters", "points", "errors_by_case", "suspects_calibrated", "verdicts", "posterior_correlation",
                "confounded", "unseen_directions", "predictions", "convergence", "modes", "responses", "data_errors",
-               "versions")  # fmt: skip
+               "considered", "unexplained_calibrated", "versions")  # fmt: skip
 EXPLAINED = ("effects", "why", "why_parameters", "why_places", "reduction_by_test", "test_differences",
               "effect_places", "accuracy", "accuracy_by_kind", "explained_fits", "suspects_explained", "faults",
               "perturbations", "confounding", "pulls", "candidate_fits", "misfit_kinds", "sensor_misfit",

@@ -132,7 +132,17 @@ def _parameters(result: Calibration) -> Iterator[Rows]:
         reasons.append((r["parameter"], r["sentence"]))
     heads = ("parameter", f"value in {best.name}", "std", "needed", "of range", "spread", "identified")
     yield Rows.of("", heads, rows, left=("identified",), most=20)
+    if (wide := result.with_misfit) is not None:
+        title = "95 % intervals of the fit alone, and with what the model lacks, which may have pulled parameters:"
+        both = [_both_intervals(r) for r in wide.to_dict("records")]
+        yield Rows.of(title, ("parameter", "fit alone", "with the misfit"), both, most=20)
     yield Rows.of("Why:", ("parameter", "verdict"), reasons, left=("verdict",), when="verbose")
+
+
+def _both_intervals(r: Mapping[Any, Any]) -> tuple[str, str, str]:
+    unit = unit_words(r["unit"])
+    alone, wide = (f"{r['low' + more]:.5g} to {r['high' + more]:.5g}{unit}" for more in ("", "_unexplained"))
+    return str(r["parameter"]), alone, wide
 
 
 def _by_test(table: pd.DataFrame) -> Rows:

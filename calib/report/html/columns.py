@@ -27,6 +27,7 @@ _EVERY_MODE = _columns(
     if_there=_MODES.format("initial"),
 )
 _ERRORS = _columns("group stage", "rows rms expected p")
+_UNEXPLAINED = _columns("parameter", "value low high value_unexplained low_unexplained high_unexplained", blank="unit")
 _SUSPECTS = _columns("what", "rows chi2 p p_fit_without", flags="explains")
 
 COLUMNS: Mapping[str, Mapping[str, Any]] = {
@@ -84,6 +85,7 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
     ),
     "points": _columns("case point", "objective sum_of_squares prior total", if_there="mean_error mean_mac"),
     "errors_by_case": _columns("case point what", "measured model error mac"),
+    "considered": _columns("parameter adds_to words", "value std std_without std_with", flags="matters", blank="unit"),
     "std_by_test": _columns("parameter unit test", "std prior_sd"),
     "convergence": _columns("case", "generation best mean", complete="generation", unbounded="best mean"),
     "posterior_correlation": _matrix("parameter"),
@@ -91,14 +93,13 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
     "unseen_directions": _columns("words", "signal", flags="seen"),
     "predictions": _columns("mode", "natural_freq std lower upper"),
     "suspects_calibrated": _SUSPECTS,
+    "unexplained_calibrated": _UNEXPLAINED,
     # explanation
     "pulls": _columns(
         "model parameter", "nominal value prior_sd standardised limit", flags="pulled", blank="unit",
         unbounded="standardised",
     ),
-    "unexplained": _columns(
-        "parameter", "value low high value_unexplained low_unexplained high_unexplained", blank="unit"
-    ),
+    "unexplained": _UNEXPLAINED,
     "effects": _columns(
         "name title",
         "z unabsorbed magnitude magnitude_low magnitude_high magnitude_min plausible largest ln_bayes ln_bayes_third "
