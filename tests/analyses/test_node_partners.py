@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 import calib
 from calib.command import cli
 from calib.errors.errors import InputError
+from calib.report.html.study_results import StudyResults
+from calib.report.html.write import sections
 
 _MODEL = """
 import numpy as np
@@ -76,6 +79,13 @@ def test_modes_are_compared_at_the_nearest_nodes_and_the_table_is_written(study,
     assert table["partner"].to_dict() == {1: 2, 2: 4, 31: 1, 44: 5}
     assert table["distance"].to_dict() == pytest.approx({1: 0.03, 2: 0.0, 31: 0.004, 44: 0.2})
     assert table["limit"].to_numpy() == pytest.approx(0.25, rel=1e-4)
+    page = StudyResults(tmp_path / "results/chain", "A chain by distance", False)
+    (body,) = (str(one.body) for one in sections(page) if "Measured nodes on the model" in str(one.body))
+    rows = [
+        re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", row)
+        for row in body.partition("Measured nodes on the model")[2].split("<tr>")
+    ]
+    assert ["44", "5", "200", "250"] in [row[:4] for row in rows]
     (answer,) = compared.by_test.values()
     (words,) = (words for words in answer.hints if "200 mm" in words)
     assert "node 44" in words
