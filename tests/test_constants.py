@@ -174,6 +174,7 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
     "execution/outcome.py": "_TRACE",
     "api/progress.py": "SPARSE OFTEN _BAR _STEADY",
     "api/entries/compared.py": "WORST _FUNCTIONS",
+    "api/fe_comparison.py": "DRAWN",
     "api/entries/entry.py": "MOST WARNINGS WIDTH NARROWEST",
     "api/entries/explained.py": "EFFECTS",
 }

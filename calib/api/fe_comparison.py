@@ -23,6 +23,8 @@ from calib.structure.modal_function import ModalFunctionModel
 
 Given: TypeAlias = str | Path | MeasuredModes
 
+DRAWN = 400
+"""Computed nodes without a measured one that figures show: pages with tens of thousands take minutes."""
 NAME = "computed modes"
 """Name of the model in tables and messages."""
 
@@ -148,7 +150,7 @@ def model_of_modes(
 ) -> tuple[ModalFunctionModel, NodePartners | None]:
     """Computed modes as a model without parameters, whose sensors bear the numbers of the measured nodes.
 
-    Other computed nodes are kept for figures, under numbers that no measured node has.
+    Other computed nodes are kept for figures, `DRAWN` of them at most, under numbers that no measured node has.
 
     Parameters
     ----------
@@ -182,8 +184,11 @@ def model_of_modes(
             remedy="give coordinates of both, or number them alike",
         )  # fmt: skip
     beyond = max((abs(node) for node in of), default=0) + 1
+    taken = set(of.values())
+    others = [node for node in directions if node not in taken]
+    drawn = set(others[:: len(others) // DRAWN + 1])
     for k, s in enumerate(computed.sensors):
-        if s.node not in of.values():
+        if s.node in drawn:
             sensors.append(Sensor(s.node + beyond, s.direction, s.point))
             index.append(k)
     damped = bool(np.isfinite(computed.damping_ratio).all())

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import calib
+from calib.api.fe_comparison import DRAWN, model_of_modes
 from calib.command import cli
 from calib.errors.errors import InputError
 from calib.imports.coordinates import read_coordinates
@@ -156,6 +157,17 @@ def test_without_coordinates_numbers_count(tmp_path):
     assert calib.compare_modes(path, own).table["mac"].tolist() == pytest.approx([1.0, 1.0], abs=1e-6)
     with pytest.raises(InputError, match="number"):
         calib.compare_modes(path, calib.modes(FREQ[:2], SHAPES[[1, 2], :2], sensors=["91z", "92z"]))
+
+
+def test_of_a_large_model_some_nodes_are_drawn_and_all_measured_ones_compared():
+    at = np.linspace(0.0, 1.0, 2001)
+    shapes = np.sin(np.pi * np.outer(at, NUMBER)) + 0.1
+    fe = calib.modes(FREQ, shapes, sensors=[calib.Sensor(k, "z", (x, 0.0, 0.0)) for k, x in enumerate(at)])
+    seen = [77, 401, 1199, 1600]
+    own = calib.modes(FREQ[:2], shapes[seen, :2], sensors=[calib.Sensor(k, "z", (at[k], 0.0, 0.0)) for k in seen])
+    model, _ = model_of_modes(fe, own)
+    assert len(seen) < len(model.sensors) <= DRAWN + len(seen)
+    assert calib.compare_modes(fe, own).table["mac"].tolist() == pytest.approx([1.0, 1.0])
 
 
 def test_a_wrong_unit_of_length_is_named(tmp_path):
