@@ -108,7 +108,8 @@ class ComparisonResult:
         doubtful = list(dict.fromkeys(name for finding in self.sensor_findings for name in finding.sensors))
         sensors = [f"{'sensor' if len(doubtful) == 1 else 'sensors'} {listed(doubtful)}"] if doubtful else []
         data = ["the measured modes, whose values are doubtful"] if self.data_doubts else []
-        return (*data, *(error.check for error in (*self.gross_errors, *self.found_twice)), *sensors)
+        errors = [*(error.check for error in self.gross_errors), *(twice.check for twice in self.found_twice)]
+        return (*data, *errors, *sensors)
 
     @property
     def orthogonality(self) -> Orthogonality | None:

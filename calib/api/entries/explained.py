@@ -112,8 +112,8 @@ def _accuracies(result: ExplanationResult) -> list[Rows]:
         return []
     table = table.assign(cell=[_accuracy(r) for r in table.to_dict("records")])
     cells = table.pivot(index="frequency", columns="shape", values="cell")
-    heads = ("frequencies", *(f"shapes {_as_stated(at)}" for at in cells.columns))
-    rows = [(_as_stated(at), *cells.loc[at]) for at in cells.index]
+    heads = ("frequencies", *(f"shapes {_as_stated(float(at))}" for at in cells.columns))
+    rows = [(_as_stated(at), *cells.loc[at]) for at in cells.index.to_list()]
     title = "Whether the model without any effect fits, by the accuracy of the measurement (a fact, no advice):"
     return [Rows.of(title, heads, rows)]
 
