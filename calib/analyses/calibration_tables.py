@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from calib.analyses.compare import before_and_after, write_comparison, write_model_modes
+from calib.analyses.compare import ComparisonResult, write_comparison, write_model_modes
 from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.provenance.record import begin_analysis
 from calib.analyses.provenance.state import ADDED, INTERVALS
@@ -134,6 +134,16 @@ def write_jointly(study: AnyStudy, results: Results, answer: JointCalibration, m
         RUNS: _runs(answer.any.cases),
         "tests": {test: before_and_after(one.before, one.best.answer) for test, one in answer.tests.items()},
     })  # fmt: skip
+
+
+def before_and_after(before: ComparisonResult, after: ComparisonResult) -> dict[str, float]:
+    """Mean errors and MAC of two comparisons, as in ``summary.json``."""
+    return {
+        "mean_freq_error_before": before.mean_freq_error,
+        "mean_freq_error_after": after.mean_freq_error,
+        "mean_mac_before": before.mean_mac,
+        "mean_mac_after": after.mean_mac,
+    }
 
 
 def _summary(study: LoadedStudy, method: str, answer: Calibration, seconds: float) -> dict[str, object]:

@@ -99,8 +99,7 @@ class ComparisonResult:
     def doubts(self) -> tuple[str, ...]:
         """What looks wrong in the measurement itself: units, signs and sensors."""
         sensors = (f"Check this sensor: {finding.sentence}" for finding in self.sensor_findings)
-        twice = (one.sentence for one in self.found_twice)
-        return (*self.data_doubts, *self.unit_hints, *twice, *sensors)
+        return (*self.data_doubts, *self.unit_hints, *(one.sentence for one in self.found_twice), *sensors)
 
     @property
     def checks(self) -> tuple[str, ...]:
@@ -351,16 +350,6 @@ def compare(study: LoadedStudy, results: Results) -> ComparisonResult:
     results.write_table("sensor_check", pd.DataFrame(sensor_findings, columns=columns))
     write_record(study, results, "compare", {}, answer.sentences, answer=answer.answer)
     return answer
-
-
-def before_and_after(before: ComparisonResult, after: ComparisonResult) -> dict[str, float]:
-    """Mean errors and MAC of two comparisons, as in ``summary.json``."""
-    return {
-        "mean_freq_error_before": before.mean_freq_error,
-        "mean_freq_error_after": after.mean_freq_error,
-        "mean_mac_before": before.mean_mac,
-        "mean_mac_after": after.mean_mac,
-    }
 
 
 def write_comparison(results: Results, answer: ComparisonResult, stage: str) -> None:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from calib.analyses.answers import of_fit
-from calib.analyses.calibration_tables import tables_of, write_calibration
-from calib.analyses.compare import ComparisonResult, before_and_after, comparison_at, write_comparison
+from calib.analyses.calibration_tables import before_and_after, tables_of, write_calibration
+from calib.analyses.compare import ComparisonResult, comparison_at, write_comparison
 from calib.analyses.joint_responses import own_values
 from calib.analyses.provenance.record import assumptions_of, limits_table, made_with, sensors_table
 from calib.api.protocols import Solved
