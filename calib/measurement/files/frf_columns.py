@@ -345,7 +345,7 @@ def _part(path: Path, name: str, column: np.ndarray) -> tuple[str, np.ndarray]:
     return said[0], column
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what is not finite is judged by the reader
+@np.errstate(over="ignore", invalid="ignore")  # what is not finite is no value
 def _complex(path: Path, key: Key, parts: Mapping[str, np.ndarray]) -> np.ndarray:
     if {"re", "im"} <= set(parts):
         values = parts["re"] + 1j * parts["im"]
@@ -362,4 +362,4 @@ def _complex(path: Path, key: Key, parts: Mapping[str, np.ndarray]) -> np.ndarra
         raise InputError(words, place=path, remedy=f"{NO_PHASE}: re and im, or magnitude and phase")
     if np.any(np.abs(values[np.isfinite(values)]) > VALUE_LIMIT):
         raise InputError(f"a value of {function_name(key)} is above {VALUE_LIMIT:g}", place=path, remedy="correct it")
-    return np.asarray(values)
+    return np.where(np.isfinite(values), values, np.nan)
