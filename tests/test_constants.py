@@ -65,7 +65,8 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
 
 ACCURACY = {  # of solutions, reduced bases and differences, which are checked against full order
     "analyses/reduction.py": "FIRST_ORDER",
-    "correlation/basis.py": "WORTHWHILE_DOFS",
+    "correlation/basis.py": "WORTHWHILE_DOFS WORTHWHILE_MODES",
+    "experiment/modal.py": "_MANY",
     "problem/differences.py": "STEP",
     "correlation/modal/problem.py": "DAMPING_MAX",
     "structure/reduction/certificate.py": "_CLUSTER _LOST",
