@@ -102,6 +102,18 @@ def test_a_roving_hammer_gives_the_shape_at_its_places():
     np.testing.assert_allclose(np.diag(mac(found.shapes, SHAPES[:, :3])), 1.0, atol=1e-8)
 
 
+@pytest.mark.parametrize("spacing", [1 / 3, 1 / 7])
+def test_lines_that_a_file_rounds_to_six_digits_are_lines(spacing):
+    """Abscissas of datasets 58 that pyuff 2.5.8 writes with spacing 0, and tables of most analysers, are rounded."""
+    freq = spacing * np.arange(7, int(40 / spacing))
+    rounded = np.array([float(f"{f:.5e}") for f in freq])
+    assert np.ptp(np.diff(rounded)) > 1e-6
+    (one,) = CHAIN.repeats_of(CHAIN.truth(CHAIN.TRUE, freq=freq), None, 1)
+    found = modes_from_frfs(combine_frfs([replace(one, freq=rounded)])).modes
+    np.testing.assert_allclose(found.natural_freq, FREQ, rtol=1e-4)
+    np.testing.assert_allclose(found.damping_ratio, DAMPING, rtol=5e-3)
+
+
 def test_a_resonance_that_no_stable_pole_describes_is_named():
     frfs = combine_frfs(CHAIN.repeats_of(CHAIN.truth(CHAIN.TRUE), None, 1))
     values = frfs.values.copy()
