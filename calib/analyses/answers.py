@@ -22,10 +22,11 @@ if TYPE_CHECKING:
 NAMED = 6
 """Largest number of parameters or sensors named in a sentence."""
 UNTRIED = "Not all neighbours of these integers were tried: another combination may fit better."
-_FIT = (
+FIT = (
     "Fit the parameters that matter: calib sensitivity STUDY, then calib calibrate STUDY, or all at once: "
     "calib run STUDY."
 )
+UNFITTED = "The model has no parameters. To fit it, bring it as matrices or as a function with parameters."
 _FINE = "Nothing calls for a calibration."
 
 
@@ -61,7 +62,7 @@ def of_comparison(result: _Compared) -> Answer:
     elif found.far:
         then = f"Check first: the pairing and the units of {listed(found.far)}, far off in frequency."
     else:
-        then = _FIT if (found.where_it_fails()["verdict"] == BEYOND).any() else _FINE
+        then = FIT if (found.where_it_fails()["verdict"] == BEYOND).any() else _FINE
     return Answer(agreement, tested, then)
 
 
@@ -82,7 +83,7 @@ def _of_responses(result: _Compared) -> Answer:
     else:
         off = int((in_std > RULES.off).sum())
         tested = f"{off} of {_count(len(in_std), 'response')} are off by more than {RULES.off:g} standard deviations."
-    return Answer(f"{words}.", tested, _FIT if off else _FINE)
+    return Answer(f"{words}.", tested, FIT if off else _FINE)
 
 
 def _of_frfs(found: FRFComparison, checks: Sequence[str]) -> Answer:
@@ -97,7 +98,7 @@ def _of_frfs(found: FRFComparison, checks: Sequence[str]) -> Answer:
         f"The error is {in_std:.3g} standard deviations in root mean square (1 for a right model), "
         f"largest at {line['freq']:.4g} Hz ({line['in_std']:.3g})."
     )
-    then = _check_first(checks) if checks else _FIT if in_std > RULES.off else _FINE
+    then = _check_first(checks) if checks else FIT if in_std > RULES.off else _FINE
     return Answer(words, tested, then)
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from calib.analyses.answers import FIT, UNFITTED
 from calib.analyses.compare import ComparisonResult, comparison_at
 from calib.analyses.joint_responses import own_values
 from calib.api.entries.entry import Entry, Words, html_of, lines_of
@@ -115,7 +116,8 @@ class Compared(Displayed):
         """The answer by the labels of its lines, of several tests test by test, and where the rest is."""
         several, out = len(self.by_test) > 1, dict[str, str]()
         for name, answer in self.by_test.items():
-            for label, text in answer.answer.labelled.items():
+            for label, said in answer.answer.labelled.items():
+                text = UNFITTED if said == FIT and not self.studies[name].model.space.free else said
                 before = f"{out[label]} " if label in out else ""
                 out[label] = before + (of_test(name, text) if several else text)
         return {**out, "Evidence": ".sentences, .table; all in .by_test"}
