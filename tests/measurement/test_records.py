@@ -115,6 +115,15 @@ def test_unequal_sampling_is_refused_where_it_occurs(tmp_path):
         read_records(path)
 
 
+def test_a_byte_that_is_no_text_is_refused(tmp_path):
+    path = table(tmp_path)
+    content = path.read_bytes()
+    path.write_bytes(content[:20000] + b"\xf8" + content[20001:])
+    with pytest.raises(InputError) as fault:
+        read_records(path)
+    assert "record.csv" in str(fault.value) and fault.value.remedy
+
+
 def test_a_word_in_a_table_is_shown_with_its_line(tmp_path):
     path = table(tmp_path)
     lines = path.read_text("utf-8").splitlines()

@@ -150,7 +150,8 @@ _COMMENTS = 100
 def _numbers(path: Path, header: list[str], separator: str) -> np.ndarray:
     """All values, (n_samples, n_columns); NaN where one is missing, and seconds where the time is a time stamp."""
     at, names = header.index(TIME), (TIME, *(name for name in header if name != TIME))
-    given = [line for line in path.read_text("utf-8-sig").splitlines() if line.strip() and not line.startswith("#")]
+    text = path.read_text("utf-8-sig", errors="replace")  # what is no text is refused below, with its place
+    given = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     cells = given[1].split(separator) if len(given) > 1 else []
     if len(cells) > at and is_stamp(cells[at]):
         stamps = [line.split(separator)[at] if line.count(separator) >= at else "" for line in given[1:]]
