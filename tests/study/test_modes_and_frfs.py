@@ -199,5 +199,7 @@ def test_each_page_has_what_its_kind_of_test_offers(ran):
     assert {"mac_after", "comac", "sensor_misfit"} <= set(plans["tapped"]) and "frac" not in plans["tapped"]
     for test, kind in (("shaker", "frf"), ("tapped", "modes")):
         assert StudyResults(ran / f"chain.{test}/quick", "", True).kind == kind
-        page = (ran / f"chain.{test}/quick/report.html").read_text("utf-8")
-        assert page.count("from the data of each test alone") == 1
+        assert not (ran / f"chain.{test}/quick/report.html").exists()  # the tests have one together
+    page = (ran / "chain/quick/report.html").read_text("utf-8")
+    assert page.count("from the data of each test alone") == 1
+    assert all(any(f'id="test{k}-{name}"' in page for k in (1, 2)) for name in ("frac", "comac"))
