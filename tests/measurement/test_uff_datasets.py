@@ -59,6 +59,13 @@ def test_a_wrong_count_of_bytes_does_not_lose_the_rest(tmp_path, off):
     assert read_uff(path).repeat.names == ("a", "b")
 
 
+def test_a_damaged_count_of_lines_does_not_lose_the_rest(tmp_path):
+    path = modes(tmp_path / "one.uff")
+    damaged = binary_function(b"text").replace(f"{11:12d}".encode(), b"2" + 10 * b" " + b"1", 1)
+    path.write_bytes(damaged + path.read_bytes())
+    assert read_uff(path).repeat.names == ("a", "b")
+
+
 def test_a_binary_function_cut_off_is_refused(tmp_path):
     path = modes(tmp_path / "one.uff")
     path.write_bytes(path.read_bytes() + binary_function(b"\n    -1\n" * 5)[:-20])

@@ -202,4 +202,4 @@ def test_each_page_has_what_its_kind_of_test_offers(ran):
         assert not (ran / f"chain.{test}/quick/report.html").exists()  # the tests have one together
     page = (ran / "chain/quick/report.html").read_text("utf-8")
     assert page.count("from the data of each test alone") == 1
-    assert all(any(f'id="test{k}-{name}"' in page for k in (1, 2)) for name in ("frac", "comac"))
+    assert all(any(f'id="test{k}-{name}"' in page for k in (1, 2)) for name in ("frf_misfit", "comac"))

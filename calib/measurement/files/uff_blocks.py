@@ -147,7 +147,7 @@ class _Lines:
         leads to no '-1' line, that of the values in record 7 is tried.
         """
         found = _BINARY_HEAD.fullmatch(head)
-        if found is None:
+        if found is None or not all(found.group(k).strip().isdigit() for k in (1, 2)):
             return
         at, number, texts = self._at, self.number, []
         for _ in range(min(int(found.group(1)), 100)):
