@@ -253,6 +253,8 @@ def _checked(path: Path, data: Mapping[str, Any], stated: Quantity | None, notes
     key, sign = _key(where, data)
     if int(data["abscissa_spec_data_type"]) not in _FREQUENCY:
         raise InputError("its abscissa is no frequency", place=where, remedy="export it over frequency in Hz")
+    if "x" not in data:  # neither evenly nor unevenly spaced by its header
+        raise InputError("it has no frequencies", place=where, remedy="export it again")
     freq, count = np.asarray(data["x"], dtype=float), int(data["num_pts"])
     # pyuff reads what is there, however many values the header announces
     if not len(freq) == np.size(data["data"]) == count:
