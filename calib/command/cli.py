@@ -16,6 +16,7 @@ import typer
 
 from calib.command import terminal
 from calib.command.compare import compare
+from calib.command.designs import designs
 from calib.command.look import look
 from calib.command.options import (
     CachePath,
@@ -194,32 +195,7 @@ def intervals(
         loaded.intervals(parameter or (), samples=samples)
 
 
-@app.command(short_help="List evaluated designs, the best first.")
-def designs(
-    study: StudyPath,
-    best: Annotated[int, typer.Option("--best", min=1, metavar="N", help="Designs that are printed.")] = 12,
-    feasible: Annotated[bool, typer.Option("--feasible", help="Leave out those that failed.")] = False,
-    design: Annotated[int | None, typer.Option("--design", metavar="NUMBER", help="Values of this one alone.")] = None,
-    csv: Annotated[
-        Path | None,
-        typer.Option(
-            "--csv", metavar="FILE", callback=lambda path: path and possible(path), help="File of the whole table."
-        ),
-    ] = None,
-    anthill: Annotated[
-        tuple[str, str] | None,
-        typer.Option("--anthill", metavar="X Y", help="Draw a cloud of two columns."),
-    ] = None,
-    parallel: Annotated[bool, typer.Option("--parallel", help="Draw all designs over parallel axes.")] = False,
-    results: ResultsPath = RESULTS,
-    quick: Quick = False,
-    verbose: Verbose = False,
-) -> None:
-    """List the designs that searches and samples have evaluated: values, responses and errors, the best first."""
-    with _study("designs", study, results, verbose, quick=quick) as loaded:
-        loaded.designs(
-            best, feasible=feasible, design=design, csv=csv, anthill=[anthill] if anthill else (), parallel=parallel
-        )
+app.command(short_help="List evaluated designs, the best first.")(designs)
 
 
 @app.command(short_help="Evaluate failed points once more.")

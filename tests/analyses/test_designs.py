@@ -6,6 +6,7 @@ import pytest
 
 import calib
 from calib.analyses.designs import HEAD, OTHER
+from calib.command import cli
 from calib.errors.errors import InputError
 
 MODEL = """
@@ -105,3 +106,12 @@ def test_the_whole_table_and_pictures_are_written_on_request(study, table, tmp_p
     assert {"anthill_a_z.png", "designs_parallel.png"} <= {path.name for path in study.folder.path.iterdir()}
     with pytest.raises(InputError, match="cannot be written"):
         study.designs(csv=tmp_path / "no" / "all.csv")
+
+
+def test_the_command_prints_the_same_and_draws(study, table, capsys):
+    where = [str(study.path), "--results", str(study.results)]
+    assert cli.execute(["designs", *where, "--best", "3", "--anthill", "a", "z"]) == 0
+    said = capsys.readouterr().out
+    assert study.designs(3).of.answer.found in said and "anthill_a_z.png" in said
+    assert f"{table['design'].iloc[2]} " in said and f"{table['objective'].iloc[2]:.5g}" in said
+    assert cli.execute(["designs", *where, "--design", "99999"]) == 2

@@ -32,13 +32,17 @@ def hold_hits(paths: Sequence[Path]) -> bool:
     """Whether files hold hammer records, time records with the force; raises as `hold_records`."""
     if not _hold_times(paths):
         return False
-    forced = [_has_force(path) for path in paths]
-    if len(set(forced)) > 1:
+    return _all_or_none(paths, list(map(_has_force, paths)), "force", "hammer records or records of responses alone")
+
+
+def _all_or_none(paths: Sequence[Path], found: Sequence[bool], what: str, kinds: str) -> bool:
+    """Whether all files hold something; InputError where some do and some do not."""
+    if len(set(found)) > 1:
         raise InputError(
-            f"it holds no force, as {paths[forced.index(True)]} does", place=paths[forced.index(False)],
-            remedy="give hammer records or records of responses alone, one kind at a time",
+            f"it holds no {what}, as {paths[found.index(True)]} does", place=paths[found.index(False)],
+            remedy=f"give {kinds}, one kind at a time",
         )  # fmt: skip
-    return forced[0]
+    return found[0]
 
 
 def _has_force(path: Path) -> bool:
@@ -52,12 +56,7 @@ def _hold_times(paths: Sequence[Path]) -> bool:
         return False  # text files, workbooks and MATLAB files hold FRFs
     is_uff = require_files(paths)
     kinds = [_holds_uff(path) if is_uff else TIME in header_of(path)[0] for path in paths]
-    if len(set(kinds)) > 1:
-        raise InputError(
-            f"it holds no time record, as {paths[kinds.index(True)]} does", place=paths[kinds.index(False)],
-            remedy="give records or FRFs, one kind at a time",
-        )  # fmt: skip
-    return kinds[0]
+    return _all_or_none(paths, kinds, "time record", "records or FRFs")
 
 
 def _holds_uff(path: Path) -> bool:
