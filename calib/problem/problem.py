@@ -245,10 +245,12 @@ class PairProblem(Generic[P]):
     _failed: dict[str, EvaluationError] = field(init=False, repr=False, default_factory=dict)
     _early: dict[str, Any] = field(init=False, repr=False, default_factory=dict)
     _identity: str = field(init=False, repr=False, default="")
+    _key: str = field(init=False, repr=False, default="")
 
     def __post_init__(self) -> None:
-        if self.store is not None:
+        if self.store is not None:  # once: a function may hold large matrices
             object.__setattr__(self, "_identity", self.pair.fingerprint)
+            object.__setattr__(self, "_key", self.pair.problem.fingerprint)
 
     def __getstate__(self) -> dict[str, Any]:
         # Another process does not need the cached points, which are many.
@@ -367,7 +369,7 @@ class PairProblem(Generic[P]):
             raise again(self._failed[key])
         found = self._restored(key)
         if found is not None:
-            ahead = self.store is not None and self.store.first_use(self.pair.problem.fingerprint, key)
+            ahead = self.store is not None and self.store.first_use(self._key, key)
             self.counts.add(Counts(solved=ahead, reused=not ahead))
             return found
         found = self._solve(key, values)
@@ -376,7 +378,7 @@ class PairProblem(Generic[P]):
 
     def _restored(self, key: str) -> Any:
         """The solution from the store; None where the point must be solved."""
-        known = None if self.store is None else self.store.lookup(self.pair.problem.fingerprint, [key]).get(key)
+        known = None if self.store is None else self.store.lookup(self._key, [key]).get(key)
         if known is None or known.transient:
             return None
         if known.status == "failed":
@@ -396,4 +398,4 @@ class PairProblem(Generic[P]):
 
     def _keep(self, outcome: Outcome) -> None:
         if self.store is not None:
-            self.store.append(self.pair.problem.fingerprint, [outcome])
+            self.store.append(self._key, [outcome])

@@ -38,6 +38,8 @@ _SENSOR = re.compile(r"(\d+)(r?[xyz])")
 class Memory:
     """Cache of the latest results of functions, so that a point needed by a derivative is solved once."""
 
+    __slots__ = ("_found",)  # no state: what is cached is no part of a model's content
+
     def __init__(self) -> None:
         self._found: dict[tuple[int, tuple[tuple[str, float], ...]], tuple[Any, Modes | EvaluationError]] = {}
 

@@ -11,15 +11,21 @@ import pytest
 from calib.analyses.calibrate import calibrate
 from calib.analyses.fit_statistics import Terms, fit_problem
 from calib.analyses.least_squares import fitted
+from calib.analyses.provenance.recorded import RecordedFunction
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
 from calib.errors.errors import EvaluationError
+from calib.execution.evaluate import Evaluator
 from calib.execution.outcome import point_key
+from calib.problem.parameter import Parameter
 from calib.problem.problem import Counts, PairProblem
 from calib.problem.sampling import sample
+from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
 from calib.results.results import Results
+from calib.structure.function_model import FunctionModel
+from calib.structure.modal_function import ModalFunctionModel
 from calib.study.study import LoadedStudy
 from tests.template import plain
 
@@ -118,6 +124,26 @@ def test_residuals_with_other_floors_have_another_fingerprint():
     problem = LoadedStudy.load(RIG).problem
     one, other = ModalResidual(problem), ModalResidual(problem, Floors(freq=0.5))
     assert one.fingerprint == ModalResidual(problem).fingerprint != other.fingerprint
+
+
+def test_a_function_is_the_same_whatever_the_ledger_has_of_it(tmp_path):
+    """Else no stored point would be found again, and all that is stored would be read at every point."""
+
+    def string(values):
+        return {"natural_freq": np.array([1.0, 2.0]) * values["f"], "shapes": np.array([[0.7, 1.0]])}
+
+    space = ParameterSpace((Parameter("f", 1.0, 0.5, 2.0, "Hz"),))
+    modes = ModalFunctionModel("string", space, string, sensors=["1z"], n_modes=2)
+    scalar = FunctionModel("string", space, modes.numbers)
+    with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
+        kept = RecordedFunction(modes.numbers, "key", ledger, Evaluator(lambda: modes.numbers), frozenset({"f"}))
+        behind = [model.with_function(kept) for model in (scalar, modes)]
+        before = [model.fingerprint for model in behind]
+        assert before[0] == scalar.fingerprint
+        for f in (1.1, 1.2, 1.3):
+            assert behind[1].modes({"f": f}, 1).natural_freq[0] == pytest.approx(f)
+        assert ledger.count("key") == 3
+        assert [model.fingerprint for model in behind] == before
 
 
 def test_a_function_is_called_once_per_point(logged, tmp_path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from calib.analyses.provenance.isolation import ChildFunction, Workers, available_cores, evaluator_of, stated_time_limit
 from calib.errors.errors import EvaluationError
@@ -77,6 +77,13 @@ class RecordedFunction:
     several: BatchEvaluator | None = None
     patience: float = 0.0
     _times: list[float] = field(init=False, repr=False, default_factory=lambda: [0.0, 0.0])
+
+    is_transparent: ClassVar[bool] = True
+    """See `calib.results.fingerprint.digest_of`: what it holds beside the function grows with every point."""
+
+    @property
+    def __wrapped__(self) -> Callable[[Mapping[str, float]], Mapping[str, float]]:
+        return self.asked
 
     def __call__(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Named numbers; EvaluationError where the function fails, or failed before."""
