@@ -154,6 +154,7 @@ print(digest_of(closed(PARAMETER, scaling_by_function, calib.ParameterSpace)))
 """
 
 
+@pytest.mark.slow
 def test_a_function_that_holds_objects_of_calib_counts_by_its_own_code(tmp_path):
     """Neither other code of calib nor another place of its files makes stored points of a user's function invalid."""
     shutil.copytree(CALIB, tmp_path / "calib", ignore=shutil.ignore_patterns("__pycache__"))

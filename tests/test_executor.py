@@ -154,6 +154,7 @@ def table(outcomes):
 # -- the same table ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("kind", [pytest.param(k, marks=[pytest.mark.slow] * (k == "cluster")) for k in EXECUTORS])
 def test_the_table_is_that_of_a_serial_evaluation(source, kind, monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")  # of new processes

@@ -92,6 +92,7 @@ def test_a_wheel_holds_calib_alone(wheel):
     )
 
 
+@pytest.mark.slow
 def test_a_wheel_knows_its_version_and_its_example_needs_nothing_else(wheel, tmp_path):
     """From the wheel alone: no models, and no clone of calib."""
     site = tmp_path / "site"

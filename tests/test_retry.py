@@ -97,6 +97,7 @@ def waiting_source():
     return calib.retrying(Failing(1, RuntimeError("no LICENSE")), "LICENSE", wait=1.5)
 
 
+@pytest.mark.slow
 def test_waiting_does_not_count_for_the_time_limit():
     with Evaluator(waiting_source, 1, time_limit=1.0, isolated=True) as evaluator:
         (outcome,) = evaluator.evaluate([{"k": 1.5}])

@@ -44,6 +44,7 @@ def damaged(data, text: str) -> str:
     return "\n".join(lines)
 
 
+@pytest.mark.slow
 @settings(max_examples=30, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_a_damaged_study_is_read_or_refused_in_one_sentence(example, data):

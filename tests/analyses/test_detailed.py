@@ -141,6 +141,7 @@ def folder(parts, tmp_path, monkeypatch):
     return here
 
 
+@pytest.mark.slow
 def test_a_study_keeps_the_member_and_extends_by_it(folder, capsys):
     assert cli.execute(["explain", "spring"]) == 0
     out = capsys.readouterr().out

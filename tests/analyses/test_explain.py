@@ -192,6 +192,7 @@ def test_progress_is_reported_in_order(guyed):
     assert "fitting Guy rope along x" in progress
 
 
+@pytest.mark.slow
 def test_where_the_rest_of_a_nearly_explained_misfit_sits_is_told_and_kept(mast, tmp_path, monkeypatch):
     monkeypatch.setattr("calib.missing.partial.is_simpler_form", lambda found: found.chosen is not None)
     study = LoadedStudy.load(mast.write_study(tmp_path / "mast", {"guy": 12000.0}))

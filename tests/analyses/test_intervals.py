@@ -84,6 +84,7 @@ def told(folder, capsys, *more):
     return code, found.out + found.err
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_it_prints_and_python_gets_the_same(mast, capsys):
     code, said = told(mast, capsys, "-v")
     assert code == 0

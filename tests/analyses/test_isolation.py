@@ -16,6 +16,7 @@ from calib.study.loading import with_effects
 from calib.study.study import LoadedStudy
 
 
+@pytest.mark.slow
 def test_effects_act_in_the_child_as_in_this_process(sums):
     here = LoadedStudy.load(sums)
     there = isolated(here)

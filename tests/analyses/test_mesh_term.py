@@ -67,6 +67,7 @@ def test_nothing_seems_missing_where_the_error_of_the_mesh_is_uncertain(asked):
     assert json.loads((results.path / "explanation.json").read_text())["mesh_sd"] == pytest.approx(MULTIPLE)
 
 
+@pytest.mark.slow
 def test_an_effect_is_still_named_and_held_out_data_agree(asked):
     _, answer, _ = asked(MULTIPLE, {"guy": 12000.0})
     assert answer.verdict == "effect" and answer.explanation.credible == ("guy",)
@@ -119,6 +120,7 @@ def shaken():
     return measured
 
 
+@pytest.mark.slow
 def test_frfs_of_a_coarse_mesh_likewise(shaken):
     """Linear elements: Richardson's multiple is 4/3. The mesh shifts resonances by up to 1 %, with damping of 4 %."""
     complete, lacking = shaken(0.0), shaken(0.1)
@@ -133,6 +135,7 @@ def test_frfs_of_a_coarse_mesh_likewise(shaken):
     assert low < 0.1 < high
 
 
+@pytest.mark.slow
 def test_a_finer_mesh_alone_tells_its_scores_and_changes_nothing_else(mast, tmp_path):
     study = LoadedStudy.load(mast.write_study(tmp_path / "mast", {"guy": 12000.0}))
     problem = calib.Problem(study.model, calib.ModalTest(study.experiment.modes)).keep(["E", "m_top", "K_base"])
@@ -159,6 +162,7 @@ def test_a_stated_error_that_is_none_is_refused(mast, tmp_path, given, words):
         problem.explain((), progress=False, **{**given, "finer": finer})
 
 
+@pytest.mark.slow
 def test_parameters_left_out_of_a_selection_are_uncertain_as_in_a_study(mast, edited, tmp_path):
     """The same probabilities as a study, and the note that it has."""
     folder = mast.write_study(tmp_path / "mast")

@@ -54,6 +54,7 @@ def test_the_finer_frame_is_the_same_structure(bench):
         assert rigid @ (masses(model.space.si(model.space.values)) @ rigid) == pytest.approx(steel + floors)
 
 
+@pytest.mark.slow
 def test_effects_are_built_into_the_twin_otherwise_than_the_library_has_them(bench):
     """Nearly the same modes, but not exactly: an idealisation, no inverse crime."""
     of = bench["rates_frame"]
@@ -70,6 +71,7 @@ def test_effects_are_built_into_the_twin_otherwise_than_the_library_has_them(ben
         assert 1e-6 < np.abs(one / other - 1).max() < 0.6 * change, effect.name
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     ("name", "verdict", "named"),
     [
@@ -85,6 +87,7 @@ def test_frames(worlds, name, verdict, named):
     assert {"this search", "BIC", "OMP", "energy error"} <= set(row["methods"])
 
 
+@pytest.mark.slow
 def test_a_gain_is_told_as_a_fault_of_the_test(worlds):
     _, world = worlds
     row = world.run(scenario(world, "fault/gain"), 0)

@@ -165,6 +165,7 @@ def test_any_number_of_workers_gives_the_same_samples(few, tmp_path):
 # -- child process -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_its_results_in_another_process_are_those_in_this_one(own, tmp_path):
     """The function fails where the tip is heavy, and tells in which process."""
     folder, _ = own

@@ -71,6 +71,7 @@ def _limit(folder, limit):
     (folder / "study.toml").write_text(_STUDY + f"node_limit = {limit}\n")
 
 
+@pytest.mark.slow
 def test_modes_are_compared_at_the_nearest_nodes_and_the_table_is_written(study, tmp_path):
     loaded = calib.Study.load(study, tmp_path / "results", progress=False)
     compared = loaded.compare()

@@ -38,6 +38,7 @@ def tables(folder):
     return own, {key: value for key, value in summary.items() if key != "seconds"}
 
 
+@pytest.mark.slow
 def test_an_explanation_is_the_same_whoever_shares_its_tasks(guyed, tmp_path):
     study, results, _, _ = guyed
     share = Elsewhere()

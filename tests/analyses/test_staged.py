@@ -284,6 +284,7 @@ def test_a_circular_adoption_is_refused(stages, capsys):
     assert "adopts values from itself" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_deleted_results_are_repeated(stages, capsys):
     assert cli.execute(["compare", "two"]) == 0
     shutil.rmtree("results/one")

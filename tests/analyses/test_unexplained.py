@@ -19,6 +19,7 @@ FILES = ("unexplained", "unexplained_predictions", "unexplained_errors")
 TRUE = {"E": 206.0, "m_top": 46.0, "K_base": 1.8}
 
 
+@pytest.mark.slow
 def test_the_true_values_lie_inside_where_the_effect_is_not_in_the_library(mast, edited, tmp_path):
     folder = edited(mast.write_study(tmp_path / "mast", {"guy": 12000.0}), *HELD)
     text = (folder / "effects.py").read_text()

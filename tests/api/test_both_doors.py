@@ -85,6 +85,7 @@ VERBS = {
 }
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     "verb", ["compare", "calibrate", *(pytest.param(v, marks=pytest.mark.slow) for v in ("sensitivity", "explain"))]
 )

@@ -24,7 +24,10 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module", params=CASES)
+FIRST, *OTHERS = CASES
+
+
+@pytest.fixture(scope="module", params=[FIRST, *(pytest.param(name, marks=pytest.mark.slow) for name in OTHERS)])
 def case(request):
     changed, *right = CASES[request.param]
     problem = posed(**changed)
@@ -157,6 +160,7 @@ def test_several_models_are_refused():
         why.propose()
 
 
+@pytest.mark.slow
 def test_several_tests_of_one_model_are_proposed_for_together():
     one, two = (
         calib.Problem(chain(), calib.ModalTest(measured(mass=[(4, 300.0)], seed=seed), name=f"test {seed}"))

@@ -17,6 +17,7 @@ def softened():
     return posed(stiffness=[(3, -0.6)]).explain([], seed=1)
 
 
+@pytest.mark.slow
 def test_a_damper_on_a_soft_mount_is_told_with_its_lag():
     test = calib.ModalTest(measured(count=4, lag=0.02), mode_count=5)
     first = calib.Problem(chain(), test).explain([], seed=1).propose().table.iloc[0]
@@ -24,12 +25,14 @@ def test_a_damper_on_a_soft_mount_is_told_with_its_lag():
     assert first["lower"] <= 20.0 <= first["upper"]
 
 
+@pytest.mark.slow
 def test_a_loss_of_stiffness_far_beyond_one_step_is_not_told_as_damping(softened):
     first = softened.propose().table.iloc[0]
     assert (first["kind"], first["at"]) == ("stiffness", "storey 3")
     assert first["unit"] == "%" and first["lower"] <= -60.0 <= first["upper"]
 
 
+@pytest.mark.slow
 def test_a_change_beyond_the_plausible_size_is_fitted_from_there_too(softened, monkeypatch):
     seen, best_of = {}, Refits.best_of
 
@@ -52,6 +55,7 @@ def test_ranks_and_equals_follow_one_threshold(softened):
         assert not {c.effect.name for c in p.alike} & {q.composed.effect.name for q in proposals.ranked}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "kinds", "at"),
     [
@@ -67,6 +71,7 @@ def test_frfs_are_proposed_for_as_modes_are(changed, kinds, at):
     assert first["kind"] in kinds and first["at"] == at
 
 
+@pytest.mark.slow
 def test_a_mount_whose_mode_the_model_lacks_is_told(softened):
     """All modes of the chain were measured, and a damper on a spring adds none that oscillates."""
     proposed = softened.propose()
@@ -75,6 +80,7 @@ def test_a_mount_whose_mode_the_model_lacks_is_told(softened):
     assert any(words.startswith("Not fitted: soft mount of damper") for words in proposed.sentences)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_solved_is_told(softened, monkeypatch):
     best_of = Refits.best_of
 

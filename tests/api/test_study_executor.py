@@ -161,6 +161,7 @@ def teams(monkeypatch):
     return seen
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("workers", [1, 2, None])
 def test_those_who_compute_draw_too(tmp_path, teams, workers):
     study = calib.Study.load(oscillator(tmp_path / "oscillator"), tmp_path / "results", workers=workers)
@@ -172,6 +173,7 @@ def test_those_who_compute_draw_too(tmp_path, teams, workers):
     assert pictures and all(pictures in one[2] for one in teams)
 
 
+@pytest.mark.slow
 def test_an_executor_gets_no_figures_and_nobody_else_is_asked(tmp_path, teams):
     study = calib.Study.load(oscillator(tmp_path / "oscillator"), tmp_path / "results")
     with ThreadPoolExecutor(1) as threads:

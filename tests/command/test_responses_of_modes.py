@@ -238,6 +238,7 @@ def test_one_of_several_tests_may_be_a_sheet(world, asked, no_drawing, tmp_path)
     assert fitted["k1"] == pytest.approx(40.0, rel=5e-3) and fitted["b"] == pytest.approx(0.02, rel=2e-2)
 
 
+@pytest.mark.slow
 def test_proposals_of_matrices_need_no_sensor(world, asked, no_drawing, tmp_path):
     """No mode was measured: the band of the model's own modes sizes what is composed."""
     written(world, tmp_path / "chain", "chain", "wrong")

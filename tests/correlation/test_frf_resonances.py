@@ -96,6 +96,7 @@ def test_derivatives_are_those_of_differences(pair):
         np.testing.assert_allclose(column, (up - down) / (2 * step), atol=1e-5 * np.abs(column).max())
 
 
+@pytest.mark.slow
 def test_an_interval_holds_the_truth_where_resonances_are_off(pair):
     """A shift common to all lines does not average out: counted line by line the interval misses by far."""
     rng = np.random.default_rng(1)

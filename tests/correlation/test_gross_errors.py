@@ -96,6 +96,7 @@ def test_they_come_before_the_fit_from_every_door():
     assert "sign of response 3x" in compared.lines["Next"] and fit.lines["Next"] == compared.lines["Next"]
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     "name",
     [

@@ -74,6 +74,7 @@ def test_an_empty_degree_of_freedom_is_named(bare):
     assert "1 of 3" in caught.value.problem and "uy of node 2 at (1, 0, 0) m" in caught.value.problem
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "verbs"), [pytest.param("[0, 2]", ["run"], marks=pytest.mark.slow), ("[0]", ["compare", "report"])]
 )

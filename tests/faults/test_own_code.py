@@ -73,6 +73,7 @@ def test_options_that_a_model_does_not_take(edited, told, options):
     assert not LOG.exists()
 
 
+@pytest.mark.slow
 def test_an_exception_while_a_model_is_evaluated(edited, told):
     folder = edited("return {'y': values['a'],", "return {'y': values['c'],  # here\n           ")
     said = told("compare", str(folder))

@@ -82,6 +82,7 @@ def prepared(shared: Path, calibrated, weak) -> dict[str, bytes]:
     return files(FOLDER)
 
 
+@pytest.mark.slow
 def test_a_folder_that_may_not_be_written(prepared, runner, weak, one_sentence):
     FOLDER.chmod(0o555)
     run = runner.fork("calibrate", "mast", "--workers", "1", user=weak)
@@ -266,6 +267,7 @@ def test_without_its_damaged_ledger_a_study_is_evaluated_again(answered, told):
     assert cli.execute(["calibrate", "mast", "--workers", "1"]) == 0
 
 
+@pytest.mark.slow
 def test_damaged_rows_are_evaluated_again(answered, capsys):
     for rubbish in ('{"natural_freq_B1x": 1.0}', b"", b"not eight bytes a number"):
         with contextlib.closing(sqlite3.connect(LEDGER, isolation_level=None)) as database:

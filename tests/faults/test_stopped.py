@@ -106,6 +106,7 @@ def interrupted(start, press):
     raise AssertionError("no run could be interrupted")
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.slow)])
 def test_interrupted_by_the_keyboard_or_a_batch_system(mast, runner, left, drafts, workers, sign, whole):

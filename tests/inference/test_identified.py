@@ -62,6 +62,7 @@ def test_what_is_needed_must_be_a_positive_number(needed):
     assert "parameter k" in str(caught.value) and "kN/m" in str(caught.value)
 
 
+@pytest.mark.slow
 def test_wider_limits_of_the_search_leave_the_bogies_identified_parameters_as_they_are(tmp_path):
     """At values near those that the twin was made from."""
     study = LoadedStudy.load(ROOT / "studies/bogie")

@@ -132,6 +132,7 @@ def sampled(problem, where, steps=600, **more):
     return best, known, sampled_posterior(problem, where, best.values, known, steps, 4, **more)
 
 
+@pytest.mark.slow
 def test_samples_of_a_linear_model_have_its_posterior():
     rng = np.random.default_rng(3)
     g, y = rng.standard_normal((9, 2)) * [1.0, 30.0], rng.standard_normal(9)
@@ -145,6 +146,7 @@ def test_samples_of_a_linear_model_have_its_posterior():
     pd.testing.assert_frame_equal(found.samples, again.samples)
 
 
+@pytest.mark.slow
 def test_samples_stay_within_limits_and_constraints():
     """A parameter on its limit has a truncated normal posterior; a constraint cuts a half-plane off."""
     where = space(a=(0.5, 0.0, 20.0, 1e3), b=(0.0, -9, 9, 1e3))

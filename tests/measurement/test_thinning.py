@@ -63,6 +63,7 @@ def known(frfs):
     return np.sqrt(np.diag(covariance)), shift
 
 
+@pytest.mark.slow
 def test_parameters_are_known_as_by_all_lines_and_nothing_is_biased():
     all_lines, few = measured(), thinned(measured())
     assert len(few.freq) < 700 and few.behind.sum() == all_lines.values.size

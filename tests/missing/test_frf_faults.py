@@ -220,6 +220,7 @@ def reversed_force(model):
     return out
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     ("plant", "name", "value", "words"),
     [

@@ -47,6 +47,7 @@ def test_a_changed_table_draws_what_shows_it(folder, drawn, convergence):
     assert drawn() == set()
 
 
+@pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     "change", [{"title": "Tower"}, {"synthetic": False}, {"width": "column"}, {"formats": ("png", "svg")}]
 )
@@ -54,11 +55,13 @@ def test_another_heading_width_or_format_draws_all(folder, drawn, change):
     assert drawn(**change) == set(Figures(folder, "Mast", True).plan)
 
 
+@pytest.mark.slow
 def test_other_code_draws_all(folder, drawn, monkeypatch):
     monkeypatch.setattr(module, "_drawn_by", lambda: "a later version")
     assert drawn() == set(Figures(folder, "Mast", True).plan)
 
 
+@pytest.mark.slow
 def test_a_picture_that_is_gone_or_was_edited_is_drawn(folder, drawn):
     (folder / "convergence.png").unlink()
     assert drawn() == {"convergence"}

@@ -38,6 +38,7 @@ def shown(folder):
     return list(Figures(folder, "Mast", True).plan)[:2]
 
 
+@pytest.mark.slow
 def test_what_is_made_before_is_what_is_drawn_on_demand(folder, shown):
     expected = drawn(Figures(folder, "Mast", True), shown)
     for file in folder.glob("*.png"):

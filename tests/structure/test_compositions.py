@@ -161,6 +161,7 @@ def test_further_places_lie_on_the_model_and_apart(bogie, sensors):
     assert near.max() < 1e-3
 
 
+@pytest.mark.slow
 def test_compositions_come_in_one_order_whatever_the_seed_of_hashes():
     names = [f"rod {a} {b} {c}" for a in ("upper", "lower") for b in ("front", "rear") for c in ("left", "x")]
     words = (

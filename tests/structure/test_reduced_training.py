@@ -222,6 +222,7 @@ def test_damaged_and_foreign_files_are_refused(trained, tmp_path):
         basis.save(tmp_path / "nowhere" / "basis.npz")
 
 
+@pytest.mark.slow
 def test_a_basis_is_the_same_whoever_shares_its_training(trained, monkeypatch):
     """The one process takes a part of the tasks, the other the rest; both see the same arrays."""
     model, basis = trained

@@ -390,6 +390,7 @@ def benches(folder, own=True):
     return folder
 
 
+@pytest.mark.slow
 def test_options_of_the_model_of_one_test_are_its_own(tmp_path):
     """They replace those of the study in that test only, and the joint fit sees them."""
     study = calib.Study.load(benches(tmp_path / "own"), results=tmp_path / "results", progress=False)

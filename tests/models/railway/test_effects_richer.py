@@ -101,6 +101,7 @@ def test_a_gear_case_on_its_axle_is_the_listed_one(offset):
         assert abs(own - other).max() <= 1e-12 * abs(other).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distributed", [False, True])
 def test_a_gear_case_ahead_of_its_axle_has_the_energy_of_a_body_there(effect_checks, distributed):
     """Every piece moves with ``v + w x arm`` on a rigid axle, where that is free (in the middle it cannot spin)."""

@@ -55,6 +55,7 @@ def test_soft_floor_joint_gives_its_share_of_a_strip_that_bends_evenly(alone, en
     assert lost == pytest.approx(-share * 2 * (plate + beams) * kappa**2 * 0.3, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_soft_window_corners_give_their_share_of_pillars_that_bend_evenly(alone, energy):
     share, kappa = 0.5, 1e-3
     bent = alone.field(lambda x, y, z: (-kappa * (y - 1.8) ** 2 / 2, 0, 0, 0, 0, kappa * (y - 1.8)))

@@ -75,6 +75,7 @@ def test_a_surging_branch_has_the_dynamic_stiffness_of_pipe_and_orifice(alone, r
         np.testing.assert_allclose(found, springs * along / (1 + along), rtol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiffness", [0.0, pytest.param(1e-3, marks=pytest.mark.slow)])
 def test_without_stiffness_the_air_leaves_no_mode(rigid_car, stiffness):
     model = extend(rigid_car, [RICHER["surging_air_spring"]])
