@@ -80,6 +80,8 @@ def draw(
         each = _shown(study, folder, root)
         whole = each[-1]
         report = not study.test and (report or folder.has(REPORT))
+        for one in each:
+            listener.to_draw(one.study, one.stale.told, place / REPORT if report and one is whole else None)
         with listener.progress() as step, places.tasks_shared(workers):
             for one in each:
                 place, own = one.folder.path, one.results.figures
@@ -93,7 +95,7 @@ def draw(
                 if one.stale.files:
                     old = [file for kind in FORMATS for file in place.glob(f"*.{kind}")]
                     one.folder.remove(*(file.name for file in old if is_own(file) and file not in figures))
-                listener.drawn(one.study, figures, one.stale.told, written if one is whole else None)
+                listener.drawn(one.study, figures, written if one is whole else None)
     except OSError as fault:
         raise InputError(
             f"a figure or the report cannot be written ({fault.strerror})",

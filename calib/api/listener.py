@@ -90,10 +90,13 @@ class Listener:
     def versions(self, found: Versions) -> None:
         """Errors over the versions of a model."""
 
-    def drawn(self, study: StudyFile, figures: Sequence[Path], notes: Sequence[str], page: Page | None) -> None:
-        """Figures, and the report where there is one, were made; what is told of older results becomes a warning."""
+    def to_draw(self, study: StudyFile, notes: Sequence[str], report: Path | None) -> None:
+        """Figures, and the report where there is one, are next; what is told of older results becomes a warning."""
         for sentence in notes:
             warnings.warn(f"{sentence}.", stacklevel=2)
+
+    def drawn(self, study: StudyFile, figures: Sequence[Path], page: Page | None) -> None:
+        """Figures, and the report where there is one, were made."""
 
 
 class Showing(Listener):

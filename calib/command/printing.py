@@ -35,6 +35,8 @@ from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile, shell_argument
 
+_WITH_PAGE = ("run", "report")
+"""Verbs whose answer is that of the report."""
 _OF_RUN = ("explain", "before and after")
 """Steps of a run whose tables follow its answer; without them those of the last calibration do."""
 
@@ -76,6 +78,7 @@ class _Printing(Listener):
     def __init__(self, verb: str, verbose: bool = False) -> None:
         self.verb, self.verbose = verb, verbose
         self._collected: list[AnalysisEntries] = []
+        self._begun = False
         self._pages: list[tuple[str, Page]] = []
         self._traces: tuple[str, Sequence[str]] = ("", ())
 
@@ -164,16 +167,19 @@ class _Printing(Listener):
     def nothing_added(self, sentence: str) -> None:
         self._add(Words(sentence, when="always"))
 
-    def drawn(self, study: StudyFile, figures: Sequence[Path], notes: Sequence[str], page: Page | None) -> None:
-        entries: list[Entry] = [Warned(sentence) for sentence in notes]
+    def to_draw(self, study: StudyFile, notes: Sequence[str], report: Path | None) -> None:
+        self._add(*(Warned(sentence) for sentence in notes))
+        if report is not None and self._collected[-1].answer is not None:
+            self._collected[-1] = replace(self._collected[-1], place=report)
+        if self.verb not in _WITH_PAGE and not study.test:
+            self.print_collected()  # nobody waits for figures to read the answer
+
+    def drawn(self, study: StudyFile, figures: Sequence[Path], page: Page | None) -> None:
         if figures:
-            entries += [Words("\nFigures, each beside its table:"), *(Words(f"  {path}") for path in figures)]
-        self._add(*entries)
+            self._add(Words("\nFigures, each beside its table:"), *(Words(f"  {path}") for path in figures))
         if page is not None:
             title = study.settings.title.removesuffix(f": {study.test}")  # the answer is that of all tests
             self._pages.append((f"{title}: {self.verb}{_label(study)}", page))
-            if self._collected[-1].answer is not None:
-                self._collected[-1] = replace(self._collected[-1], place=page.path)
 
     # -- the end -------------------------------------------------------------------------------------------------------
 
@@ -181,12 +187,13 @@ class _Printing(Listener):
         """Print all that was collected, once."""
         collected, pages = self._collected, self._pages
         self._collected, self._pages = [], []
-        if pages and self.verb in ("run", "report"):
+        if pages and self.verb in _WITH_PAGE:
             self._print_pages(collected, pages)
         else:
             for one in collected:
                 if one.title:
-                    say(f"\n{one.title}" if one is not collected[0] else one.title, style="bold")
+                    say(f"\n{one.title}" if self._begun else one.title, style="bold")
+                self._begun = True
                 if one.answer is not None:
                     tell_answer(one.answer, one.place)
                 tell_entries(one.entries, self.verbose)

@@ -49,6 +49,25 @@ def test_only_an_effect_without_a_competing_model_is_added(capsys, verdict, name
     assert "".join(x for x in capsys.readouterr().out.splitlines(True) if x.strip()) == told
 
 
+@pytest.mark.parametrize(
+    ("verb", "test", "before"), [("sensitivity", "", 1), ("sensitivity", "empty", 0), ("run", "", 0)]
+)
+def test_the_answer_waits_for_no_figure(tmp_path, capsys, verb, test, before):
+    """That of one of several tests, and that of a run, stand beside others."""
+    study = SimpleNamespace(test=test)
+    table = pd.DataFrame([("a", "x", 0.5)], columns=["parameter", "response", "mu_star"]).assign(
+        trajectories=3, dropped=0
+    )
+    with printing(verb) as listener:
+        listener.sampled(None, Screening("morris", table, 12, ""), Results(tmp_path))
+        listener.to_draw(study, ("the calibration is older",), None)
+        drawing = capsys.readouterr().out
+        listener.drawn(study, [tmp_path / "morris.png"], None)
+    after = capsys.readouterr().out
+    for words in ("Found:", "Results:", "the calibration is older"):
+        assert (drawing.count(words), after.count(words)) == (before, 1 - before)
+
+
 LABELS = ["Found:", "How sure:", "Next:", "Results:"]
 
 
