@@ -120,7 +120,7 @@ class CaseFinder:
         linear = linear_starts(self.exact, self.study.search_space.values)
         home = self.homes.get(self.study.test)
         explained = [] if self._only is None or home is None else [explained_fit(self.study, home)]
-        return (*linear, *known_starts(self.study, *explained))
+        return (*linear, *known_starts(self.study, self.ledger, *explained))
 
     def _reductions(self) -> dict[str, Reduction]:
         """The reduced bases of the tests whose models are large, by name of the test."""

@@ -15,11 +15,13 @@ from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.least_squares import FitProgress
 from calib.analyses.provenance.places import QUICK_SAMPLED, QUICK_STARTS
 from calib.errors.errors import EvaluationError, InputError
+from calib.errors.place import Place
 from calib.execution.outcome import as_cause
 from calib.inference.cases import Case, CaseResult
 from calib.inference.rules import RULES
 from calib.problem.problem import Counts
 from calib.problem.sampling import sample
+from calib.results.ledger import Ledger
 from calib.study.several import AnyStudy
 
 Starts: TypeAlias = Sequence[Mapping[str, float]]
@@ -27,11 +29,29 @@ Fit: TypeAlias = Callable[[Starts, int, FitProgress, Counts], FitStatistics]
 """Takes starts, the number of integer combinations, a callback after every fit, and the counts of requested points."""
 
 
-def known_starts(study: AnyStudy, *others: Mapping[str, float]) -> tuple[dict[str, float], ...]:
-    """Further starting points of least squares: those of the study, and other points known to fit."""
-    space = study.search_space
-    given = {name: value for name, value in study.settings.calibration.begin_at.items() if name in space}
+def known_starts(study: AnyStudy, ledger: Ledger, *others: Mapping[str, float]) -> tuple[dict[str, float], ...]:
+    """Further starting points of least squares: those of the study, and other points known to fit.
+
+    Raises
+    ------
+    InputError
+        Where the study begins at a design that the ledger does not have.
+    """
+    space, begin_at = study.search_space, study.settings.calibration.begin_at
+    named = _of_design(begin_at, ledger, Place(str(study.file))) if isinstance(begin_at, str) else begin_at
+    given = {name: value for name, value in named.items() if name in space}
     return tuple(space.complete(start) for start in (given, *others) if start)
+
+
+def _of_design(begin_at: str, ledger: Ledger, place: Place) -> Mapping[str, float]:
+    """Values of a design by its number, ``design 4711``."""
+    found = ledger.design(int(begin_at.split()[1]))
+    if found is None:
+        raise InputError(
+            f"begin_at names {begin_at}, and no design has that number", place=place,
+            remedy="choose one that 'calib designs STUDY' lists",
+        )  # fmt: skip
+    return found.values
 
 
 def least_squares(

@@ -60,7 +60,7 @@ class Designs:
         return good.sort_values("case", key=lambda case: case.where(case != OTHER, "\uffff"), kind="stable")
 
     def values(self, design: int) -> dict[str, float]:
-        """The free parameters of a design, to begin at: ``study.calibrate(begin_at=...)``, ``begin_at`` in study.toml.
+        """The free parameters of a design; ``begin_at = "design NUMBER"`` begins least squares there.
 
         Raises
         ------

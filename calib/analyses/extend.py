@@ -155,7 +155,7 @@ def _candidates(study: AnyStudy, names: Sequence[str]) -> tuple[Effect, ...]:
 
 def beginning_at(calibration: CalibrationSettings, values: Mapping[str, float]) -> dict[str, Any]:
     """Keys of a calibration that begins at fitted values of its model, where that would search from scratch."""
-    begin_at = {**calibration.begin_at, **values}
+    begin_at = {**calibration.begin_values, **values}
     if not calibration.refine or calibration.method not in ("auto", "genetic"):
         return {"begin_at": begin_at}
     return {"method": "gauss-newton", "starts": STARTS, "begin_at": begin_at}

@@ -30,7 +30,7 @@ class SearchKeys(TypedDict, total=False):
     mutation: float
     sigma_start: float
     sigma_end: float
-    begin_at: Mapping[str, float]
+    begin_at: Mapping[str, float] | str
 
 
 class CalibrationKeys(SearchKeys, total=False):
@@ -106,7 +106,7 @@ def calibration_settings(
     explain = with_keys(settings.explain, verb, {name: keys.pop(name, None) for name in ("alpha", "mesh_sd")})
     if keys.get("starts") is not None:
         keys.setdefault("method", "gauss-newton")
-    if keys.get("begin_at") is not None:
+    if keys.get("begin_at") is not None and not isinstance(keys["begin_at"], str):
         keys["begin_at"] = values(keys["begin_at"], f"{verb}, begin_at")
     if cases is not None or seed is not None:
         keys["cases"] = _cases(settings.calibration, cases, seed, verb)

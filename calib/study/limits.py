@@ -191,7 +191,7 @@ def search_space(
         selected = settings.listed or ()
         wrong = [k for k, name in enumerate(selected) if name in names and _fails(partial(space.keep, [name]))]
         raise InputError(fault.problem, place=place("selection", *wrong[:1]), remedy=fault.remedy) from None
-    for name, value in settings.calibration.begin_at.items():
+    for name, value in settings.calibration.begin_values.items():
         if name in missing:
             continue
         _require_inside(chosen, name, value, place("calibration", "begin_at", name))

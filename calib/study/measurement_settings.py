@@ -35,6 +35,8 @@ def possible_path(text: str) -> str:
 
 PathText = Annotated[str, AfterValidator(possible_path)]
 Share = Annotated[float, Field(ge=0, le=1)]
+DesignName = Annotated[str, Field(pattern=r"^design [1-9][0-9]{0,17}$")]
+"""An evaluated design by its number in the ledger."""
 FUNCTION = r"^[^:]+:[A-Za-z_]\w*$"
 """Names a function: ``"file.py:function"`` in the study's folder, or ``"package.module:function"``."""
 FunctionText = Annotated[PathText, Field(pattern=FUNCTION)]

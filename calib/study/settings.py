@@ -15,6 +15,7 @@ from calib.errors.errors import InputError
 from calib.study.measurement_settings import (
     FUNCTION,
     NAME,
+    DesignName,
     FunctionText,
     HeldOutSettings,
     MeasurementSettings,
@@ -149,10 +150,16 @@ class CalibrationSettings(Section):
     """Standard deviation of a mutation in the first generation, over the range of the parameter."""
     sigma_end: float = Field(default=0.01, gt=0, le=1)
     """The same in the last generation."""
-    begin_at: dict[str, float] = Field(default_factory=dict)
-    """A further start of least squares, besides the end of each search; parameters in their own units."""
+    begin_at: dict[str, float] | DesignName = Field(default_factory=dict)
+    """A further start of least squares, besides the end of each search: parameters in their own units, or an evaluated
+    design by its number, ``"design 4711"``."""
     cases: tuple[CaseSettings, ...] = Field(default=(CaseSettings(name="C1", seed=1),), min_length=1)
     """Independent searches; agreement between them is reported for each parameter."""
+
+    @property
+    def begin_values(self) -> dict[str, float]:
+        """Values of ``begin_at``; none for a design, whose values the ledger has."""
+        return {} if isinstance(self.begin_at, str) else self.begin_at
 
     @field_validator("cases")
     @classmethod
@@ -293,7 +300,7 @@ class StudySettings(Section):
             *((("constraints", k, "coefficients", name), name) for k, name in constrained),
             *((("adopted", "parameters", k), name) for k, name in enumerate(adopted)),
             *((("selection", k), name) for k, name in enumerate(selected)),
-            *((("calibration", "begin_at", name), name) for name in self.calibration.begin_at),
+            *((("calibration", "begin_at", name), name) for name in self.calibration.begin_values),
         )
 
     def of_test(self, name: str) -> StudySettings:

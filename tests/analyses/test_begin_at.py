@@ -67,6 +67,21 @@ def test_least_squares_end_in_the_valley_they_begin_in(study, tmp_path, valley):
     assert found.best.result.values["a"] == pytest.approx(valley, abs=0.1)
 
 
+@pytest.mark.parametrize("valley", VALLEYS)
+def test_least_squares_begin_at_a_design_that_was_evaluated(study, tmp_path, valley):
+    answer(study(f"starts = 1\nbegin_at = {{ a = {valley + 0.1} }}"), tmp_path, "gauss-newton")
+    loaded = study("starts = 1")
+    with Ledger.open(tmp_path / "results" / loaded.name / "ledger.sqlite") as ledger:
+        found = ledger.lookup(loaded.problem.fingerprint, ledger.keys(loaded.problem.fingerprint))
+        key = min(found, key=lambda key: abs(found[key].values["a"] - valley - 0.1))
+        number = ledger.numbers(loaded.problem.fingerprint, [key])[key]
+        assert ledger.design(number) == found[key] and ledger.design(10**6) is None
+    named = answer(study(f'starts = 1\nbegin_at = "design {number}"'), tmp_path, "gauss-newton")
+    assert named.best.result.values["a"] == pytest.approx(valley, abs=0.1)
+    with pytest.raises(InputError, match=r"begin_at names design 1000000\b"):
+        answer(study('begin_at = "design 1000000"'), tmp_path, "gauss-newton")
+
+
 def test_least_squares_start_from_the_end_of_a_search_and_from_known_points(study, tmp_path, monkeypatch):
     asked, refined = [], CaseFinder.refined
 

@@ -63,10 +63,11 @@ def _one(found: Designs, design: int) -> list[Entry]:
         for name, value in row.items()
         if str(name).startswith("error ") and not pd.isna(value)
     ]
-    line = ", ".join(f"{name} = {value!r}" for name, value in values.items())
     return [
         Rows.of("", _HEADS, [_row(row)]),
         Rows.of("Values:", ("parameter", "value"), parameters, most=len(parameters)),
         Rows.of("Errors, model - measured:", ("response", "error"), errors),
-        Words(f"\nIn study.toml, below [calibration]:\nbegin_at = {{ {line} }}", "always"),
+        Words(
+            f'\nTo begin least squares there, in study.toml below [calibration]: begin_at = "design {design}"', "always"
+        ),
     ]

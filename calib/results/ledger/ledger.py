@@ -255,6 +255,16 @@ class Ledger:
         with self._database.explaining():
             return {key_of_blob(k): n for k, n in self._database.among(query, map(blob_of_key, keys), fingerprint)}
 
+    def design(self, number: int) -> Outcome | None:
+        """The evaluated point of that number; None where there is none, or its row is damaged."""
+        query = "SELECT fingerprint, key FROM evaluation JOIN state ON state.id = state WHERE evaluation.id = ?"
+        with self._database.explaining():
+            row = self._database.execute(query, (number,)).fetchone()
+        if row is None:
+            return None
+        fingerprint, key = str(row[0]), key_of_blob(row[1])
+        return self.lookup(fingerprint, [key]).get(key)
+
     def other_fingerprints(self, *current: str) -> int:
         """Number of rows that belong to other states of model and measurement than the current ones."""
         return self._number(
