@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from calib.report.comparison import LEAST_MAC_ERROR
 from calib.report.numbers import flag, short, significant, with_unit
 from calib.report.style import CASES, GREY, VERMILLION, legend_above, new_figure, own_axes, plain
 from calib.report.svg import hover
@@ -24,8 +25,6 @@ _LINE_STYLES = ("-", "-.", ":")
 SEARCH, FITTED = "search", "least squares"
 MOST_ENDS = 60
 """Modes or responses whose errors by case are drawn."""
-_LEAST = 1e-3
-"""Smallest 1 − MAC that is drawn apart."""
 
 
 def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | None = None) -> Axes:
@@ -78,13 +77,16 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
             at = bound & side
             ends = np.clip(lengths[at], 0.0, 100.0) + 1.6
             ax.plot(ends, y[at], marker, color="black", markersize=4.5, gid=f"on_limit {case} {marker}")
-    ax.set_yticks(range(len(names)), [str(n) for n in names])
+    units = table.groupby("parameter")["unit"].first().reindex(names).tolist()
+    bare = [str(unit) in ("-", "") or pd.isna(unit) for unit in units]
+    ax.set_yticks(
+        range(len(names)), [f"{n}" if no else f"{n} ({u})" for n, u, no in zip(names, units, bare, strict=True)]
+    )
     ax.set_ylim(len(names) - 0.45, -0.55)
     ax.set_xlim(0.0, 104.0)
     ax.set_xticks(range(0, 101, 20))
     ax.axvline(100.0, color=GREY, linewidth=0.8)
     ax.grid(axis="x")
-    units = table.groupby("parameter")["unit"].first().reindex(names).tolist()
     for i in range(1, len(names)):
         other = units[i] != units[i - 1]
         ax.axhline(i - 0.5, color=GREY if other else "#E3E3E3", linewidth=1.0 if other else 0.6)
@@ -183,7 +185,7 @@ def ends_figure(table: pd.DataFrame) -> Figure:
         for k, case in enumerate(cases):
             for point in (SEARCH, FITTED):
                 own = table[(table["case"] == case) & (table["point"] == point)]
-                values = 100.0 * own["error"] if column == "error" else (1.0 - own["mac"]).clip(lower=_LEAST)
+                values = 100.0 * own["error"] if column == "error" else (1.0 - own["mac"]).clip(lower=LEAST_MAC_ERROR)
                 x = own["what"].map(places) + 0.8 * ((k + 0.5) / len(cases) - 0.5)
                 colour = CASES[k % len(CASES)]
                 looks: dict[str, Any] = {"markerfacecolor": "none" if point == SEARCH else colour, "markersize": 5.0}

@@ -21,8 +21,15 @@ _LOOKS: dict[str, dict[str, Any]] = {
     "after": {"color": style.AFTER},
     "added": {"color": style.WITH, "hatch": "....", "edgecolor": "white"},
 }
+_MARKS = {"before": ("s", style.BEFORE), "after": ("o", style.AFTER), "added": ("D", style.WITH)}
+_ROOM = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 0.3}
+"""Ground of a number over a line that crosses it."""
 STILL = 0.1
 """Motion over the largest one of a mode, rms over the modes, below which a sensor hardly moves."""
+LEAST_MAC_ERROR = 1e-3
+"""Smallest 1 − MAC that is drawn apart."""
+_HIGH = 0.5
+"""1 − MAC above which a number stands below its mark."""
 _MAX_SENSORS = 40
 _LABEL_ROOM = 105
 """Characters that fit side by side under the bars."""
@@ -89,7 +96,7 @@ def draw_mac(
     added: pd.DataFrame | None = None,
     effects: str = "",
 ) -> Axes:
-    """Draw the MAC of every mode with its model mode as bars, after Ribeiro et al. (2013), figure 9.
+    """Draw 1 − MAC of every mode and its model mode, after Ribeiro et al. (2013), figure 9.
 
     Parameters
     ----------
@@ -97,28 +104,46 @@ def draw_mac(
         As for `draw_frequency_error`; columns ``mode`` and ``mac`` (0 to 1, NaN for an unpaired mode).
     noise_mac : float
         Mean MAC of a perfect model with this noise, drawn as a dashed line; NaN where unknown.
+
+    Returns
+    -------
+    Axes
+        Marks on a logarithmic scale, where 0.001 and less are drawn as 0.001, with the MAC beside each.
     """
     ax = style.own_axes(ax, 2.6)
     series = _series({"before": before, "after": after, "added": added})
-    values = {stage: table["mac"] for stage, table in series.items()}
-    labels = {
-        stage: f"{style.stage_words(stage, effects)}: mean MAC {_mean(mac, '{:.3f}')}{_paired(mac)}"
-        for stage, mac in values.items()
-    }
-    stage_words = {stage: style.stage_words(stage, effects) for stage in values}
-    _bars(ax, values, labels, stage_words, "{:.2f}", lambda value: f"MAC {fixed(value, 3)}")
-    modes = next(iter(values.values())).index
-    ax.set_xticks(range(len(modes)), list(modes))
-    _crowded(ax, [str(mode) for mode in modes])
+    width = 0.8 / len(series)
+    modes = list(next(iter(series.values())).index)
+    for k, (stage, table) in enumerate(series.items()):
+        mac = table["mac"].astype(float)
+        words, (mark, colour) = style.stage_words(stage, effects), _MARKS[stage]
+        x = np.arange(len(mac)) + (k - (len(series) - 1) / 2) * width
+        heights = (1.0 - mac).clip(lower=LEAST_MAC_ERROR).to_numpy()
+        label = f"{words}: mean MAC {_mean(mac, '{:.3f}')}{_paired(mac)}"
+        ax.plot(x, heights, mark, color=colour, markersize=6.5, label=label, zorder=3)
+        hover_points(ax, x, heights, [f"{m}, {words}: MAC {fixed(v, 3)}" for m, v in zip(modes, mac, strict=True)])
+        for place, height, value in zip(x, heights, mac, strict=True):
+            if math.isnan(value):
+                _not_paired(ax, place, ax.get_xaxis_transform())
+            elif len(modes) * len(series) <= _MOST_VALUES:
+                is_high = height > _HIGH
+                ax.annotate(
+                    f"{value:.3f}", (place, height), xytext=(0, -6 if is_high else 6), textcoords="offset points",
+                    ha="center", va="top" if is_high else "bottom", fontsize=6.5, zorder=4, bbox=_ROOM,
+                )  # fmt: skip
     if not math.isnan(noise_mac):
-        ax.axhline(
-            noise_mac, color=style.GREY, linestyle="--", linewidth=1.0, label="mean MAC that noise allows", zorder=1
-        )
-        style.legend_above(ax)
-    ax.set_ylim(0.0, 1.1)
-    ax.set_yticks(np.linspace(0.0, 1.0, 6))
+        level = max(1.0 - noise_mac, LEAST_MAC_ERROR)
+        ax.axhline(level, color=style.GREY, linestyle="--", linewidth=1.0, label="mean that noise allows", zorder=1)
+    ax.set_xticks(range(len(modes)), modes)
+    _crowded(ax, [str(mode) for mode in modes])
+    ax.set_xlim(-0.6, len(modes) - 0.4)
+    ax.set_yscale("log")
+    ax.set_ylim(LEAST_MAC_ERROR / 1.5, 1.5)
+    ax.set_yticks([1.0, 0.1, 0.01, 0.001], ["1", "0.1", "0.01", "0.001"])
+    ax.grid(axis="y")
     ax.set_xlabel("mode")
-    ax.set_ylabel("MAC (–)")
+    ax.set_ylabel("1 − MAC (–)")
+    style.legend_above(ax)
     return ax
 
 
@@ -271,23 +296,20 @@ def _bars(
             hover(bar, f"{mode}, {stage_words[name]}: {words(height)}")
         if len(series) * len(values) <= _MOST_VALUES:
             texts = ["" if gone else _signed(h, number) for h, gone in zip(heights, missing, strict=True)]
-            room = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 0.3}  # over a line that crosses it
-            ax.bar_label(bars, texts, fontsize=7 if len(values) < 3 else 6.5, padding=2, bbox=room)
+            ax.bar_label(bars, texts, fontsize=7 if len(values) < 3 else 6.5, padding=2, bbox=_ROOM)
         for position in x[missing]:
-            ax.annotate(
-                "not paired",
-                (position, 0.0),
-                xytext=(0, 4),
-                textcoords="offset points",
-                rotation=90,
-                ha="center",
-                va="bottom",
-                fontsize=7.5,
-                color=style.GREY,
-            )
+            _not_paired(ax, position, "data")
     ax.set_xlim(-0.6, len(next(iter(values.values()))) - 0.4)
     ax.grid(axis="y")
     style.legend_above(ax)
+
+
+def _not_paired(ax: Axes, x: float, coordinates: Any) -> None:
+    """Label a mode without a partner, upwards from 0 of the coordinates."""
+    ax.annotate(
+        "not paired", (x, 0.0), xycoords=coordinates, xytext=(0, 4), textcoords="offset points", rotation=90,
+        ha="center", va="bottom", fontsize=7.5, color=style.GREY,
+    )  # fmt: skip
 
 
 def _signed(value: float, number: str) -> str:
@@ -316,7 +338,6 @@ SHOWN = 15
 """Comparisons that are drawn."""
 NOISE = "noise: 1 standard deviation"
 """Label of the line at 1."""
-_MARKS = {"before": ("s", style.BEFORE), "after": ("o", style.AFTER), "added": ("D", style.WITH)}
 
 
 def draw_worst(

@@ -18,6 +18,8 @@ from calib.report.svg import hover, hover_points
 _PRIOR = "#E8E8E8"
 _INTERVAL = 1.96
 """Half-width of an interval of 95 % in standard deviations."""
+_APART = 0.01
+"""Distance over the search range from which a cross is seen beside the dot."""
 
 
 def draw_parameters(
@@ -98,15 +100,21 @@ def draw_parameters(
     ax.grid(axis="x")
     handles: list[Any] = []
     label = f"{best_case}: value and 95 % interval" if len(cases) > 1 else "value and 95 % interval"
-    handles.append(Line2D([], [], label=label if has.any() else best_case, **{**dot, "linestyle": "-"}))
-    if False in known:
+    label = label if has.any() else str(best_case)
+    any_known = any(value is not False for value in known)
+    if not any_known:
+        label += ", not identified"
+    handles.append(
+        Line2D([], [], label=label, **{**dot, "linestyle": "-", "markerfacecolor": BLUE if any_known else "white"})
+    )
+    if any_known and False in known:
         handles.append(Line2D([], [], label="not identified", **{**dot, "markerfacecolor": "white"}))
     if wide:
         handles.append(Line2D([], [], color=ORANGE, linewidth=1.4, label="95 % interval with the misfit"))
     if nominal:
         look: dict[str, Any] = {"linestyle": "none", "marker": "D", "color": GREY, "markerfacecolor": "white"}
         handles += [Patch(color=_PRIOR, label="prior ± 2 std"), Line2D([], [], label="nominal value", **look)]
-    if len(others):
+    if (np.abs(others["ratio"] - place[at.to_numpy(dtype=int)]) > _APART).any():
         handles.append(Line2D([], [], linestyle="none", marker="x", color=GREY, label="other cases"))
     if bound.any():
         handles.append(Line2D([], [], linestyle="none", marker="d", color=VERMILLION, label="at a search limit"))

@@ -23,7 +23,7 @@ def test_bar_lengths_are_the_ratios_in_percent(parameters):
         rows = parameters[parameters["case"] == case]
         np.testing.assert_allclose([bar.get_width() for bar in bars], 100 * rows["ratio"])
         assert bars.get_label() == case
-    assert [t.get_text() for t in ax.get_yticklabels()] == ["K_primary", "position"]
+    assert [t.get_text() for t in ax.get_yticklabels()] == ["K_primary (MN/m)", "position"]
 
 
 def test_every_bar_has_its_value_beside_it(parameters):

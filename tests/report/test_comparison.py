@@ -54,19 +54,27 @@ def test_modes_are_matched_by_name_and_not_by_row(before, after):
 
 def test_with_added_effects_three_models_are_told_apart(before, after):
     better = after.assign(freq_error=after["freq_error"] / 2, mac=0.99)
-    for draw, column, factor in ((draw_frequency_error, "freq_error", 100), (draw_mac, "mac", 1)):
-        ax = draw(before, after, added=better, effects="arb")
-        for bars, table in zip(ax.containers, (before, after, better), strict=True):
-            np.testing.assert_allclose(heights(bars), factor * table[column])
-        names = [words.split(":")[0] for words in legend(ax)]
-        assert names == ["nominal values", "calibrated without arb", "calibrated with arb"]
-        assert len({tuple(bars[0].get_facecolor()) for bars in ax.containers}) == 3
+    tables, names = (before, after, better), ["nominal values", "calibrated without arb", "calibrated with arb"]
+    errors, macs = (draw(before, after, added=better, effects="arb") for draw in (draw_frequency_error, draw_mac))
+    for bars, marks, table in zip(errors.containers, macs.lines, tables, strict=True):
+        np.testing.assert_allclose(heights(bars), 100 * table["freq_error"])
+        np.testing.assert_allclose(marks.get_ydata(), 1 - table["mac"])
+    assert all([words.split(":")[0] for words in legend(ax)] == names for ax in (errors, macs))
+    assert len({tuple(bars[0].get_facecolor()) for bars in errors.containers}) == 3
+    assert len({(marks.get_color(), marks.get_marker()) for marks in macs.lines}) == 3
 
 
-def test_mac_bars(before, after):
+def test_mac_is_drawn_by_what_it_lacks(before, after):
+    """On a scale that shows 0.99 beside 0.999; what is nearer to 1 is drawn as 0.999, and the noise last."""
+    ax = draw_mac(before, after.assign(mac=[0.99995, 0.96, 0.88]), noise_mac=0.9999)
+    assert ax.get_yscale() == "log"
+    first, second, noise = (line.get_ydata() for line in ax.lines)
+    np.testing.assert_allclose(first, 1 - before["mac"])
+    np.testing.assert_allclose(second, [0.001, 0.04, 0.12])
+    np.testing.assert_allclose(noise, 0.001)
+    assert {"not paired", "1.000", "0.960"} <= set(words(ax))
+    assert [label.split(":")[0] for label in legend(ax)][:2] == ["before calibration", "after calibration"]
     ax = draw_mac(before, after)
-    np.testing.assert_allclose(heights(ax.containers[0]), before["mac"])
-    np.testing.assert_allclose(heights(ax.containers[1]), after["mac"])
     assert legend(ax) == ["before calibration: mean MAC 0.740, 2 of 3 paired", "after calibration: mean MAC 0.943"]
 
 

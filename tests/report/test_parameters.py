@@ -68,3 +68,17 @@ def test_the_prior_is_a_band_about_the_nominal_value_within_the_limits(table, pr
 def test_an_unknown_case_is_the_first_and_unknown_verdicts_are_filled(table):
     found = lines(draw_parameters(table.drop(columns="identified"), best_case="XX"))
     assert found["identified None"].get_xdata().tolist() == [0.5, 0.375]
+
+
+def test_the_legend_names_what_is_seen(table):
+    def legend(table):
+        handles = draw_parameters(table, best_case="GB1").get_legend().legend_handles
+        return {handle.get_label(): handle.get_markerfacecolor() for handle in handles if handle.get_marker() == "o"}
+
+    assert list(legend(table)) == ["GB1: value and 95 % interval", "not identified"]
+    (only,) = legend(table.assign(identified=False)).items()
+    assert only == ("GB1: value and 95 % interval, not identified", "white")
+    same = table.assign(ratio=[0.5, 0.375, 0.5, 0.375])
+    for found, crosses in ((table, True), (same, False)):
+        shown = draw_parameters(found, best_case="GB1").get_legend().get_texts()
+        assert ("other cases" in [text.get_text() for text in shown]) is crosses
