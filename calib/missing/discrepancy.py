@@ -9,6 +9,7 @@ from itertools import compress
 import numpy as np
 import pandas as pd
 import scipy.linalg as la
+from scipy.special import chdtrc
 
 from calib.inference.rules import WIDE
 from calib.missing.explanation import UNEXPLAINED, Explanation
@@ -16,6 +17,11 @@ from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
 
+UNHELD = (
+    "No interval of a fitted parameter holds: what is missing is unlike every effect and local perturbation, or too "
+    "large for their derivatives."
+)
+"""Said where a discrepancy does not account for the misfit."""
 TABLE = "unexplained"
 """Name of the table."""
 COLUMNS = (
@@ -48,6 +54,9 @@ class Discrepancy:
         Candidate of every column that is taken to be present, length m.
     points : tuple of mapping
         Where the signature of a column is a difference, see `Scores`; empty for a derivative.
+    p : float
+        Of the sum of squares with the discrepancy: small where what is missing is unlike every candidate, or too large
+        for their derivatives.
     presence : ndarray (m,)
         Posterior mean of the magnitude of every column.
     root : ndarray (m, m)
@@ -60,11 +69,17 @@ class Discrepancy:
     change: np.ndarray
     covariance: np.ndarray
     size: float
+    p: float
     owners: tuple[str, ...]
     points: tuple[Mapping[str, float], ...]
     presence: np.ndarray
     root: np.ndarray
     absorbed: np.ndarray
+
+    @property
+    def holds(self) -> bool:
+        """Whether it accounts for the misfit; else its intervals know of a part of that alone."""
+        return self.p >= RULES.suspect
 
     def elsewhere(self, names: tuple[str, ...], slope: np.ndarray, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the discrepancy does to predictions of data that were not fitted.
@@ -113,12 +128,14 @@ def discrepancy(fit: LinearisedFit, *scores: Scores) -> Discrepancy:
     projected = unit[:, seen] * size
     upper = la.cholesky(projected.T @ projected + np.eye(len(scale)))
     presence = la.cho_solve((upper, False), projected.T @ fit.projected)
+    misfit = float(fit.projected @ fit.projected - (projected.T @ fit.projected) @ presence)
     right_of_all = (fit.slope * fit.prior_sd).T @ raw[:, seen]
     return Discrepancy(
         fit.names,
         change,
         inverse * np.outer(fit.prior_sd, fit.prior_sd),
         size,
+        float(chdtrc(len(slope), misfit)),
         tuple(compress([name for s in scores for name in s.owners], seen)),
         tuple(compress([point for s in scores for point in s.points], seen)),
         scale * presence,
@@ -169,9 +186,10 @@ def parameter_intervals(fit: LinearisedFit, wide: Discrepancy | None) -> pd.Data
     Returns
     -------
     DataFrame
-        `COLUMNS`; intervals end at the limits. Empty without a discrepancy.
+        `COLUMNS`; intervals end at the limits. Empty without a discrepancy, and where it does not account for the
+        misfit.
     """
-    if wide is None:
+    if wide is None or not wide.holds:
         return pd.DataFrame(columns=list(COLUMNS))
     rows: list[tuple[object, ...]] = []
     alone, together = (np.sqrt(np.diag(c)) for c in (fit.covariance, wide.covariance))

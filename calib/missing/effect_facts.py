@@ -15,7 +15,7 @@ from calib.missing.adapter import Adapter
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.detailed import DetailedFit, fitted_in_detail, leading_fit, tested_in_detail
 from calib.missing.discrepancy import TABLE as PARAMETERS
-from calib.missing.discrepancy import discrepancy_of, parameter_intervals, parameters_sentence
+from calib.missing.discrepancy import UNHELD, discrepancy_of, parameter_intervals, parameters_sentence
 from calib.missing.evidence import ln_evidence
 from calib.missing.explanation import Explanation
 from calib.missing.hypotheses import Altered, FitProblem, Hypotheses
@@ -114,7 +114,7 @@ def unexplained(adapter: Adapter, found: Explanation) -> tuple[dict[str, pd.Data
     parameters = parameter_intervals(found.base.fit, wide)
     predicted, errors = adapter.predictions(found.base, wide, found.noise_scale)
     tables = {PARAMETERS: parameters, PREDICTIONS: predicted, ERRORS: errors}
-    words = (parameters_sentence(parameters), predictions_sentence(predicted, errors))
+    words = (parameters_sentence(parameters) if wide.holds else UNHELD, predictions_sentence(predicted, errors))
     return {name: table for name, table in tables.items() if len(table)}, words
 
 

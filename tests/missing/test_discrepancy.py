@@ -1,10 +1,12 @@
 """Intervals of parameters with an unexplained misfit, against truths of linear models by hand."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import scipy.linalg as la
+from scipy import stats
 
 from calib.missing.discrepancy import discrepancy, discrepancy_of, parameter_intervals, parameters_sentence
 from calib.missing.linearised_fit import LinearisedFit
@@ -92,6 +94,29 @@ def test_the_table_tells_both_intervals_and_only_after_an_unexplained_misfit():
     effect = SimpleNamespace(verdict="effect", base=found.base, base_adequacy=tests)
     named = parameter_intervals(effect.base.fit, discrepancy_of(effect))
     assert discrepancy_of(effect) is None and named.empty and parameters_sentence(named) == ""
+
+
+def test_a_misfit_unlike_every_candidate_leaves_no_interval():
+    """Candidates that are present account for the misfit; none does for what is orthogonal to all of them."""
+    like = [discrepancy(*world(seed, 6.0)[:2]) for seed in range(20)]
+    assert all(found.holds for found in like)
+    fit, scores, _ = world(3, 6.0)
+    every = np.hstack([fit.slope, scores.raw])
+    other = np.random.default_rng(4).standard_normal(N)
+    other -= every @ la.lstsq(every, other)[0]
+    for length, holds in ((0.0, True), (12.0, False)):
+        off = replace(fit, residual=fit.residual + length * other / np.linalg.norm(other))
+        found = discrepancy(off, scores)
+        rows = off.residual @ la.inv(np.eye(N) + columns(scores, found) @ columns(scores, found).T)
+        assert found.holds is holds and len(parameter_intervals(off, found)) == (P if holds else 0)
+        # The sum of squares that is left, with the parameters fitted anew under that covariance.
+        change = found.covariance @ (off.slope.T @ rows - off.shift)
+        left = rows @ off.residual + off.shift @ off.shift - change @ la.solve(found.covariance, change)
+        assert found.p == pytest.approx(stats.chi2.sf(left, N), rel=1e-6)
+
+
+def columns(scores, found):
+    return scores.raw / scores.size * found.size
 
 
 # -- data that were not fitted -----------------------------------------------------------------------------------------
