@@ -28,6 +28,9 @@ from calib.results.written import is_own
 from calib.study.several import JointStudy
 from calib.study.study_file import StudyFile, shell_argument
 
+_NUMBERED = re.compile(r"_\d+$")
+"""End of the name of one of several pictures of a subject."""
+
 
 @dataclass(frozen=True)
 class _Shown:
@@ -92,9 +95,7 @@ def draw(
             for one in each:
                 place = one.folder.path
                 figures = one.results.figures.save(formats, step, width)
-                if one.stale.files:
-                    old = [file for kind in FORMATS for file in place.glob(f"*.{kind}")]
-                    one.folder.remove(*(file.name for file in old if is_own(file) and file not in figures))
+                one.folder.remove(*_replaced(place, figures, everything=bool(one.stale.files)))
                 listener.drawn(one.study, figures, written if one is whole else None)
     except OSError as fault:
         raise InputError(
@@ -102,6 +103,15 @@ def draw(
             place=place,
             remedy="free some space and draw again with 'calib report', or choose another --results",
         ) from None
+
+
+def _replaced(folder: Path, figures: Sequence[Path], everything: bool) -> list[str]:
+    """Names of older pictures that new ones replace: those that are now one or several, or all others."""
+    stems = {file.stem for file in figures}
+    subjects = {_NUMBERED.sub("", stem) for stem in stems}
+    old = [file for kind in FORMATS for file in folder.glob(f"*.{kind}") if file not in figures and is_own(file)]
+    gone = [file for file in old if file.stem not in stems and _NUMBERED.sub("", file.stem) in subjects]
+    return [file.name for file in (old if everything else gone)]
 
 
 def _shown(study: StudyFile, folder: Results, root: Path) -> list[_Shown]:
