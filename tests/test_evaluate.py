@@ -1,5 +1,6 @@
 import math
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -344,3 +345,45 @@ def test_nothing_stays_behind_when_the_parent_is_stopped(source, tmp_path, sign)
     assert gone([int(p) for p in log.read_text().split()])
     if sign == signal.SIGINT:
         assert errors.count("Traceback") == 1  # the parent's own; workers say nothing
+
+
+LATE = """
+import os, sys, time
+if os.environ["PARENT"] == str(os.getpid()):  # the real module
+    place = sys.path.pop(0)
+    del sys.modules["threadpoolctl"]
+    import threadpoolctl
+    sys.path.insert(0, place)
+else:
+    with open(os.environ["SAID"], "w") as said:
+        said.write("importing")
+        said.flush()
+        time.sleep(1e5)
+"""
+LONGEST = 300.0
+STARTS = {
+    "workers": "from calib.execution.evaluate import Evaluator; Evaluator(dict, 2).evaluate([{'x': 1.0}])",
+    "team": "from calib.execution.team import Team; t = Team(2); t(operator.add, 0, range(100)); time.sleep(1e5)",
+    "apart": "from calib.execution.worker import apart; apart(abs, -1)",
+}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
+@pytest.mark.parametrize("start", STARTS)
+def test_a_process_that_is_still_importing_when_its_parent_is_killed_ends_too(tmp_path, start):
+    (tmp_path / "threadpoolctl.py").write_text(LATE)
+    os.mkfifo(tmp_path / "said")
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1]), "SAID": str(tmp_path / "said")}
+    script = (
+        f"import operator, os, sys, time; os.environ['PARENT'] = str(os.getpid()); sys.path[0] = {str(tmp_path)!r};"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", script + STARTS[start]], env=environment)
+    said = os.open(tmp_path / "said", os.O_RDONLY)
+    assert os.read(said, 9) == b"importing"
+    parent.kill()
+    parent.wait()
+    words = b"importing"
+    while words and select.select([said], [], [], LONGEST)[0]:
+        words = os.read(said, 99)
+    os.close(said)
+    assert not words  # every process that could write has ended

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.process import BaseProcess
 from typing import Protocol
 
 import pandas as pd
@@ -267,7 +268,10 @@ class Evaluator:
             self._script = b"__main__" in pickle.dumps(self.source)  # fails here, and not in a half-started process
             context = multiprocessing.get_context("spawn")
             self._board = worker.Board(context, self.workers)
-            self._pool = ProcessPoolExecutor(self.workers, context, worker.start, (self.source, self._board))
+            self._pool = ProcessPoolExecutor(
+                self.workers, context, interrupt.follow,
+                (interrupt.Following(worker.start, self.source, self._board),),
+            )  # fmt: skip
         # Processes are started on demand, while a task is handed over.
         with interrupt.held(), worker.environment(self._script):
             future = self._pool.submit(task, number, dict(values))
@@ -279,17 +283,19 @@ class Evaluator:
         pool, self._pool = self._pool, None
         if pool is None:
             return
-        # The executor can only wait, for as long as it takes; public ways to end it exist from Python 3.14 on.
-        processes = list((getattr(pool, "_processes", None) or {}).values())
-        manager: threading.Thread | None = getattr(pool, "_executor_manager_thread", None)
+        manager: threading.Thread | None = None
+        processes: list[BaseProcess] = []
 
         def kill() -> None:
             for process in processes:
                 process.kill()
 
-        if at_once:
-            kill()
         try:
+            # The executor can only wait, for as long as it takes; public ways to end it exist from Python 3.14 on.
+            processes += (getattr(pool, "_processes", None) or {}).values()
+            manager = getattr(pool, "_executor_manager_thread", None)
+            if at_once:
+                kill()
             pool.shutdown(wait=at_once, cancel_futures=True)
             if manager is not None:
                 manager.join(interrupt.PATIENCE)

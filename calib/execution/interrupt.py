@@ -8,12 +8,16 @@ builds an array of strings), and the command would go on.
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
+from multiprocessing.reduction import ForkingPickler
 from types import FrameType
 
 CODE = 130
@@ -36,7 +40,7 @@ class _Press:
 
     def begin(self) -> None:
         self.raised_at: float | None = None
-        self.answered = self.watching = self.held = self.waiting = False
+        self.answered = self.watching = self.held = self.waiting = self.end_requested = False
         self.code: int | None = None
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:
@@ -136,6 +140,57 @@ def end_within(seconds: float, code: int, words: str = "") -> None:
         os._exit(code)
 
     threading.Thread(target=end, daemon=True).start()
+
+
+class Following:
+    """A call for a new process; what it needs is imported there when `follow` makes it.
+
+    Parameters
+    ----------
+    *call : object
+        A function that is defined in a module, and its arguments.
+    content : bytes
+        The same as its process receives it.
+    """
+
+    def __init__(self, *call: object, content: bytes = b""):
+        self._call, self.content = call, content
+
+    def __reduce__(self) -> tuple[partial[Following], tuple[()]]:
+        return partial(Following, content=bytes(ForkingPickler.dumps(self._call))), ()
+
+
+def follow(task: Following) -> None:
+    """Begin a new process: from now on, its parent alone decides when to stop, and it ends when the parent is gone.
+
+    Otherwise it would wait for tasks for ever. Imports come later: on a busy machine they take long.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for sign in END_REQUESTS:
+        if signal.getsignal(sign) is signal.SIG_DFL:
+            # Unlike an ignored signal, this is not inherited by programs that a model starts, and may have to end.
+            signal.signal(sign, _note_end_request)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, END_REQUESTS)
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    function, *arguments = pickle.loads(task.content)
+    function(*arguments)
+
+
+def _note_end_request(number: int, frame: FrameType | None) -> None:
+    _press.end_requested = True
+
+
+def _leave_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def end_requested() -> bool:
+    """Whether somebody asked this process, which follows its parent, to end."""
+    return _press.end_requested
 
 
 def pressed() -> bool:

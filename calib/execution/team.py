@@ -77,15 +77,18 @@ class Team:
 
     def close(self) -> None:
         """End the other processes, whatever they do."""
-        pool, self._pool = self._pool, None
-        if pool is not None:
-            # The executor can only wait for running tasks; public ways to end them exist from Python 3.14 on.
-            for process in list((getattr(pool, "_processes", None) or {}).values()):
-                process.kill()
-            pool.shutdown(wait=True, cancel_futures=True)
-        if self._store is not None:
-            self._store.close()
-            self._store = None
+        try:
+            with interrupt.held():  # one that comes before they are killed would leave them
+                pool, self._pool = self._pool, None
+                # The executor can only wait for running tasks; public ways to end them exist from Python 3.14 on.
+                for process in list((getattr(pool, "_processes", None) or {}).values()):
+                    process.kill()
+            if pool is not None:
+                pool.shutdown(wait=True, cancel_futures=True)
+        finally:
+            store, self._store = self._store, None
+            if store is not None:
+                store.close()
 
     @property
     def shares(self) -> bool:
@@ -207,7 +210,9 @@ class Team:
             if self._pool is None:
                 context = multiprocessing.get_context("spawn")
                 self._board = _Board(context)
-                self._pool = ProcessPoolExecutor(self.workers - 1, context, _start, (self._board,))
+                self._pool = ProcessPoolExecutor(
+                    self.workers - 1, context, interrupt.follow, (interrupt.Following(_start, self._board),)
+                )  # fmt: skip
             assert self._board is not None
             self._board.begin(self._calls)
             with interrupt.held(), worker.environment(script=False):
@@ -288,7 +293,6 @@ class _Helper:
 
 
 def _start(board: _Board) -> None:
-    worker.follow_parent()
     worker.quiet_libraries()
     _Helper.limits = threadpool_limits(1)
     _Helper.board = board

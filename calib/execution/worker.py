@@ -1,4 +1,4 @@
-"""Tasks of worker processes: of calib's own pool, with the board that its parent watches, and of a given executor."""
+"""Tasks of worker processes: of calib's own pool, with the board that its parent watches, of an executor, and apart."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ import uuid
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext
-from types import FrameType
-from typing import Any
+from typing import Any, TypeVar
 
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
@@ -29,6 +29,7 @@ from calib.execution.interrupt import end_within
 from calib.execution.outcome import WORKER_DIED, Function, Outcome, attempt, words_of
 
 Source = Callable[[], Function]
+T = TypeVar("T")
 
 _THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -145,12 +146,10 @@ class _Worker:
     limits: object = None
     board: Board
     place: int
-    end_requested = False
 
 
 def start(source: Source, board: Board) -> None:
     """Initialize a worker process; a model that cannot be built is reported by every task."""
-    follow_parent()
     quiet_libraries()
     leave_after_work()
     try:
@@ -159,32 +158,6 @@ def start(source: Source, board: Board) -> None:
         _Worker.fault = fault
     _Worker.limits = threadpool_limits(1)
     _Worker.board, _Worker.place = board, board.take_place()
-
-
-def follow_parent() -> None:
-    """From now on, the parent alone decides when to stop, and this process ends when the parent is gone.
-
-    Otherwise it would wait for tasks for ever.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for sign in interrupt.END_REQUESTS:
-        if signal.getsignal(sign) is signal.SIG_DFL:
-            # Unlike an ignored signal, this is not inherited by programs that a model starts, and may have to end.
-            signal.signal(sign, _note_end_request)
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, interrupt.END_REQUESTS)
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
-
-
-def _note_end_request(number: int, frame: FrameType | None) -> None:
-    _Worker.end_requested = True
-
-
-def _leave_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 LEAVING = 1.0
@@ -224,7 +197,7 @@ def work(number: int, values: Mapping[str, float]) -> Outcome | Exception:
         return fault
     finally:
         _Worker.board.clear(_Worker.place)
-    if outcome.status == "failed" and _Worker.end_requested:  # a solver that the same request has ended, say
+    if outcome.status == "failed" and interrupt.end_requested():  # a solver that the same request has ended, say
         return replace(outcome, error=WORKER_DIED, trace="", at=None)
     return outcome
 
@@ -299,3 +272,65 @@ def work_anywhere(sent: Sent, values: Mapping[str, float]) -> Outcome | Exceptio
             return attempt(function, values)
     except (InputError, RuntimeError) as fault:
         return fault
+
+
+# -- one task in a process of its own ----------------------------------------------------------------------------------
+
+
+class EndedError(Exception):
+    """The process of a task ended without an answer; its words say how."""
+
+
+def apart(function: Callable[..., T], *arguments: object) -> T:
+    """What a function returns, from a process of its own: native code that ends it does no harm here.
+
+    Parameters
+    ----------
+    function : callable
+        Defined in a module, so that the other process can import it.
+    *arguments : object
+        What can be sent.
+
+    Raises
+    ------
+    EndedError
+        When that process ends without an answer.
+    Exception
+        What the function raises.
+    """
+    if multiprocessing.current_process().daemon:  # it may start none, and whoever started it expects that it may end
+        return function(*arguments)
+    context = multiprocessing.get_context("spawn")
+    receiving, sending = context.Pipe(duplex=False)
+    task = interrupt.Following(_alone, sending, function, arguments)
+    process = context.Process(target=interrupt.follow, args=(task,), daemon=True)
+    try:
+        with interrupt.held(), environment(script=False):
+            process.start()
+        sending.close()  # the other process has the only open end: its end is seen
+        answer, fault = receiving.recv()
+    except (EOFError, OSError):
+        process.join()
+        code = process.exitcode or 0
+        raise EndedError(f"signal {-code}" if code < 0 else f"exit code {code}") from None
+    finally:
+        if process.pid is not None:
+            process.kill()
+            process.join()
+        sending.close()
+        receiving.close()
+    if fault is not None:
+        raise fault
+    found: T = answer
+    return found
+
+
+def _alone(sending: Connection, function: Callable[..., object], arguments: tuple[object, ...]) -> None:
+    """Do the task of `apart`; what native code prints reaches no terminal."""
+    quiet_libraries()
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    try:
+        answer: tuple[object, Exception | None] = function(*arguments), None
+    except Exception as fault:
+        answer = None, fault
+    sending.send(answer)

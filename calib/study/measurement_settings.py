@@ -84,7 +84,8 @@ class MeasurementSettings(Section):
     kind: Literal["modes", "frf"] = "modes"
     """What ``files`` hold: measured modes or frequency response functions."""
     files: tuple[PathText, ...] = ()
-    """Measured modes or FRFs: universal files (``.uff``, ``.unv``) or CSV tables, one file a repeat."""
+    """Measured modes or FRFs: universal files (``.uff``, ``.unv``), CSV tables, workbooks (``.xlsx``) or MATLAB files
+    (``.mat``), one file a repeat."""
     shapes: tuple[PathText, ...] = ()
     """CSV tables of mode shapes beside ``files`` that are CSV; leave out when only frequencies were measured."""
     sensors: PathText | None = None
@@ -96,9 +97,12 @@ class MeasurementSettings(Section):
     state it."""
     channels: tuple[str, ...] = ()
     """Response and reference of each FRF, such as ``"12z/3z"``, in the order of the file, or of the files of one
-    function each, where these do not name them."""
+    function each, where these do not name them; of modes in MATLAB files the sensor, such as ``"12z"``, of each row of
+    their shapes."""
     variables: dict[str, str] = {}
-    """Names of ``freq``, ``frf`` and ``coherence`` in MATLAB files of FRFs, or of the ``sheet`` of workbooks."""
+    """What MATLAB files and workbooks call what they hold. Of FRFs the variables ``freq``, ``frf`` and ``coherence``,
+    or the ``sheet``; of modes the variables or columns ``freq`` (or ``damped_freq``), ``freq_std``, ``damping``,
+    ``damping_std``, the variable or sheet of the ``shapes``, and in workbooks ``sheet``, ``mode``, ``repeat``."""
     length_unit: Literal["m", "cm", "mm", "um", "in", "ft"] | None = None
     """Unit of places in universal files that do not state it (dataset 164); by default m."""
     node_limit: float | None = Field(default=None, gt=0, le=1e4)

@@ -168,6 +168,8 @@ class StudyFile:
             mode_names=measurement.mode_names,
             pooling=measurement.pooling,
             length_unit=measurement.length_unit,
+            channels=measurement.channels,
+            variables=measurement.variables,
             synthetic=measurement.synthetic,
         )
         measured = corrected(measured, measurement.corrected, self.place("measurement", "corrected"))

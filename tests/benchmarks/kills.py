@@ -34,7 +34,7 @@ from calib.command.example import write_example
 from calib.results import written
 from calib.results.ledger.database import Database
 from calib.results.results import Results
-from tests.faults.conftest import Runner, ledger_rows, shrink, without_seconds
+from tests.faults.conftest import Run, Runner, ledger_rows, shrink, without_seconds
 from tests.template.mast_effects import write_study
 
 COMMANDS = {
@@ -52,6 +52,8 @@ ERRORS: dict[str, Callable[[], BaseException]] = {
 }
 LONGEST = 3600.0
 """Seconds that a command may take on a busy machine before it counts as hanging."""
+LONGEST_END = 120.0
+"""Seconds after the end of a command within which every process of it has ended, on a busy machine."""
 _AT_ERRORS = (1, 2, 5, 10, 20, 40, 80)
 """Of so many writes, one fails."""
 
@@ -236,13 +238,24 @@ def _keys(found: Any, whole: Any) -> str:
 
 def remains(temporary: Path, runner: Runner) -> list[str]:
     """What was left behind, in words: processes, temporary folders, and drafts that no later command would clear."""
-    found = [] if all(run.nobody_left() for run in runner.runs[-2:]) else ["processes"]
+    found = [f"process {words}" for run in runner.runs[-2:] if not run.nobody_left(LONGEST_END) for words in who(run)]
     found += [f"temporary folder {path.name}" for path in temporary.glob("calib_*")]
     for draft in Path("results").rglob(f".*{written.DRAFT}"):
         os.utime(draft, (0, 0))
     for study in Path("results").glob("*/"):
         Results.at(Path("results"), study.name)
     return found + [f"draft {path}" for path in Path("results").rglob(f".*{written.DRAFT}")]
+
+
+def who(run: Run) -> list[str]:
+    """Processes of a command that are still there: state and command line."""
+    found = []
+    for pid in run.family():
+        with contextlib.suppress(OSError):
+            state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+            line = Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " ")
+            found.append(f"{pid} ({state}) of {run.pid}, which ended with {run.code}: {line[:200]}")
+    return found
 
 
 if __name__ == "__main__":

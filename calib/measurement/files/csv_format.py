@@ -29,6 +29,9 @@ END = r"(\d{1,10})\s*([+-]?[a-zA-Z]+)"
 """Pattern of a node with a direction."""
 ONE = ""
 """Label of the repeat of a table without a column ``repeat``."""
+OF_MODES = ("freq_std", "damping", "damping_std", "repeat", "mpc", "mpd", "note")
+OF_SHAPES = ("im", "std", "repeat")
+"""Columns that tables of modes and of shapes may have beside those that they need."""
 
 
 def is_rigid(freq: float, highest: float) -> bool:
@@ -56,11 +59,14 @@ def read_modes_csv(path: Path) -> dict[str, Repeat]:
     InputError
         With file, line and column, for anything that is not such a table.
     """
+    return modes_of_rows(path, read_rows(path, ("mode", "freq", "freq_kind"), OF_MODES))
+
+
+def modes_of_rows(path: Path, rows: Sequence[TableRow]) -> dict[str, Repeat]:
+    """The same from the rows of such a table."""
     found: dict[str, dict[str, tuple[float, float, float, float]]] = {}
     notes: dict[str, list[str]] = {}
     rigid: dict[str, dict[str, TableRow]] = {}
-    optional = ("freq_std", "damping", "damping_std", "repeat", "mpc", "mpd", "note")
-    rows = read_rows(path, ("mode", "freq", "freq_kind"), optional)
     highest = max(abs(row.number("freq")) for row in rows)
     for row in rows:
         name, modes = row.text("mode"), found.setdefault(_label(row), {})
@@ -177,8 +183,15 @@ def read_shapes_csv(
         With file, line and column, for anything that is not such a table, unknown repeats and modes, and sensors given
         twice.
     """
+    return shapes_of_rows(path, read_rows(path, ("mode", "node", "direction", "re"), OF_SHAPES), names, left_out)
+
+
+def shapes_of_rows(
+    path: Path, rows: Sequence[TableRow], names: Mapping[str, Sequence[str]], left_out: Iterable[str] = ()
+) -> dict[str, ShapeSet]:
+    """The same from the rows of such a table."""
     tables: dict[str, dict[tuple[tuple[int, str], str], tuple[complex, float]]] = {}
-    for row in read_rows(path, ("mode", "node", "direction", "re"), ("im", "std", "repeat")):
+    for row in rows:
         mode, node, label = row.text("mode"), row.node(), _label(row)
         if label not in names:
             known = ", ".join(one for one in names if one != ONE) or "unknown: their table has no column 'repeat'"

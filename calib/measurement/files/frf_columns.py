@@ -13,6 +13,7 @@ import numpy as np
 from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.measurement.files.csv_format import END, FREQ_LIMIT, VALUE_LIMIT, parse_end
+from calib.measurement.files.matlab import matlab_variables
 from calib.measurement.frf import NO_PHASE
 from calib.measurement.frf_repeats import Key, function_name, off_axis
 from calib.measurement.modal import DIRECTIONS
@@ -190,10 +191,7 @@ def arrays_of(
     remedy = "name the variables: variables = { freq = 'f', frf = 'H' }"
     if not {"freq", "frf"} <= set(variables) <= {"freq", "frf", "coherence"}:
         raise InputError("its frequencies and functions are not named", place=path, remedy=remedy)
-    held = _matlab(path, list(variables.values()))
-    for name in variables.values():
-        if name not in held:
-            raise InputError(f"it holds no numeric variable {name!r}", place=path, remedy=remedy)
+    held = matlab_variables(path, tuple(variables.values()), remedy)
     freq = np.real(np.ravel(held[variables["freq"]])).astype(float)
     real = not np.iscomplexobj(held[variables["freq"]])
     if not real or len(freq) < 2 or not np.all(np.diff(freq) > 0) or freq[0] < 0 or not np.isfinite(freq[-1]):
@@ -225,48 +223,26 @@ def arrays_of(
     return freq, out["frf"], out["coherence"]
 
 
-def _matlab(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Numeric variables of a MATLAB file by their names, with the axes as MATLAB has them."""
-    from scipy.io import loadmat
-
-    try:
-        found = loadmat(path, variable_names=list(names))
-    except NotImplementedError:  # version 7.3 is HDF5
-        return _matlab_hdf5(path, names)
-    except Exception as fault:  # a damaged file raises what its parts raise
-        raise _no_matlab_file(path, fault) from None
-    return {name: np.asarray(one) for name, one in found.items() if np.asarray(one).dtype.kind in "iufc"}
-
-
-def _matlab_hdf5(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    try:
-        import h5py
-    except ImportError:
-        remedy = "pip install 'calib[files]', or save it with '-v7'"
-        raise InputError("it is of version 7.3, which h5py reads", place=path, remedy=remedy) from None
-    out = {}
-    try:
-        with h5py.File(path) as file:
-            for name in names:
-                if name not in file or not isinstance(file[name], h5py.Dataset):
-                    continue
-                one = np.asarray(file[name])
-                if one.dtype.names == ("real", "imag"):
-                    one = one["real"] + 1j * one["imag"]
-                if one.dtype.kind in "iufc":
-                    out[name] = one.T  # MATLAB stores columns
-    except Exception as fault:  # a damaged file raises what its parts raise
-        raise _no_matlab_file(path, fault) from None
-    return out
-
-
-def _no_matlab_file(path: Path, fault: Exception) -> InputError:
-    words = str(fault).splitlines()[0] if str(fault).strip() else type(fault).__name__
-    return InputError(f"it is no MATLAB file ({words[:80]})", place=path, remedy="save it again")
-
-
 def sheet_of(path: Path, sheet: str | None = None) -> tuple[list[str], np.ndarray]:
     """Names of the columns and numbers of a sheet of a workbook (the first one by default); see `numbers_of`."""
+    rows = rows_of(path, sheet)
+    at = next((k for k, row in enumerate(rows) if isinstance(row[0], int | float)), None)
+    if at is None:
+        raise InputError("it holds no line of numbers", place=path, remedy="begin each with its frequency in Hz")
+    width = max(k + 1 for row in rows[at:] for k, cell in enumerate(row) if cell is not None)
+    names = ["" if cell is None else str(cell).strip() for cell in rows[at - 1][:width]] if at else []
+    table = np.full((len(rows) - at, width), np.nan)
+    for k, row in enumerate(rows[at:]):
+        for n, cell in enumerate(row[:width]):
+            if cell is not None and not isinstance(cell, int | float):
+                words = f"row {k + 1} of its numbers holds {str(cell)[:40]!r}"
+                raise InputError(words, place=path, remedy="give a number, or leave the cell empty")
+            table[k, n] = np.nan if cell is None else cell
+    return names, table
+
+
+def rows_of(path: Path, sheet: str | None = None) -> list[list[Any]]:
+    """Rows of cells of a sheet of a workbook (the first one by default), without those that are empty."""
     try:
         from openpyxl import load_workbook
     except ImportError:
@@ -287,19 +263,7 @@ def sheet_of(path: Path, sheet: str | None = None) -> tuple[list[str], np.ndarra
         raise InputError(f"it is no workbook ({type(fault).__name__})", place=path, remedy="save it again") from None
     if rows is None:
         raise InputError(f"it has no sheet {sheet!r:.40}", place=path, remedy=f"the sheets are {', '.join(sheets)}")
-    at = next((k for k, row in enumerate(rows) if isinstance(row[0], int | float)), None)
-    if at is None:
-        raise InputError("it holds no line of numbers", place=path, remedy="begin each with its frequency in Hz")
-    width = max(k + 1 for row in rows[at:] for k, cell in enumerate(row) if cell is not None)
-    names = ["" if cell is None else str(cell).strip() for cell in rows[at - 1][:width]] if at else []
-    table = np.full((len(rows) - at, width), np.nan)
-    for k, row in enumerate(rows[at:]):
-        for n, cell in enumerate(row[:width]):
-            if cell is not None and not isinstance(cell, int | float):
-                words = f"row {k + 1} of its numbers holds {str(cell)[:40]!r}"
-                raise InputError(words, place=path, remedy="give a number, or leave the cell empty")
-            table[k, n] = np.nan if cell is None else cell
-    return names, table
+    return rows
 
 
 def _by_cell(path: Path, lines: Sequence[tuple[int, str]], separator: str | None) -> np.ndarray:

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from glob import glob
 from pathlib import Path
 
 import numpy as np
 
-from calib.errors.arguments import integer, objects
+from calib.errors.arguments import integer, names, objects
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.measurement.disagreements import Pooling
-from calib.measurement.files.csv_format import ONE, read_modes_csv, read_sensor_table, read_shapes_csv
+from calib.measurement.files.csv_format import (
+    ONE,
+    modes_of_rows,
+    read_modes_csv,
+    read_sensor_table,
+    read_shapes_csv,
+    shapes_of_rows,
+)
+from calib.measurement.files.mapped_modes import MAPPED, read_mapped_modes
 from calib.measurement.files.uff import drop_unmeasured, in_global_axes, read_uff
 from calib.measurement.frf_units import parse_length_unit
 from calib.measurement.modal import MeasuredModes
@@ -39,6 +47,8 @@ def read_modes(
     mode_names: Sequence[str] | None = None,
     pooling: Pooling = "robust",
     length_unit: str | None = None,
+    channels: Sequence[str] = (),
+    variables: Mapping[str, str] | None = None,
     synthetic: bool = False,
 ) -> MeasuredModes:
     """Read measured modes; each file is one repeat, or a table with a column ``repeat`` holds them all.
@@ -48,7 +58,8 @@ def read_modes(
     files : path, pattern such as ``"measured/*.uff"``, or sequence of them
         Files that match a pattern are sorted by name. Universal files (``.uff``, ``.unv``, ``.uf``; see
         `calib.measurement.files.uff.read_uff`) or modes tables (``.csv``; see
-        `calib.measurement.files.csv_format.read_modes_csv`), one kind only.
+        `calib.measurement.files.csv_format.read_modes_csv`), MATLAB files (``.mat``) or workbooks (``.xlsx``), one kind
+        only.
     shapes : path, pattern or sequence of them
         Shape tables beside modes tables: none, a single one, or one a repeat.
     sensors : path, optional
@@ -65,6 +76,12 @@ def read_modes(
         reported.
     length_unit : str, optional
         Of places (and of the lengths of shapes) in universal files without dataset 164, such as ``mm``; by default m.
+    channels : sequence of str, optional
+        Sensors, such as ``12z`` or ``12-z``, in the order of the rows of a MATLAB file's shapes.
+    variables : mapping from str to str, optional
+        Of a MATLAB file the names of its variables, such as ``{"freq": "f", "damping": "zeta", "shapes": "Phi"}``; of a
+        workbook those of its columns, and perhaps the ``sheet`` and the one of the ``shapes``; see
+        `calib.measurement.files.mapped_modes.read_mapped_modes`.
     synthetic : bool
         True when no structure was measured.
 
@@ -96,7 +113,8 @@ def read_modes(
     repeats = None if repeats is None else integer(repeats, 0, "repeats")
     if pooling not in ("robust", "plain"):
         raise InputError(f"pooling is {pooling!r}", place="measurement", remedy="write 'robust' or 'plain'")
-    is_uff = _check_arguments(paths, shape_paths, repeats, std_of)
+    channels = names(channels, "channels")
+    is_uff = _check_arguments(paths, shape_paths, repeats, std_of, mapped=bool(channels or variables))
     points: Mapping[int, Point] | None = None
     read: list[Repeat]
     table = read_sensor_table(sensor_table) if sensor_table is not None else {}
@@ -106,7 +124,7 @@ def read_modes(
         read = [in_global_axes(one, u.nodes) for one, u in zip(alive, universal, strict=True)]
         points = common_points([(u.repeat.source, u.points) for u in universal], table)
     else:
-        read = _tables(paths, shape_paths)
+        read = _tables(paths, shape_paths, variables or {}, channels)
         if repeats is not None and len(read) > 1 and repeats != len(read):
             raise InputError(
                 f"the number of repeats is given as {repeats}, but the tables hold {len(read)}",
@@ -149,9 +167,12 @@ def found_files(given: Named) -> list[Path]:
     return out
 
 
-def _tables(paths: Sequence[Path], shapes: Sequence[Path]) -> list[Repeat]:
+def _tables(
+    paths: Sequence[Path], shapes: Sequence[Path], variables: Mapping[str, str], channels: Sequence[str]
+) -> list[Repeat]:
     """Repeats from modes tables, one each or all in one, with the shapes that go with them."""
-    tables = [read_modes_csv(path) for path in paths]
+    mapped = {path: read_mapped_modes(path, variables, channels) for path in paths if path.suffix.lower() in MAPPED}
+    tables = [modes_of_rows(path, mapped[path].modes) if path in mapped else read_modes_csv(path) for path in paths]
     for path, table in zip(paths, tables, strict=True):
         if len(tables) > 1 and ONE not in table:
             raise InputError(
@@ -159,19 +180,29 @@ def _tables(paths: Sequence[Path], shapes: Sequence[Path]) -> list[Repeat]:
                 place=path,
                 remedy="give every repeat its own file, or all of them in one table",
             )
-    read = [repeat for table in tables for repeat in table.values()]
+    read = [
+        replace(repeat, named=path not in mapped or mapped[path].named)
+        for path, table in zip(paths, tables, strict=True)
+        for repeat in table.values()
+    ]
+
+    def shapes_in(path: Path, own: Mapping[str, Sequence[str]], left_out: Iterable[str] = ()) -> dict[str, ShapeSet]:
+        rows = mapped[path].shapes if path in mapped else None
+        return read_shapes_csv(path, own, left_out) if rows is None else shapes_of_rows(path, rows, own, left_out)
+
+    shapes = [*shapes, *(path for path, one in mapped.items() if one.shapes)]
     labels = list(tables[0])
     names = {label: repeat.names for label, repeat in tables[0].items()}
     if len(tables) > 1 or ONE in tables[0]:
-        # a single shapes file belongs to the mean; it is attached to the first repeat
         for k, path in enumerate(shapes):
-            own = read_shapes_csv(path, {ONE: read[k].names}, read[k].left_out)
-            read[k] = replace(read[k], shape_set=own[ONE])
+            # a single table of shapes belongs to the mean; it is attached to the first repeat
+            at = paths.index(path) if path in mapped else k
+            read[at] = replace(read[at], shape_set=shapes_in(path, {ONE: read[at].names}, read[at].left_out)[ONE])
         return read
     left_out = {name for repeat in read for name in repeat.left_out}
     everything = tuple(dict.fromkeys(name for own in names.values() for name in own))
     for path in shapes:
-        for label, own_set in read_shapes_csv(path, {ONE: everything, **names}, left_out).items():
+        for label, own_set in shapes_in(path, {ONE: everything, **names}, left_out).items():
             k = labels.index(label) if label != ONE else _complete(path, read, own_set, everything)
             if label == ONE:
                 order = [everything.index(name) for name in read[k].names]
@@ -230,9 +261,18 @@ def require_no_copies(paths: Sequence[Path]) -> None:
             raise InputError(words, place=path, remedy="leave it out")
 
 
-def _check_arguments(paths: Sequence[Path], shapes: Sequence[Path], repeats: int | None, std_of: str) -> bool:
+def _check_arguments(
+    paths: Sequence[Path], shapes: Sequence[Path], repeats: int | None, std_of: str, mapped: bool
+) -> bool:
     """Check the arguments; returns whether the files are universal files."""
-    is_uff = require_files(paths, shapes)
+    is_uff = require_files(paths, shapes, MAPPED)
+    kinds = {path.suffix.lower() in MAPPED for path in paths}
+    if len(kinds) > 1 or (shapes and kinds == {True}):
+        words = "tables are mixed with workbooks or MATLAB files"
+        raise InputError(words, place=[*shapes, *paths][0], remedy="give modes and shapes of all repeats in one format")
+    if mapped and kinds != {True}:
+        words = "channels or variables are named, but these belong to MATLAB files and workbooks of modes"
+        raise InputError(words, place=paths[0], remedy="leave them out")
     if shapes and is_uff:
         raise InputError("shape files belong to CSV only", place=shapes[0], remedy="universal files carry their shapes")
     for path in shapes:
