@@ -13,7 +13,6 @@ import numpy as np
 from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.measurement.files.csv_format import END, FREQ_LIMIT, VALUE_LIMIT, parse_end
-from calib.measurement.files.matlab import matlab_variables
 from calib.measurement.frf import NO_PHASE
 from calib.measurement.frf_repeats import Key, function_name, off_axis
 from calib.measurement.modal import DIRECTIONS
@@ -191,6 +190,8 @@ def arrays_of(
     remedy = "name the variables: variables = { freq = 'f', frf = 'H' }"
     if not {"freq", "frf"} <= set(variables) <= {"freq", "frf", "coherence"}:
         raise InputError("its frequencies and functions are not named", place=path, remedy=remedy)
+    from calib.measurement.files.matlab import matlab_variables  # few files are of MATLAB
+
     held = matlab_variables(path, tuple(variables.values()), remedy)
     freq = np.real(np.ravel(held[variables["freq"]])).astype(float)
     real = not np.iscomplexobj(held[variables["freq"]])

@@ -16,13 +16,10 @@ import numpy as np
 from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.measurement.files.csv_format import OF_MODES, OF_SHAPES, parse_end
-from calib.measurement.files.frf_columns import MATLAB, WORKBOOKS, rows_of
-from calib.measurement.files.matlab import matlab_variables
+from calib.measurement.files.frf_columns import MATLAB, rows_of
 from calib.measurement.modal import DIRECTIONS
 from calib.results.table import TableRow
 
-MAPPED = (*MATLAB, *WORKBOOKS)
-"""Suffixes of files whose content the user names."""
 _KINDS = {"freq": "natural", "damped_freq": "damped"}
 _OF_MODE = (*_KINDS, "freq_std", "damping", "damping_std")
 _PART = re.compile(r"(.*\S)\s+(re|im)(?:al|ag)?", re.IGNORECASE)
@@ -92,6 +89,8 @@ def _of_matlab(path: Path, variables: Mapping[str, str], channels: Sequence[str]
     kind = next((name for name in _KINDS if name in variables), None)
     if kind is None:
         raise InputError("its frequencies are not named", place=path, remedy=remedy)
+    from calib.measurement.files.matlab import matlab_variables  # few files are of MATLAB
+
     held = matlab_variables(path, tuple(variables.values()), remedy)
     count = held[variables[kind]].size
     cells: list[dict[str, str]] = [{"mode": str(k + 1), "freq_kind": _KINDS[kind]} for k in range(count)]

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from glob import glob
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from calib.measurement.files.csv_format import (
     read_shapes_csv,
     shapes_of_rows,
 )
-from calib.measurement.files.mapped_modes import MAPPED, read_mapped_modes
+from calib.measurement.files.frf_columns import MATLAB, WORKBOOKS
 from calib.measurement.files.uff import drop_unmeasured, in_global_axes, read_uff
 from calib.measurement.frf_units import parse_length_unit
 from calib.measurement.modal import MeasuredModes
@@ -30,9 +31,14 @@ from calib.measurement.places import Point, common_points
 from calib.measurement.repeats import Repeat, ShapeSet, StdOf, combine_repeats
 from calib.measurement.sensors import place_sensors
 
+if TYPE_CHECKING:
+    from calib.measurement.files.mapped_modes import MappedModes
+
 Named = str | Path | Sequence[str | Path]
 """Files by their paths or by patterns."""
 UFF_SUFFIXES = (".uff", ".unv", ".uf")
+MAPPED = (*MATLAB, *WORKBOOKS)
+"""Suffixes of files whose content the user names."""
 TEXT_SUFFIXES = (".txt", ".asc", ".dat", ".tsv", ".prn")
 """Text files of one function each."""
 
@@ -171,7 +177,11 @@ def _tables(
     paths: Sequence[Path], shapes: Sequence[Path], variables: Mapping[str, str], channels: Sequence[str]
 ) -> list[Repeat]:
     """Repeats from modes tables, one each or all in one, with the shapes that go with them."""
-    mapped = {path: read_mapped_modes(path, variables, channels) for path in paths if path.suffix.lower() in MAPPED}
+    mapped: dict[Path, MappedModes] = {}
+    if any(path.suffix.lower() in MAPPED for path in paths):
+        from calib.measurement.files.mapped_modes import read_mapped_modes  # most measurements have tables of calib
+
+        mapped = {path: read_mapped_modes(path, variables, channels) for path in paths}
     tables = [modes_of_rows(path, mapped[path].modes) if path in mapped else read_modes_csv(path) for path in paths]
     for path, table in zip(paths, tables, strict=True):
         if len(tables) > 1 and ONE not in table:
