@@ -306,7 +306,7 @@ def _next(
     # A measurement with faults is corrected first: what to measure beside it is asked of the corrected one.
     design = None if found.granted else adapter.design(found, progress)
     if design is None:
-        return pd.DataFrame(columns=list(RECOMMENDATION_COLUMNS)), None
+        return pd.DataFrame(columns=[*RECOMMENDATION_COLUMNS, "told"]), None
     table = recommend(design)
     pair = None if design.competing is None else design.competing.names
     unseen = effects.loc[~effects["visible"].astype(bool), "name"].tolist()
@@ -318,4 +318,5 @@ def _next(
     intervals = {
         str(r["name"]): Interval(float(r["magnitude_low"]), float(r["magnitude_high"]), str(r["unit"])) for r in rows
     }
-    return table, recommendation(table, pair, unseen, named, intervals)
+    told = (pair[0],) if pair is not None else named or unseen
+    return table.assign(told=table["effect"].isin(told)), recommendation(table, pair, unseen, named, intervals)

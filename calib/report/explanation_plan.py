@@ -86,7 +86,10 @@ def plan_explanation(folder: Folder) -> Iterator[Drawing]:
         caption = "proposed effects and their places"
         yield Drawing("proposals", caption, bound(proposals_figure, placed, rest), ("proposals", "proposal_places"))
     gains = [f"{name}{end}" for name in ("gain", "ln_bayes") for end in ("", "_low", "_high")]
-    candidates = _read(folder, "next_measurement", ["measurement", "kind"], gains, unbounded=gains, blank=["effect"])
+    candidates = _read(
+        folder, "next_measurement", ["measurement", "kind"], gains, unbounded=gains, blank=["effect"], flags=["told"],
+        if_there=["told"],
+    )  # fmt: skip
     if candidates is not None:
         draw = bound(next_measurement_figure, candidates)
         yield Drawing("next_measurement", "recommended measurements", draw, ("next_measurement",))

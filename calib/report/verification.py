@@ -191,8 +191,11 @@ def draw_error_versions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
 def best_candidates(table: pd.DataFrame, count: int = _SHOWN) -> pd.DataFrame:
     """Return the best candidate measurements, best first, each with the effect whose score it raises most.
 
-    They are ranked by ``ln_bayes`` where any is known, otherwise by ``gain``.
+    They are those for the effects that the recommendation is about, where a column ``told`` says which these are. They
+    are ranked by ``ln_bayes`` where any is known, otherwise by ``gain``.
     """
+    if "told" in table and (about := table["told"].fillna(False).astype(bool)).any():
+        table = table[about]
     key = ["ln_bayes", "gain"] if table["ln_bayes"].notna().any() else ["gain"]
     rows = table.sort_values("gain", ascending=False, kind="stable").drop_duplicates("measurement")
     return rows.sort_values(key, ascending=False, kind="stable", ignore_index=True).head(count)

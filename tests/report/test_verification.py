@@ -160,6 +160,13 @@ def test_a_candidate_is_drawn_once_for_the_effect_whose_score_it_raises_most(can
     assert labels(draw_next_measurement(candidates.assign(effect="")).get_yticklabels())[:2] == ["twice", "sensor 11"]
 
 
+def test_candidates_are_drawn_for_what_the_recommendation_is_about(candidates):
+    other = candidates.assign(effect="seats", gain=candidates["gain"] / 2)
+    both = pd.concat([candidates.assign(told=False), other.assign(told=True)], ignore_index=True)
+    assert set(best_candidates(both)["effect"]) == {"seats"}
+    assert set(best_candidates(both.assign(told=False))["effect"]) == {"arb"}
+
+
 def test_no_candidate(candidates):
     next_measurement_figure(candidates.iloc[:0]).savefig(os.devnull, format="png")
     assert labels(draw_next_measurement(candidates.iloc[:0]).texts) == ["no further measurement was considered"]

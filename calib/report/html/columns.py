@@ -133,7 +133,9 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
         blank="unit implausible alike",
     ),
     "proposal_places": _columns("kind at", "rank evidence x y z", flags="fitted close"),
-    "next_measurement": _columns("measurement kind", f"{_GAINS} chance", unbounded=_GAINS, blank="effect"),
+    "next_measurement": _columns(
+        "measurement kind", f"{_GAINS} chance", unbounded=_GAINS, blank="effect", flags="told", if_there="told"
+    ),
     # verification
     "errors": _ERRORS,
     "added_errors": _ERRORS,
