@@ -181,7 +181,7 @@ def draw_frf_lines(lines: Tables, ax: Axes | None = None, *, effects: str = "") 
     ax.set_ylim(bottom=0.0)
     ax.yaxis.set_major_formatter("{x:g}")
     ax.set_xlabel("frequency (Hz)")
-    ax.set_ylabel("rms error (standard deviations)")
+    ax.set_ylabel(f"rms error (standard deviations;\nlinear up to {_LINEAR_BELOW:g})")
     ax.grid(axis="y")
     style.legend_above(ax)
     return ax

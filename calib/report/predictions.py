@@ -66,11 +66,13 @@ def draw_predictions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     middles = ends - np.array([len(one) for one in parts]) / 2 - 0.5
     ax.set_xticks(middles, [textwrap.fill(GROUPS.get(name, name), 18) for name in names])
     ax.set_xlim(-0.8, len(shown) - 0.2)
+    scale = ""
     if np.abs(np.concatenate([low, high, value])).max() > 5 * _LINEAR:
         ax.set_yscale("symlog", linthresh=_LINEAR)
         ax.yaxis.set_major_formatter("{x:g}")
+        scale = f" (linear up to {_LINEAR:g})"
     less = f"; one value in {step} is shown" if step > 1 else ""
-    ax.set_ylabel("measured less predicted value,\nin half intervals of the fit alone")
+    ax.set_ylabel(f"measured less predicted value,\nin half intervals of the fit alone{scale}")
     ax.set_xlabel(f"held-out values{less}")
     ax.tick_params(axis="x", length=0)
     handles = [
