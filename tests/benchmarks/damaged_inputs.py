@@ -1,11 +1,12 @@
-"""Damaged copies of valid files of the text formats and workbooks that calib reads, given to their readers.
+"""Damaged copies of valid files of all formats that calib reads, given to their readers.
 
     python tests/benchmarks/damaged_inputs.py [20000] [--formats NAME ...] [--first 0]
 
 Each copy has one to three damages: a byte, a line, a number or a part of the file is changed, cut, doubled or lost, or
 a member of a workbook's archive. Every outcome must be a measurement or an `InputError` of one line: no traceback, no
 warning, nothing printed, no hang, and no death of the process. Trials run in child processes, so that one that dies is
-counted and the rest goes on. The same number gives the same damage. MATLAB files are left out: native code reads them.
+counted and the rest goes on. The same number gives the same damage. The process in
+which calib reads a MATLAB file is here a copy of this one, without the half second that a new one takes.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import argparse
 import contextlib
 import io
 import os
+import pickle
 import random
 import signal
 import sys
@@ -22,18 +24,22 @@ import traceback
 import warnings
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pyuff
+from scipy.io import savemat
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from calib.errors.errors import InputError
+from calib.execution.worker import EndedError
+from calib.measurement.files import matlab
 from calib.measurement.files.csv_format import read_responses_csv
 from calib.measurement.files.read import read_modes
 from calib.measurement.files.read_frf import read_frfs
@@ -122,6 +128,12 @@ def formats(folder: Path) -> dict[str, Format]:
     book = folder / "frf.xlsx"
     if write_workbook(book, tables["frf_wide.csv"]):
         found["frf.xlsx"] = Format(book, lambda: read_frfs(book, unit="(m/s2)/N"))
+    variables = {"f": freq, "H": values.T}
+    for path, write in ((folder / "frf.mat", savemat), (folder / "frf_7_3.mat", write_matlab_hdf5)):
+        write(path, variables)
+        found[path.name] = Format(path, lambda path=path: read_frfs(
+            path, channels=names, unit="(m/s2)/N", variables={"freq": "f", "frf": "H"}
+        ))  # fmt: skip
     accelerations = ambient_chain.accelerations(ambient_chain.chain(), 1024, 1)
     record = ambient_chain.write_csv(folder / "record.csv", accelerations)
     found["record.csv"] = Format(record, lambda: read_records(record))
@@ -143,6 +155,46 @@ def write_workbook(path: Path, lines: Sequence[str]) -> bool:
         book.active.append([cell if not k else float(cell) for cell in line.split(",")])
     book.save(path)
     return True
+
+
+def write_matlab_hdf5(path: Path, variables: Mapping[str, np.ndarray]) -> None:
+    """Write variables as MATLAB does in version 7.3."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, value in variables.items():
+            array = np.atleast_2d(value).T
+            parts = [array.real, array.imag]
+            file[name] = np.rec.fromarrays(parts, names="real,imag") if np.iscomplexobj(array) else array
+    head = b"MATLAB 7.3 MAT-file".ljust(116) + bytes(8) + b"\0\2IM"
+    path.write_bytes(head + path.read_bytes()[len(head) :])
+
+
+def copied(function: Callable[..., object], *given: object) -> object:
+    """What `calib.execution.worker.apart` returns or raises, from a copy of this process."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if not child:
+        try:
+            answer = function(*given)
+        except Exception as fault:
+            answer = fault
+        with os.fdopen(writing, "wb") as out:
+            out.write(pickle.dumps(answer))
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading, "rb") as told:
+        content = told.read()
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if code:
+        ended.append(code)
+        raise EndedError(f"signal {-code}")
+    answer = pickle.loads(content)
+    if isinstance(answer, Exception):
+        raise answer
+    return answer
+
+
+ended: list[int] = []
+"""Signals that ended a copy."""
 
 
 def damaged(data: bytes, draw: random.Random) -> bytes:
@@ -204,7 +256,7 @@ def _with_member(data: bytes, draw: random.Random) -> bytes:
 
 
 def trial(known: dict[str, Format], number: int) -> str:
-    """Outcome of one damaged file: ``read``, ``refused``, or ``wrong`` with its traceback on the error output."""
+    """Outcome of one damaged file: ``read``, ``refused``, ``ended`` where its reader ended, or ``wrong`` with why."""
     draw = random.Random(number)
     name = draw.choice(sorted(known))
     one = known[name]
@@ -212,12 +264,13 @@ def trial(known: dict[str, Format], number: int) -> str:
     out = io.StringIO()
     signal.setitimer(signal.ITIMER_PROF, LONGEST)
     try:
+        ended.clear()
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out), warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
             one.read()
         answer = "read"
     except InputError as fault:
-        answer = "refused" if "\n" not in str(fault) else "wrong"
+        answer = ("ended" if ended else "refused") if "\n" not in str(fault) else "wrong"
     except BaseException:
         answer = "wrong"
         print(f"--- {number}, {name}\n{traceback.format_exc(limit=-5)}", file=sys.stderr, flush=True)
@@ -273,13 +326,14 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         known = formats(Path(folder))
         known = {name: one for name, one in known.items() if given.formats is None or name in given.formats}
+        matlab.apart = copied  # type: ignore[assignment]
         for one in known.values():
             one.read()  # what is not damaged is read
             assert one.whole
         for outcome in trials(known, range(given.first, given.first + given.count)):
             name, answer = outcome.rsplit(" ", 1)
             counts[name, answer] += 1
-    answers = ("read", "refused", "wrong", "died")
+    answers = ("read", "refused", "ended", "wrong", "died")
     print(f"{'':16s}" + "".join(f"{answer:>9s}" for answer in answers))
     for name in sorted(known):
         print(f"{name:16s}" + "".join(f"{counts[name, answer]:9d}" for answer in answers))
