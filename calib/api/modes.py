@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from calib.errors.errors import InputError
 from calib.measurement.files.read import Named, found_files
-from calib.measurement.files.read_frf import frfs_and_repeats
+from calib.measurement.files.read_frf import FRFReading, frfs_and_repeats
 from calib.measurement.files.read_records import hold_records, read_records
-from calib.measurement.frf import Quantity
-from calib.measurement.hammer import Estimator
 from calib.modal_analysis.ambient import modes_from_records
 from calib.modal_analysis.identification import Identification, modes_table, sensor_table, shapes_table
 from calib.modal_analysis.identify import modes_from_frfs
@@ -44,19 +42,10 @@ class Written:
 def identify_modes(
     files: Named,
     into: Path,
+    how: FRFReading = FRFReading(),  # noqa: B008
     *,
-    sensors: str | Path | None = None,
-    quantity: Quantity | None = None,
-    unit: str | None = None,
-    averages: int | None = None,
-    channels: Sequence[str] = (),
-    variables: Mapping[str, str] | None = None,
-    length_unit: str | None = None,
-    estimator: Estimator = "H1",
-    exponential_window: float | None = None,
     band: tuple[float, float] | None = None,
     accept: Sequence[float] = (),
-    synthetic: bool = False,
 ) -> Written:
     """Identify modes from files of FRFs, hammer records or records of responses alone, and write them to a folder.
 
@@ -68,11 +57,12 @@ def identify_modes(
 
     Parameters
     ----------
-    files, sensors, quantity, unit, averages, channels, variables, length_unit, estimator, exponential_window, synthetic
-        See `calib.read_frfs`; of records of responses alone ``unit`` is that of their motion (see
-        `calib.measurement.files.read_records.read_records`), and what concerns FRFs is refused.
+    files : path, pattern or sequence of them
     into : Path
         Folder; files that calib wrote there are replaced.
+    how : FRFReading
+        As for `calib.read_frfs`; of records of responses alone ``unit`` is that of their motion (see
+        `calib.measurement.files.read_records.read_records`), and what concerns FRFs is refused.
     band : (float, float), optional
         Lines that are used, Hz; default all above 0. Of records the band in which modes are identified.
     accept : sequence of float
@@ -87,23 +77,17 @@ def identify_modes(
     """
     paths = found_files(files)
     if hold_records(paths):
-        of_frfs = {
-            "quantity": quantity, "averages": averages, "channels": channels or None, "variables": variables or None,
-            "estimator": None if estimator == "H1" else estimator, "exponential_window": exponential_window,
-        }  # fmt: skip
-        for name, argument in of_frfs.items():
-            if argument is not None:
+        for name in ("quantity", "averages", "channels", "variables", "estimator", "exponential_window"):
+            if getattr(how, name) != getattr(FRFReading(), name):
                 raise InputError(f"{name} is given beside time records", place=paths[0], remedy="leave it out")
-        records = read_records(paths, unit=unit, sensors=sensors, length_unit=length_unit, synthetic=synthetic)
+        records = read_records(
+            paths, unit=how.unit, sensors=how.sensors, length_unit=how.length_unit, synthetic=how.synthetic
+        )
         known = modes_from_records(records, band, accept=accept)
         squared = f"({records[0].unit})²/Hz" if records[0].unit else "squared unit a Hz"
         return Written(known, _write(known, squared, into))
 
-    whole, every = frfs_and_repeats(
-        paths, quantity=quantity, unit=unit, sensors=sensors, averages=averages, channels=channels,
-        variables=variables, length_unit=length_unit, estimator=estimator, exponential_window=exponential_window,
-        synthetic=synthetic,
-    )  # fmt: skip
+    whole, every = frfs_and_repeats(paths, how)
     low, high = band or (whole.lowest_freq, float(whole.freq[-1]))
     frfs, *repeats = (one.in_band(low, high) for one in (whole, *every))
     found = modes_from_frfs(frfs, repeats, accept=accept)

@@ -117,13 +117,14 @@ def modes(
     from calib.api.entries.identified import identified_entries
     from calib.api.modes import identify_modes
     from calib.execution.tasks import one_thread
+    from calib.measurement.files.read_frf import FRFReading
 
     with one_thread():
-        written = identify_modes(
-            files, into, sensors=sensors, quantity=None if quantity is None else quantity.value, unit=unit,
-            averages=averages, channels=listed(channels), variables=assigned(variables), estimator=estimator.value,
-            exponential_window=exponential_window, band=band, accept=accept or (), synthetic=synthetic,
+        how = FRFReading(
+            None if quantity is None else quantity.value, unit, sensors, averages, listed(channels),
+            assigned(variables), None, estimator.value, exponential_window, synthetic,
         )  # fmt: skip
+        written = identify_modes(files, into, how, band=band, accept=accept or ())
     terminal.tell_entries(identified_entries(written), verbose)
 
 

@@ -114,6 +114,8 @@ class MeasurementSettings(Section):
     """Whether all lines of FRFs are used, or those near resonances, which carry most of what they tell."""
     nuisances: NuisanceSettings = NuisanceSettings()
     """Errors of a test of FRFs that a fit may find."""
+    estimator: Literal["H1", "H2", "Hv"] = "H1"
+    """How FRFs are estimated from hammer records."""
     averages: int | None = Field(default=None, ge=1, le=1_000_000)
     """Averages behind each FRF of a single file, whose coherence then gives the standard deviations."""
     responses: PathText | None = None

@@ -156,6 +156,7 @@ class StudyFile:
                 channels=measurement.channels,
                 variables=measurement.variables,
                 length_unit=measurement.length_unit,
+                estimator=measurement.estimator,
                 synthetic=measurement.synthetic,
             )
             return replace(self._lines_of(read), accuracy=frf_claim(measurement.accuracy))

@@ -12,11 +12,12 @@ import calib
 from calib.command.cli import app
 from calib.errors.errors import InputError
 from calib.measurement.doubts import doubts_of
-from calib.measurement.files.read_frf import frfs_and_repeats
+from calib.measurement.files.read_frf import FRFReading, frfs_and_repeats
 from calib.measurement.files.read_records import hold_hits, hold_records, read_records
 from calib.measurement.mac import mac
 from calib.modal_analysis.identify import modes_from_frfs
 from calib.study.loading import module_of
+from calib.study.study_file import StudyFile
 
 ROOT = Path(__file__).resolve().parents[2]
 BEAM = module_of(ROOT / "tests/template/hammer_beam.py")
@@ -77,10 +78,13 @@ def test_the_mean_of_the_repeats_is_the_average_and_without_one_that_of_the_othe
         table = base * np.array([1.0, *[80.0 + 20 * k] * 5])
         table[:, 2:] += 0.01 * np.abs(table[:, 2:]).max(axis=0) * rng.standard_normal(table[:, 2:].shape)
         files.append(BEAM.write(tmp_path / f"{k}.csv", table))
-    whole, repeats = frfs_and_repeats(files, estimator=estimator)
+    whole, repeats = frfs_and_repeats(files, FRFReading(estimator=estimator))
+    keys = f'files = ["0.csv", "1.csv", "2.csv"]\nkind = "frf"\nestimator = "{estimator}"\n'
+    (tmp_path / "study.toml").write_text(f'title = "Beam"\nmodel = "model.py:beam"\n[measurement]\n{keys}')
+    np.testing.assert_array_equal(StudyFile.read(tmp_path).measured_data().values, whole.values)
     every = np.array([one.values for one in repeats])
     np.testing.assert_allclose(every.mean(axis=0), whole.values, rtol=1e-9)
-    first, last = (frfs_and_repeats(own, estimator=estimator)[0].values for own in (files[1:], files[:2]))
+    first, last = (frfs_and_repeats(own, FRFReading(estimator=estimator))[0].values for own in (files[1:], files[:2]))
     change = every[1:].mean(axis=0) - every[:2].mean(axis=0)
     np.testing.assert_allclose(change, first - last, atol=1e-12)
     assert np.abs(change).max() > 1e-3 * np.abs(whole.values).max()
@@ -113,7 +117,7 @@ def test_noise_of_the_responses_biases_h2_and_noise_of_the_force_h1(tmp_path):
 @pytest.mark.parametrize(("seed", "window"), [(1, None), (2, None), (1, 0.25), (3, 0.4)])
 def test_modes_have_the_beams_frequencies_and_damping_within_their_standard_deviations(tmp_path, seed, window):
     files = BEAM.session(tmp_path, 5, seed, window=window)
-    found = modes_from_frfs(*frfs_and_repeats(files, exponential_window=window, synthetic=True)).modes
+    found = modes_from_frfs(*frfs_and_repeats(files, FRFReading(exponential_window=window, synthetic=True))).modes
     assert found.n_modes == 3 and found.n_repeats == 5
     # Student's t with four degrees of freedom exceeds 7.2 once in five hundred
     assert np.abs((found.natural_freq - BEAM.FREQ[WITHIN]) / found.freq_std).max() < 7.2

@@ -8,6 +8,7 @@ from scipy.io import savemat
 from calib.errors.errors import InputError
 from calib.measurement.files import matlab
 from calib.measurement.files.read import read_modes
+from calib.study.study_file import StudyFile
 
 FREQ, DAMPING = np.array([8.0, 12.5]), np.array([0.02, 0.01])
 SHAPES = np.array([[1.0, -0.5], [0.25, 1.0], [0.5 + 0.1j, np.nan]])
@@ -54,6 +55,10 @@ def test_variables_of_a_matlab_file(tmp_path, tables, shapes, save):
     save(tmp_path / "test.mat", {"f": FREQ, "zeta": DAMPING, "Phi": shapes})
     found = read_modes(tmp_path / "test.mat", variables=NAMED, channels=CHANNELS)
     the_same(found, tables, ("1", "2"))
+    keys = f"files = ['test.mat']\nchannels = {CHANNELS}\n[measurement.variables]\n"
+    keys += "".join(f"{name} = '{own}'\n" for name, own in NAMED.items())
+    (tmp_path / "study.toml").write_text(f"title = 'Mast'\nmodel = 'model.py:mast'\n[measurement]\n{keys}")
+    the_same(StudyFile.read(tmp_path).measured_data(), tables, ("1", "2"))
 
 
 def test_damped_frequencies_and_modes_without_shapes(tmp_path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from calib.errors.arguments import integer, names, number
@@ -22,6 +22,22 @@ from calib.measurement.frf_units import parse_length_unit
 from calib.measurement.hammer import Estimator, frfs_of_hits
 from calib.measurement.places import common_points
 from calib.measurement.sensors import place_sensors
+
+
+@dataclass(frozen=True)
+class FRFReading:
+    """How files of FRFs, or hammer records, are read; see `read_frfs`."""
+
+    quantity: Quantity | None = None
+    unit: str | None = None
+    sensors: str | Path | None = None
+    averages: int | None = None
+    channels: Sequence[str] = ()
+    variables: Mapping[str, str] = field(default_factory=dict)
+    length_unit: str | None = None
+    estimator: Estimator = "H1"
+    exponential_window: float | None = None
+    synthetic: bool = False
 
 
 def read_frfs(
@@ -100,38 +116,32 @@ def read_frfs(
     >>> frfs.values.real.round(2).tolist()  # (m/s2)/N
     [[[1.96]], [[2.94]]]
     """
-    return frfs_and_repeats(
-        files, quantity=quantity, unit=unit, sensors=sensors, averages=averages, channels=channels,
-        variables=variables, length_unit=length_unit, estimator=estimator, exponential_window=exponential_window,
-        synthetic=synthetic,
-    )[0]  # fmt: skip
+    reading = FRFReading(
+        quantity,
+        unit,
+        sensors,
+        averages,
+        channels,
+        variables or {},
+        length_unit,
+        estimator,
+        exponential_window,
+        synthetic,
+    )
+    return frfs_and_repeats(files, reading)[0]
 
 
-def frfs_and_repeats(
-    files: Named,
-    *,
-    quantity: Quantity | None = None,
-    unit: str | None = None,
-    sensors: str | Path | None = None,
-    averages: int | None = None,
-    channels: Sequence[str] = (),
-    variables: Mapping[str, str] | None = None,
-    length_unit: str | None = None,
-    estimator: Estimator = "H1",
-    exponential_window: float | None = None,
-    synthetic: bool = False,
-) -> tuple[MeasuredFRFs, tuple[MeasuredFRFs, ...]]:
+def frfs_and_repeats(files: Named, how: FRFReading) -> tuple[MeasuredFRFs, tuple[MeasuredFRFs, ...]]:
     """FRFs as `read_frfs` returns them, and each repeat by itself; none of several set-ups, and of a single repeat."""
     paths = found_files(files)
-    table_path = None if sensors is None else path_of(sensors, "sensors")
-    averages = None if averages is None else integer(averages, 1, "averages")
+    table_path = None if how.sensors is None else path_of(how.sensors, "sensors")
+    averages = None if how.averages is None else integer(how.averages, 1, "averages")
+    quantity, unit, window = how.quantity, how.unit, how.exponential_window
     if quantity is not None and quantity not in QUANTITIES:
         raise InputError(f"quantity is {quantity!r}", place="measurement", remedy=f"one of {', '.join(QUANTITIES)}")
-    channels = names(channels, "channels")
-    if exponential_window is not None and not number(exponential_window, "exponential_window") > 0:
-        raise InputError(
-            f"its time constant is {exponential_window:g} s", place="exponential_window", remedy="give a positive one"
-        )
+    channels = names(how.channels, "channels")
+    if window is not None and not number(window, "exponential_window") > 0:
+        raise InputError(f"its time constant is {window:g} s", place="exponential_window", remedy="give a positive one")
     is_uff = require_files(paths, also=(*TEXT_SUFFIXES, *MATLAB, *WORKBOOKS))
     groups, hits = _repeats(paths, channels), hold_hits(paths)
     if averages is not None and hits:
@@ -143,22 +153,22 @@ def frfs_and_repeats(
         )  # fmt: skip
     require_no_copies(paths)
     table = read_sensor_table(table_path) if table_path is not None else {}
-    metres = parse_length_unit(length_unit)
-    made = frfs_of_hits([read_record(path, unit, metres) for path in paths], quantity, estimator) if hits else None
+    metres = parse_length_unit(how.length_unit)
+    made = frfs_of_hits([read_record(path, unit, metres) for path in paths], quantity, how.estimator) if hits else None
     repeats: Sequence[FRFRepeat] = made.repeats if made else [
         read_uff_frfs(own[0], quantity, unit, metres, channels) if is_uff
         else read_frfs_csv(own[0], quantity, unit, channels) if len(own) == 1 and own[0].suffix.lower() == ".csv"
-        else read_columns_frfs(own, channels, quantity, unit, variables)
+        else read_columns_frfs(own, channels, quantity, unit, how.variables)
         for own in groups
     ]  # fmt: skip
-    found = combine_setups(repeats, averages, synthetic)
+    found = combine_setups(repeats, averages, how.synthetic)
     if averages is not None and not repeats[0].coherence:
         raise InputError("averages are given, but it holds no coherence", place=paths[0], remedy="leave them out")
     points = common_points([(one.source, one.points) for one in repeats], table)
     ends = [(s.node, s.direction) for s in (*found.responses, *found.references)]
     placed = place_sensors(ends, points, table, paths[0], table_path)
     count = len(found.responses)
-    rate = (made.window_rate if made else 0.0) + (1 / exponential_window if exponential_window else 0.0)
+    rate = (made.window_rate if made else 0.0) + (1 / window if window else 0.0)
     whole = replace(
         found,
         responses=placed.sensors[:count],
@@ -168,7 +178,7 @@ def frfs_and_repeats(
         window_rate=rate,
     )
     each = repeats if len(repeats) == found.n_repeats > 1 else ()
-    return whole, tuple(replace(combine_frfs([one], None, synthetic), window_rate=rate) for one in each)
+    return whole, tuple(replace(combine_frfs([one], None, how.synthetic), window_rate=rate) for one in each)
 
 
 def _repeats(paths: Sequence[Path], channels: Sequence[str]) -> list[list[Path]]:
