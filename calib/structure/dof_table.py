@@ -32,9 +32,9 @@ class DofTable:
     Attributes
     ----------
     node : ndarray (n_dof,), int
-        Index into ``labels``.
+        Index into ``labels``; -1 for a row of no node.
     direction : ndarray (n_dof,), int
-        0..5 for ux, uy, uz, rx, ry, rz.
+        0..5 for ux, uy, uz, rx, ry, rz; -1 for a row of no node.
     labels : tuple of int
         Node labels, length n_nodes.
     points : ndarray (n_nodes, 3)
@@ -57,23 +57,27 @@ class DofTable:
 
         Where several rows bear one name, the layers of a shell, the node moves as the mean of the first and the last.
         """
-        motion = 6 * self.node + self.direction
-        outer = np.zeros(self.n_dof)
+        rows = np.flatnonzero(self.node >= 0)
+        motion = 6 * self.node[rows] + self.direction[rows]
+        outer = np.zeros(len(rows))
         first = np.unique(motion, return_index=True)[1]
-        last = self.n_dof - 1 - np.unique(motion[::-1], return_index=True)[1]
+        last = len(rows) - 1 - np.unique(motion[::-1], return_index=True)[1]
         np.add.at(outer, first, 0.5)
         np.add.at(outer, last, 0.5)
-        out = sp.csr_array((outer, (motion, np.arange(self.n_dof))), shape=(6 * len(self.labels), self.n_dof))
+        out = sp.csr_array((outer, (motion, rows)), shape=(6 * len(self.labels), self.n_dof))
         out.eliminate_zeros()
         return out
 
     @property
     def repeated(self) -> np.ndarray:
         """Rows that bear the name of an earlier one, (n_repeated,), int."""
-        return np.flatnonzero(pd.MultiIndex.from_arrays([self.node, self.direction]).duplicated())
+        again = pd.MultiIndex.from_arrays([self.node, self.direction]).duplicated()
+        return np.flatnonzero(again & (self.node >= 0))
 
     def words(self, k: int) -> str:
         """Name of a degree of freedom in messages."""
+        if self.node[k] < 0:
+            return f"row {k + 1} (of no node)"
         return f"row {k + 1} (node {self.labels[self.node[k]]}, {DIRECTIONS[self.direction[k]]})"
 
     def scaled(self, metres: float) -> DofTable:
@@ -88,8 +92,9 @@ class DofTable:
         ----------
         given : DataFrame, iterable or array
             A table ``node, direction[, x, y, z]``; pairs of node and direction; or numbers that name both, 12.3 or
-            12.03 for direction 3 of node 12. Numbers may be doubles, as files of MATLAB have them. A list of tables is
-            one of each run of a code, which must agree row by row.
+            12.03 for direction 3 of node 12. Numbers may be doubles, as files of MATLAB have them. A row without node,
+            None or NaN, is internal to the code, such as the amplitude of a component mode: no sensor lies there. A
+            list of tables is one of each run of a code, which must agree row by row.
         name : str
             Of the model.
         layers : {"mean"}, optional
@@ -112,15 +117,22 @@ class DofTable:
         for column in ("node", "direction"):
             if column not in table:
                 raise InputError(f"the column {column!r} is missing", place=place, remedy="name node and direction")
-        direction = np.array([_direction(d, k, place) for k, d in enumerate(table["direction"])], dtype=int)
+        named = table["node"].notna().to_numpy() & (table["node"].astype(str).str.strip() != "").to_numpy()
+        direction = np.array(
+            [_direction(d, k, place) if named[k] else -1 for k, d in enumerate(table["direction"])], dtype=int
+        )
         numbers = pd.to_numeric(table["node"], errors="coerce").to_numpy(dtype=float)
-        wrong = np.flatnonzero(~(np.isfinite(numbers) & (numbers == np.round(numbers))))
+        wrong = np.flatnonzero(named & ~(np.isfinite(numbers) & (numbers == np.round(numbers))))
         if len(wrong):
             k = int(wrong[0])
             raise InputError(
                 f"the node of row {k + 1} is {table['node'].iloc[k]!r}", place=place, remedy="give integers"
             )
-        labels, node = np.unique(numbers.astype(int), return_inverse=True)
+        if not named.any():
+            raise InputError("no row names a node", place=place, remedy="name node and direction of each")
+        labels, at = np.unique(numbers[named].astype(int), return_inverse=True)
+        node = np.full(len(named), -1)
+        node[named] = at
         out = DofTable(node, direction, tuple(labels.tolist()), _points(table, node, len(labels), labels, place))
         again = out.repeated
         if len(again) and layers is None:
@@ -198,7 +210,7 @@ def _direction(given: object, k: int, place: str) -> int:
     if number == 0:
         remedy = (
             "0 marks a scalar point (Nastran's SPOINT), such as the amplitude of a component mode: keep the row, "
-            'and call it x of a node of its own without coordinates, such as (900001, "x"); no sensor lies there'
+            "and leave its node and direction empty (None); no sensor lies there"
         )
     raise InputError(f"the direction of row {k + 1} is {given!r}", place=place, remedy=remedy)
 
@@ -222,6 +234,7 @@ def _points(table: pd.DataFrame, node: np.ndarray, count: int, labels: np.ndarra
     rows = table[["x", "y", "z"]].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
     if np.any(np.isnan(rows) & table[["x", "y", "z"]].notna().to_numpy()):
         raise InputError("a coordinate is not a number", place=place, remedy="give x, y and z in m")
+    node, rows = node[node >= 0], rows[node >= 0]
     out[node] = rows
     apart = np.flatnonzero(np.abs(out[node] - rows).max(axis=1) > 0)
     if len(apart):

@@ -55,7 +55,7 @@ class DofMap:
         Nodal motions (ux, uy, uz, rx, ry, rz of every node) over the free degrees of freedom; rows of suppressed
         motions are empty, those of shared or rigidly linked motions have several entries.
     node, direction : ndarray (n_dof,), int
-        Node index and direction index (0..5) that name each free degree of freedom.
+        Node index and direction index (0..5) that name each free degree of freedom; the node is -1 where it has none.
     """
 
     expansion: sp.csr_array

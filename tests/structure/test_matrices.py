@@ -168,6 +168,17 @@ def test_a_scalar_point_has_a_sentence():
         chain(dofs=[(1, "x"), (2, "x"), (3, "x"), (4, "x"), (900001, 0)])
 
 
+@pytest.mark.parametrize("none", [None, np.nan, ""])
+def test_a_row_of_no_node_stays_in_the_model(none):
+    rows = [(1, "x"), (2, "x"), (3, "x"), (4, "x"), (none, none)]
+    model = chain(dofs=rows)
+    assert model.modes({}, N).natural_freq == pytest.approx(chain().modes({}, N).natural_freq)
+    assert model.labels == (1, 2, 3, 4) and model.dofs.node[-1] == -1 and model.dofs.expansion[:, [4]].nnz == 0
+    assert 4 not in np.concatenate(list(model.clusters.values()))
+    with pytest.raises(InputError, match="no row names a node"):
+        chain(dofs=[(none, none)] * N)
+
+
 LAYERED = [(10, "x"), (20, "x"), (20, "x"), (20, "x"), (30, "x")]
 
 
