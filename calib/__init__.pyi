@@ -1,6 +1,7 @@
 from .api.display import Compared as Compared
 from .api.explained import Explained as Explained
 from .api.fe_comparison import compare_modes as compare_modes
+from .api.fe_import import import_matrices as import_matrices
 from .api.fit import Fit as Fit
 from .api.look import look as look
 from .api.problem import Problem as Problem

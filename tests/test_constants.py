@@ -176,6 +176,7 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
     "api/progress.py": "SPARSE OFTEN _BAR _STEADY",
     "api/entries/compared.py": "WORST _FUNCTIONS",
     "api/fe_comparison.py": "DRAWN",
+    "api/fe_import.py": "FREQ_AGREES MAC_AGREES MODES _ALIKE _NODES",
     "api/entries/entry.py": "MOST WARNINGS WIDTH NARROWEST",
     "api/entries/explained.py": "EFFECTS",
 }
@@ -207,6 +208,9 @@ FORMATS = {  # units, codes of files, and what a file may hold
     "structure/amplitude.py": "_LEFT",
     "structure/dof_table.py": "_EXACT _PACKED",
     "imports/frd.py": "_COMPONENTS _FIRST _WIDTH",
+    "imports/matrices.py": "_PENALTY",
+    "imports/nastran.py": "_COMPLEX _SQUARE _SYMMETRIC",
+    "imports/op4.py": "_HEADS _TYPES",
     "structure/unit_system.py": "_TOKENS",
     "structure/effects/attach.py": "GRAVITY",
 }

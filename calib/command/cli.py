@@ -18,6 +18,7 @@ from calib.command import terminal
 from calib.command.compare import compare
 from calib.command.designs import designs
 from calib.command.look import look
+from calib.command.matrices import import_matrices
 from calib.command.options import (
     CachePath,
     CalibrationMethod,
@@ -128,6 +129,7 @@ def modes(
     terminal.tell_entries(identified_entries(written), verbose)
 
 
+app.command("import", short_help="Make a study of matrices of a finite-element code.")(import_matrices)
 app.command(short_help="Look at measured files, without a model.")(look)
 app.command(short_help="Compare model and measurement without fitting.")(compare)
 

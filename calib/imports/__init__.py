@@ -1,1 +1,1 @@
-"""Modes that finite-element codes have computed, from their own files."""
+"""Modes that finite-element codes have computed, and their matrices, from their own files."""

@@ -10,7 +10,7 @@ from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import read_sensor_table
 from calib.measurement.places import Point
 
-DECKS = (".inp", ".bdf", ".dat", ".nas", ".blk")
+DECKS = (".inp", ".bdf", ".dat", ".nas", ".blk", ".pch")
 """Suffixes of decks."""
 
 
@@ -20,7 +20,7 @@ def read_coordinates(file: Path, metres: float = 1.0) -> dict[int, Point]:
     Parameters
     ----------
     file : Path
-        Table ``node, x, y, z`` in m (.csv); or a deck with ``*NODE`` (.inp) or ``GRID`` (.bdf, .dat, .nas).
+        Table ``node, x, y, z`` in m (.csv); or a deck with ``*NODE`` (.inp) or ``GRID`` (.bdf, .dat, .nas, .pch).
     metres : float
         Per unit of length of a deck, which does not state it.
 
@@ -72,25 +72,49 @@ def _abaqus(file: Path, lines: list[str]) -> Iterator[tuple[int, Point]]:
 
 
 def _nastran(file: Path, lines: list[str]) -> Iterator[tuple[int, Point]]:
-    """``GRID`` entries with short, long or free fields."""
-    for k, line in enumerate(lines):
-        if not re.match(r"GRID[\s*,]", line.upper()):
+    """Nodes of ``GRID`` entries."""
+    for name, fields in bulk_entries("\n".join(lines)):
+        if name != "GRID":
             continue
-        if "," in line:
-            fields = [part.strip() for part in line.split(",")]
-        elif line[4:8].strip() == "*" or "*" in line[:8]:
-            below = lines[k + 1] if k + 1 < len(lines) else ""
-            fields = [line[:8], *(line[8 + 16 * j : 24 + 16 * j] for j in range(4)), below[8:24]]
-        else:
-            fields = [line[8 * j : 8 * j + 8] for j in range(6)]
-        fields = [part.strip() for part in fields] + [""] * 6
-        if fields[2] not in ("", "0"):
-            raise _local(file, f"GRID {fields[1]}")
-        x, y, z = (_real(part) for part in fields[3:6])
-        yield int(fields[1]), (x, y, z)
+        fields += [""] * 5
+        if fields[1] not in ("", "0"):
+            raise _local(file, f"GRID {fields[0]}")
+        x, y, z = (real(part) for part in fields[2:5])
+        yield int(fields[0]), (x, y, z)
 
 
-def _real(text: str) -> float:
+def bulk_entries(text: str) -> Iterator[tuple[str, list[str]]]:
+    """Name and fields of each entry of Nastran's bulk data with its continuations: narrow, wide or between commas.
+
+    Fields are those from the second on, all that the lines have room for.
+    """
+    entry: list[str] = []
+    name = ""
+    for line in text.splitlines():
+        bare = line.split("$", 1)[0].rstrip()
+        if not bare:
+            continue
+        if not re.match(r"[A-Za-z]", bare):
+            if name and bare[0] in "+*, ":
+                entry += fields_of(bare)
+            continue
+        if name:
+            yield name, entry
+        name, entry = re.split(r"[\s,*]", bare.upper(), maxsplit=1)[0][:8], fields_of(bare)
+    if name:
+        yield name, entry
+
+
+def fields_of(line: str) -> list[str]:
+    """Fields of a line without the first one, all that the format has room for."""
+    if "," in line:
+        fields = [part.strip() for part in line.split(",")][1:9]
+        return fields + [""] * (8 - len(fields))
+    width, count = (16, 4) if "*" in line[:8] else (8, 8)
+    return [line[8 + k * width : 8 + (k + 1) * width].strip() for k in range(count)]
+
+
+def real(text: str) -> float:
     """A number of Nastran, whose exponent may lack its letter: ``1.5-3``."""
     plain = re.sub(r"(?<=[\d.])([-+]\d+)$", r"E\1", text.upper().replace("D", "E")) if "E" not in text.upper() else text
     return float(plain) if plain else 0.0

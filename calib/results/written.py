@@ -10,6 +10,8 @@ import contextlib
 import hashlib
 import os
 import re
+import shutil
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextvars import ContextVar
 from itertools import count
@@ -180,3 +182,33 @@ def _digest_of_folder(folder: Path) -> str:
     files = sorted(p for p in folder.rglob("*") if p.is_file() and "__pycache__" not in p.relative_to(folder).parts)
     lines = "".join(f"{_digest(p)}  {p.relative_to(folder).as_posix()}\n" for p in files)
     return hashlib.sha256(lines.encode("utf-8", errors="surrogateescape")).hexdigest()
+
+
+def write_new_folder(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
+    """Write files into a new or empty folder, all of them or none; returns them.
+
+    Raises
+    ------
+    InputError
+        Where the folder is not empty, or cannot be written.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError("it is not an empty folder", place=folder, remedy="name a new one")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        draft = Path(tempfile.mkdtemp(prefix=".calib-new-", dir=folder.parent))
+    except OSError as fault:
+        raise InputError(f"it cannot be made ({fault.strerror})", place=folder, remedy="name another place") from None
+    try:
+        for name, content in contents.items():
+            (draft / name).write_bytes(content)
+        draft.chmod(0o755)
+        if folder.exists():
+            folder.rmdir()
+        draft.rename(folder)
+    except OSError as fault:
+        shutil.rmtree(draft, ignore_errors=True)
+        raise InputError(
+            f"it cannot be written ({fault.strerror})", place=folder, remedy="name another place"
+        ) from None
+    return [folder / name for name in contents]

@@ -1,0 +1,388 @@
+"""Matrices that a finite-element code has written become a model, checked, and a study in a folder."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from string import Template
+from typing import Any, TypeAlias
+
+import numpy as np
+import pandas as pd
+import scipy.sparse as sp
+
+from calib.api.display import Displayed, compared
+from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
+from calib.errors.arguments import path as path_of
+from calib.errors.errors import EvaluationError, InputError
+from calib.experiment import ModalTest
+from calib.imports.fe_modes import read_fe_modes
+from calib.imports.matrices import KINDS, ReadMatrices, read_matrices
+from calib.measurement.files.read import Named, found_files, read_modes
+from calib.measurement.modal import DIRECTIONS, MeasuredModes
+from calib.problem.space import Parameter
+from calib.results.written import write_new_folder
+from calib.structure.model import StructuralModel
+from calib.structure.unit_system import SYSTEMS, unit_system
+from calib.study.study_file import shell_argument
+
+Names: TypeAlias = str | Sequence[str]
+
+MODES = 10
+"""Modes that an import computes."""
+FREQ_AGREES, MAC_AGREES = 1e-4, 0.9999
+"""Within these an imported model has the modes that its code printed, with the digits that codes print."""
+_NODES = 100
+"""Nodes at which shapes are compared with those of the code."""
+_ALIKE = 0.01
+"""Relative difference of the mass that moves in two directions that is worth a word."""
+_PARAMETER = "stiffness"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Imported(Displayed):
+    """An imported model, with what was found at the door.
+
+    Attributes
+    ----------
+    model : StructuralModel
+        With a factor of 1 on each stiffness matrix as its parameter.
+    read : ReadMatrices
+        In the code's own units.
+    modes : DataFrame
+        ``mode, freq`` (Hz), and where the code's own modes were given ``code_freq`` (Hz), ``freq_error`` (relative) and
+        ``mac``.
+    notes, warnings : tuple of str
+        What was found, and what is to be checked.
+    units : str
+        Unit system of ``read``.
+    study : Path or None
+        Folder of the study that was written.
+    measured : bool
+        Whether the study has a measurement.
+    """
+
+    model: StructuralModel
+    read: ReadMatrices
+    modes: pd.DataFrame
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    units: str = "m-kg-N"
+    study: Path | None = None
+    measured: bool = False
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What is to be checked, then what was found."""
+        return (*self.warnings, *self.notes)
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The first modes."""
+        return self.modes
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """What the command prints."""
+        known = "code_freq" in self.modes
+        heads = ("mode", "Hz", "Hz of the code", "difference", "MAC") if known else ("mode", "Hz")
+        rows = [
+            (str(row["mode"]), f"{row['freq']:.6g}") + (_beside(row) if known else ())
+            for row in self.modes.to_dict("records")
+        ]
+        title = f"{self.model.n_dof} degrees of freedom. First modes of the imported model:"
+        told = [*(Warned(words) for words in self.warnings), *(Words(words, "always") for words in self.notes)]
+        return (*told, Rows.of(title, heads, rows, most=len(rows)))
+
+    @property
+    def next_steps(self) -> tuple[str, ...]:
+        """What to do with the study that was written; empty without one."""
+        if self.study is None:
+            return ()
+        folder = shell_argument(self.study)
+        if self.measured:
+            return (f"Written: {self.study}", f"Compare it with the measurement: calib compare {folder}")
+        return (
+            f"Written: {self.study}",
+            f"Add what was measured to [measurement] of {self.study / 'study.toml'}, then: calib compare {folder}",
+        )
+
+    def __repr__(self) -> str:
+        return f"Imported({self.model.n_dof} degrees of freedom, {count(len(self.modes), 'mode')})"
+
+
+def import_matrices(
+    files: Named,
+    *,
+    dofs: str | Path | None = None,
+    coordinates: str | Path | None = None,
+    units: str | None = None,
+    stiffness: Names = (),
+    mass: Names = (),
+    damping: Names = (),
+    modes: str | Path | None = None,
+    measured: Named = (),
+    shapes: Named = (),
+    sensors: str | Path | None = None,
+    to: str | Path | None = None,
+) -> Imported:
+    """Take the matrices of a finite-element code over as a model, and write a study of it.
+
+    Read are CalculiX (.sti, with .mas, .dof and .inp beside it), Abaqus (.mtx), Nastran (DMIG punch, OUTPUT4), ANSYS
+    (Harwell-Boeing with mapping), Matrix Market, MATLAB's .mat and .npz.
+
+    Parameters
+    ----------
+    files : path or sequence of paths
+        Of the matrices; decks among them give coordinates, mappings and .dof files the names of rows.
+    dofs : path, optional
+        Node and direction of each row where no file of the code names them: a table ``node, direction[, x, y, z]`` in
+        the code's unit of length, two columns, or numbers such as 12.3.
+    coordinates : path, optional
+        A table ``node, x, y, z`` in m, or a deck with ``*NODE`` or ``GRID``.
+    units : {"m-kg-N", "mm-t-N", "in-lbf", "in-kip"}, optional
+        Of the matrices and the deck; by default m-kg-N, which is told with the mass in the others.
+    stiffness, mass, damping : name or sequence of names, optional
+        Of matrices or their files, where these do not tell what they are. Each stiffness matrix gets a parameter.
+    modes : path, optional
+        What the code itself computed; see `calib.compare_modes`.
+    measured, shapes, sensors : path or sequence of paths, optional
+        Measured modes, shapes and places of measured nodes for the study, as `calib.read_modes` takes them.
+    to : path, optional
+        A folder that does not exist yet, for the study.
+
+    Returns
+    -------
+    Imported
+        ``model``, the table ``modes``, and what was found in words.
+
+    Raises
+    ------
+    InputError
+        For files that cannot be read, rows without names or named twice, matrices of other sizes, entries that are not
+        finite, asymmetry, and modes that cannot be solved.
+
+    Examples
+    --------
+    A mass of 4 kg between two springs and one of 2 kg on it:
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> import calib
+    >>> file = Path(tempfile.mkdtemp()) / "chain.npz"
+    >>> np.savez(file, K=1e4 * np.array([[2, -1], [-1, 1]]), M=np.diag([4.0, 2.0]), dofs=[[1, 3], [2, 3]])
+    >>> calib.import_matrices(file).modes["freq"].round(2).tolist()
+    [6.09, 14.7]
+    """
+    system = unit_system(units or "m-kg-N", "units")
+    chosen = {kind: (names,) if isinstance(names, str) else tuple(names)
+              for kind, names in (("stiffness", stiffness), ("mass", mass), ("damping", damping))}  # fmt: skip
+    named = found_files(files)
+    read = read_matrices(
+        named, dofs=None if dofs is None else path_of(dofs, "dofs"), metres=system.length, chosen=chosen,
+        coordinates=None if coordinates is None else path_of(coordinates, "coordinates"),
+    )  # fmt: skip
+    factors = _factors(list(read.matrices["stiffness"]))
+    model = StructuralModel.from_matrices(
+        {name: (one, factors[name]) for name, one in read.matrices["stiffness"].items()},
+        {name: (one, {}) for name, one in read.matrices["mass"].items()},
+        {name: (one, {}) for name, one in read.matrices["damping"].items()},
+        dofs=read.dofs, parameters=[_factor(name) for name in factors.values()], units=system.name,
+        layers=read.layers, name=named[0].stem,
+    )  # fmt: skip
+    notes, warnings = _weighed(model, units)
+    halves = [a.item for a in model.assumptions if a.value == "symmetric"]
+    mirrored = (f"One triangle was given and has been mirrored: {', '.join(halves)}.",) if halves else ()
+    fixed = tuple(f"{a.item}: {a.reason}." for a in model.assumptions if a.value != "symmetric")
+    notes = (*read.notes, *mirrored, *fixed, *notes)
+    table, told = _solved(model)
+    notes += told
+    if modes is not None:
+        own = read_fe_modes(path_of(modes, "modes"))
+        table, told, doubts = _against(model, own, table)
+        notes, warnings = (*notes, *told), (*warnings, *doubts)
+    out = Imported(model, read, table, notes, warnings, system.name)
+    if to is None:
+        return out
+    folder = _written(out, named, path_of(to, "to"), factors, measured, shapes, sensors)
+    return replace(out, study=folder, measured=bool(measured))
+
+
+def _beside(row: Mapping[Hashable, Any]) -> tuple[str, ...]:
+    """Cells of the code's own mode; empty where it has none."""
+    if not np.isfinite(row["code_freq"]):
+        return "", "", ""
+    return f"{row['code_freq']:.6g}", f"{row['freq_error']:.1e}", decimals(row["mac"], 5)
+
+
+def _factors(names: Sequence[str]) -> dict[str, str]:
+    """Parameter of each stiffness matrix."""
+    if len(names) == 1:
+        return {names[0]: _PARAMETER}
+    return {name: re.sub(r"\W", "_", name) for name in names}
+
+
+def _factor(name: str) -> Parameter:
+    return Parameter(name, 1.0, 0.5, 1.5, "-", prior_sd=0.1)
+
+
+def _weighed(model: StructuralModel, units: str | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The mass that moves in each direction, and what is odd in it."""
+    inertia = sp.csr_array(model.mass(model.space.si(model.space.values)))
+    moving = []
+    for k in range(3):
+        rigid = ((model.dofs.direction == k) & (model.dofs.node >= 0)).astype(float)
+        moving.append(float(rigid @ (inertia @ rigid)))
+    axes = [axis for axis, kg in zip("xyz", moving, strict=True) if kg != 0]
+    if not axes:
+        return (), ("No row of a translation has mass: check which matrix is the mass.",)
+    listed = ", ".join(f"{kg:.5g}" for kg in moving if kg != 0)
+    words = f"Mass that moves in {', '.join(axes)}: {listed} kg, without supported rows. Compare it with the weight."
+    warnings = []
+    known = [kg for kg in moving if kg != 0]
+    if min(known) < 0:
+        warnings.append("The mass that moves in a direction is negative: check the sign of the mass matrix.")
+    elif max(known) > (1 + _ALIKE) * min(known):
+        words += " It differs with the direction where supports, or rows of the code's own, take a part."
+    if units is None:
+        others = ", ".join(f"{max(known) * s.mass:.4g} kg in {name}" for name, s in SYSTEMS.items() if name != "m-kg-N")
+        words += f" No unit system is stated, and m-kg-N is taken; it would be {others}."
+    bare = int((inertia.diagonal() == 0).sum())
+    notes = [words]
+    if bare:
+        notes.append(f"{bare} of {model.n_dof} rows have no mass on the diagonal, as rotations and midside nodes may.")
+    return tuple(notes), tuple(warnings)
+
+
+def _solved(model: StructuralModel) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """The first modes of the model, and how many rigid-body motions it has."""
+    try:
+        found = model.modes({}, min(MODES, model.n_dof))
+    except EvaluationError as fault:
+        raise InputError(
+            f"its modes cannot be solved ({fault})", place=f"model {model.name}",
+            remedy="do stiffness, mass and rows belong to one run, and is the mass the mass?",
+        ) from None  # fmt: skip
+    freq = np.asarray(found.natural_freq)
+    rigid = len(found.excluded)
+    notes = (f"{count(rigid, 'rigid-body motion')}: the model is free.",) if rigid else ()
+    return pd.DataFrame({"mode": np.arange(1, len(freq) + 1), "freq": freq}), notes
+
+
+def _against(
+    model: StructuralModel, own: MeasuredModes, table: pd.DataFrame
+) -> tuple[pd.DataFrame, tuple[str, ...], tuple[str, ...]]:
+    """The table with the code's own modes, and whether the model has them."""
+    known = {label: k for k, label in enumerate(model.labels)}
+    moved = np.diff(model.dofs.expansion.indptr) > 0
+    index = {s: 6 * known[s.node] + DIRECTIONS.index(s.direction) for s in own.sensors if s.node in known}
+    seen = [s for s, k in index.items() if moved[k]]
+    nodes = list(dict.fromkeys(s.node for s in seen))
+    picked = set(nodes[:: len(nodes) // _NODES + 1])
+    used = [k for k, s in enumerate(own.sensors) if s in index and moved[index[s]] and s.node in picked]
+    first = slice(0, min(len(table), own.n_modes))
+    sensors = tuple(replace(own.sensors[k], point=None) for k in used)
+    cut = replace(
+        own, names=own.names[first], natural_freq=own.natural_freq[first], damped_freq=own.damped_freq[first],
+        freq_std=own.freq_std[first], damping_ratio=own.damping_ratio[first], damping_std=own.damping_std[first],
+        sensors=sensors, shapes=own.shapes[used][:, first], shape_std=own.shape_std[used][:, first],
+    )  # fmt: skip
+    notes = tuple(own.notes)
+    if not sensors:
+        notes += ("The code's shapes have no node of the model, so that frequencies are compared in ascending order.",)
+    from calib.api.problem import Problem
+
+    try:
+        found = compared(Problem(model, ModalTest(cut, mode_count=len(table))), None).table
+    except EvaluationError as fault:
+        return table, notes, (f"The code's own modes could not be compared: {fault}.",)
+    paired = found.dropna(subset=["model_mode"]).set_index("model_mode")
+    out = table.copy()
+    out["code_freq"] = out["mode"].map(paired["natural_freq_measured"])
+    out["freq_error"] = out["freq"] / out["code_freq"] - 1
+    out["mac"] = out["mode"].map(paired["mac"]) if "mac" in paired else np.nan
+    lost = len(cut.names) - len(paired)
+    remedy = "Do modes and matrices come from one model, with the same supports and loads?"
+    if not len(paired):
+        return table, notes, (f"None of the {len(cut.names)} modes of the code is one of the imported model. {remedy}",)
+    worst, least = out["freq_error"].abs().max(), out["mac"].min()
+    mac = f", and MAC is at least {least:.5f}" if np.isfinite(least) else ""
+    words = f"Frequencies differ from those of the code by at most {worst:.1e}{mac}"
+    if lost or worst > FREQ_AGREES or least < MAC_AGREES:
+        more = f"; {count(lost, 'mode')} of the code without a partner" if lost else ""
+        return out, notes, (f"{words}{more}. {remedy}",)
+    return out, (*notes, f"{words}: the imported model has the code's own modes."), ()
+
+
+def _written(
+    found: Imported, files: Sequence[Path], folder: Path, factors: Mapping[str, str], measured: Named, shapes: Named,
+    sensors: str | Path | None,
+) -> Path:  # fmt: skip
+    """Write the study; returns its folder."""
+    read = found.read
+    template = resources.files("calib") / "template"
+    contents: dict[str, bytes] = {}
+    lines, most = _measurement(measured, shapes, sensors, contents)
+    names = {kind: list(read.matrices[kind]) for kind in KINDS}
+    model = Template((template / "imported_model.py.txt").read_text("utf-8")).substitute(
+        source=_plain(", ".join(file.name for file in files)), units=found.units, stiffness=json.dumps(dict(factors)),
+        mass=json.dumps(names["mass"]), damping=json.dumps(names["damping"]),
+        layers="None" if read.layers is None else _quoted(read.layers), name=_plain(found.model.name),
+    )  # fmt: skip
+    study = Template((template / "imported_study.toml").read_text("utf-8")).substitute(
+        title=_quoted(f"Imported model {found.model.name}"), measurement="\n".join(lines),
+        mode_count=min(found.model.n_dof, max(MODES, most)),
+    )  # fmt: skip
+    held = {}
+    for kind, own in read.matrices.items():
+        for name, one in own.items():
+            held |= {f"{kind} {name} entries": one.data, f"{kind} {name} rows": one.row.astype(np.int32),
+                     f"{kind} {name} columns": one.col.astype(np.int32)}  # fmt: skip
+    packed = io.BytesIO()
+    np.savez_compressed(packed, **held)
+    contents |= {
+        "study.toml": study.encode(), "model.py": model.encode(), "matrices.npz": packed.getvalue(),
+        "dofs.csv": read.dofs.to_csv(index=False).encode(),
+    }  # fmt: skip
+    write_new_folder(folder, contents)
+    return folder
+
+
+def _measurement(
+    measured: Named, shapes: Named, sensors: str | Path | None, contents: dict[str, bytes]
+) -> tuple[list[str], int]:
+    """Lines of ``[measurement]``, whose files are added to the study's, and the number of model modes to solve."""
+    if not measured and (shapes or sensors):
+        raise InputError("no modes are named beside shapes and places", place="measured", remedy="name them")
+    if not measured:
+        return [
+            '# files = ["modes.csv"]                # measured modes: put the file here and take the # away',
+            '# shapes = ["shapes.csv"]              # with shapes in a table',
+            '# sensors = "sensors.csv"              # with nodes that are numbered otherwise: node, x, y, z (m)',
+        ], 0
+    named = {"files": found_files(measured), "shapes": found_files(shapes) if shapes else []}
+    named["sensors"] = [path_of(sensors, "sensors")] if sensors is not None else []
+    read = read_modes(named["files"], shapes=named["shapes"], sensors=sensors)
+    out = {}
+    for key, files in named.items():
+        for file in files:
+            name = file.name if file.name not in contents else f"{len(contents)}_{file.name}"
+            contents[name] = file.read_bytes()
+            out.setdefault(key, []).append(name)
+    lines = [f"{key} = [{', '.join(map(_quoted, out[key]))}]" for key in ("files", "shapes") if key in out]
+    lines += [f"sensors = {_quoted(out['sensors'][0])}"] if "sensors" in out else []
+    return lines, 2 * read.n_modes
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _plain(text: str) -> str:
+    return re.sub(r'[\\"$]', "_", text)

@@ -1,0 +1,311 @@
+"""Stiffness, mass and damping that a finite-element code has written, from its own files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+import scipy.sparse as sp
+
+from calib.errors.errors import InputError
+from calib.imports.containers import read_container
+from calib.imports.coordinates import DECKS, read_coordinates
+from calib.imports.dof_file import read_dofs, table_of
+from calib.imports.harwell_boeing import is_harwell_boeing, is_mapping, read_harwell_boeing
+from calib.imports.nastran import is_dmig, read_dmig
+from calib.imports.op4 import is_op4, read_op4
+from calib.imports.stored import Stored, counted_from_one, named, numbers_of, spread
+from calib.imports.systems import analysis_set, axes_of, is_bulk, turned_into_global
+from calib.measurement.places import Point
+
+Kind = Literal["stiffness", "mass", "damping"]
+KINDS: tuple[Kind, ...] = ("stiffness", "mass", "damping")
+
+_WORDS: Mapping[str, str] = {
+    "structural damping": r"k4\w*|dmps\w*",
+    "stiffness": r"k|matk|k(aa|gg|ff|ll|jj|nn|xx)x?|k2gg|kred|sti\w*|steif\w*|rigid\w*",
+    "mass": r"m|matm|m(aa|gg|ff|ll|jj|nn|xx)x?|m2gg|mred|mas\w*",
+    "damping": r"c|b|d|matc|matd|b(aa|gg|ff|ll|jj|nn|xx)x?|b2gg|dam\w*|dmp\w*|amor\w*",
+}
+"""Words in the names of files and matrices that tell what they are."""
+_PENALTY = 1e18
+"""Diagonal over the median one of a row that a support holds by a large number, such as 1e36."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReadMatrices:
+    """Matrices of a code with the names of their rows, in the code's own units.
+
+    Attributes
+    ----------
+    matrices : mapping from kind to mapping from name to coo_array (n_dof, n_dof)
+        As stored: a symmetric one may have one triangle alone.
+    dofs : DataFrame (n_dof rows)
+        ``node, direction`` and, where they are known, ``x, y, z`` in the code's unit of length.
+    layers : {"mean"} or None
+        Whether rows of one name are the layers of a shell.
+    notes : tuple of str
+        What was left out, found or assumed.
+    """
+
+    matrices: Mapping[str, Mapping[str, sp.coo_array]]
+    dofs: pd.DataFrame
+    layers: Literal["mean"] | None = None
+    notes: tuple[str, ...] = ()
+
+
+def read_matrices(
+    files: Sequence[Path],
+    *,
+    dofs: Path | None = None,
+    coordinates: Path | None = None,
+    metres: float = 1.0,
+    chosen: Mapping[str, Sequence[str]] | None = None,
+) -> ReadMatrices:
+    """Read the matrices of a model, whatever code wrote them.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        CalculiX .sti and .mas, Abaqus .mtx, Nastran DMIG or OUTPUT4, Harwell-Boeing, Matrix Market, .mat and .npz;
+        decks among them give coordinates, tables and mappings the names of rows.
+    dofs : Path, optional
+        Names of the rows where no file has them; see `calib.imports.dof_file.read_dofs`.
+    coordinates : Path, optional
+        A table ``node, x, y, z`` in m, or a deck; see `calib.imports.coordinates.read_coordinates`.
+    metres : float
+        Of the code's unit of length, m.
+    chosen : mapping from kind to names, optional
+        Which matrices are stiffness, mass and damping where their names do not tell it: of a matrix or of its file.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read, rows without names, and matrices that do not belong together.
+    """
+    given, notes = _with_neighbours(files)
+    stored: list[tuple[Path, Stored]] = []
+    is_calculix, bulk, rows = False, dict[Path, str](), None
+    for file in given:
+        raw = _bytes(file)
+        text = "" if b"\0" in raw[:2000] else raw.decode("latin-1")
+        lines = text.splitlines()
+        if is_bulk(text):
+            bulk[file] = text
+        if is_dmig(text):
+            found, told = read_dmig(file, text)
+            notes += told
+            stored += [(file, one) for one in found]
+        elif file.suffix.lower() == ".dof" or (text and is_mapping(lines)):
+            dofs = file if dofs is None else dofs
+            is_calculix |= file.suffix.lower() == ".dof"
+        elif file.suffix.lower() in DECKS or file in bulk:
+            coordinates = file if coordinates is None else coordinates
+        else:
+            stored += [(file, one) for one in _stored(file, raw, text, lines)]
+    for file, text in bulk.items():
+        coordinates = file if coordinates is None and re.search(r"^GRID[\s*,]", text, re.MULTILINE) else coordinates
+        rows = analysis_set(text) if rows is None else rows
+    by_kind, told = _sorted_out(stored, chosen or {})
+    notes += told
+    table, told = _rows([one for own in by_kind.values() for one in own.values()], dofs, rows)
+    notes += told
+    matrices: Mapping[str, Mapping[str, sp.coo_array]] = {
+        kind: {name: _sized(one, table, name).matrix for name, one in own.items()} for kind, own in by_kind.items()
+    }
+    for file, text in bulk.items():
+        matrices, turned = turned_into_global(matrices, table, axes_of(file, text), file)
+        notes += (f"Nodes that move in axes of their own, turned into global ones: {turned}.",) if turned else ()
+    if coordinates is not None:
+        table, told = _placed(table, coordinates, metres, is_calculix)
+        notes += told
+    matrices, table, told = _without_penalties(matrices, table)
+    named_twice = bool(table.dropna(subset=["node"]).duplicated(["node", "direction"]).any())
+    return ReadMatrices(matrices, table, "mean" if is_calculix and named_twice else None, notes + told)
+
+
+def _bytes(file: Path) -> bytes:
+    if not file.is_file():
+        raise InputError("there is no such file", place=file, remedy="check the path")
+    raw = file.read_bytes()
+    if not raw.strip():
+        raise InputError("it is empty", place=file, remedy="did the code end as it should?")
+    return raw
+
+
+def _with_neighbours(files: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
+    """The files, and those that a code writes beside them, of the same name."""
+    out = list(dict.fromkeys(files))
+    beside: list[Path] = []
+    for file in files:
+        wanted = {".sti": (".mas", ".dof", ".inp"), ".mas": (".sti", ".dof", ".inp")}.get(file.suffix.lower(), ())
+        for other in [*(file.with_suffix(suffix) for suffix in wanted), file.with_suffix(".mapping")]:
+            if other.is_file() and other not in out:
+                out.append(other)
+                beside.append(other)
+    words = f"Found beside the files, and read too: {', '.join(one.name for one in beside)}."
+    return out, (words,) if beside else ()
+
+
+def _stored(file: Path, raw: bytes, text: str, lines: list[str]) -> list[Stored]:
+    """The matrices of one file that is neither DMIG nor a deck."""
+    held = read_container(file, raw)
+    if held is not None:
+        return held
+    if is_op4(raw):
+        return read_op4(file, raw)
+    if is_harwell_boeing(lines):
+        return [read_harwell_boeing(file, lines)]
+    if not text:
+        raise InputError(
+            "its form is unknown", place=file, remedy="give matrices in one of the forms of docs/fe_code.md"
+        )
+    name = {".sti": "stiffness", ".mas": "mass"}.get(file.suffix.lower(), file.stem)
+    table = numbers_of(text, (3, 5), file)
+    if table.shape[1] == 3:
+        return [counted_from_one(name, table[:, 0].astype(int), table[:, 1].astype(int), table[:, 2], file)]
+    labels = table[:, :4].astype(int)
+    return [named(name, labels[:, :2], labels[:, 2:], table[:, 4], file)]
+
+
+def kind_of(name: str) -> str:
+    """What a matrix is, by the longest word in its name that tells it; empty where none does."""
+    words = re.findall(r"[a-z]+\d*[a-z]*", name.lower())
+    for word in sorted(words, key=len, reverse=True):
+        for kind, pattern in _WORDS.items():
+            if re.fullmatch(rf"({pattern})\d*", word) and (len(word) > 1 or word in "km" or len(words) == 1):
+                return kind
+    return ""
+
+
+def _sorted_out(
+    stored: Sequence[tuple[Path, Stored]], chosen: Mapping[str, Sequence[str]]
+) -> tuple[dict[Kind, dict[str, Stored]], tuple[str, ...]]:
+    """Matrices by kind and name; InputError where stiffness or mass is missing, or a chosen name is."""
+    out: dict[Kind, dict[str, Stored]] = {kind: {} for kind in KINDS}
+    left = []
+    called = [(one, {one.name.lower(), file.name.lower(), file.stem.lower()}, file) for file, one in stored]
+    listed = ", ".join(dict.fromkeys(one.name for one, _, _ in called)) or "none"
+    for kind in KINDS:
+        for name in chosen.get(kind, ()):
+            found = [one for one, names, _ in called if name.lower() in names]
+            if not found:
+                raise InputError(f"there is no matrix {name!r}", place=f"--{kind}", remedy=f"there are: {listed}")
+            for one in found:
+                out[kind][one.name] = one
+    taken = {id(one) for own in out.values() for one in own.values()}
+    for one, _, file in called:
+        if id(one) in taken:
+            continue
+        kind_found = kind_of(one.name) or kind_of(file.stem)
+        if kind_found in KINDS and not chosen.get(kind_found):
+            known: Kind = kind_found  # type: ignore[assignment]
+            if one.name in out[known]:
+                raise InputError(f"there are two matrices {one.name!r}", place=f"--{known}", remedy="give each once")
+            out[known][one.name] = one
+        else:
+            left.append(f"{one.name} ({kind_found})" if kind_found else one.name)
+    for kind in ("stiffness", "mass"):
+        if not out[kind]:
+            raise InputError(f"no matrix is recognised as {kind}", place="files",
+                             remedy=f"name it: --{kind} NAME, one of {listed}")  # fmt: skip
+    notes = (f"Left out: {', '.join(left)}.",) if left else ()
+    return out, notes
+
+
+def _rows(flat: Sequence[Stored], dofs: Path | None, listed: np.ndarray | None) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """Names of the rows: those of a file of their own, of the matrices, or of the analysis set of a deck."""
+    labels = [one.labels for one in flat if one.labels is not None]
+    if not labels:
+        if dofs is not None:
+            return read_dofs(dofs), ()
+        if listed is not None and len(listed) == max(one.matrix.shape[0] for one in flat):
+            return table_of(listed), (
+                f"The {len(listed)} rows are those of the analysis set (EXTRN or ASET) of the deck.",
+            )
+        raise InputError(
+            "no file names their rows", place="matrices",
+            remedy="give node and direction of each row: --dofs TABLE, with the header node,direction",
+        )  # fmt: skip
+    alike = all(np.array_equal(one, labels[0]) for one in labels[1:])
+    joined = labels[0] if alike else np.unique(np.concatenate(labels), axis=0)
+    table = table_of(joined)
+    table.attrs["labels"] = joined
+    if dofs is None:
+        return table, ()
+    own = read_dofs(dofs)
+    if "x" not in own:
+        raise InputError("the matrices name their rows themselves", place=dofs, remedy="leave --dofs out")
+    places = own.dropna(subset=["node"]).astype({"node": int}).drop_duplicates("node").set_index("node")
+    for axis in "xyz":
+        table[axis] = table["node"].map(places[axis])
+    return table, ()
+
+
+def _sized(stored: Stored, table: pd.DataFrame, name: str) -> Stored:
+    """A matrix over the rows of the table; InputError for one that has another size."""
+    labels = table.attrs.get("labels")
+    if stored.labels is not None and labels is not None and not np.array_equal(stored.labels, labels):
+        return spread(stored, labels)
+    n, own = len(table), stored.matrix.shape[0]
+    if own != n and not (stored.open_ended and own < n):
+        raise InputError(f"it has {own} rows, and {n} are named", place=f"matrix {name}",
+                         remedy="give the names of its rows, in their order, as the same run wrote them")  # fmt: skip
+    coo = stored.matrix
+    return replace(stored, matrix=sp.coo_array((coo.data, (coo.row, coo.col)), shape=(n, n)))
+
+
+def _placed(table: pd.DataFrame, file: Path, metres: float, has_own: bool) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """The table with coordinates, where all nodes have them.
+
+    ``has_own`` tells that rows of nodes that the deck does not define are the code's own, which then have no node.
+    """
+    scale = 1 / metres if file.suffix.lower() == ".csv" else 1.0
+    points: Mapping[int, Point] = read_coordinates(file)
+    named_rows = table["node"].notna().to_numpy()
+    nodes = pd.to_numeric(table["node"]).where(named_rows, 0).astype(int).to_numpy()
+    known = np.array([node in points for node in nodes]) & named_rows
+    if not known.any():
+        raise InputError(
+            "it defines none of the nodes of the matrices", place=file, remedy="give the deck of this model"
+        )
+    out = table.copy()
+    places = np.array([points[node] if there else (np.nan,) * 3 for node, there in zip(nodes, known, strict=True)])
+    out[["x", "y", "z"]] = scale * places
+    lost = named_rows & ~known
+    if not lost.any():
+        return out, ()
+    if not has_own:
+        words = f"{file.name} does not define node {nodes[lost][0]}: no coordinates are used, and sensors lie at nodes."
+        return table, (words,)
+    out.loc[lost, ["node", "direction"]] = pd.NA
+    count = len(np.unique(nodes[lost]))
+    first, last = nodes[lost].min(), nodes[lost].max()
+    return out, (
+        f"{int(lost.sum())} rows belong to {count} nodes that {file.name} does not define ({first} to {last}), which "
+        "are the code's own: they stay in the model, and no sensor lies there.",
+    )
+
+
+def _without_penalties(
+    matrices: Mapping[str, Mapping[str, sp.coo_array]], table: pd.DataFrame
+) -> tuple[dict[str, dict[str, sp.coo_array]], pd.DataFrame, tuple[str, ...]]:
+    """Matrices without the rows that supports hold by a large number on the diagonal."""
+    diagonal = sum((np.abs(one.diagonal()) for one in matrices["stiffness"].values()), np.zeros(len(table)))
+    usual = np.median(diagonal[diagonal > 0]) if (diagonal > 0).any() else 0.0
+    held = (diagonal >= _PENALTY * usual) & (diagonal > 0) & np.isfinite(diagonal)
+    plain = {kind: dict(own) for kind, own in matrices.items()}
+    if not held.any() or held.all():
+        return plain, table, ()
+    kept = np.flatnonzero(~held)
+    cut = {
+        kind: {name: sp.coo_array(sp.csr_array(one)[kept][:, kept]) for name, one in own.items()}
+        for kind, own in plain.items()
+    }
+    words = f"{int(held.sum())} rows that supports hold by a diagonal of {diagonal[held].max():.0e} were fixed."
+    return cut, table.iloc[kept].reset_index(drop=True), (words,)

@@ -1,0 +1,111 @@
+"""Matrices of a code as a model and as a study: checks at the door, the code's own modes, the command."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import calib
+from calib.command import cli
+from calib.errors.errors import InputError
+
+EXPORTS = Path(__file__).parents[1] / "imports" / "exports"
+
+
+@pytest.fixture(scope="module")
+def solid():
+    return calib.import_matrices(EXPORTS / "solid.sti", units="mm-t-N", modes=EXPORTS / "solid_modes.dat")
+
+
+def test_an_export_of_calculix_has_the_modes_that_calculix_printed(solid):
+    beside = solid.modes.dropna()
+    assert len(beside) == 6 and beside["freq_error"].abs().max() < 1e-6 and beside["mac"].min() > 0.99999
+    assert not solid.warnings and any("code's own modes" in note for note in solid.notes)
+    assert solid.model.n_dof == 42 and len(solid.model.labels) == 8
+
+
+def test_shells_that_became_solids_move_as_the_mean_of_their_layers():
+    found = calib.import_matrices(EXPORTS / "shell.sti", units="mm-t-N", modes=EXPORTS / "shell_modes.frd")
+    beside = found.modes.dropna()
+    assert len(beside) == 4 and beside["freq_error"].abs().max() < 1e-6 and beside["mac"].min() > 0.9999
+    steel = 7850 * 0.040 * 0.015 * 0.002
+    assert any(f"{steel:.5g}, {steel:.5g}, {steel:.5g} kg" in note for note in found.notes)
+    assert any("6 rigid-body motions" in note for note in found.notes)
+
+
+def test_modes_of_another_model_are_told(tmp_path):
+    other = tmp_path / "modes.csv"
+    other.write_text("mode,freq,freq_kind\n1,1249.2,natural\n2,2450.4,natural\n")
+    found = calib.import_matrices(EXPORTS / "solid.sti", units="mm-t-N", modes=other)
+    assert any("at most 2" in words and "one model" in words for words in found.warnings)
+
+
+def test_without_a_unit_system_the_mass_is_told_in_each():
+    found = calib.import_matrices(EXPORTS / "solid.sti")
+    (words,) = [note for note in found.notes if "Mass that moves" in note]
+    assert "1.57e-05, 1.57e-05, 1.57e-05 kg" in words and "0.0157 kg in mm-t-N" in words
+
+
+def test_a_negative_mass_and_an_asymmetric_stiffness_are_refused(tmp_path):
+    k, m = np.array([[2.0, -1], [-1, 2]]), np.diag([1.0, 2.0])
+    rows = [[1, 1], [2, 1]]
+    for bad, words in (({"K": k, "M": -m}, "mass at row 1"), ({"K": k * [[1, 1.1], [1, 1]], "M": m}, "symmetric"),
+                       ({"K": k * [[1, np.nan], [1, 1]], "M": m}, "nan"), ({"K": k, "M": m[:1, :1]}, "mass"),
+                       ({"K": k, "M": m, "dofs": [[1, 1], [1, 1]]}, "twice"),
+                       ({"K": k, "M": np.zeros((2, 2))}, "no mass|cannot be solved")):  # fmt: skip
+        np.savez(tmp_path / "a.npz", **{"dofs": rows, **bad})
+        with pytest.raises(InputError, match=words):
+            calib.import_matrices(tmp_path / "a.npz")
+
+
+@pytest.fixture
+def measured(tmp_path):
+    home = tmp_path / "measured"
+    home.mkdir()
+    (home / "modes.csv").write_text("mode,freq,freq_kind,freq_std\nA,1240,natural,3\nB,2460,natural,5\n")
+    (home / "shapes.csv").write_text(
+        "mode,node,direction,re,std\nA,901,z,1.0,0.01\nA,902,z,0.33,0.01\nA,901,y,0.0,0.01\n"
+        "B,901,y,1.0,0.01\nB,902,z,0.0,0.01\nB,901,z,0.0,0.01\n"
+    )
+    (home / "places.csv").write_text("node,x,y,z\n901,0.06,0.0,0.0\n902,0.03,0.0,0.0\n")
+    return home
+
+
+def test_the_command_writes_a_study_that_compares_at_once(measured, tmp_path, capsys, monkeypatch, undrawn):
+    monkeypatch.chdir(tmp_path)
+    for name in ("solid.sti", "solid.mas", "solid.dof", "solid.inp"):
+        shutil.copy(EXPORTS / name, tmp_path)
+    arguments = ["import", "solid.sti", "--units", "mm-t-N", "--to", "beam", "--measured", "measured/modes.csv",
+                 "--shapes", "measured/shapes.csv", "--sensors", "measured/places.csv"]  # fmt: skip
+    assert cli.execute(arguments) == 0
+    said = capsys.readouterr().out
+    assert "calib compare beam" in said and "1248.89" in said and "0.0157 kg" in said.replace("0.0157, 0.0157, ", "")
+    found = calib.Study.load("beam", progress=False).compare().table
+    assert found["mac"].min() > 0.99 and found["natural_freq_model"].tolist() == pytest.approx(
+        [1248.89, 2450.42], rel=1e-5
+    )
+    assert cli.execute(arguments) == 2 and "not an empty folder" in capsys.readouterr().err
+
+
+def test_without_a_measurement_the_study_says_what_to_add(tmp_path, capsys):
+    found = calib.import_matrices(EXPORTS / "solid.sti", units="mm-t-N", to=tmp_path / "beam")
+    assert "study.toml" in found.next_steps[1] and found.study == tmp_path / "beam"
+    assert cli.execute(["compare", str(tmp_path / "beam")]) == 2
+    assert "measured" in capsys.readouterr().err
+
+
+def test_parts_get_a_parameter_each(tmp_path):
+    k = np.array([[1.0, -1], [-1, 1]])
+    np.savez(tmp_path / "a.npz", K1=np.diag([1e4, 0]), **{"K-2": 1e4 * k}, M=np.diag([4.0, 2.0]), dofs=[[1, 1], [2, 1]])
+    found = calib.import_matrices(tmp_path / "a.npz", to=tmp_path / "chain")
+    assert [p.name for p in found.model.space] == ["K1", "K_2"]
+    held = pd.read_csv(tmp_path / "chain" / "dofs.csv")
+    assert held["node"].tolist() == [1, 2]
+    code = compile((tmp_path / "chain" / "model.py").read_text(), "model.py", "exec")
+    space: dict = {"__file__": str(tmp_path / "chain" / "model.py"), "__name__": "model"}
+    exec(code, space)
+    again = space["imported"]()
+    for values in ({}, {"K1": 0.7, "K_2": 1.3}):
+        assert again.modes(values, 2).natural_freq == pytest.approx(found.model.modes(values, 2).natural_freq)
