@@ -22,9 +22,9 @@ class FaultRules:
     phase : float
         Plausible phase of a delay at the highest measured frequency, rad.
     rotation : float
-        Plausible misalignment of a sensor's axis, deg; an axis taken for another one is a check of its own.
+        Plausible misalignment of a sensor's axis, deg.
     rotation_most : float
-        Largest misalignment, deg: beyond it another axis was taken.
+        Largest misalignment, deg: an axis taken for another one, of either sign, is well inside it.
     shift : float
         Plausible error of a sensor's place along the structure, mm, but no more than `shift_part` allows.
     shift_part : float
@@ -32,7 +32,17 @@ class FaultRules:
     shift_most : float
         Largest error of a place, over the plausible one.
     cross_talk : float
-        Plausible share of a neighbouring channel.
+        Plausible share of another channel.
+    exchange_most : float
+        Largest part of an exchange of two channels, which is 1 where they are exchanged.
+    axes : float
+        Plausible angle by which the sensors of one node are turned together, deg: an axis taken for another one.
+    mixed : float
+        Plausible share of a neighbouring mode in a measured shape, over the size of the shape.
+    mixed_most : float
+        Largest such share.
+    mixed_apart : float
+        Largest difference of the natural frequencies of two modes that an analysis may mix, over their mean.
     damping : float
         Plausible damping ratio that the analysis adds at the middle of the measured frequencies.
     damping_most : float
@@ -66,11 +76,16 @@ class FaultRules:
     set_up: float = 0.5
     phase: float = 0.3
     rotation: float = 15.0
-    rotation_most: float = 60.0
+    rotation_most: float = 120.0
     shift: float = 100.0
     shift_part: float = 0.5
     shift_most: float = 5.0
     cross_talk: float = 0.1
+    exchange_most: float = 2.0
+    axes: float = 90.0
+    mixed: float = 0.3
+    mixed_most: float = 1.0
+    mixed_apart: float = 0.2
     damping: float = 0.01
     damping_most: float = 20.0
     frf_gain: float = 100.0

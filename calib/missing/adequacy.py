@@ -14,6 +14,7 @@ from calib.missing.goodness import by_sensor, common_scale, goodness, overall
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, family_p
+from calib.missing.screened import Screened, screened_p
 from calib.problem.candidate import Candidate
 from calib.problem.problem import Labelled
 
@@ -28,7 +29,8 @@ def adequacy_of(fits: Refits, candidate_fit: CandidateFit, named: Scores) -> Ade
     """Tests of a fitted model, given the scores of the named effects that it lacks."""
     hypotheses, seed = fits.hypotheses, fits.settings.seed
     local = beside(fits, candidate_fit, hypotheses.perturbations)
-    faults = beside(fits, candidate_fit, hypotheses.faults) if hypotheses.faults else None
+    faults = beside(fits, candidate_fit, fits.single_faults) if fits.single_faults else None
+    pairs = None if faults is None else fits.screened(candidate_fit)
     kinds, modes = goodness(candidate_fit.fit, hypotheses)
     return AdequacyTests(
         named=named,
@@ -40,10 +42,18 @@ def adequacy_of(fits: Refits, candidate_fit: CandidateFit, named: Scores) -> Ade
         p_fit=overall(kinds, modes),
         sensors=by_sensor(candidate_fit.fit, hypotheses),
         faults=faults,
-        p_faults=1.0 if faults is None else family_p(faults, hypotheses, seed),
+        p_faults=1.0 if faults is None else _p_faults(family_p(faults, hypotheses, seed), pairs, hypotheses, seed),
+        pairs=pairs,
         # Beside a fault that is granted, another one may stand out all the same: two wrong gains.
         overstated=not fits.granted and overstated(kinds, hypotheses),
     )
+
+
+def _p_faults(single: float, pairs: Screened | None, labelled: Labelled, seed: int) -> float:
+    """Of all faults together, from that of single ones; see `AdequacyTests`."""
+    if pairs is None:
+        return single
+    return min(1.0, single / (1 - RULES.pairs_share), screened_p(pairs, labelled, seed) / RULES.pairs_share)
 
 
 def overstated(kinds: pd.DataFrame, labelled: Labelled) -> bool:

@@ -12,10 +12,10 @@ from calib.missing.adequacy import adequacy_of, adequate, beside, measured_scale
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.explanation import Explanation
 from calib.missing.place import takes_enough
-from calib.missing.plausible import limit_of
+from calib.missing.plausible import has_possible_size
 from calib.missing.refits import Refits, near_to
 from calib.missing.rules import RULES
-from calib.missing.score import Scores
+from calib.missing.score import scores
 from calib.missing.suspect import suspects_table, wrong_datum
 
 DAMPING = "damping"
@@ -29,7 +29,7 @@ def with_competing(fits: Refits, found: Explanation, best: CandidateFit) -> Expl
     perturbation = fits.best_perturbation(base, adequacy.perturbations, adequacy.named, best)
     if perturbation is not None and perturbation.ln_evidence > best.ln_evidence - margin:
         perturbation = fits.finished(perturbation)
-    faults = () if adequacy.faults is None else fits.faults(base, adequacy.faults, best)
+    faults = () if adequacy.suspects is None else fits.faults(base, adequacy.suspects, best)
     faults = tuple(fits.settled(faults, RULES.credible)) if faults else ()
     fault = faults[0] if faults else None
     if adequacy.faults is None:
@@ -77,8 +77,8 @@ def fault_first(fits: Refits, found: Explanation, candidate_fits: Sequence[Candi
         return None
     steps = () if found.steps is None else tuple(step.candidate_fit for step in found.steps.steps[1:])
     best = max((*candidate_fits, *steps), key=lambda t: t.ln_evidence, default=None)
-    held = limit_of(fault.fit, fault.effects[0].magnitude) is not None
-    if held or not outweighs(fits, found, best, RULES.credible):
+    possible = has_possible_size(fault.fit, fault.effects[0])
+    if not possible or not outweighs(fits, found, best, RULES.credible):
         return None
     singles = [t for t in candidate_fits if len(t.names) == 1]
     return _told(fits, found, fault, tests_of(fits, found, fault), singles, candidate_fits)
@@ -104,7 +104,7 @@ def outweighs(fits: Refits, found: Explanation, best: CandidateFit | None, margi
     fault, h = found.fault, fits.hypotheses
     if fault is None or not h.faults:
         return False
-    own, groups = math.log(len(h.faults)), math.log(max(len(found.groups), 1))
+    own, groups = math.log(max(len(fits.single_faults), 1)), math.log(max(len(found.groups), 1))
     limits = [
         found.base.ln_evidence + own + RULES.credible,
         ln_of(found.perturbation) - math.log(max(len(h.perturbations), 1)) + own,
@@ -115,9 +115,9 @@ def outweighs(fits: Refits, found: Explanation, best: CandidateFit | None, margi
 
 
 def _same(fault: CandidateFit, datum: WrongDatum | None) -> bool:
-    """Whether a wrong datum is the sensor whose fault is told: then they do not contradict each other."""
-    sensor = str(getattr(fault.effects[0], "sensor", ""))
-    return datum is not None and bool(sensor) and sensor in datum.what.split()
+    """Whether a wrong datum is the sensor or mode whose fault is told: then they do not contradict each other."""
+    subjects = getattr(fault.effects[0], "subjects", ())
+    return datum is not None and any(f" {name} " in f" {datum.what} " for name in subjects)
 
 
 def tests_of(fits: Refits, found: Explanation, fault: CandidateFit) -> AdequacyTests:
@@ -154,10 +154,13 @@ def alike(found: Explanation, fault: CandidateFit, one: CandidateFit) -> bool:
 
 
 def _direction(found: Explanation, fault: CandidateFit) -> np.ndarray | None:
-    scores: Scores | None = found.base_adequacy.faults
-    if scores is None or fault.names[0] not in scores.owners:
+    known = found.base_adequacy.suspects
+    if known is None:
         return None
-    return np.asarray(scores.unit[:, scores.best(fault.names[0])])
+    (e,) = fault.effects
+    if e.name not in known.owners:  # of pairs the largest are kept
+        known = scores(found.base.fit, [e], {})
+    return np.asarray(known.unit[:, known.best(e.name)])
 
 
 def _place(fits: Refits, found: Explanation, fault: CandidateFit) -> CandidateFit | None:

@@ -10,6 +10,7 @@ import pandas as pd
 from calib.missing.evidence import at_lower
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.score import Scores
+from calib.missing.screened import Screened
 from calib.problem import degrees_of_freedom
 from calib.problem.candidate import Candidate
 
@@ -32,8 +33,12 @@ class AdequacyTests:
         Misfit by sensor, worst first.
     faults : Scores or None
         Of the faults of the measurement; None where the test has none.
+        Those of pairs are in ``pairs``.
     p_faults : float
-        Family-wise p-value of their largest score.
+        Family-wise p-value of the largest score of all faults: that of these, and that of pairs, each over its share
+        of the probability of a false alarm (weighted Bonferroni; `DecisionRules.pairs_share`).
+    pairs : Screened or None
+        The largest scores of the faults of pairs; None where the test has none.
     overstated : bool
         Whether the standard deviations are larger than independent errors of data without modes would allow. An
         accuracy that neighbouring lines share makes them so; scores then prove nothing: the goodness of fit decides.
@@ -49,7 +54,15 @@ class AdequacyTests:
     sensors: pd.DataFrame = field(default_factory=pd.DataFrame)
     faults: Scores | None = None
     p_faults: float = 1.0
+    pairs: Screened | None = None
     overstated: bool = False
+
+    @property
+    def suspects(self) -> Scores | None:
+        """Scores of all faults, of pairs the largest; None where the test has none."""
+        if self.faults is None or self.pairs is None:
+            return self.faults
+        return self.faults.joined(self.pairs.scores)
 
     @property
     def p_family(self) -> float:

@@ -146,7 +146,7 @@ class Explanation:
     @property
     def uncontested(self) -> bool:
         """Whether the parameters absorb every local perturbation and fault, so that a wrong name would not show."""
-        faults = self.base_adequacy.faults
+        faults = self.base_adequacy.suspects
         return not (
             (self.base_adequacy.perturbations.size > 0).any() or (faults is not None and (faults.size > 0).any())
         )

@@ -12,7 +12,7 @@ from calib.missing.blame import alike, outweighs
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import NAMED, Explanation
 from calib.missing.place import takes_enough
-from calib.missing.plausible import limit_of
+from calib.missing.plausible import has_possible_size
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
@@ -76,18 +76,19 @@ def _first(fits: Refits, found: Explanation, best: CandidateFit | None) -> tuple
     if fault is None or not takes_enough(found, fault) or not outweighs(fits, found, best, RULES.credible):
         return None
     (one,) = fault.effects
-    return None if limit_of(fault.fit, one.magnitude) is not None else (one, fault.fit.values)
+    return (one, fault.fit.values) if has_possible_size(fault.fit, one) else None
 
 
 def _beside(fits: Refits, best: CandidateFit, tests: AdequacyTests) -> tuple[Candidate, Mapping[str, float]] | None:
     """The fault that explains most of what an effect leaves, with the values after one step from its fit."""
-    faults = tests.faults
+    faults = tests.suspects
     if faults is None or not faults.owners:
         return None
-    k = int(np.argmax(faults.magnitude))
-    gain = float(faults.magnitude[k]) ** 2 / 2
+    predicted = fits.predicted(faults)
+    k = int(np.argmax(predicted))
+    gain, choices = float(predicted[k]), math.log(max(len(fits.single_faults), 1))
     others = max(_largest(tests.named), _largest(tests.perturbations)) ** 2 / 2
-    if gain <= 2 * RULES.credible + math.log(len(faults.owners)) or gain < others + RULES.credible:
+    if gain <= 2 * RULES.credible + choices or gain < others + RULES.credible:
         return None
     name = faults.owners[k]
     return fits.by_name[name], fits.starts(best.fit, faults, name)[0]
@@ -102,4 +103,4 @@ def _needed(fits: Refits, told: Explanation, fault: Candidate) -> bool:
     fit = told.last.fit
     k = fit.names.index(fault.name)
     size = abs(fit.values[fault.name]) / math.sqrt(float(fit.covariance[k, k]))
-    return size**2 / 2 > RULES.credible + math.log(len(fits.hypotheses.faults))
+    return size**2 / 2 > RULES.credible + math.log(max(len(fits.single_faults), 1)) + fits.price([fault])

@@ -118,6 +118,13 @@ class LinearisedFit:
         rest = len(self.augmented) - len(columns)
         return self._projected(np.vstack([columns, np.zeros((rest, columns.shape[1]))]))
 
+    def unabsorbed(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of changes of the rows g (n_rows, m): ``|g|``, ``|P g|`` and ``g^T P r``, (m,) each, without ``P g``."""
+        rows = len(columns)
+        whole = np.sum(columns**2, axis=0)
+        lost = np.sum((self._orthonormal[:rows].T @ columns) ** 2, axis=0)
+        return np.sqrt(whole), np.sqrt(np.maximum(whole - lost, 0.0)), columns.T @ self.projected[:rows]
+
     @cached_property
     def projected(self) -> np.ndarray:
         """Part of the residual that the parameters cannot absorb: ``P r``, (n_rows + n_others + p,)."""

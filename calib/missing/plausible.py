@@ -58,6 +58,8 @@ def implausible(fit: LinearisedFit, added: Sequence[Candidate]) -> str:
         p, side = effect.magnitude, limit_of(fit, effect.magnitude)
         if side == "upper" or (side == "lower" and effect.signed):
             reasons.append(f"{effect.name} is on its limit of {_with_unit(getattr(p, side), p)}")
+        if not is_whole(fit, effect):
+            reasons.append(f"{effect.name} is there by {100 * fit.values[effect.name]:.2g} % only")
         for q in (q for q in effect.nuisance if not q.integer):  # a choice, of which the ends are as good as any
             here, side = fit.values[q.name], limit_of(fit, q)
             if side is not None:
@@ -86,6 +88,16 @@ def limit_of(fit: LinearisedFit, p: Parameter) -> Literal["lower", "upper"] | No
         k = fit.names.index(p.name)
         std = float(np.sqrt(fit.covariance[k, k]))
     return p.limit_at(fit.values[p.name], std)
+
+
+def is_whole(fit: LinearisedFit, effect: Candidate) -> bool:
+    """Whether a candidate that is there wholly or not at all has a magnitude of 1 or nearly (`DecisionRules.whole`)."""
+    return not effect.whole or abs(fit.values[effect.name] - 1.0) < RULES.whole
+
+
+def has_possible_size(fit: LinearisedFit, effect: Candidate) -> bool:
+    """Whether no limit holds the fitted magnitude of a candidate, and it is whole where it must be."""
+    return limit_of(fit, effect.magnitude) is None and is_whole(fit, effect)
 
 
 def _with_unit(value: float, p: Parameter) -> str:

@@ -30,6 +30,7 @@ from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, scores
+from calib.missing.screened import Screened, screened
 from calib.missing.settings import Allowance, Settings
 from calib.problem.candidate import Candidate
 
@@ -79,6 +80,25 @@ class Refits:
         h = self.hypotheses
         return {e.name: e for e in (*h.effects, *h.perturbations, *h.faults)}
 
+    @cached_property
+    def single_faults(self) -> tuple[Candidate, ...]:
+        """Faults of the measurement but those of pairs."""
+        return tuple(e for e in self.hypotheses.faults if not e.of_pair)
+
+    @cached_property
+    def pair_faults(self) -> tuple[Candidate, ...]:
+        """Faults of pairs of channels or modes."""
+        return tuple(e for e in self.hypotheses.faults if e.of_pair)
+
+    def price(self, candidates: Sequence[Candidate]) -> float:
+        """What faults of pairs among some candidates cost: the logarithm of how many more there are than of others.
+
+        It is taken off their log evidence, as that of a choice among places. All faults then compare alike, at the
+        price of a single one: the logarithm of the number of single ones.
+        """
+        number = sum(e.of_pair for e in candidates)
+        return number * math.log(max(len(self.pair_faults) / max(len(self.single_faults), 1), 1.0)) if number else 0.0
+
     def fit_problem(self, names: tuple[str, ...]) -> FitProblem:
         """The model with the named effects or local perturbations against the measurement."""
         return Altered(self.hypotheses.fit_problem(names), self.scale)
@@ -103,6 +123,19 @@ class Refits:
             pairing = pairing_points(self.hypotheses, fit, effects, fit_problem)
         problems = {e.name: fit_problem(e.name) for e in candidates if e.grid or e.name in pairing}
         return scores(fit, candidates, problems, pairing)
+
+    def screened(self, candidate_fit: CandidateFit) -> Screened | None:
+        """The largest scores of the faults of pairs that a fitted model lacks; None where there are none."""
+        lacking = [e for e in self.pair_faults if e.name not in candidate_fit.names]
+        own = [*candidate_fit.names, *(fault.name for fault in self.granted)]
+        return screened(candidate_fit.fit.granting(own), lacking) if lacking else None
+
+    def suspects(self, candidate_fit: CandidateFit) -> Scores:
+        """Scores of the faults of the measurement that a fitted model lacks, of pairs the largest."""
+        fit = candidate_fit.fit.granting(candidate_fit.names)
+        single = self.scores(fit, [e for e in self.single_faults if e.name not in candidate_fit.names])
+        pairs = self.screened(candidate_fit)
+        return single if pairs is None else single.joined(pairs.scores)
 
     # -- fits ----------------------------------------------------------------------------------------------------------
 
@@ -233,7 +266,7 @@ class Refits:
     def _candidate_fit(self, names: tuple[str, ...], fit: LinearisedFit) -> CandidateFit:
         effects = tuple(self.by_name[n] for n in names)
         added = (*effects, *self.granted)
-        return CandidateFit(effects, fit, ln_evidence(fit, added), implausible(fit, added))
+        return CandidateFit(effects, fit, ln_evidence(fit, added) - self.price(effects), implausible(fit, added))
 
     def starts(self, fit: LinearisedFit, found: Scores, name: str) -> list[dict[str, float]]:
         """Starts for the fit of an effect: one step from a fit, for the best points of its grid."""
@@ -280,6 +313,11 @@ class Refits:
                 return competitor
         return perturbation
 
+    def predicted(self, found: Scores) -> np.ndarray:
+        """Log evidence that one step predicts for each column, less the price of a fault of a pair, (m,)."""
+        price = np.array([self.price([self.by_name[name]]) for name in found.owners])
+        return np.asarray(np.maximum(found.magnitude, 0.0) ** 2 / 2 - price)
+
     def fault(self, base: CandidateFit, found: Scores, best: CandidateFit) -> CandidateFit | None:
         """Fit of the measurement fault with the largest score; None where it comes nowhere near the best effect.
 
@@ -300,13 +338,14 @@ class Refits:
         Like `fault`, only those that come near the best effect, and at most `DecisionRules.blamed` that are predicted
         to explain about equally well. Fits of faults are not charged: they need no further model.
         """
-        order = np.argsort(-found.magnitude, kind="stable")[: RULES.blamed]
+        predicted = self.predicted(found)
+        order = np.argsort(-predicted, kind="stable")[: RULES.blamed]
         reached = best.ln_evidence - base.ln_evidence
         out: list[CandidateFit] = []
         with self.allowance.uncharged():
             for k in order.tolist():
-                predicted, largest = (max(float(found.magnitude[j]), 0.0) ** 2 / 2 for j in (k, int(order[0])))
-                if predicted <= 0 or reached - predicted > near_to(reached) or largest - predicted > RULES.close:
+                gain, largest = float(predicted[k]), float(predicted[order[0]])
+                if gain <= 0 or reached - gain > near_to(reached) or largest - gain > RULES.close:
                     break
                 self.announce(f"fitting {self.by_name[found.owners[k]].title}")
                 fit = self.local(found.owners[k], base, found, best)

@@ -77,10 +77,10 @@ def restarted_faults(fits: Refits, base: CandidateFit, faults: Sequence[Candidat
     fit_problem = fits.fit_problem(())
     try:
         nominal = linearised(fit_problem, (), fit_problem.space.values)
-        found = fits.scores(nominal, h.faults)
+        found = fits.suspects(replace(base, fit=nominal))
     except EvaluationError:
         return tuple(faults)
-    order = np.argsort(-found.magnitude, kind="stable")[: RULES.blamed]
+    order = np.argsort(-fits.predicted(found), kind="stable")[: RULES.blamed]
     for name in dict.fromkeys((*best, *(found.owners[k] for k in order))):
         refit = fits.best_of((name,), fits.starts(nominal, found, name), base)
         if refit is not None and (name not in best or refit.fit.misfit < best[name].fit.misfit):

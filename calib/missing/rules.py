@@ -113,6 +113,13 @@ class DecisionRules:
         Smallest predicted decrease of the sum of squares for which another integer is tried.
     blamed : int
         Number of faults of the measurement that are fitted.
+    screened : int
+        Number of faults of pairs, those of the largest scores, that are kept of all.
+    pairs_share : float
+        Share of the probability of a false alarm by any fault that those of pairs have: the limits of the others hardly
+        depend on them.
+    whole : float
+        Distance of a magnitude from 1 below which a fault that is there wholly or not at all, an exchange, is there.
     confounded : float
         Correlation of signatures from which effects are reported as confounded.
     early : float
@@ -201,6 +208,9 @@ class DecisionRules:
     competing: int = 1
     worth: float = 0.5
     blamed: int = 3
+    screened: int = 20
+    pairs_share: float = 0.1
+    whole: float = 0.25
     confounded: float = 0.9
     early: float = 0.7
     late: float = 0.85

@@ -66,6 +66,15 @@ class Scores:
         """Test statistic: z, or ``|z|`` where both signs count, (m,)."""
         return np.where(self.signed, np.abs(self.z), self.z)
 
+    def joined(self, other: Scores) -> Scores:
+        """These columns, and after them those of another family at the same fit."""
+        return Scores(
+            (*self.owners, *other.owners), (*self.points, *other.points), np.hstack([self.raw, other.raw]),
+            np.hstack([self.unit, other.unit]),
+            *(np.concatenate([getattr(self, name), getattr(other, name)])
+              for name in ("size", "z", "unabsorbed", "signed", "onset")),
+        )  # fmt: skip
+
     def at(self, fit: LinearisedFit) -> Scores:
         """Scores of the same columns at another end point of the fit; see `LinearisedFit.relinearised`."""
         return replace(self, z=self.unit.T @ fit.augmented)

@@ -206,8 +206,8 @@ class Stepwise:
             place = fits.best_perturbation(rest, local, scores, model) if local.owners else None
             if place is not None and place.ln_evidence - _chance(h.perturbations, groups) > model.ln_evidence:
                 out.append((place, "local_perturbation"))
-            faults = fits.faults(rest, beside(fits, rest, h.faults), model)[:1] if h.faults else ()
-            out += [(one, "fault") for one in faults if one.ln_evidence - _chance(h.faults, groups) > near]
+            faults = fits.faults(rest, fits.suspects(rest), model)[:1] if h.faults else ()
+            out += [(one, "fault") for one in faults if one.ln_evidence - _chance(fits.single_faults, groups) > near]
         return out
 
 

@@ -225,9 +225,11 @@ def faults_table(found: Explanation, places: Places, candidates: Mapping[str, Ca
     candidates : mapping from str to Candidate
         The faults themselves, for units and limits.
     """
-    scores = found.base_adequacy.faults
-    if scores is None:
+    scores, single, pairs = found.base_adequacy.suspects, found.base_adequacy.faults, found.base_adequacy.pairs
+    if scores is None or single is None:
         return pd.DataFrame(columns=list(FAULT_COLUMNS))
+    limits = np.full(len(scores.owners), noise_limit(single.magnitude))
+    limits[len(single.owners) :] = math.nan if pairs is None else pairs.limit
     fits, blamed = {t.names[0]: t for t in found.faults}, {e.name for e, _ in found.faulty}
     rows: list[dict[str, object]] = [_granted(found, e) for e in found.granted]
     for k, name in enumerate(scores.owners):
@@ -239,7 +241,7 @@ def faults_table(found: Explanation, places: Places, candidates: Mapping[str, Ca
             "score": scores.z[k] if scores.signed[k] else max(scores.z[k], 0.0), "unabsorbed": scores.unabsorbed[k],
             "magnitude": stepped if p.lower <= stepped <= p.upper else math.nan, "low": math.nan, "high": math.nan,
             "magnitude_min": RULES.detectable / size if size > 0 else math.inf,
-            "ln_bayes": math.nan, "fitted": name in fits, "blamed": name in blamed, "told": "",
+            "ln_bayes": math.nan, "fitted": name in fits, "blamed": name in blamed, "told": "", "limit": limits[k],
         }  # fmt: skip
         if name in fits:
             fitted = local_perturbation(fits[name])
@@ -247,7 +249,7 @@ def faults_table(found: Explanation, places: Places, candidates: Mapping[str, Ca
             row |= {"ln_bayes": found.ln_bayes(fits[name])}
             row["told"] = fault_words(fits[name])
         rows.append(row)
-    table = pd.DataFrame(rows).assign(limit=noise_limit(scores.magnitude))
+    table = pd.DataFrame(rows).fillna({"limit": limits[0]})
     order = np.argsort(-table["score"].abs().to_numpy(dtype=float), kind="stable")
     return table.iloc[order][list(FAULT_COLUMNS)].reset_index(drop=True)
 

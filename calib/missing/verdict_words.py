@@ -66,7 +66,7 @@ def near_limit(found: Explanation, effects: pd.DataFrame) -> tuple[str, ...]:
         f"candidates more than {noise_limit(every):.1f} in {100 * RULES.noise_level:.0f} % of all cases"
     )
     if tests.faults is not None:
-        words += f", and {without:.1f} without the {counted_faults(found)} among them"
+        words += f", and {without:.1f} without the {_counts(found)[2]} faults of the measurement among them"
     seen = effects[effects["visible"].astype(bool) & effects["magnitude_min"].notna()]
     least = ", ".join(f"{r['name']} from {rounded(float(r['magnitude_min']))}{unit_words(str(r['unit']))}"
                       for r in seen.to_dict("records"))  # fmt: skip
@@ -268,8 +268,10 @@ def with_full_stop(words: str) -> str:
 
 
 def counted_faults(found: Explanation) -> str:
-    """Number of faults of the measurement that were tested."""
-    return f"{_counts(found)[2]} faults of the measurement"
+    """Number of faults of the measurement that were tested, with that of pairs."""
+    pairs = found.base_adequacy.pairs
+    also = "" if pairs is None else f" ({pairs.number} more of pairs of channels or modes)"
+    return f"{_counts(found)[2]} faults of the measurement{also}"
 
 
 def _counts(found: Explanation) -> tuple[int, int, int]:

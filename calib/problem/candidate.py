@@ -62,6 +62,16 @@ class Candidate(Protocol):
         ...
 
     @property
+    def of_pair(self) -> bool:
+        """Whether it is an error of a pair of channels or modes, one of so many that they are a family of their own."""
+        ...
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is there wholly, at magnitude 1, or not at all."""
+        ...
+
+    @property
     def told(self) -> Callable[[float], str] | None:
         """What a fitted magnitude of such an error means, in words."""
         ...
@@ -96,6 +106,8 @@ class WithMagnitude:
     """What a candidate's magnitude, a `calib.problem.space.Parameter`, tells of it."""
 
     magnitude: Parameter
+    of_pair: bool = False
+    whole: bool = False
 
     @property
     def signed(self) -> bool:
@@ -129,11 +141,16 @@ class Fault(WithMagnitude):
     told : callable
         What a fitted magnitude means, such as ``sensor 12y reads 10 % low``.
     kind : str
-        Such as ``gain``, ``delay``, ``rotation``, ``place``, ``cross-talk``, ``set-up``, ``damping``, ``modulus``.
+        Such as ``gain``, ``delay``, ``rotation``, ``place``, ``cross-talk``, ``exchange``, ``axes``, ``mixed``,
+        ``set-up``, ``damping``, ``modulus``.
     sensor : str
-        Sensor that reads wrongly, empty for a fault of all.
+        Sensor that reads wrongly, or both with a space between; empty for a fault of all.
     place : (3,) float
         Of that sensor, m; NaN where it is unknown.
+    of_pair : bool
+        Whether it is one of the faults of pairs of channels or modes, which are a family of their own.
+    whole : bool
+        Whether it is there wholly, at magnitude 1, or not at all.
     """
 
     magnitude: Parameter
@@ -144,6 +161,13 @@ class Fault(WithMagnitude):
     kind: str
     sensor: str = ""
     place: tuple[float, float, float] = NOWHERE
+    of_pair: bool = False
+    whole: bool = False
+
+    @property
+    def subjects(self) -> tuple[str, ...]:
+        """Names of what it makes wrong: of sensors, or of a mode; empty for a fault of all."""
+        return tuple(self.sensor.split())
 
     @property
     def name(self) -> str:

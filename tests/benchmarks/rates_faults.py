@@ -6,7 +6,8 @@ there is a wrong name.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -19,12 +20,18 @@ from rates_world import World
 
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.measurement.repeats import Repeat
+from calib.missing.explanation import Explanation
 from calib.problem.effect import Effect
 from calib.structure.modes import Modes
 
-FAULTS = ("gain", "place", "rotation", "cross-talk", "set-up factor", "odd repeat")
+FAULTS = (
+    "gain", "place", "rotation", "cross-talk", "set-up factor", "odd repeat",
+    "exchange", "axes", "far cross-talk", "mixed modes",
+)  # fmt: skip
 GAIN, FACTOR, SHARE, ANGLE, OFF = (0.10, 0.30), (0.05, 0.15), (0.05, 0.20), (10.0, 25.0), (0.15, 0.45)
 """Ranges: of a sensor's gain and a set-up's factor less 1, of the share of another channel, degrees, metres."""
+MIXED = (0.15, 0.40)
+"""Range of the share of a neighbouring mode in a shape, over its size."""
 ODD_FREQ, ODD_SHAPE = 0.06, 0.2
 """Standard deviations of the odd repeat: of its frequencies, relative, and of its shapes over their largest entry."""
 
@@ -35,8 +42,15 @@ def fault_scenarios() -> tuple[Scenario, ...]:
     return (*alone, *(Scenario(f"fault/{name}/any", "fault", ANY) for name in FAULTS))
 
 
-def misread(fault: str, shapes: np.ndarray, layout: Sequence[Sensor], rng: np.random.Generator) -> np.ndarray:
-    """Shapes (n_sensors, n_modes) as a test with that fault reads them; unchanged for a fault of another kind."""
+def misread(
+    fault: str, shapes: np.ndarray, layout: Sequence[Sensor], rng: np.random.Generator, modes: Mapping[str, float]
+) -> tuple[np.ndarray, str]:
+    """Shapes (n_sensors, n_modes) as a test with that fault reads them, unchanged for a fault of another kind.
+
+    With the name of the candidate that is right where the fault is one of a pair, else empty. ``modes`` holds the
+    natural frequencies, Hz.
+    """
+    names, right = [s.name for s in layout], ""
     out, k = shapes.copy(), int(rng.integers(len(layout)))
     sign = 1.0 if rng.random() < 0.5 else -1.0
     if fault == "gain":
@@ -55,7 +69,27 @@ def misread(fault: str, shapes: np.ndarray, layout: Sequence[Sensor], rng: np.ra
         part = len(layout) // 3
         first = int(rng.integers(3)) * part
         out[first : first + part] *= 1 + sign * rng.uniform(*FACTOR)
-    return out
+    elif fault == "exchange":
+        j = int(rng.choice([i for i in range(len(layout)) if i != k]))
+        out[[k, j]] = shapes[[j, k]]
+        right = f"exchange of sensors {names[min(j, k)]} and {names[max(j, k)]}"
+    elif fault == "axes":
+        triples = [(i, j) for i, j in itertools.combinations(range(len(layout)), 2) if layout[i].node == layout[j].node]
+        i, j = triples[int(rng.integers(len(triples)))]
+        out[i], out[j] = sign * shapes[j], -sign * shapes[i]
+        right = f"rotation of sensors {names[i]} and {names[j]} together"
+    elif fault == "far cross-talk":
+        j = int(rng.choice([i for i in range(len(layout)) if abs(i - k) > 1]))
+        out[k] += rng.uniform(*SHARE) * shapes[j]
+        right = f"cross-talk of sensor {names[j]} into {names[k]}"
+    elif fault == "mixed modes":
+        order, freq = np.argsort(list(modes.values())), np.sort(list(modes.values()))
+        closest = int(np.argmin(np.diff(freq) / freq[:-1]))
+        i, j = order[[closest, closest + 1]][:: int(sign)]
+        size = np.linalg.norm(shapes[:, i]) / np.linalg.norm(shapes[:, j])
+        out[:, i] += rng.uniform(*MIXED) * size * shapes[:, j]
+        right = "share of mode {1} in mode {0}".format(*np.array(list(modes))[[i, j]])
+    return out, right
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +100,12 @@ class FaultyWorld(World):
     ----------
     now : list
         Fault and generator of the run that is being made.
+    right : list of str
+        The fault of a pair that is in it, as the candidate is named.
     """
 
     now: list[Any] = field(default_factory=list)
+    right: list[str] = field(default_factory=list)
 
     @property
     def kinds(self) -> tuple[Scenario, ...]:
@@ -110,18 +147,23 @@ class FaultyWorld(World):
 
     def _combined(self, repeats: Sequence[Repeat]) -> MeasuredModes:
         fault, rng = self.now
-        state, out = rng.bit_generator.state, list[Repeat]()
+        state, out, right = rng.bit_generator.state, list[Repeat](), ""
+        modes = dict(zip(repeats[0].names, repeats[0].natural_freq.tolist(), strict=True))
         for k, one in enumerate(repeats):
             rng.bit_generator.state = state  # the same fault in all repeats
-            shapes = one.shape_set
+            shapes, freq = one.shape_set, one.natural_freq
             assert shapes is not None
-            read = misread(fault, shapes.shapes, self.specimen.layout, rng)
-            freq = one.natural_freq
+            read, right = misread(fault, shapes.shapes, self.specimen.layout, rng, modes)
             if fault == "odd repeat" and k == len(repeats) - 1:
                 freq = freq * np.exp(ODD_FREQ * rng.standard_normal(freq.shape))
                 read = read + ODD_SHAPE * np.abs(read).max(axis=0) * rng.standard_normal(read.shape)
             out.append(replace(one, natural_freq=freq, shape_set=replace(shapes, shapes=read)))
+        self.right[:] = [right] if right else []
         return super()._combined(out)
+
+    def _told(self, found: Explanation) -> dict[str, Any]:
+        told = [fault.name for fault, _ in found.faulty]
+        return {"fault": self.now[0], "faults_told": told, "fault_right": self.right[0] in told if self.right else None}
 
 
 @dataclass(frozen=True, eq=False)

@@ -255,7 +255,7 @@ class World:
                 ModalResidual(problem, faults=faults), self.libraries[scenario.library], self.space, without=removed
             )
             found = decide(hypotheses)
-            row |= outcome(found, measured)
+            row |= outcome(found, measured) | self._told(found)
             if row["outcome"] == "right" and len(measured.hidden) == 1:
                 row |= magnitude(found, measured) | self._held_out(found, hypotheses, measured)
             row["seconds"] = round(time.perf_counter() - started, 2)
@@ -263,6 +263,10 @@ class World:
         except (EvaluationError, InputError, np.linalg.LinAlgError) as fault:
             row |= {"verdict": "failed", "outcome": "failed", "error": f"{type(fault).__name__}: {fault}"}
         return {"seconds": round(time.perf_counter() - started, 2)} | row
+
+    def _told(self, found: Explanation) -> dict[str, Any]:
+        """What is told of the measurement; of a world without faults nothing."""
+        return {}
 
     def _truth(self, scenario: Scenario, measured: Measured) -> dict[str, Any]:
         hidden = [self.effects[name] for name in measured.hidden]

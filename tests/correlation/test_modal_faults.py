@@ -45,7 +45,9 @@ def test_without_a_fault_the_residual_is_the_plain_one(faulty):
 
 def test_all_kinds_are_there(faulty):
     kinds = {f.kind for f in faulty().faults}
-    assert kinds == {"gain", "delay", "rotation", "place", "cross-talk", "set-up", "damping"}
+    assert kinds == {
+        "gain", "delay", "rotation", "place", "cross-talk", "exchange", "axes", "mixed", "set-up", "damping"
+    }  # fmt: skip
     assert {f.kind for f in faulty(real=True).faults} - kinds == {"modulus"}
     assert len({f.name for f in faulty().faults}) == len(faulty().faults)
 
@@ -108,6 +110,63 @@ def test_readings_are_what_the_faults_say(faulty):
             if other is not None:
                 angle = np.radians(10.0)
                 np.testing.assert_allclose(turned[3], np.cos(angle) * sound[3] + np.sin(angle) * sound[other])
+
+
+def test_pairs_of_channels_are_read_as_their_faults_say(faulty):
+    residual = faulty()
+    measured = residual.problem.measured
+    names = [s.name for s in measured.sensors]
+    sound = read(residual, "gain of sensor 1x", 0.0)
+    exchanged = read(residual, f"exchange of sensors {names[1]} and {names[6]}", 1.0)
+    order = [1, 6] if names.index(names[1]) == 1 else None
+    np.testing.assert_allclose(exchanged[order], sound[order[::-1]])
+    np.testing.assert_allclose(np.delete(exchanged, order, 0), np.delete(sound, order, 0))
+    far = read(residual, f"cross-talk of sensor {names[7]} into {names[1]}", 0.2)
+    np.testing.assert_allclose(far[1], sound[1] + 0.2 * sound[7])
+    pair = next(f for f in residual.faults if f.kind == "axes")
+    x, y = (names.index(name) for name in pair.sensor.split())
+    for angle, first, second in ((90.0, sound[y], -sound[x]), (-90.0, -sound[y], sound[x])):
+        turned = read(residual, pair.name, angle)
+        np.testing.assert_allclose(turned[x], first, atol=1e-9 * np.abs(sound).max())
+        np.testing.assert_allclose(turned[y], second, atol=1e-9 * np.abs(sound).max())
+    assert pair.told(90.0) == f"sensors {names[x]} and {names[y]} have exchanged axes: {names[x]} measures along " + (
+        f"{names[y][-1]} and {names[y]} measures along -{names[x][-1]}"
+    )
+
+
+def test_every_pair_is_a_candidate_once(faulty):
+    residual = faulty()
+    n = len(residual.problem.measured.sensors)
+    pairs = [f for f in residual.faults if f.of_pair]
+    number = {kind: sum(f.kind == kind for f in pairs) for kind in ("exchange", "cross-talk")}
+    assert number == {"exchange": n * (n - 1) // 2, "cross-talk": n * (n - 1) - 2 * (n - 1)}
+    single = [f for f in residual.faults if not f.of_pair]
+    assert {f.kind for f in single} == {"gain", "delay", "rotation", "place", "cross-talk", "set-up", "damping"}
+
+
+@pytest.mark.parametrize("real", [False, True])
+def test_a_mixed_shape_agrees_with_its_share(faulty, real):
+    """Magnitude is the share over the size of the measured shape; frequencies may not be far apart."""
+    residual = faulty(real)
+    measured = residual.problem.measured
+    one = next(f for f in residual.faults if f.kind == "mixed")
+    i, j = (measured.names.index(mode) for mode in one.mixed)
+    freq = measured.natural_freq
+    assert abs(freq[i] - freq[j]) < 0.2 * freq[[i, j]].mean()
+    every = {f.mixed for f in residual.faults if f.kind == "mixed"}
+    assert all((b, a) in every for a, b in every) and len(every) < 2 * (len(freq) - 1)
+    shapes = measured.shapes.copy()
+    own, other = measured.shapes[:, i], measured.shapes[:, j]
+    turn = np.exp(0.5j * (np.angle(np.sum(own**2)) - np.angle(np.sum(other**2))))
+    shapes[:, i] = own + 0.3 * turn * other * np.linalg.norm(own) / np.linalg.norm(other)
+    mixed = dataclasses.replace(measured, shapes=shapes)
+    wrong = dataclasses.replace(residual, problem=dataclasses.replace(residual.problem, measured=mixed))
+    share = 0.3 * np.linalg.norm(own) / np.linalg.norm(shapes[:, i])
+    of_mode = np.array([row.mode == measured.names[i] and row.kind == "shape" for row in wrong.rows])
+    assert np.abs(wrong.residual(TRUTH)[of_mode]).max() > 5
+    signs = [np.abs(wrong.residual({**TRUTH, one.name: s * share})[of_mode]).max() for s in (1, -1)]
+    sound = np.abs(residual.residual(TRUTH)[of_mode]).max()
+    assert min(signs) < 1.1 * sound + 0.02 * max(signs)  # the phase that is most real is that of the mixture
 
 
 def test_a_shift_follows_the_gradient_to_the_next_nodes(faulty):

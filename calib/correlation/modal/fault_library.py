@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.correlation.fault_rules import RULES
 from calib.correlation.modal.faults import Contribution, ModalFault
+from calib.correlation.modal.pair_faults import exchanges, mixed_modes, turned_axes
 from calib.errors.errors import InputError
 from calib.measurement.mac import is_real
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
@@ -48,7 +49,9 @@ def modal_faults(
     Of every sensor its gain; with complex shapes its delay; misalignment towards every other axis along which the model
     moves at its node; its place along the mesh; the share it reads of the channels before and after it. Of every set-up
     its factor. Of the analysis damping added to all modes: equal, falling with the frequency (as damping in proportion
-    to M) or rising with it (to K); and, where shapes are real and the model dissipates, moduli with a sign.
+    to M) or rising with it (to K); and, where shapes are real and the model dissipates, moduli with a sign. Of pairs
+    the exchange of any two channels, the common rotation of two at one node, the share that a channel reads of any
+    other one, and the share of a neighbouring mode in a shape (see `calib.correlation.modal.pair_faults`).
 
     Parameters
     ----------
@@ -63,6 +66,9 @@ def modal_faults(
     suffix = f" in test {test}" if test else ""
     found = [*_of_sensors(model, measured), *_of_set_ups(measured, set_ups or {})] if measured.has_shapes else []
     found += _of_analysis(model, measured)
+    if measured.has_shapes:
+        found += [*exchanges(measured.sensors), *turned_axes(measured.sensors), *_far_cross_talk(measured.sensors)]
+        found += mixed_modes(measured)
     return tuple(_named(fault, suffix) for fault in found) if suffix else tuple(found)
 
 
@@ -215,6 +221,17 @@ def _moves(model: ModalModel, source: Sensor, own: np.ndarray) -> bool:
     size = float(np.linalg.norm(row))
     along = float(row @ own) / float(own @ own) * own
     return float(np.linalg.norm(row - along)) > NEGLIGIBLE * max(size, 1e-300) and size > 0
+
+
+def far_channels(sensors: Sequence[Sensor], k: int) -> tuple[Sensor, ...]:
+    """Sensors of all channels but one and those before and after it in the list."""
+    return tuple(sensor for i, sensor in enumerate(sensors) if abs(i - k) > 1)
+
+
+def _far_cross_talk(sensors: Sequence[Sensor]) -> Iterator[ModalFault]:
+    for k, sensor in enumerate(sensors):
+        at = (sensor.name, sensor.point or NOWHERE)
+        yield from (replace(_cross_talk(k, sensor, source, at), of_pair=True) for source in far_channels(sensors, k))
 
 
 def _cross_talk(k: int, sensor: Sensor, source: Sensor, at: At) -> ModalFault:

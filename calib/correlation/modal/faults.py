@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -62,11 +62,62 @@ class ModalFault(Fault):
         Damping ratio that magnitude 1 (in its own unit) adds to every measured mode; empty for none.
     modulus : bool
         Whether the magnitude, from 0 to 1, moves real shapes from the part in phase to modulus and sign.
+    mixed : tuple of str
+        Measured mode, and the measured mode of whose shape it holds a share: the magnitude over the size of its own.
+        Empty for none.
     """
 
     shares: tuple[Contribution, ...] = ()
     damping: tuple[float, ...] = ()
     modulus: bool = False
+    mixed: tuple[str, ...] = ()
+
+    @property
+    def subjects(self) -> tuple[str, ...]:
+        """As of any fault; of a mixed mode that mode."""
+        return (*super().subjects, *self.mixed[:1])
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingSlopes:
+    """Derivatives of readings by the magnitudes of some faults, of which each contribution is one entry.
+
+    Attributes
+    ----------
+    factors : ndarray (n_faults,)
+        SI over the unit of each magnitude.
+    columns, sensors, sources : ndarray of int (n_entries,)
+        Fault, reading sensor and motion of each contribution.
+    linear : ndarray (n_entries,)
+        Slope of each weight, per unit in SI, where its law is linear.
+    others : tuple of (int, Contribution, float)
+        Entry, contribution and magnitude in SI of each of another law.
+    """
+
+    factors: np.ndarray
+    columns: np.ndarray
+    sensors: np.ndarray
+    sources: np.ndarray
+    linear: np.ndarray
+    others: tuple[tuple[int, Contribution, float], ...]
+
+    def of_mode(self, omega: float, size: int, motions: np.ndarray) -> np.ndarray:
+        """Derivatives of the reading of one mode, per unit of each magnitude, (n_sensors, n_faults).
+
+        Parameters
+        ----------
+        omega : float
+            Circular frequency of the mode, rad/s.
+        size : int
+            Number of sensors.
+        motions : ndarray (n_sources,)
+        """
+        slopes = self.linear.astype(complex)
+        for n, share, magnitude in self.others:
+            slopes[n] = share.slope(magnitude, omega)
+        out = np.zeros((size, len(self.factors)), dtype=complex)
+        np.add.at(out, (self.sensors, self.columns), slopes * motions[self.sources])
+        return out * self.factors
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,15 +173,18 @@ class Readings:
                 out[share.sensor] += share.weight(si, omega) * motions[self._rows[share.source]]
         return out
 
-    def shape_slope(self, at: Mapping[str, float], name: str, i: int, size: int, motions: np.ndarray) -> np.ndarray:
-        """Derivative of `shape` by one magnitude, per unit, (size,): one entry for every sensor."""
-        fault = self._by_name[name]
-        factor = fault.magnitude.si_factor
-        out = np.zeros(size, dtype=complex)
-        for share in fault.shares:
-            slope = share.slope(at.get(name, 0.0) * factor, self.omega[i]) * factor
-            out[share.sensor] += slope * motions[self._rows[share.source]]
-        return out
+    def slopes(self, at: Mapping[str, float], names: Sequence[str]) -> ReadingSlopes:
+        """Derivatives of `shape` by some magnitudes."""
+        shares = [(k, share) for k, name in enumerate(names) for share in self._by_name[name].shares]
+        factors = np.array([self._by_name[name].magnitude.si_factor for name in names])
+        columns = np.array([k for k, _ in shares], dtype=int)
+        return ReadingSlopes(
+            factors, columns, np.array([share.sensor for _, share in shares], dtype=int),
+            np.array([self._rows[share.source] for _, share in shares], dtype=int),
+            np.array([share.factor for _, share in shares]),
+            tuple((n, share, at.get(names[k], 0.0) * factors[k])
+                  for n, (k, share) in enumerate(shares) if share.law != "linear"),
+        )  # fmt: skip
 
     def reach_shapes(self, at: Mapping[str, float]) -> bool:
         """Whether any of these faults changes shapes, apart from moduli with a sign."""
@@ -155,6 +209,10 @@ class Readings:
     def turns_to_modulus(self, name: str) -> bool:
         """Whether that fault is the one of moduli with a sign."""
         return self._by_name[name].modulus
+
+    def mixed(self, name: str) -> tuple[str, ...]:
+        """Measured mode that holds a share of another one, and that one; empty for any other fault."""
+        return self._by_name[name].mixed
 
     def active(self, values: Mapping[str, float]) -> dict[str, float]:
         """Magnitudes among named values that are not 0."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -10,8 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.correlation.modal.comparison import Comparison
-from calib.correlation.modal.faults import ModalFault, Readings
+from calib.correlation.modal.faults import ModalFault, Readings, ReadingSlopes
 from calib.correlation.modal.problem import ModalProblem
+from calib.measurement.mac import is_real
 from calib.structure.eigenproblem.derivatives import ModeDerivatives
 from calib.structure.modes import Modes
 
@@ -90,9 +91,33 @@ class FaultyModes:
         """Motions of the sources in every model mode, (n_sources, n_modes)."""
         return np.asarray(self._sources @ found.modes.shapes)
 
-    def fault_slope(self, found: Comparison, name: str, i: int, motions: np.ndarray) -> np.ndarray:
-        """Derivative of the reading of measured mode i by the magnitude of a fault, (n_sensors,).
+    def fault_slopes(self, found: Comparison, names: Sequence[str]) -> ReadingSlopes:
+        """Derivatives of readings by the magnitudes of some faults."""
+        return self.readings.slopes(found.faults, names)
 
-        ``motions`` are those of its model mode, (n_sources,).
+    def mixtures(self, found: Comparison, i: int) -> np.ndarray | float:
+        """What the shape of measured mode i holds of other measured modes, (n_sensors,)."""
+        own = [
+            (name, by) for name, by in found.faults.items() if self.readings.mixed(name)[:1] == self._names[i : i + 1]
+        ]
+        return sum(by * self.mixture(name) for name, by in own) if own else 0.0
+
+    def mixture(self, name: str) -> np.ndarray:
+        """What a share of 1 of another mode adds to a measured shape, (n_sensors,).
+
+        The shape of the other mode, as large as the measured one over the sensors that measured both, in the phase in
+        which that is most real.
         """
-        return self.readings.shape_slope(found.faults, name, i, len(self.problem.measured.sensors), motions)
+        i, j = (self._names.index(mode) for mode in self.readings.mixed(name))
+        own, other = self.problem.measured.shapes[:, i], self.problem.measured.shapes[:, j]
+        both = np.isfinite(own) & np.isfinite(other)
+        half = [np.exp(-0.5j * np.angle(np.sum(shape[both] ** 2))) for shape in (own, other)]
+        size = np.linalg.norm(own[both]) / max(float(np.linalg.norm(other[both])), 1e-300)
+        turned = other * half[1]
+        if is_real(own[:, None])[0]:
+            turned = turned.real
+        return np.where(both, np.nan_to_num(turned) * size / half[0], 0.0)
+
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
+        return self.problem.measured.names

@@ -32,6 +32,8 @@ class FittedShape:
         Model shape as solved.
     modulus : float
         Of a real comparison: 0 for the part in phase, 1 for the modulus with the sign of that part, or between.
+    target_turn : complex
+        Phase factor of the measured shape in a real comparison, else 1.
     """
 
     residual: np.ndarray
@@ -44,6 +46,7 @@ class FittedShape:
     turn: complex | None
     raw: np.ndarray
     modulus: float = 0.0
+    target_turn: complex = 1.0
 
     @classmethod
     def of(
@@ -61,17 +64,18 @@ class FittedShape:
         With ``as_real`` both are turned to their main phase and compared by their real parts, or, as far as ``modulus``
         says, by the modulus of the model shape with the sign of its real part.
         """
-        turn, shape = None, raw
+        turn, shape, target_turn = None, raw, 1.0 + 0j
         size = float(np.max(np.abs(raw[on]), initial=0.0))
         if as_real:
-            target = np.real(target * np.exp(-0.5j * np.angle(np.sum(target**2)))).astype(complex)
+            target_turn = complex(np.exp(-0.5j * np.angle(np.sum(target**2))))
+            target = np.real(target * target_turn).astype(complex)
             turn = np.exp(-0.5j * np.angle(np.sum((raw[on] / (size or 1.0)) ** 2)))
             real = np.real(raw * turn)
             shape = (real + modulus * (np.copysign(np.abs(raw), real) - real)).astype(complex)
         u, v = target / std, shape / std
         power = float(np.vdot(v[on], v[on]).real)
         factor = complex(np.vdot(v[on], u[on]) / power) if size > 0 and power > 0 else 0j
-        return cls(u - factor * v, v, factor, power, std, known, on, turn, raw, modulus)
+        return cls(u - factor * v, v, factor, power, std, known, on, turn, raw, modulus, target_turn)
 
     def slope(self, shapes: np.ndarray) -> np.ndarray:
         """Projected derivative of the residual, (n_known, n_params), from that of the shapes at all sensors."""
@@ -92,6 +96,19 @@ class FittedShape:
         if self.turn is None or not self.power > 0:
             return np.zeros(len(self.residual), dtype=complex)
         return self._left((self._sign * np.abs(self.raw) - np.real(self.turn * self.raw))[:, None])[:, 0]
+
+    def target_slope(self, taken: np.ndarray) -> np.ndarray:
+        """Derivative of the residual by the share of a shape that is taken off the measured one, (n_known,).
+
+        ``taken`` (n_sensors,) is real up to the phase of the measured one in a real comparison.
+        """
+        off = taken[self.known].astype(complex)
+        if self.turn is not None:
+            off = (off * self.target_turn).real.astype(complex)
+        if not self.power > 0:
+            return -off / self.std
+        u, on = off / self.std, self.on
+        return self.shape * (np.vdot(self.shape[on], u[on]) / self.power) - u
 
     @property
     def _sign(self) -> np.ndarray:

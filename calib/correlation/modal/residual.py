@@ -92,7 +92,7 @@ class ModalResidual:
         """Hash that changes whenever the residual or its derivatives at the same named values could."""
         std = (self.std.freq, self.std.damping, self.std.shape)
         layout = (self.rows, self._damped, self._parts, self.factor_sensors)
-        faults = [(f.name, f.shares, f.damping) for f in self.faults]
+        faults = [(f.name, f.shares, f.damping, f.mixed) for f in self.faults]
         mesh = [] if self.problem.mesh is None else [self.problem.mesh.fingerprint]
         parts = [*([faults] if faults else []), *mesh]
         return digest_of(_DEFINITION, self.problem.fingerprint, std, layout, *parts)[:16]
@@ -205,10 +205,8 @@ class ModalResidual:
         if own:
             columns[:, [name not in self._faulty for name in names]] = self.slope(values, own, at)
             found = at(values)
-        motions = self._faulty.motions(found)
-        for k, name in enumerate(names):
-            if name in self._faulty:
-                columns[:, k] = self._fault_slope(found, name, motions)
+        of_faults = [name in self._faulty for name in names]
+        columns[:, of_faults] = self._fault_slopes(found, [name for name in names if name in self._faulty])
         return columns
 
     def frequencies(
@@ -323,20 +321,28 @@ class ModalResidual:
 
         return self._stacked(found, freq, damping, turned)
 
-    def _fault_slope(self, found: Comparison, name: str, motions: np.ndarray) -> np.ndarray:
-        """Derivative of the residual by the magnitude of a fault, (n_rows,)."""
-        readings = self._faulty.readings
+    def _fault_slopes(self, found: Comparison, names: Sequence[str]) -> np.ndarray:
+        """Derivatives of the residual by the magnitudes of some faults, (n_rows, n_faults)."""
+        readings, motions, measured = self._faulty.readings, self._faulty.motions(found), self.problem.measured
+        slopes, n = self._faulty.fault_slopes(found, names), len(measured.sensors)
+        moduli = [k for k, name in enumerate(names) if readings.turns_to_modulus(name)]
+        mixed = [(k, name, readings.mixed(name)[0]) for k, name in enumerate(names) if readings.mixed(name)]
 
         def turned(i: int) -> np.ndarray | None:
             j = int(found.pairing.model_index[i])
             if j < 0:
                 return None
-            if readings.turns_to_modulus(name):
-                return self._fit(found, i).modulus_slope[:, None]
-            return self._fit(found, i).slope(self._faulty.fault_slope(found, name, i, motions[:, j])[:, None])
+            fit = self._fit(found, i)
+            out = fit.slope(slopes.of_mode(readings.omega[i], n, motions[:, j]))
+            for k in moduli:
+                out[:, k] = fit.modulus_slope
+            for k, name, mode in mixed:
+                if mode == measured.names[i]:
+                    out[:, k] = fit.target_slope(self._faulty.mixture(name))
+            return out
 
-        damping = readings.damping_slope(name)[:, None]
-        return self._stacked(found, np.zeros_like(damping), damping, turned)[:, 0]
+        damping = np.column_stack([readings.damping_slope(name) for name in names])
+        return self._stacked(found, np.zeros_like(damping), damping, turned)
 
     def _stacked(
         self,
@@ -390,7 +396,7 @@ class ModalResidual:
     def _fit(self, found: Comparison, i: int) -> FittedShape:
         measured, j = self.problem.measured, int(found.pairing.model_index[i])
         known = np.isfinite(measured.shapes[:, i])
-        target, std = measured.shapes[known, i], self.std.shape[known, i]
+        target, std = (measured.shapes[:, i] - self._faulty.mixtures(found, i))[known], self.std.shape[known, i]
         shape = np.zeros(len(target)) if j < 0 else self._faulty.reading(found, i, j)[known]
         on = np.ones(len(target), dtype=bool)
         if self.factor_sensors is not None:

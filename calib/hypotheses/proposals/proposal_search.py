@@ -325,8 +325,8 @@ class Search:
         limit = base.ln_evidence + best.evidence
         fault = None
         if h.faults:
-            faults = fits.faults(base, beside(fits, base, h.faults), best.candidate_fit)
-            own = [t for t in faults if t.ln_evidence - math.log(len(h.faults)) >= limit and not t.implausible]
+            faults, choices = fits.faults(base, fits.suspects(base), best.candidate_fit), len(fits.single_faults)
+            own = [t for t in faults if t.ln_evidence - math.log(max(choices, 1)) >= limit and not t.implausible]
             fault = next(iter(own), None)
         datum = wrong_datum(fits, base, suspects_table(base.fit, h, fits.settings.alpha), best.candidate_fit)
         near = best.candidate_fit.ln_evidence - RULES.credible
