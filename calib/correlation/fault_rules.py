@@ -34,9 +34,7 @@ class FaultRules:
     cross_talk : float
         Plausible share of another channel.
     exchange_most : float
-        Largest part of an exchange of two channels, which is 1 where they are exchanged.
-    axes : float
-        Plausible angle by which the sensors of one node are turned together, deg: an axis taken for another one.
+        Largest part of an exchange of two channels or axes, which is 1 where they are exchanged.
     mixed : float
         Plausible share of a neighbouring mode in a measured shape, over the size of the shape.
     mixed_most : float
@@ -82,7 +80,6 @@ class FaultRules:
     shift_most: float = 5.0
     cross_talk: float = 0.1
     exchange_most: float = 2.0
-    axes: float = 90.0
     mixed: float = 0.3
     mixed_most: float = 1.0
     mixed_apart: float = 0.2

@@ -12,7 +12,7 @@ from calib.missing.blame import alike, outweighs
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import NAMED, Explanation
 from calib.missing.place import takes_enough
-from calib.missing.plausible import has_possible_size
+from calib.missing.plausible import has_possible_size, is_whole
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
@@ -99,8 +99,13 @@ def _largest(scores: Scores) -> float:
 
 
 def _needed(fits: Refits, told: Explanation, fault: Candidate) -> bool:
-    """Whether the magnitude of a granted fault is significant among so many in the fit that the verdict rests on."""
+    """Whether the magnitude of a granted fault is significant among so many in the fit that the verdict rests on.
+
+    And whole, where it must be.
+    """
     fit = told.last.fit
+    if not is_whole(fit, fault):
+        return False
     k = fit.names.index(fault.name)
     size = abs(fit.values[fault.name]) / math.sqrt(float(fit.covariance[k, k]))
     return size**2 / 2 > RULES.credible + math.log(max(len(fits.single_faults), 1)) + fits.price([fault])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -124,17 +124,17 @@ class Refits:
         problems = {e.name: fit_problem(e.name) for e in candidates if e.grid or e.name in pairing}
         return scores(fit, candidates, problems, pairing)
 
-    def screened(self, candidate_fit: CandidateFit) -> Screened | None:
+    def screened(self, candidate_fit: CandidateFit, also: Collection[str] = ()) -> Screened | None:
         """The largest scores of the faults of pairs that a fitted model lacks; None where there are none."""
         lacking = [e for e in self.pair_faults if e.name not in candidate_fit.names]
         own = [*candidate_fit.names, *(fault.name for fault in self.granted)]
-        return screened(candidate_fit.fit.granting(own), lacking) if lacking else None
+        return screened(candidate_fit.fit.granting(own), lacking, also) if lacking else None
 
-    def suspects(self, candidate_fit: CandidateFit) -> Scores:
-        """Scores of the faults of the measurement that a fitted model lacks, of pairs the largest."""
+    def suspects(self, candidate_fit: CandidateFit, also: Collection[str] = ()) -> Scores:
+        """Scores of the faults of the measurement that a fitted model lacks, of pairs the largest and those named."""
         fit = candidate_fit.fit.granting(candidate_fit.names)
         single = self.scores(fit, [e for e in self.single_faults if e.name not in candidate_fit.names])
-        pairs = self.screened(candidate_fit)
+        pairs = self.screened(candidate_fit, also)
         return single if pairs is None else single.joined(pairs.scores)
 
     # -- fits ----------------------------------------------------------------------------------------------------------
@@ -318,6 +318,21 @@ class Refits:
         price = np.array([self.price([self.by_name[name]]) for name in found.owners])
         return np.asarray(np.maximum(found.magnitude, 0.0) ** 2 / 2 - price)
 
+    def promising(self, found: Scores) -> list[int]:
+        """Columns of the faults that are fitted, those predicted to explain most first.
+
+        Of a pair only one whose signature is not that of another that is fitted: a channel reads many others, which
+        move alike.
+        """
+        order: list[int] = []
+        for k in np.argsort(-self.predicted(found), kind="stable").tolist():
+            like = np.abs(found.unit[:, order].T @ found.unit[:, k]).max(initial=0.0)
+            if not (self.by_name[found.owners[k]].of_pair and like > RULES.same):
+                order.append(k)
+            if len(order) == RULES.blamed:
+                break
+        return order
+
     def fault(self, base: CandidateFit, found: Scores, best: CandidateFit) -> CandidateFit | None:
         """Fit of the measurement fault with the largest score; None where it comes nowhere near the best effect.
 
@@ -338,12 +353,11 @@ class Refits:
         Like `fault`, only those that come near the best effect, and at most `DecisionRules.blamed` that are predicted
         to explain about equally well. Fits of faults are not charged: they need no further model.
         """
-        predicted = self.predicted(found)
-        order = np.argsort(-predicted, kind="stable")[: RULES.blamed]
+        predicted, order = self.predicted(found), self.promising(found)
         reached = best.ln_evidence - base.ln_evidence
         out: list[CandidateFit] = []
         with self.allowance.uncharged():
-            for k in order.tolist():
+            for k in order:
                 gain, largest = float(predicted[k]), float(predicted[order[0]])
                 if gain <= 0 or reached - gain > near_to(reached) or largest - gain > RULES.close:
                     break

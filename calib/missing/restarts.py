@@ -77,11 +77,11 @@ def restarted_faults(fits: Refits, base: CandidateFit, faults: Sequence[Candidat
     fit_problem = fits.fit_problem(())
     try:
         nominal = linearised(fit_problem, (), fit_problem.space.values)
-        found = fits.suspects(replace(base, fit=nominal))
+        found = fits.suspects(replace(base, fit=nominal), tuple(best))
     except EvaluationError:
         return tuple(faults)
-    order = np.argsort(-fits.predicted(found), kind="stable")[: RULES.blamed]
-    for name in dict.fromkeys((*best, *(found.owners[k] for k in order))):
+    known = [name for name in best if name in found.owners]
+    for name in dict.fromkeys((*known, *(found.owners[k] for k in fits.promising(found)))):
         refit = fits.best_of((name,), fits.starts(nominal, found, name), base)
         if refit is not None and (name not in best or refit.fit.misfit < best[name].fit.misfit):
             best[name] = refit

@@ -6,7 +6,7 @@ together, which a family-wise p-value by samples needs, is not known then: their
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,8 +46,8 @@ class Screened:
         return float(-ndtri(min(RULES.noise_level / max(self.tests, 1.0), 0.5)))
 
 
-def screened(fit: LinearisedFit, candidates: Sequence[Candidate]) -> Screened:
-    """Score candidates without a grid at a fitted model, and keep the largest.
+def screened(fit: LinearisedFit, candidates: Sequence[Candidate], also: Collection[str] = ()) -> Screened:
+    """Score candidates without a grid at a fitted model, and keep the largest; beside them those named in ``also``.
 
     With ``P`` a projector, the score ``z = g^T P r/|P g|`` needs no projected column: ``|P g|^2 = |g|^2 - |Q^T g|^2``
     with the orthonormal directions Q that the parameters absorb.
@@ -64,7 +64,7 @@ def screened(fit: LinearisedFit, candidates: Sequence[Candidate]) -> Screened:
         magnitude = np.where(signed, np.abs(z), z)
         tests += float(np.sum(np.where(signed, 2.0, 1.0)[seen]))
         largest += [(-float(magnitude[k]), e.name) for k, e in enumerate(some) if seen[k]]
-    kept = [name for _, name in sorted(largest)[: RULES.screened]]
+    kept = [name for k, (_, name) in enumerate(sorted(largest)) if k < RULES.screened or name in also]
     by_name = {e.name: e for e in candidates}
     return Screened(scores(fit, [by_name[name] for name in kept], {}), len(candidates), tests)
 

@@ -74,10 +74,10 @@ def misread(
         out[[k, j]] = shapes[[j, k]]
         right = f"exchange of sensors {names[min(j, k)]} and {names[max(j, k)]}"
     elif fault == "axes":
-        triples = [(i, j) for i, j in itertools.combinations(range(len(layout)), 2) if layout[i].node == layout[j].node]
-        i, j = triples[int(rng.integers(len(triples)))]
+        pairs = [(i, j) for i, j in itertools.combinations(range(len(layout)), 2) if layout[i].node == layout[j].node]
+        i, j = sorted(pairs[int(rng.integers(len(pairs)))], key=lambda at: layout[at].direction)
         out[i], out[j] = sign * shapes[j], -sign * shapes[i]
-        right = f"rotation of sensors {names[i]} and {names[j]} together"
+        right = f"exchange of axes of sensors {names[i]} and {names[j]}, {names[j if sign > 0 else i]} reversed"
     elif fault == "far cross-talk":
         j = int(rng.choice([i for i in range(len(layout)) if abs(i - k) > 1]))
         out[k] += rng.uniform(*SHARE) * shapes[j]
@@ -90,6 +90,10 @@ def misread(
         out[:, i] += rng.uniform(*MIXED) * size * shapes[:, j]
         right = "share of mode {1} in mode {0}".format(*np.array(list(modes))[[i, j]])
     return out, right
+
+
+def _most_real(shapes: np.ndarray) -> np.ndarray:
+    return np.asarray(shapes * np.exp(-0.5j * np.angle(np.sum(shapes**2, axis=0))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,12 +152,16 @@ class FaultyWorld(World):
     def _combined(self, repeats: Sequence[Repeat]) -> MeasuredModes:
         fault, rng = self.now
         state, out, right = rng.bit_generator.state, list[Repeat](), ""
+        assert repeats[0].shape_set is not None
+        first = _most_real(repeats[0].shape_set.shapes)
         modes = dict(zip(repeats[0].names, repeats[0].natural_freq.tolist(), strict=True))
         for k, one in enumerate(repeats):
             rng.bit_generator.state = state  # the same fault in all repeats
             shapes, freq = one.shape_set, one.natural_freq
             assert shapes is not None
-            read, right = misread(fault, shapes.shapes, self.specimen.layout, rng, modes)
+            own = _most_real(shapes.shapes)  # phases and signs of repeats mean nothing
+            own = own * np.sign(np.sum(own * np.conj(first), axis=0).real)
+            read, right = misread(fault, own, self.specimen.layout, rng, modes)
             if fault == "odd repeat" and k == len(repeats) - 1:
                 freq = freq * np.exp(ODD_FREQ * rng.standard_normal(freq.shape))
                 read = read + ODD_SHAPE * np.abs(read).max(axis=0) * rng.standard_normal(read.shape)

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.correlation.fault_rules import RULES
 from calib.correlation.modal.faults import Contribution, ModalFault
-from calib.correlation.modal.pair_faults import exchanges, mixed_modes, turned_axes
+from calib.correlation.modal.pair_faults import exchanged_axes, exchanges, mixed_modes
 from calib.errors.errors import InputError
 from calib.measurement.mac import is_real
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
@@ -50,7 +50,7 @@ def modal_faults(
     moves at its node; its place along the mesh; the share it reads of the channels before and after it. Of every set-up
     its factor. Of the analysis damping added to all modes: equal, falling with the frequency (as damping in proportion
     to M) or rising with it (to K); and, where shapes are real and the model dissipates, moduli with a sign. Of pairs
-    the exchange of any two channels, the common rotation of two at one node, the share that a channel reads of any
+    the exchange of any two channels, that of two axes at one node, the share that a channel reads of any
     other one, and the share of a neighbouring mode in a shape (see `calib.correlation.modal.pair_faults`).
 
     Parameters
@@ -67,7 +67,7 @@ def modal_faults(
     found = [*_of_sensors(model, measured), *_of_set_ups(measured, set_ups or {})] if measured.has_shapes else []
     found += _of_analysis(model, measured)
     if measured.has_shapes:
-        found += [*exchanges(measured.sensors), *turned_axes(measured.sensors), *_far_cross_talk(measured.sensors)]
+        found += [*exchanges(measured.sensors), *exchanged_axes(measured.sensors), *_far_cross_talk(measured.sensors)]
         found += mixed_modes(measured)
     return tuple(_named(fault, suffix) for fault in found) if suffix else tuple(found)
 

@@ -63,8 +63,8 @@ class ModalFault(Fault):
     modulus : bool
         Whether the magnitude, from 0 to 1, moves real shapes from the part in phase to modulus and sign.
     mixed : tuple of str
-        Measured mode, and the measured mode of whose shape it holds a share: the magnitude over the size of its own.
-        Empty for none.
+        Measured mode, the measured mode of whose shape it holds a share (the magnitude over the size of its own), and
+        whether that is in quadrature: empty text for in phase. Empty for none.
     """
 
     shares: tuple[Contribution, ...] = ()
@@ -211,7 +211,7 @@ class Readings:
         return self._by_name[name].modulus
 
     def mixed(self, name: str) -> tuple[str, ...]:
-        """Measured mode that holds a share of another one, and that one; empty for any other fault."""
+        """Measured mode that holds a share of another one, that one, and how; empty for any other fault."""
         return self._by_name[name].mixed
 
     def active(self, values: Mapping[str, float]) -> dict[str, float]:

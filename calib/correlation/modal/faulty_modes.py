@@ -106,9 +106,10 @@ class FaultyModes:
         """What a share of 1 of another mode adds to a measured shape, (n_sensors,).
 
         The shape of the other mode, as large as the measured one over the sensors that measured both, in the phase in
-        which that is most real.
+        which that is most real, or in quadrature.
         """
-        i, j = (self._names.index(mode) for mode in self.readings.mixed(name))
+        mode, of, way = self.readings.mixed(name)
+        i, j = self._names.index(mode), self._names.index(of)
         own, other = self.problem.measured.shapes[:, i], self.problem.measured.shapes[:, j]
         both = np.isfinite(own) & np.isfinite(other)
         half = [np.exp(-0.5j * np.angle(np.sum(shape[both] ** 2))) for shape in (own, other)]
@@ -116,6 +117,7 @@ class FaultyModes:
         turned = other * half[1]
         if is_real(own[:, None])[0]:
             turned = turned.real
+        turned = turned * (1j if way else 1.0)
         return np.where(both, np.nan_to_num(turned) * size / half[0], 0.0)
 
     @cached_property
