@@ -1,6 +1,6 @@
 """Scores of many candidates of which only the largest are kept: faults of pairs, of which a test has thousands.
 
-Each is scored as any candidate is (`calib.missing.score`), some hundred columns at a time. What all of them look like
+Each is scored as any candidate is (`calib.missing.score`), about a thousand columns at a time. What all of them look like
 together, which a family-wise p-value by samples needs, is not known then: theirs is a bound.
 """
 
@@ -18,7 +18,7 @@ from calib.missing.score import Scores, scores
 from calib.problem.candidate import Candidate
 from calib.problem.problem import Labelled
 
-_AT_ONCE = 256
+_AT_ONCE = 1024
 """Columns at a time, to limit memory: each is as long as the data."""
 
 
