@@ -1,6 +1,6 @@
 """Scores of many candidates of which only the largest are kept: faults of pairs, of which a test has thousands.
 
-Each is scored as any candidate is (`calib.missing.score`), about a thousand columns at a time. What all of them look like
+Each is scored as any candidate is (`calib.missing.score`), many columns at a time. What all of them look like
 together, which a family-wise p-value by samples needs, is not known then: theirs is a bound.
 """
 
@@ -18,8 +18,8 @@ from calib.missing.score import Scores, scores
 from calib.problem.candidate import Candidate
 from calib.problem.problem import Labelled
 
-_AT_ONCE = 1024
-"""Columns at a time, to limit memory: each is as long as the data."""
+_ENTRIES = 4_000_000
+"""Entries of the columns at a time, to limit memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +54,9 @@ def screened(fit: LinearisedFit, candidates: Sequence[Candidate], also: Collecti
     """
     largest: list[tuple[float, str]] = []
     tests = 0.0
-    for start in range(0, len(candidates), _AT_ONCE):
-        some = candidates[start : start + _AT_ONCE]
+    at_once = max(_ENTRIES // max(len(fit.residual), 1), 1)
+    for start in range(0, len(candidates), at_once):
+        some = candidates[start : start + at_once]
         columns = -fit.fit_problem.jacobian(fit.values, [e.name for e in some])
         whole, size, along = fit.unabsorbed(columns)
         plausible, signed = (np.array([value(e) for e in some]) for value in (_plausible, _signed))

@@ -246,6 +246,7 @@ def _values(rows: pd.DataFrame, models: list[str]) -> str:
 LOOKS = {
     "gain": ("o", style.BLUE), "delay": ("s", style.SKY), "rotation": ("^", style.GREEN), "place": ("D", style.ORANGE),
     "cross-talk": ("v", style.PURPLE), "set-up": ("P", style.YELLOW), "damping": ("X", style.GREY),
+    "exchange": ("d", style.VERMILLION), "axes": (">", style.VERMILLION), "mixed": ("p", style.PURPLE),
     "modulus": ("*", style.BLACK), "mass": ("h", style.GREY), "phase": ("<", style.GREEN),
 }  # fmt: skip
 """Marker and colour of every kind of fault; others are grey dots."""
@@ -262,7 +263,7 @@ def draw_suspects(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ----------
     table : DataFrame
         Columns ``fault, kind, sensor`` (empty for the whole test), ``score``, ``limit`` that noise alone exceeds in 1 %
-        of all cases, ``blamed`` whether the verdict names it, ``told`` what its fit means.
+        of all cases, another one for faults of pairs, ``blamed`` whether the verdict names it, ``told`` what its fit means.
     ax : Axes, optional
 
     Returns
@@ -277,9 +278,10 @@ def draw_suspects(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     place = {name: k for k, name in enumerate(sorted(names, key=_natural))}
     rows = rows[rows["at"].isin(chosen)]
     ax = style.own_axes(ax, max(2.4, 0.9 + 0.19 * len(place)))
-    limit = float(table["limit"].iloc[0])
-    for side in (-limit, limit):
-        ax.axvline(side, color=style.BLACK, linewidth=0.8, linestyle="--", gid="limit")
+    limit, *others = sorted(set(rows["limit"].round(9)))
+    for one, line in zip((limit, *others), ("--", *(":" for _ in others)), strict=True):
+        for side in (-one, one):
+            ax.axvline(side, color=style.BLACK, linewidth=0.8, linestyle=line, gid="limit")
     ax.axvline(0.0, color=style.GREY, linewidth=0.8)
     for kind in dict.fromkeys(rows["kind"]):
         own = rows[rows["kind"] == kind]
@@ -296,7 +298,8 @@ def draw_suspects(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         ax.scatter(blamed["score"], heights, label="named by the verdict", gid="blamed", zorder=4, **ring)
     ax.set_yticks(range(len(place)), list(place))
     ax.set_ylim(len(place) - 0.4, -0.6)
-    ax.set_xlabel(f"score of the fault (noise alone stays within ± {fixed(limit, 1)} in 99 % of all cases)")
+    pairs = "".join(f", of pairs within ± {fixed(one, 1)}," for one in others)
+    ax.set_xlabel(f"score of the fault (noise alone stays within ± {fixed(limit, 1)}{pairs} in 99 % of all cases)")
     ax.grid(axis="y")
     style.legend_above(ax)
     return ax

@@ -95,16 +95,27 @@ def test_a_gain_is_told_as_a_fault_of_the_test(worlds):
     assert row["methods"]["BIC with faults"]["verdict"] == "measurement"
 
 
-@pytest.mark.parametrize("fault", ["gain", "rotation", "cross-talk", "set-up factor", "place", "odd repeat", "none"])
+KINDS = ("gain", "rotation", "cross-talk", "set-up factor", "place", "odd repeat", "none")
+PAIRS = ("exchange", "axes", "far cross-talk", "mixed modes")
+
+
+@pytest.mark.parametrize("fault", [*KINDS, *PAIRS])
 def test_each_fault_changes_what_it_should(bench, worlds, fault):
     """Of the readings; a place and an odd repeat are made elsewhere."""
     _, world = worlds
     layout = world.specimen.layout
     shapes = np.random.default_rng(0).standard_normal((len(layout), 5))
-    read = bench["rates_faults"].misread(fault, shapes, layout, np.random.default_rng(1))
+    modes = {"A": 1.0, "B": 2.0, "C": 2.1, "D": 4.0, "E": 6.0}
+    read, right = bench["rates_faults"].misread(fault, shapes, layout, np.random.default_rng(1), modes)
     touched = np.flatnonzero((read != shapes).any(axis=1))
-    wanted = {"set-up factor": len(layout) // 3, "place": 0, "odd repeat": 0, "none": 0}.get(fault, 1)
-    assert len(touched) == wanted
+    wanted = {"set-up factor": len(layout) // 3, "place": 0, "odd repeat": 0, "none": 0, "exchange": 2, "axes": 2,
+              "mixed modes": len(layout)}  # fmt: skip
+    assert len(touched) == wanted.get(fault, 1) and bool(right) == (fault in PAIRS)
+    names = {layout[k].name for k in touched} if fault in ("exchange", "axes") else set()
+    assert names <= set(right.replace(",", "").split())
+    if fault == "mixed modes":
+        assert right in ("share of mode B in mode C", "share of mode C in mode B")
+        assert (read != shapes).any(axis=0).tolist() == [name == right[-1] for name in modes]
     if fault in ("gain", "set-up factor"):
         ratio = read[touched] / shapes[touched]
         assert np.allclose(ratio, ratio[0, 0]) and 0.04 < abs(ratio[0, 0] - 1) < 0.31

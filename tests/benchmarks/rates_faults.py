@@ -30,8 +30,8 @@ FAULTS = (
 )  # fmt: skip
 GAIN, FACTOR, SHARE, ANGLE, OFF = (0.10, 0.30), (0.05, 0.15), (0.05, 0.20), (10.0, 25.0), (0.15, 0.45)
 """Ranges: of a sensor's gain and a set-up's factor less 1, of the share of another channel, degrees, metres."""
-MIXED = (0.15, 0.40)
-"""Range of the share of a neighbouring mode in a shape, over its size."""
+MIXED, FAR = (0.15, 0.40), (0.20, 0.50)
+"""Ranges of the share of a neighbouring mode in a shape, over its size, and of a channel far away in the list."""
 ODD_FREQ, ODD_SHAPE = 0.06, 0.2
 """Standard deviations of the odd repeat: of its frequencies, relative, and of its shapes over their largest entry."""
 
@@ -80,7 +80,7 @@ def misread(
         right = f"exchange of axes of sensors {names[i]} and {names[j]}, {names[j if sign > 0 else i]} reversed"
     elif fault == "far cross-talk":
         j = int(rng.choice([i for i in range(len(layout)) if abs(i - k) > 1]))
-        out[k] += rng.uniform(*SHARE) * shapes[j]
+        out[k] += rng.uniform(*FAR) * shapes[j]
         right = f"cross-talk of sensor {names[j]} into {names[k]}"
     elif fault == "mixed modes":
         order, freq = np.argsort(list(modes.values())), np.sort(list(modes.values()))

@@ -57,7 +57,7 @@ def test_parameters_are_named_after_transducers_and_axes(bogie):
     assert sd["rotation_2x_y"] == (0.0, -20.0, 20.0, 2.0, "deg")
     assert sd["cross_talk_2x_1y"] == (0.0, -0.5, 0.5, 0.05, "-")
     wide = RotationError(BOX, "y", 15.0).parameter, CrossTalkError(BOX, GIRDER, 0.2).parameter
-    assert [(p.lower, p.upper) for p in wide] == [(-60.0, 60.0), (-1.0, 1.0)]
+    assert [(p.lower, p.upper) for p in wide] == [(-120.0, 120.0), (-1.0, 1.0)]
     assert all(e.parameter.name.endswith(" in test A") for e in belonging_to("A", EVERY))
 
 

@@ -66,8 +66,9 @@ def test_faults_at_zero_change_nothing():
     plain = FRFResidual(FRFProblem(pair.problem.model, pair.problem.measured))
     np.testing.assert_array_equal(asked.fit_problem(()).residual({"k": 1.25e4}), plain.residual({"k": 1.25e4}))
     assert set(asked.fit_problem(()).space.names) == {"k"}
-    assert {f.kind for f in pair.faults} == {"gain", "phase", "delay", "cross-talk"}  # no mesh and one direction
-    assert len(pair.faults) == 3 * 4 + 4
+    # no mesh and one direction
+    assert {f.kind for f in pair.faults} == {"gain", "phase", "delay", "cross-talk", "exchange"}
+    assert sum(not f.of_pair for f in pair.faults) == 3 * 4 + 4 and sum(f.of_pair for f in pair.faults) == 3 + 2
 
 
 def test_an_error_that_is_fitted_is_no_fault(bogie):
@@ -78,7 +79,7 @@ def test_an_error_that_is_fitted_is_no_fault(bogie):
         CrossTalkError(RESPONSES[1], RESPONSES[0], 0.02, test="A"),
     )  # fmt: skip
     names = {f.name for f in frf_faults(pair.problem.model, pair.problem.measured, known)}
-    assert len(names) == 13 and not names & {"gain_1x", "delay_force_1x", "cross_talk_1x_2x"}
+    assert len(names) == 13 + 5 and not names & {"gain_1x", "delay_force_1x", "cross_talk_1x_2x"}
     fitted = (
         PlaceError(GIRDER, "x", 2.0), RotationError(BOX, "x", 1.0), RotationError(BOX_FORCE, "y", 1.0, "reference")
     )  # fmt: skip
@@ -100,7 +101,9 @@ def test_faults_of_a_test_among_several_bear_its_name():
 def test_transducers_have_the_faults_of_a_modal_test(bogie):
     """A box is rigid and moves along all axes, the crossbar is a beam along z; every response has its neighbours."""
     found = {f.name: f for f in frf_faults(bogie, of_bogie(bogie))}
-    own = {name for name, f in found.items() if f.kind not in ("gain", "phase", "delay")}
+    own = {name for name, f in found.items() if f.kind not in ("gain", "phase", "delay") and not f.of_pair}
+    pairs = {name for name, f in found.items() if f.of_pair}
+    assert pairs == {"exchange_1y_2y", "exchange_1y_3y", "exchange_2y_3y", "cross_talk_1y_3y", "cross_talk_3y_1y"}
     assert {n for n in own if n.startswith("cross")} == {
         "cross_talk_2y_1y", "cross_talk_1y_2y", "cross_talk_3y_2y", "cross_talk_2y_3y"
     }  # fmt: skip
@@ -109,7 +112,7 @@ def test_transducers_have_the_faults_of_a_modal_test(bogie):
         "rotation_2y_x", "rotation_2y_z", "rotation_3y_x", "rotation_3y_z", "rotation_force_4x_y", "rotation_force_4x_z"
     }  # fmt: skip
     sizes = {n: (found[n].magnitude.prior_sd, found[n].magnitude.lower, found[n].magnitude.upper) for n in own}
-    assert sizes["place_x_1y"] == (100.0, -500.0, 500.0) and sizes["rotation_2y_x"] == (15.0, -60.0, 60.0)
+    assert sizes["place_x_1y"] == (100.0, -500.0, 500.0) and sizes["rotation_2y_x"] == (15.0, -120.0, 120.0)
     assert sizes["cross_talk_2y_1y"] == (0.1, -1.0, 1.0)
     assert found["rotation_force_4x_y"].told(12.0) == "force at 4x is turned by 12 deg towards y"
     assert found["place_x_1y"].title == "place of sensor and force at 1y along x"
@@ -157,6 +160,29 @@ def test_a_planted_fault_is_named(channel, factor, name, value, words):
     assert abs(fitted - value) < 4 * std
     (effect,) = found.fault.effects
     assert effect.told(value) == words
+
+
+@pytest.mark.parametrize("ground", [0.0, 3e3])
+def test_exchanged_responses_are_told_alone_and_beside_an_effect(ground):
+    found = decide(hypotheses(truth(ground)[:, [2, 1, 0]]))
+    ((fault, fit),) = found.faulty
+    value, std = fit.magnitude(fault.name)
+    assert fault.name == "exchange_1x_3x" and abs(value - 1.0) < 4 * std and not found.remains
+    assert fault.told(value) == "sensors 1x and 3x are exchanged"
+    assert found.verdict == ("effect" if ground else "measurement")
+    assert found.credible == (("rope",) if ground else ())
+
+
+def test_an_exchange_changes_both_rows_with_an_exact_derivative():
+    pair = hypotheses(truth()).pair
+    whole = pair.solve({"k": 1.2e4, "exchange_1x_3x": 1.0})
+    np.testing.assert_allclose(whole, pair.solve({"k": 1.2e4})[:, [2, 1, 0]], rtol=1e-9)
+    at = {"k": 1.2e4, "exchange_1x_3x": 0.3}
+    half = 1e-4
+    up, down = (pair.residual({**at, "exchange_1x_3x": 0.3 + s * half}) for s in (1, -1))
+    np.testing.assert_allclose(
+        pair.jacobian(at, ["exchange_1x_3x"])[:, 0], (up - down) / (2 * half), atol=1e-6 * np.abs(up).max() / half
+    )
 
 
 def test_a_missing_effect_is_named_and_sound_data_are_silent():

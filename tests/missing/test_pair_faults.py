@@ -81,7 +81,7 @@ def test_tests_of_effects_and_of_single_faults_are_the_same(faulty):
 
 @pytest.mark.slow
 def test_limits_of_effects_and_of_single_faults_do_not_rise(faulty):
-    """Of 20 effects and 20 single faults near the limit as many are named beside 400 faults of pairs as without them."""
+    """Of 20 of each near the limit as many are named beside 400 faults of pairs as without them."""
     made = faulty()
     many, named = with_pairs(made), {}
     for name, one in (("without", made), ("with", many)):

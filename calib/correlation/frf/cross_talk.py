@@ -1,11 +1,12 @@
-"""Measured FRFs of response channels that read a share of another channel.
+"""Measured FRFs of response channels that read a share of another channel, or have taken each other's name.
 
-Such a channel reads ``r + s q``, with r and q the rows of both sensors (see `calib.correlation.frf.rows`).
+Such a channel reads ``r + s q``, with r and q the rows of both sensors (see `calib.correlation.frf.rows`); of two that
+are exchanged, each reads ``(1 - s) r + s q``, wholly at s = 1.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -77,3 +78,52 @@ class CrossTalkError(RowError):
     def other(self, model: StructuralModel | ReducedModel) -> np.ndarray:
         """Motion at the other sensor, (n_dof,); InputError where the model cannot place it."""
         return np.asarray(model.sensor_rows([self.source])[0])
+
+
+@dataclass(frozen=True)
+class ExchangeError(CrossTalkError):
+    """Exchange of two response channels, by one parameter: no fit frees it, but an explanation suspects it.
+
+    Attributes
+    ----------
+    sensor, source : Sensor
+        Both.
+    prior_sd : float
+        Of the part, which is 1 where they are exchanged.
+    backwards : bool
+        Whether it is the row of the second one.
+    """
+
+    backwards: bool = field(default=False, kw_only=True)
+
+    @property
+    def place(self) -> str:
+        """As messages name it."""
+        return f"exchange of {' and '.join(self._both)}"
+
+    @property
+    def of_rows(self) -> tuple[RowError, ...]:
+        """The rows of both."""
+        return (self, replace(self, sensor=self.source, source=self.sensor, backwards=not self.backwards))
+
+    @property
+    def parameter(self) -> Parameter:
+        """Such as ``exchange_11z_12z``, the same of both rows."""
+        end = in_test(self.test)
+        return Parameter(
+            f"exchange_{'_'.join(self._both)}{end}", 0.0, 0.0, RULES.exchange_most, "-", prior_sd=self.prior_sd,
+            description=f"exchange of the channels of {' and '.join(self._both)}{end}",
+        )  # fmt: skip
+
+    def weights(self, value: float) -> tuple[float, float]:
+        """Of its own row, beside 1, and of the other one."""
+        return -value, value
+
+    def slopes(self, value: float) -> tuple[float, float]:
+        """Their derivatives."""
+        return -1.0, 1.0
+
+    @property
+    def _both(self) -> tuple[str, ...]:
+        names = self.sensor.name, self.source.name
+        return names[::-1] if self.backwards else names

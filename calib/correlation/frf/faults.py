@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -9,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from calib.correlation.fault_rules import RULES
-from calib.correlation.frf.cross_talk import CrossTalkError
+from calib.correlation.frf.cross_talk import CrossTalkError, ExchangeError
 from calib.correlation.frf.nuisance import ChannelError, ChannelKind, Nuisance
 from calib.correlation.frf.places import PlaceError
 from calib.correlation.frf.rotation import RotationError
@@ -20,6 +21,7 @@ from calib.correlation.modal.fault_library import (
     adjacent_channels,
     cross_talk_words,
     delay_words,
+    far_channels,
     gain_words,
     place_error_words,
     rotation_words,
@@ -27,6 +29,7 @@ from calib.correlation.modal.fault_library import (
     turned,
     ways,
 )
+from calib.correlation.modal.pair_faults import CHECK_ORDER, EXCHANGED, exchange_words
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
@@ -35,10 +38,13 @@ from calib.problem.space import Parameter
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.reduced import ReducedModel
 
-_LOOK: Mapping[str, str] = {**LOOK_FOR, "phase": "Check its filter and its conditioning."}
+_LOOK: Mapping[str, str] = {
+    **LOOK_FOR, "phase": "Check its filter and its conditioning.", "exchange": CHECK_ORDER
+}  # fmt: skip
 
 Model = StructuralModel | ReducedModel
 Suspect = ChannelError | PlaceError | RotationError | CrossTalkError
+"""An exchange of channels is a `CrossTalkError` of two rows."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,8 @@ def frf_faults(
 
     Of every response and reference gain, phase and delay, the misalignment towards every other axis along which the
     model moves there, and the place along each axis in which the mesh runs there. Of every response also the share it
-    reads of the channels before and after it among those that are fitted. Gain, phase and delay of the only reference
+    reads of the channels before and after it among those that are fitted; of pairs of responses the exchange of any
+    two, and the share that one reads of any other one. Gain, phase and delay of the only reference
     are the same as those of all responses. The gain of a reference is that of its functions, which has no pole on the
     way to a swapped sign.
 
@@ -84,7 +91,7 @@ def frf_faults(
         For a transducer that the model cannot place.
     """
     known = {_name(nuisance) for nuisance in nuisances}
-    found = (*_of_channels(measured), *_of_transducers(model, measured))
+    found = (*_of_channels(measured), *_of_transducers(model, measured), *_of_pairs(measured))
     return tuple(_named(fault, test) for fault in found if fault.name not in known)
 
 
@@ -178,11 +185,24 @@ def _of_transducers(model: Model, measured: MeasuredFRFs) -> Iterator[FRFFault]:
         sides = [word for word, names in (("sensor", responses), ("force", references)) if sensor.name in names]
         yield from _places(model, sensor, " and ".join(sides))
     for k, sensor in enumerate(measured.responses):
-        for source in adjacent_channels(measured.responses, k):
-            told = partial(cross_talk_words, sensor.name, source.name)
-            error = CrossTalkError(sensor, source, RULES.cross_talk)
-            of = f"sensor {source.name} into {sensor.name}"
-            yield _fault(error, "cross-talk", of, LACKS["cross-talk"], told, sensor)
+        yield from (_cross_talk(sensor, source) for source in adjacent_channels(measured.responses, k))
+
+
+def _cross_talk(sensor: Sensor, source: Sensor) -> FRFFault:
+    told = partial(cross_talk_words, sensor.name, source.name)
+    error = CrossTalkError(sensor, source, RULES.cross_talk)
+    of = f"sensor {source.name} into {sensor.name}"
+    return _fault(error, "cross-talk", of, LACKS["cross-talk"], told, sensor)
+
+
+def _of_pairs(measured: MeasuredFRFs) -> Iterator[FRFFault]:
+    responses = measured.responses
+    for a, b in itertools.combinations(responses, 2):
+        error, told = ExchangeError(a, b, 1.0), partial(exchange_words, a.name, b.name)
+        fault = _fault(error, "exchange", f"sensors {a.name} and {b.name}", EXCHANGED, told, a)
+        yield replace(fault, sensor=f"{a.name} {b.name}", of_pair=True, whole=True)
+    for k, sensor in enumerate(responses):
+        yield from (replace(_cross_talk(sensor, source), of_pair=True) for source in far_channels(responses, k))
 
 
 def _rotations(model: Model, side: Side, sensor: Sensor) -> Iterator[FRFFault]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -72,16 +73,17 @@ class FRFProblem:
     _rows: TransducerRows = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        names = [nuisance.parameter.name for nuisance in self.nuisances]
-        for name in names:
-            if names.count(name) > 1 or name in self.model.space:
+        names = Counter(nuisance.parameter.name for nuisance in self.nuisances)
+        for name, count in names.items():
+            if count > 1 or name in self.model.space:
                 raise InputError(f"{name!r} is a parameter twice", place="nuisances of FRFs", remedy="keep one")
         require_channels(self.nuisances, self.measured)
         loads = [load for n in self.nuisances for load in n.loads(self.model.whole)]
         errors = tuple(error for n in self.nuisances for error in n.of_channel)
         rows = TransducerRows.of([error for n in self.nuisances for error in n.of_rows], self.measured, self.model)
         model, own = loaded(self.model, loads), self.model.space
-        parameters = (*model.space.parameters, *(e.parameter for e in errors), *(e.parameter for e in rows.errors))
+        of_rows = {e.parameter.name: e.parameter for e in rows.errors}  # one error may change several rows
+        parameters = (*model.space.parameters, *(e.parameter for e in errors), *of_rows.values())
         parameters += () if self.mesh is None else (self.mesh.parameter,)
         object.__setattr__(self, "space", ParameterSpace(parameters, own.constraints))
         object.__setattr__(self, "loaded_model", model)

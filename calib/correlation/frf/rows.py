@@ -5,7 +5,8 @@ row q and two weights of its value:
 
 - a place wrong by d: w = 0, v = d, q the change of the motion over the distance;
 - an axis turned by a: w = cos a - 1, v = sin a, q the motion along the other axis;
-- a share s of another channel: w = 0, v = s, q the motion at that channel's sensor.
+- a share s of another channel: w = 0, v = s, q the motion at that channel's sensor;
+- two channels exchanged: w = -s, v = s of both, by one parameter.
 
 Errors of one transducer add up, so that products of two of them are left out.
 """
@@ -216,7 +217,8 @@ class TransducerRows:
                 slope[:, response] += felt[:, next(at_responses)]
             if reference is not None:
                 slope[:, :, reference] += driven[:, :, next(at_references)]
-            found[self.names[k]] = slope * self.errors[k].parameter.si_factor
+            name = self.names[k]
+            found[name] = found.get(name, 0.0) + slope * self.errors[k].parameter.si_factor
         return found
 
     def _changed(self, asked: Iterable[int]) -> list[tuple[int, tuple[int | None, int | None]]]:

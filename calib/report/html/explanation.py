@@ -42,13 +42,12 @@ def errors_of_steps(table: pd.DataFrame) -> str:
 
 def named_faults(table: pd.DataFrame) -> str:
     """Which faults the verdict names, and how many scores are beyond their limit."""
-    limit = float(table["limit"].iloc[0])
     blamed = flagged(table, "blamed")["told"]
-    beyond = int((table["score"].abs() > limit).sum())
+    beyond = int((table["score"].abs() > table["limit"]).sum())
     if len(blamed):
         return f"The verdict names {'; or '.join(blamed)}."
     if beyond:
-        scores = f"{beyond} of {len(table)} scores lie beyond the limit"
+        scores = f"{beyond} of {len(table)} scores lie beyond their limit"
         return f"No fault is named; {scores}: what the model lacks takes some of them along."
     return "No fault is named, and none stands out."
 
