@@ -118,6 +118,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
 }
 
 SPEED = {  # memory, time, processes; results are the same
+    "missing/screened.py": "_ENTRIES",
     "structure/reduction/cache.py": "LIMIT _ABANDONED",
     "hypotheses/hypotheses.py": "_REMEMBERED",
     "analyses/provenance/places.py": "_WORTHWHILE PATIENCE",
@@ -176,6 +177,7 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
     "api/progress.py": "SPARSE OFTEN _BAR _STEADY",
     "api/entries/compared.py": "WORST _FUNCTIONS",
     "api/fe_comparison.py": "DRAWN",
+    "correlation/modal/pair_faults.py": "_WHOLE",
     "api/fe_import.py": "FREQ_AGREES MAC_AGREES MODES _ALIKE _NODES",
     "api/entries/entry.py": "MOST WARNINGS WIDTH NARROWEST",
     "api/entries/explained.py": "EFFECTS",

@@ -96,7 +96,10 @@ class Imported(Displayed):
             for row in self.modes.to_dict("records")
         ]
         title = f"{self.model.n_dof} degrees of freedom. First modes of the imported model:"
-        told = [*(Warned(words) for words in self.warnings), *(Words(words, "always") for words in self.notes)]
+        told: list[Entry] = [
+            *(Warned(words) for words in self.warnings),
+            *(Words(words, "always") for words in self.notes),
+        ]
         return (*told, Rows.of(title, heads, rows, most=len(rows)))
 
     @property
@@ -339,7 +342,7 @@ def _written(
         title=_quoted(f"Imported model {found.model.name}"), measurement="\n".join(lines),
         mode_count=min(found.model.n_dof, max(MODES, most)),
     )  # fmt: skip
-    held = {}
+    held: dict[str, Any] = {}
     for kind, own in read.matrices.items():
         for name, one in own.items():
             held |= {f"{kind} {name} entries": one.data, f"{kind} {name} rows": one.row.astype(np.int32),
@@ -369,7 +372,7 @@ def _measurement(
     named = {"files": found_files(measured), "shapes": found_files(shapes) if shapes else []}
     named["sensors"] = [path_of(sensors, "sensors")] if sensors is not None else []
     read = read_modes(named["files"], shapes=named["shapes"], sensors=sensors)
-    out = {}
+    out: dict[str, list[str]] = {}
     for key, files in named.items():
         for file in files:
             name = file.name if file.name not in contents else f"{len(contents)}_{file.name}"

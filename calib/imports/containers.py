@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.errors.errors import InputError
+from calib.execution.worker import EndedError, apart
 from calib.imports.stored import Stored
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -73,10 +74,13 @@ def _labels(rows: Any, count: int, file: Path) -> np.ndarray | None:
 
 def _npz(file: Path) -> dict[str, Any]:
     try:
-        with np.load(file) as held:
+        with np.load(file, allow_pickle=False) as held:
             names = set(held.files)
             if {"indices", "indptr", "data"} <= names or {"row", "col", "data"} <= names:
-                return {file.stem: sp.load_npz(file)}
+                found = sp.load_npz(file)
+                if hasattr(found, "check_format"):  # native code follows these indices
+                    found.check_format(full_check=True)
+                return {file.stem: found}
             return {name: held[name] for name in held.files}
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError) as fault:
         raise InputError(f"it cannot be read ({_words(fault)})", place=file, remedy="save it again") from None
@@ -94,6 +98,17 @@ def _market(file: Path, raw: bytes) -> Any:
 
 
 def _mat(file: Path) -> dict[str, Any]:
+    """Numeric variables, read by another process: native code, which a damaged file can end, reads them."""
+    try:
+        return apart(_variables, file)
+    except EndedError as ended:
+        raise InputError(
+            f"it is no MATLAB file (it ended the process that read it, {ended})", place=file, remedy="save it again"
+        ) from None
+
+
+def _variables(file: Path) -> dict[str, Any]:
+    """Arrays, and sparse matrices by coordinates."""
     from scipy.io import loadmat
 
     try:
@@ -104,8 +119,9 @@ def _mat(file: Path) -> dict[str, Any]:
         return _hdf5(file)
     except Exception as fault:  # a damaged file raises what its parts raise
         raise InputError(f"it is no MATLAB file ({_words(fault)})", place=file, remedy="save it again") from None
-    numeric = {name: one for name, one in held.items() if not name.startswith("__")}
-    return {name: one for name, one in numeric.items() if sp.issparse(one) or np.asarray(one).dtype.kind in "iufc"}
+    own: dict[str, Any] = {name: one for name, one in held.items() if name[:2] != "__"}
+    out: dict[str, Any] = {name: one.tocoo() if sp.issparse(one) else np.asarray(one) for name, one in own.items()}
+    return {name: one for name, one in out.items() if one.dtype.kind in "iufc"}
 
 
 def _hdf5(file: Path) -> dict[str, Any]:
@@ -126,7 +142,7 @@ def _hdf5(file: Path) -> dict[str, Any]:
                     rows = np.asarray(one["ir"] if "ir" in one else []).astype(int)
                     data = np.asarray(one["data"] if "data" in one else []).astype(float)
                     shape = (int(one.attrs["MATLAB_sparse"]), len(starts) - 1)
-                    out[name] = sp.csc_array((data, rows, starts), shape=shape)
+                    out[name] = sp.coo_array(sp.csc_array((data, rows, starts), shape=shape))
     except Exception as fault:  # a damaged file raises what its parts raise
         raise InputError(f"it is no MATLAB file ({_words(fault)})", place=file, remedy="save it again") from None
     return out

@@ -204,7 +204,7 @@ def _sorted_out(
             continue
         kind_found = kind_of(one.name) or kind_of(file.stem)
         if kind_found in KINDS and not chosen.get(kind_found):
-            known: Kind = kind_found  # type: ignore[assignment]
+            known: Kind = kind_found
             if one.name in out[known]:
                 raise InputError(f"there are two matrices {one.name!r}", place=f"--{known}", remedy="give each once")
             out[known][one.name] = one
@@ -275,7 +275,8 @@ def _placed(table: pd.DataFrame, file: Path, metres: float, has_own: bool) -> tu
             "it defines none of the nodes of the matrices", place=file, remedy="give the deck of this model"
         )
     out = table.copy()
-    places = np.array([points[node] if there else (np.nan,) * 3 for node, there in zip(nodes, known, strict=True)])
+    listed = zip(nodes.tolist(), known, strict=True)
+    places = np.array([points[node] if there else (np.nan,) * 3 for node, there in listed])
     out[["x", "y", "z"]] = scale * places
     lost = named_rows & ~known
     if not lost.any():

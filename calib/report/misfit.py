@@ -263,7 +263,8 @@ def draw_suspects(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ----------
     table : DataFrame
         Columns ``fault, kind, sensor`` (empty for the whole test), ``score``, ``limit`` that noise alone exceeds in 1 %
-        of all cases, another one for faults of pairs, ``blamed`` whether the verdict names it, ``told`` what its fit means.
+        of all cases, another one for faults of pairs, ``blamed`` whether the verdict names it, ``told`` what its fit
+        means.
     ax : Axes, optional
 
     Returns
