@@ -120,7 +120,8 @@ def _variables(file: Path) -> dict[str, Any]:
     except Exception as fault:  # a damaged file raises what its parts raise
         raise InputError(f"it is no MATLAB file ({_words(fault)})", place=file, remedy="save it again") from None
     own: dict[str, Any] = {name: one for name, one in held.items() if name[:2] != "__"}
-    out: dict[str, Any] = {name: one.tocoo() if sp.issparse(one) else np.asarray(one) for name, one in own.items()}
+    sparse = [name for name, one in own.items() if sp.issparse(one)]
+    out = {name: one.tocoo() if name in sparse else np.asarray(one) for name, one in own.items()}
     return {name: one for name, one in out.items() if one.dtype.kind in "iufc"}
 
 
