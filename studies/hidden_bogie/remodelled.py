@@ -51,7 +51,12 @@ FINE = 0.0375
 RIGID, RIGID_TURN = 2e10, 2e9
 """Stiffness in N/m and Nm/rad of connections between two bodies where the real parts are one."""
 ADOPTED = {p.name: p.value for p in (*BOGIE, *RIG)}
-C_PRIMARY, K_BLOCK = ADOPTED["c_primary"] * 1e3, ADOPTED["K_block"] * 1e3
+C_PRIMARY = ADOPTED["c_primary"] * 1e3
+
+
+def adopted(v: Values, name: str) -> float:
+    """A parameter of the structure that is built, of which the weights of parts added to its group are shares."""
+    return v.get(name, ADOPTED[name])
 
 
 @dataclass(frozen=True)
@@ -95,7 +100,7 @@ def flexible_actuators(v: Values) -> Otherwise:
 
 def wide_blocks(v: Values) -> Otherwise:
     """Every elastic block stands on two lines as far apart as its resistance to tilting tells."""
-    half = float(np.sqrt(v["block_tilt"] * 1e3 / K_BLOCK))
+    half = float(np.sqrt(v["block_tilt"] / adopted(v, "K_block")))
     block, contact, restraint = rig._rig_springs()
     wide = []
     for spring in block:
@@ -109,7 +114,8 @@ def wide_blocks(v: Values) -> Otherwise:
 
 def blocks_with_dampers(v: Values) -> Otherwise:
     """Dampers within the elastic blocks."""
-    dampers = [replace(s, weight=s.weight * v["block_damping"] * 1e3 / C_PRIMARY) for s in rig._rig_springs()[0]]
+    weight = v["block_damping"] / adopted(v, "c_primary")
+    dampers = [replace(s, weight=s.weight * weight) for s in rig._rig_springs()[0]]
     return Otherwise(lambda b: replace(b, dampers=(*b.dampers, *dampers)))
 
 
@@ -298,7 +304,8 @@ def rods_with_dampers(v: Values) -> Otherwise:
 
     def change(b: Bogie) -> Bogie:
         rods = (*b.springs["rod_upper"], *b.springs["rod_lower"])
-        return with_parts(b, dampers=[damped(s, v["rod_damping"] * 1e3) for s in rods])
+        weight = v["rod_damping"] / adopted(v, "c_primary")
+        return with_parts(b, dampers=[replace(s, weight=weight) for s in rods])
 
     return Otherwise(change)
 

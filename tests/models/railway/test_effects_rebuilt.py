@@ -80,3 +80,19 @@ def test_a_gear_case_off_the_middle_bends_its_axle_less(base):
     assert change[MODES - 1] > 0.03
     found = extend(base, [EFFECTS[name]]).modes({name: 300.0}, MODES)
     np.testing.assert_allclose(found.natural_freq / base.modes({}, MODES).natural_freq - 1, change, atol=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "scaled", "kind"),
+    [("block_damping", "c_primary", 1), ("rod_damping", "c_primary", 1), ("block_tilt", "K_block", 0)],
+)
+def test_a_magnitude_in_its_unit_does_not_grow_with_another_parameter(name, scaled, kind):
+    """Parts that are added to a group of the model have its parameter as a factor, which a twin draws."""
+    plain, changes = rebuilt.rebuilt(element_size=0.2), []
+    for factor in (1.0, 1.3):
+        values = {**rebuilt.ADOPTED, name: EFFECTS[name].plausible, scaled: factor * rebuilt.ADOPTED[scaled]}
+        model = rebuilt.built([name], values, element_size=0.2)
+        own = {n: v for n, v in values.items() if n in model.space}
+        changes.append((model.matrices(own)[kind] - plain.matrices(own)[kind]).toarray())
+    np.testing.assert_allclose(changes[1], changes[0], atol=1e-5 * np.abs(changes[0]).max())
+    assert np.abs(changes[0]).max() > 0
