@@ -11,7 +11,16 @@ from functools import cached_property, partial
 from typing import Any, TypeAlias
 
 from calib.analyses.case_found import CaseFound, reported
-from calib.analyses.case_starts import Starts, Steps, evaluable, known_starts, least_squares, until_agreed
+from calib.analyses.case_starts import (
+    Starts,
+    Steps,
+    evaluable,
+    from_further_starts,
+    has_many_minima,
+    known_starts,
+    least_squares,
+    until_agreed,
+)
 from calib.analyses.explained_fit import explained_fit
 from calib.analyses.fit_statistics import FitProblem, FitStatistics, Near, Terms, fit_problem, mesh_doubt, statistics_at
 from calib.analyses.joint_responses import Responses, own_values
@@ -235,7 +244,11 @@ class CaseFinder:
         reductions = self._reductions()
         for case in cases:
             fit = partial(self.refined, reductions, told=with_prefix(self.progress, case.name))
-            yield self.reported(*least_squares(case, self.study, self.known, self.quick, fit))
+            found = least_squares(case, self.study, self.known, self.quick, fit)
+            if found[1].fits is False and not self.quick and has_many_minima(self.study):
+                found, note = from_further_starts(case, self.study, *found, fit)
+                self.agreeing.extend([note] if note else [])
+            yield self.reported(*found)
 
     def by_equations(self, cases: Sequence[Case]) -> Iterator[tuple[CaseFound, ...]]:
         """The solution of the linear cross-model equations of FRFs, not refined, as the first case.

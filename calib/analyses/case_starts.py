@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -17,8 +18,10 @@ from calib.analyses.provenance.places import QUICK_SAMPLED, QUICK_STARTS
 from calib.errors.errors import EvaluationError, InputError
 from calib.errors.place import Place
 from calib.execution.outcome import as_cause
+from calib.experiment import FRFTest
 from calib.inference.cases import Case, CaseResult
 from calib.inference.rules import RULES
+from calib.inference.starts import UntilLowestTwice
 from calib.problem.problem import Counts
 from calib.problem.sampling import sample
 from calib.results.ledger import Ledger
@@ -74,6 +77,31 @@ def until_agreed(
     most = min(RULES.most_starts, QUICK_SAMPLED) if quick else RULES.most_starts
     sampled = [space.complete(x) for x in sample(space, most, case.seed).points]
     return from_starts(case, [*known, space.values, *sampled], fit)
+
+
+def has_many_minima(study: AnyStudy) -> bool:
+    """Whether the sum of squares typically has many minima: that of FRFs, whose resonances have to overlap first."""
+    return any(isinstance(one.experiment, FRFTest) for one in study.studies)
+
+
+def from_further_starts(
+    case: Case, study: AnyStudy, result: CaseResult, before: FitStatistics, fit: Fit
+) -> tuple[tuple[CaseResult, FitStatistics], str]:
+    """A case that is rejected, fitted from sampled points too, and a note on that.
+
+    A minimum where resonances do not overlap looks like a model that lacks something. Points are tried until two fits
+    end at the lowest sum of squares, no more than `Rules.further_starts`; none where two of the case's own starts do.
+    """
+    until = UntilLowestTwice()
+    if until(before.ends):
+        return (result, before), ""
+    space = study.search_space
+    sampled = [space.complete(x) for x in sample(space, RULES.further_starts, case.seed).points]
+    again, found = from_starts(case, [before.values, *sampled], partial(fit, enough=until))
+    tried, better = until.tried - 1, found.criterion < before.criterion - RULES.equal
+    ends = f"a better one: {before.criterion:.4g} -> {found.criterion:.4g}" if better else "none is better"
+    note = f"{case.name}: the fit was rejected, so that {tried} further starts were tried; {ends}."
+    return (again, found) if better else (result, before), note
 
 
 def from_starts(case: Case, starts: Starts, fit: Fit) -> tuple[CaseResult, FitStatistics]:

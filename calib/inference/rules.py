@@ -49,6 +49,8 @@ class Rules:
         squares agree; see `calib.inference.starts.Optima`.
     most_starts : int
         Starts after which a genetic search follows if they do not agree.
+    further_starts : int
+        Further starts of least squares on FRFs where the fit from those of the study is rejected.
     profile_differs : float
         Distance of the ends of an interval by the profile likelihood, or by samples of the posterior, from those of
         the linearised interval, over its half-width, from which the two are said to differ.
@@ -77,6 +79,7 @@ class Rules:
     equal: float = 0.1
     unseen: float = 0.10
     most_starts: int = 20
+    further_starts: int = 6
     profile_differs: float = 0.2
     chain: float = 50.0
     refits: int = 25

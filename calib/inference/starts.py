@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import count, pairwise
-from typing import Protocol, TypeAlias
+from typing import ClassVar, Protocol, TypeAlias
 
 from calib.inference.gauss_newton import FitResult
 from calib.inference.rules import RULES
@@ -114,6 +114,26 @@ class UntilAgreed:
 
 def _lowest(ends: Sequence[FitResult | None]) -> float:
     return min((end.misfit for end in ends if end is not None), default=math.inf)
+
+
+@dataclass
+class UntilLowestTwice:
+    """Stops as soon as two starts ended at the lowest sum of squares.
+
+    Attributes
+    ----------
+    tried : int
+        Starts so far.
+    """
+
+    tried: int = 0
+    least: ClassVar[int] = 2
+    """Starts without which it cannot stop."""
+
+    def __call__(self, ends: Sequence[FitResult | None]) -> bool:
+        """Whether two did."""
+        self.tried, most = len(ends), _lowest(ends) + RULES.equal
+        return sum(end is not None and end.converged and end.misfit <= most for end in ends) >= self.least
 
 
 def never(ends: Sequence[FitResult | None]) -> bool:

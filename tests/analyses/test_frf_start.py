@@ -13,6 +13,8 @@ from calib.analyses.fit_statistics import Terms
 from calib.analyses.least_squares import fitted
 from calib.correlation.frf.nuisance import ChannelError
 from calib.hypotheses.linear_start import linear_start, linear_starts
+from calib.inference.gauss_newton import FitResult
+from calib.inference.starts import UntilLowestTwice
 from calib.measurement.modal import Sensor
 from calib.study.loading import module_of
 
@@ -209,3 +211,26 @@ def test_it_linearises_again_where_matrices_are_not_linear(frfs):
         parameters=[calib.Parameter("h", 0.75, 0.5, 2.0, "-")],
     )  # fmt: skip
     assert abs(start_of(problem_of(model, frfs))["h"] - 1) < 0.04
+
+
+def test_a_rejected_calibration_starts_further(frfs):
+    """Without a drive point there is no linear start, and least squares from the nominal values end in a minimum."""
+    few = frfs.without(["1x"], ["4x"])
+    problem = problem_of(WORLD.chain(stiff_links=True, k=6e3, m=1.2, links=0.6), few)
+    alone = fit_from(problem, problem.space.values)
+    assert alone.fits is False
+    fit = problem.calibrate(method="gauss-newton", starts=1, progress=False)
+    assert fit.statistics.fits and fit.statistics.criterion < 0.1 * alone.criterion
+    assert all(abs(fit.values[n] - true) < 4 * fit.parameters.loc[n, "std"] for n, true in TRUE.items())
+    (note,) = (words for words in fit.calibration.notes if "further start" in words)
+    assert f"{alone.criterion:.4g}" in note and f"{fit.statistics.criterion:.4g}" in note
+
+
+def test_two_fits_at_the_lowest_sum_of_squares_are_enough():
+    until = UntilLowestTwice()
+    ends = [_end(3.0), None, _end(2.0), _end(2.0, converged=False), _end(2.05)]
+    assert [until(ends[: k + 1]) for k in range(5)] == [False, False, False, False, True] and until.tried == 5
+
+
+def _end(misfit, converged=True):
+    return FitResult((), {}, misfit, 0.0, 1, 1, 1, converged, "", (), (), (), np.zeros(0), np.zeros((0, 0)))
