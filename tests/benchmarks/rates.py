@@ -36,6 +36,7 @@ from rates_beside import report_alike, report_widths
 from rates_bogie_frf import BogieWorld
 from rates_faults import FaultyFrameWorld, FaultyWorld
 from rates_frame import FrameWorld
+from rates_frame_frf import FRFFrameWorld
 from rates_panel import PanelWorld
 from rates_scenarios import Scenario, rounds
 from rates_subject import ROOT, SUBJECTS, Subject
@@ -99,7 +100,7 @@ def world_of(subject: Subject, folder: Path, code: str) -> AnyWorld:
     """The bench of a subject."""
     kinds: dict[str, type[AnyWorld]] = {
         "panel": PanelWorld, "bogie_frf": BogieWorld, "bogie_fault": FaultyWorld, "frame": FrameWorld,
-        "frame_fault": FaultyFrameWorld, "chain": ChainWorld,
+        "frame_fault": FaultyFrameWorld, "frame_frf": FRFFrameWorld, "chain": ChainWorld,
     }  # fmt: skip
     return kinds.get(subject.name, World)(subject, folder, code)
 

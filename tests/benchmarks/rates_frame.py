@@ -45,6 +45,8 @@ FLOORS = {1: 1500.0, 2: 1300.0, 3: 900.0}
 """Mass on the beams of each floor, kg/m."""
 GROUND = (4e8, 6e8, 3e7)
 """Springs of a support: sideways and upright, N/m, and against rotation, Nm/rad."""
+LOSS, GROUND_LOSS = 2e-4, 1e-3
+"""Damping of members and of supports over their stiffness, s, where the frame is damped."""
 COARSE, FINE = 8, 24
 """Elements of each member."""
 LIKE = 0.47
@@ -152,11 +154,20 @@ class Frame:
         return out
 
     def model(
-        self, stiffness: Mapping[str, Any] | None = None, mass: Mapping[str, Any] | None = None
+        self, stiffness: Mapping[str, Any] | None = None, mass: Mapping[str, Any] | None = None, damped: bool = False
     ) -> StructuralModel:
-        """The frame as matrices with its parameters; further terms have the multiplier that is given with them."""
+        """The frame as matrices with its parameters; further terms have the multiplier that is given with them.
+
+        A damped one loses energy in its members and in the ground under its supports.
+        """
         own: dict[str, Any] = {m: (self.stiffness(m), f"E_{m.split()[0]}s") for m in self.members}
-        own |= {f"support {c + 1}": (self.support(c + 1), "k_ground") for c in range(len(SPANS) + 1)}
+        damping: dict[str, Any] = {}
+        if damped:
+            damping = {f"loss of {m}": (LOSS * matrix, "loss") for m, (matrix, _) in own.items()}
+        supports = {f"support {c + 1}": self.support(c + 1) for c in range(len(SPANS) + 1)}
+        own |= {name: (matrix, "k_ground") for name, matrix in supports.items()}
+        if damped:
+            damping |= {f"loss of {name}": (GROUND_LOSS * matrix, "c_ground") for name, matrix in supports.items()}
         masses: dict[str, Any] = {}
         for member in self.members:
             kind, level = member.split()[0], int(member.split()[1][0])
@@ -166,13 +177,13 @@ class Frame:
         dofs = pd.DataFrame([
             (n + 1, d, *self.points[n]) for n in range(len(self.points)) for d in ("x", "z", "ry")
         ], columns=["node", "direction", "x", "y", "z"])  # fmt: skip
-        parameters = [
-            Parameter(name, 1.0, 0.5, 1.8, "-", prior_sd=sd)
-            for name, sd in (("E_columns", 0.08), ("E_beams", 0.08), ("m_floors", 0.08), ("k_ground", 0.25))
-        ]
+        priors = {"E_columns": 0.08, "E_beams": 0.08, "m_floors": 0.08, "k_ground": 0.25}
+        priors |= {"loss": 0.2, "c_ground": 0.25} if damped else {}
+        parameters = [Parameter(name, 1.0, 0.5, 1.8, "-", prior_sd=sd) for name, sd in priors.items()]
         return calib.StructuralModel.from_matrices(
-            own | dict(stiffness or {}), masses | dict(mass or {}), dofs=dofs, parameters=parameters, name="frame"
-        )
+            own | dict(stiffness or {}), masses | dict(mass or {}), damping or None, dofs=dofs, parameters=parameters,
+            name="frame",
+        )  # fmt: skip
 
 
 @cache
@@ -243,7 +254,7 @@ def outside_effects() -> tuple[Effect, ...]:
     )  # fmt: skip
 
 
-def built(names: Sequence[str], values: Mapping[str, float]) -> StructuralModel:
+def built(names: Sequence[str], values: Mapping[str, float], damped: bool = False) -> StructuralModel:
     """The finer mesh with effects of the library as they really are."""
     f, stiffness, mass = frame(FINE), dict[str, Any](), dict[str, Any]()
     for name in names:
@@ -266,7 +277,7 @@ def built(names: Sequence[str], values: Mapping[str, float]) -> StructuralModel:
         else:
             stiffness[name] = x * f.brace()
             mass[name] = 1e-4 * x * (f.lump(0) + f.lump(len(SPANS) + 2))
-    return f.model(stiffness, mass)
+    return f.model(stiffness, mass, damped)
 
 
 def layout() -> tuple[Sensor, ...]:

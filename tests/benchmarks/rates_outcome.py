@@ -8,7 +8,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from calib.measurement.modal import MeasuredModes
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import SEVERAL, Explanation
 from calib.missing.partial import is_simpler_form, magnitude_range
@@ -40,14 +39,14 @@ class Measured:
         Parameters, magnitudes, nuisance parameters.
     parameters_of : mapping from str to tuple of str
         Effects of the twin, and the names of their parameters.
-    clean, whole : MeasuredModes
+    clean, whole : MeasuredModes or MeasuredFRFs
         Without noise, and as measured; nothing is held_out.
     """
 
     values: Mapping[str, float]
     parameters_of: Mapping[str, tuple[str, ...]]
-    clean: MeasuredModes
-    whole: MeasuredModes
+    clean: Any
+    whole: Any
 
     @property
     def hidden(self) -> tuple[str, ...]:

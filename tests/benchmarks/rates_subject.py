@@ -122,11 +122,19 @@ FRAME_FAULT = replace(
     FRAME, name="frame_fault", suspects=True, sources=(*FRAME.sources, "tests/benchmarks/rates_faults.py")
 )
 
+FRAME_FRF = replace(
+    FRAME, name="frame_frf", suspects=True,
+    sources=(*FRAME.sources, "tests/benchmarks/rates_frame_frf.py", "studies/frf_twin.py",
+             "calib/hypotheses/linear_start.py"),
+)  # fmt: skip
+
 CHAIN = Subject(
     "chain", "studies/five_mass_chain",
     ("studies/five_mass_chain", "models/five_mass_chain.py", "tests/benchmarks/chain_rates.py"), (), (),
 )  # fmt: skip
 
 SUBJECTS = {
-    s.name: s for s in (BOGIE, BOGIE_SUSPECTS, BOGIE_FRF, BOGIE_FAULT, VEHICLE, PANEL, FRAME, FRAME_FAULT, CHAIN)
+    s.name: s for s in (
+        BOGIE, BOGIE_SUSPECTS, BOGIE_FRF, BOGIE_FAULT, VEHICLE, PANEL, FRAME, FRAME_FAULT, FRAME_FRF, CHAIN,
+    )
 }  # fmt: skip

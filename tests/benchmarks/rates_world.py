@@ -248,18 +248,13 @@ class World:
         try:
             measured = self.measure(scenario, number)
             row |= self._truth(scenario, measured)
-            removed = measured.hidden if scenario.removed else ()
-            problem = self.specimen.problem(measured.whole)
-            faults = modal_faults(problem.model, problem.measured) if self.subject.suspects else ()
-            hypotheses = ModelHypotheses(
-                ModalResidual(problem, faults=faults), self.libraries[scenario.library], self.space, without=removed
-            )
+            hypotheses = self.hypotheses(scenario, measured)
             found = decide(hypotheses)
             row |= outcome(found, measured) | self._told(found)
             if row["outcome"] == "right" and len(measured.hidden) == 1:
                 row |= magnitude(found, measured) | self._held_out(found, hypotheses, measured)
             row["seconds"] = round(time.perf_counter() - started, 2)
-            row |= answers(found, hypotheses, measured)
+            row |= self.other_answers(found, hypotheses, measured)
         except (EvaluationError, InputError, np.linalg.LinAlgError) as fault:
             row |= {"verdict": "failed", "outcome": "failed", "error": f"{type(fault).__name__}: {fault}"}
         return {"seconds": round(time.perf_counter() - started, 2)} | row
@@ -267,6 +262,18 @@ class World:
     def _told(self, found: Explanation) -> dict[str, Any]:
         """What is told of the measurement; of a world without faults nothing."""
         return {}
+
+    def hypotheses(self, scenario: Scenario, measured: Measured) -> ModelHypotheses[Any]:
+        """The question to what was measured."""
+        problem = self.specimen.problem(measured.whole)
+        faults = modal_faults(problem.model, problem.measured) if self.subject.suspects else ()
+        removed = measured.hidden if scenario.removed else ()
+        pair = ModalResidual(problem, faults=faults)
+        return ModelHypotheses(pair, self.libraries[scenario.library], self.space, without=removed)
+
+    def other_answers(self, found: Explanation, hypotheses: Any, measured: Measured) -> dict[str, Any]:
+        """What other methods answer."""
+        return answers(found, hypotheses, measured)
 
     def _truth(self, scenario: Scenario, measured: Measured) -> dict[str, Any]:
         hidden = [self.effects[name] for name in measured.hidden]
