@@ -125,7 +125,7 @@ SPEED = {  # memory, time, processes; results are the same
     "analyses/sensitivity.py": "_BATCH",
     "analyses/provenance/stored.py": "CHEAP",
     "execution/interrupt.py": "CODE PATIENCE LOOK",
-    "missing/linearised_fit.py": "_ALL_AT_ONCE",
+    "missing/nearest_integers.py": "_ALL_AT_ONCE",
     "missing/suspect.py": "_AT_ONCE",
     "correlation/modal/sensors.py": "_NEAR _BLOCK",
     "errors/own_code.py": "_HEAD_LINES",

@@ -249,7 +249,8 @@ class FitStatistics:
     @property
     def _considered(self) -> str:
         """What is left of the sum of squares where held parameters may be off, in words; empty without them."""
-        return f" ({self.considered_misfit:.4g} where held parameters may be off)" if len(self.considered) else ""
+        off = self.considered_misfit < self.misfit
+        return f" ({self.considered_misfit:.4g} where held parameters may be off)" if off else ""
 
     @property
     def sentence(self) -> str:
@@ -331,6 +332,8 @@ def statistics_of(
         name: integer_std(numbers, misfits / birge**2, space[name].value, space[name].prior_width)
         for name, (numbers, misfits) in profiles.items()
     }
+    errors = problem.shared_errors  # which the test of the fit does not know: they count at each row by itself
+    held, constraints = np.hstack([held, errors]), constraints.beside(errors.shape[1])
     identification = identify(
         space, names, slope, values=values, held=held, birge=birge, searched=fit is None, constraints=constraints
     )
@@ -350,7 +353,7 @@ def statistics_of(
         predictions=predictions, fit=fit, ends=ends, suspects=suspected,
         assumed=terms.assumed, by_test=by_test, parts=parts,
         active=active, held_by=held_by,
-        considered=considered_table(space, end, held, held_sd, constraints, birge, terms.mesh_sd),
+        considered=considered_table(space, end, held, held_sd, constraints, birge, terms.mesh_sd, errors.shape[1]),
         considered_misfit=float(free[0] @ free[0]),
     )  # fmt: skip
 

@@ -21,7 +21,8 @@ from calib.measurement.accuracy import NOTHING
 from calib.measurement.mac import mac
 from calib.missing.adapter import Adapter
 from calib.missing.facts import DiscretisationError
-from calib.missing.linearised_fit import LinearisedFit, least_squares_fit, nearest_whole
+from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
+from calib.missing.nearest_integers import nearest_whole
 from calib.missing.score import scores
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes

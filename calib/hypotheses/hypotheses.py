@@ -16,7 +16,8 @@ from calib.hypotheses.linear_start import linear_starts
 from calib.problem.candidate import Candidate, Fault
 from calib.problem.differences import STEP
 from calib.problem.effect import Effect
-from calib.problem.problem import Counts, Label, Pair, PairProblem
+from calib.problem.labels import Label
+from calib.problem.problem import Counts, Pair, PairProblem
 from calib.problem.space import ParameterSpace
 from calib.structure.reduction.basis import Basis
 
@@ -262,6 +263,11 @@ class ModelHypotheses(Generic[P]):
     def row_freqs(self) -> np.ndarray:
         """Frequency of every row, (n_rows,), Hz: of its measured mode or its line; NaN where it has none."""
         return self.pair.row_freqs
+
+    @property
+    def shared_errors(self) -> np.ndarray:
+        """Change of the residual by one standard deviation of every error that rows share, (n_rows, n_errors)."""
+        return self.fit_problem(()).shared_errors
 
     @cached_property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:

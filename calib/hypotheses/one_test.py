@@ -29,7 +29,7 @@ from calib.missing.score import Scores
 from calib.missing.settings import DEFAULT
 from calib.problem.candidate import Candidate
 from calib.problem.effect import Effect
-from calib.problem.problem import label_table
+from calib.problem.labels import label_table
 from calib.problem.space import ParameterSpace
 from calib.structure.effect_places import effect_places
 from calib.structure.effects.perturbations import Perturbation

@@ -255,6 +255,7 @@ def considered_table(
     constraints: ConstraintRows,
     birge: float = 1.0,
     mesh_sd: float | None = None,
+    shared: int = 0,
 ) -> pd.DataFrame:
     """What each held parameter adds to the standard deviation of the fitted one that it affects most.
 
@@ -262,14 +263,17 @@ def considered_table(
     ----------
     space : ParameterSpace
     at : At
-    held : ndarray (n_rows, n_held + n_meshes)
-        From `changes_by_held`, and changes by one standard deviation of the errors of meshes.
+    held : ndarray (n_rows, n_held + n_meshes + n_shared)
+        From `changes_by_held`, and changes by one standard deviation of the errors of meshes, and of those that rows
+        share.
     held_sd : mapping from str to float
     constraints : ConstraintRows
     birge : float
         As in `calib.inference.identify.identify`.
     mesh_sd : float, optional
-        Standard deviation of these errors, over the change to a finer mesh.
+        Standard deviation of the errors of meshes, over the change to a finer mesh.
+    shared : int
+        Number of errors that rows share; they are told together.
 
     Returns
     -------
@@ -281,10 +285,13 @@ def considered_table(
     rows = []
     slope = np.vstack([at.slope / birge, constraints.slope])
     alone = posterior(at.names, slope, at.prior_sd)
-    meshes = [(MESH_ERROR, mesh_sd or 0.0)] * (held.shape[1] - len(held_sd))
-    for k, (name, sd) in enumerate([*held_sd.items(), *meshes]):
-        h = np.concatenate([held[:, k] / birge, constraints.held[:, k]])
-        shift = alone.covariance @ (slope.T @ h)
+    single = held.shape[1] - shared
+    meshes = [(MESH_ERROR, mesh_sd or 0.0)] * (single - len(held_sd))
+    together = [(SHARED_ERRORS, 1.0)] * (shared > 0)
+    for k, (name, sd) in enumerate([*held_sd.items(), *meshes, *together]):
+        own = slice(k, k + 1 if k < single else None)
+        h = np.vstack([held[:, own] / birge, constraints.held[:, own]])
+        shift = np.sqrt(np.sum((alone.covariance @ (slope.T @ h)) ** 2, axis=1))
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.nan_to_num(shift**2 / (shift**2 + alone.std**2))
         if not len(share):
@@ -300,9 +307,13 @@ def considered_table(
             value, unit = at.values[name], space[name].unit
             words = f"{name} is held at {value:.5g} ± {sd:.3g}{_unit(unit)}, which {grows}: select it, or state how "
             words += "sure its value is."
-        else:
+        elif k < single:
             value, unit = 0.0, "-"
             words = f"The error of the mesh, ± {sd:.3g} times the change to a finer one, {grows}: refine the mesh."
+        else:
+            value, unit = 0.0, "-"
+            words = f"The accuracy that is claimed, where all lines share it at a resonance, {grows}: fit it along, as "
+            words += "a nuisance (resonance)."
         rows.append((share[most], (name, value, unit, sd, to, without, with_it, matters, words)))
     rows.sort(key=lambda row: -row[0])
     return pd.DataFrame([row for _, row in rows], columns=list(COLUMNS))
@@ -310,6 +321,8 @@ def considered_table(
 
 MESH_ERROR = "mesh_error"
 """What the table calls the error of a mesh."""
+SHARED_ERRORS = "resonance_errors"
+"""What the table calls the errors that rows share."""
 
 
 def _unit(unit: str) -> str:

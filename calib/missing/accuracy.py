@@ -12,7 +12,7 @@ from calib.missing.goodness import goodness, overall
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.score import Scores, family_p, scored
 from calib.problem.degrees_of_freedom import behind, beside_known, p_value
-from calib.problem.problem import Labelled, RowLabels
+from calib.problem.labels import Labelled, RowLabels
 
 GRID = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 """Accuracies tried, ascending, relative to each value; for shapes, to the largest entry."""

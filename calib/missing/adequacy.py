@@ -16,7 +16,7 @@ from calib.missing.rules import RULES
 from calib.missing.score import Scores, family_p
 from calib.missing.screened import Screened, screened_p
 from calib.problem.candidate import Candidate
-from calib.problem.problem import Labelled
+from calib.problem.labels import Labelled
 
 
 def beside(fits: Refits, candidate_fit: CandidateFit, candidates: Sequence[Candidate]) -> Scores:

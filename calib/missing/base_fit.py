@@ -10,7 +10,8 @@ from calib.errors.errors import EvaluationError
 from calib.inference.gauss_newton import Prior
 from calib.inference.starts import Optima
 from calib.missing.candidate_fit import CandidateFit
-from calib.missing.linearised_fit import LinearisedFit, nearest_whole
+from calib.missing.linearised_fit import LinearisedFit
+from calib.missing.nearest_integers import nearest_whole
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.problem.sampling import sample

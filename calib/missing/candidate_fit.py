@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
 import pandas as pd
 
 from calib.missing.evidence import at_lower
@@ -122,8 +121,7 @@ class CandidateFit:
 
     def magnitude(self, name: str) -> tuple[float, float]:
         """Fitted magnitude of an effect and its linearised standard deviation."""
-        k = self.fit.names.index(name)
-        return self.fit.values[name], float(np.sqrt(self.fit.covariance[k, k]))
+        return self.fit.values[name], float(self.fit.std[self.fit.names.index(name)])
 
 
 @dataclass(frozen=True, eq=False)

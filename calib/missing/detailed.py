@@ -9,7 +9,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
 import pandas as pd
 
 from calib.execution.stage import Progress, silent
@@ -223,7 +222,7 @@ def detailed_tables(found: Explanation, tried: Sequence[DetailedFit]) -> dict[st
     rows: list[tuple[object, ...]] = []
     for one in tried:
         fit, tests = one.candidate_fit.fit, one.adequacy
-        std = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)).tolist(), strict=True))
+        std = dict(zip(fit.names, fit.std.tolist(), strict=True))
         for p in one.effect.parameters:
             value, reach = fit.values[p.name], WIDE * std.get(p.name, math.nan)
             ends = (max(value - reach, p.lower), min(value + reach, p.upper))

@@ -14,7 +14,7 @@ from scipy import special
 from calib.missing.candidate_fit import AdequacyTests
 from calib.missing.rules import RULES
 from calib.problem.degrees_of_freedom import p_value, row_dof
-from calib.problem.problem import Labelled, RowLabels
+from calib.problem.labels import Labelled, RowLabels
 
 _Name = TypeVar("_Name", bound=Hashable)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.inference.gauss_newton import LeastSquares
 from calib.problem.candidate import Candidate
-from calib.problem.problem import Labelled
+from calib.problem.labels import Labelled
 from calib.problem.space import ParameterSpace
 
 
@@ -52,6 +52,11 @@ class Hypotheses(Labelled, Protocol):
     @property
     def row_freqs(self) -> np.ndarray:
         """Frequency of every row, (n_rows,), Hz: of its measured mode or its line; NaN where it has none."""
+        ...
+
+    @property
+    def shared_errors(self) -> np.ndarray:
+        """Change of the residual by one standard deviation of every error that rows share, (n_rows, n_errors)."""
         ...
 
     @property

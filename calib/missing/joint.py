@@ -97,10 +97,13 @@ class JointHypotheses(JointRows):
         fit_problem = part.fit_problem(names)
         rows = [k for k, row in enumerate(self.rows) if row.test == test]
         kept = [k for k, name in enumerate(fit.names) if name in fit_problem.space]
-        held = None
+        held = np.zeros((len(fit.residual), 0)) if fit.shared is None else fit.shared
+        first = held.shape[1]
         if held_sd:
-            held = -fit.fit_problem.jacobian(fit.values, tuple(held_sd)) * list(held_sd.values())
+            more = -fit.fit_problem.jacobian(fit.values, tuple(held_sd)) * list(held_sd.values())
+            held = np.hstack([held, more])
         others = other_rows(fit.slope, fit.prior_sd, fit.residual, fit.shift, rows, kept, held)
+        shared = np.vstack([held[rows, :first], others.held[:, :first]])
         own = replace(
             fit,
             effects=names,
@@ -111,7 +114,8 @@ class JointHypotheses(JointRows):
             slope=fit.slope[np.ix_(rows, kept)],
             prior_sd=fit.prior_sd[kept],
             shift=fit.shift[kept],
-            others=others,
+            others=others._replace(held=others.held[:, first:]),
+            shared=shared,
         )
         return replace(candidate_fit, effects=tuple(e for e in candidate_fit.effects if e.name in names), fit=own)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,11 +12,12 @@ import scipy.linalg as la
 from calib.errors.errors import EvaluationError
 from calib.inference.gauss_newton import FitSettings, Prior, Step, unstepped
 from calib.inference.gauss_newton import fit as gauss_newton
-from calib.inference.identify import posterior
+from calib.inference.identify import Posterior, posterior, with_held
 from calib.inference.leave_one_out import LeaveOneOut, leave_one_out
 from calib.inference.other_rows import OtherRows
 from calib.inference.region import Region, active_limits
 from calib.missing.hypotheses import FitProblem
+from calib.missing.nearest_integers import other_whole
 from calib.missing.rules import RULES
 
 FINE = FitSettings(iterations=15, gain=2e-3, relative=1e-5, rejections=8, evaluations=40)
@@ -27,8 +26,6 @@ about ten residuals, up to 40 when integer parameters move."""
 ROUGH = FitSettings(iterations=6, gain=0.05, relative=3e-4, rejections=4)
 """For ranking candidates, which need not converge."""
 _TURNS = 3
-_ALL_AT_ONCE = 3
-"""Up to so many integer parameters are moved together (26 neighbours), more one at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +56,8 @@ class LinearisedFit:
         as further rows of the data.
     active : frozenset of str
         Parameters with an active limit, see `calib.inference.region.active_limits`.
+    shared : ndarray (n_rows + n_others, n_errors) or None
+        Change of the rows by one standard deviation of every error that several of them share; see `std`.
     """
 
     effects: tuple[str, ...]
@@ -72,6 +71,7 @@ class LinearisedFit:
     converged: bool = False
     others: OtherRows | None = None
     active: frozenset[str] = frozenset()
+    shared: np.ndarray | None = None
 
     @property
     def misfit(self) -> float:
@@ -108,7 +108,22 @@ class LinearisedFit:
     @cached_property
     def covariance(self) -> np.ndarray:
         """Posterior covariance in the parameters' own units, (p, p); see `calib.inference.identify.posterior`."""
-        return posterior(self.names, self.data_slope, self.prior_sd).covariance
+        return self._posterior.covariance
+
+    @cached_property
+    def _posterior(self) -> Posterior:
+        return posterior(self.names, self.data_slope, self.prior_sd)
+
+    @cached_property
+    def std(self) -> np.ndarray:
+        """Standard deviations of the parameters in their own units, with the errors that rows share, (p,).
+
+        The fit weights all rows as if their errors were independent. Errors that are not add to its covariance like
+        held parameters of known standard deviation, see `calib.inference.identify.posterior`; scores and evidence are
+        those of the fit.
+        """
+        with_shared = with_held(self._posterior, self.data_slope, self.shared)
+        return np.sqrt(np.diag(with_shared)[: len(self.names)])
 
     def project_out(self, columns: np.ndarray) -> np.ndarray:
         """Part of changes of the rows (n_rows, m) that the parameters cannot absorb: ``P [g; 0]``.
@@ -280,48 +295,6 @@ def grown(fit: LinearisedFit, fit_problem: FitProblem, effects: tuple[str, ...])
     )
 
 
-def nearest_whole(fit_problem: FitProblem, start: Mapping[str, float]) -> dict[str, float]:
-    """A start with the integers for which one Gauss-Newton step predicts the lowest sum of squares.
-
-    Every combination is linearised by itself, at the other values of the start, since moving a support changes the
-    derivatives by all other parameters. Beginning with the integers of the start, the search moves to the best
-    neighbour, each integer at most one off, until no neighbour predicts a lower sum of squares.
-    """
-    space = fit_problem.space
-    whole = [p for p in space.free if p.integer]
-    complete = space.complete(dict(start))
-    names = [p.name for p in space.free if not p.integer]
-    prior = Prior.of(space)
-    sd, shift = prior.widths(names), prior.residual(complete, names)
-    predicted: dict[tuple[int, ...], float] = {}
-
-    def prediction(numbers: tuple[int, ...]) -> float:
-        if numbers not in predicted:
-            here = {**complete, **{p.name: float(n) for p, n in zip(whole, numbers, strict=True)}}
-            try:
-                slope, residual = fit_problem.jacobian(here, names) * sd, fit_problem.residual(here)
-            except EvaluationError:
-                predicted[numbers] = math.inf
-                return math.inf
-            matrix = np.vstack([slope, np.eye(len(names))])
-            right = np.concatenate([residual, shift])
-            basis = la.qr(matrix, mode="economic")[0]
-            predicted[numbers] = float(right @ right - np.sum((basis.T @ right) ** 2))
-        return predicted[numbers]
-
-    if not whole:
-        return complete
-    here = tuple(round(complete[p.name]) for p in whole)
-    moves = _moves(len(whole))
-    while True:
-        near = [tuple(n + d for n, d in zip(here, move, strict=True)) for move in moves]
-        inside = [n for n in near if all(p.lower <= k <= p.upper for k, p in zip(n, whole, strict=True))]
-        best = min([here, *inside], key=prediction)
-        if best == here:
-            return {**complete, **{p.name: float(n) for p, n in zip(whole, here, strict=True)}}
-        here = best
-
-
 def _fitted(
     fit_problem: FitProblem, effects: tuple[str, ...], start: Mapping[str, float], settings: FitSettings, step: Step
 ) -> tuple[LinearisedFit, int]:
@@ -351,24 +324,6 @@ def neighbouring_integers(fit: LinearisedFit) -> list[LinearisedFit]:
     """First-order fits with other integers, each at most one off; see `LinearisedFit.relinearised`."""
     found = (_relinearised(fit, change) for change in other_whole(fit.fit_problem, fit.values))
     return [there for there in found if there is not None]
-
-
-def other_whole(fit_problem: FitProblem, values: Mapping[str, float]) -> list[dict[str, float]]:
-    """Other integers within their limits, each at most one off those of some values."""
-    whole = [p for p in fit_problem.space.free if p.integer]
-    out = []
-    for move in _moves(len(whole)):
-        change = {p.name: float(round(values[p.name]) + d) for p, d in zip(whole, move, strict=True)}
-        if any(move) and all(p.lower <= change[p.name] <= p.upper for p in whole):
-            out.append(change)
-    return out
-
-
-def _moves(count: int) -> list[tuple[int, ...]]:
-    """Steps of so many integers, all at once where they are few."""
-    if count <= _ALL_AT_ONCE:
-        return list(itertools.product((-1, 0, 1), repeat=count))
-    return [tuple(d if j == k else 0 for j in range(count)) for k in range(count) for d in (-1, 1)]
 
 
 def _better_whole(fit: LinearisedFit, reach: int) -> dict[str, float] | None:

@@ -84,7 +84,7 @@ def parameter_table(found: Explanation) -> pd.DataFrame:
     rows: list[tuple[object, ...]] = []
     for candidate_fit in explaining(found):
         fit, together = candidate_fit.fit, " + ".join(candidate_fit.names)
-        std = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)).tolist(), strict=True))
+        std = dict(zip(fit.names, fit.std.tolist(), strict=True))
         for effect in candidate_fit.effects:
             for p in effect.parameters:
                 value = fit.values[p.name]

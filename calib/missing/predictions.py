@@ -14,7 +14,7 @@ from calib.inference.rules import WIDE
 from calib.missing.adequacy import UNSEEN
 from calib.missing.discrepancy import Discrepancy
 from calib.problem.degrees_of_freedom import KNOWN, p_value
-from calib.problem.problem import Label, label_table
+from calib.problem.labels import Label, label_table
 
 TABLE, ERRORS = "unexplained_predictions", "unexplained_errors"
 """Names of the tables."""

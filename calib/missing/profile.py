@@ -19,7 +19,9 @@ def profile_interval(fit: LinearisedFit, name: str) -> tuple[float, float]:
     """95 % interval of one fitted parameter: where the profiled sum of squares increases by 1.96^2.
 
     The ends of the linearised interval are corrected by the root of the increase found there, which is linear in the
-    parameter for a Gaussian posterior (profile t; Bates and Watts 1988). An end beyond a limit is set to the limit.
+    parameter for a Gaussian posterior (profile t; Bates and Watts 1988). Errors that rows share do not average out:
+    they move both ends away from the fitted value as they widen its standard deviation (`LinearisedFit.std`). An end
+    beyond a limit is set to the limit.
 
     Parameters
     ----------
@@ -27,8 +29,11 @@ def profile_interval(fit: LinearisedFit, name: str) -> tuple[float, float]:
     name : str
     """
     k = fit.names.index(name)
-    std = float(np.sqrt(fit.covariance[k, k]))
-    return _end(fit, k, -std), _end(fit, k, std)
+    std, p, centre = float(np.sqrt(fit.covariance[k, k])), fit.fit_problem.space[name], fit.values[name]
+    low, high, wider = _end(fit, k, -std), _end(fit, k, std), float(fit.std[k]) / std
+    if wider > 1:
+        low, high = max(centre + wider * (low - centre), p.lower), min(centre + wider * (high - centre), p.upper)
+    return low, high
 
 
 def _end(fit: LinearisedFit, k: int, std: float) -> float:

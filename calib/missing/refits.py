@@ -23,9 +23,8 @@ from calib.missing.linearised_fit import (
     LinearisedFit,
     grown,
     least_squares_fit,
-    nearest_whole,
-    other_whole,
 )
+from calib.missing.nearest_integers import nearest_whole, other_whole
 from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
 from calib.missing.rules import RULES
@@ -265,7 +264,7 @@ class Refits:
 
     def _candidate_fit(self, names: tuple[str, ...], fit: LinearisedFit) -> CandidateFit:
         effects = tuple(self.by_name[n] for n in names)
-        added = (*effects, *self.granted)
+        added, fit = (*effects, *self.granted), replace(fit, shared=self.hypotheses.shared_errors / self.scale)
         return CandidateFit(effects, fit, ln_evidence(fit, added) - self.price(effects), implausible(fit, added))
 
     def starts(self, fit: LinearisedFit, found: Scores, name: str) -> list[dict[str, float]]:

@@ -16,7 +16,7 @@ from calib.missing.hypotheses import FitProblem
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.problem.candidate import Candidate
-from calib.problem.problem import Labelled
+from calib.problem.labels import Labelled
 
 _NEVER = 1e-3
 """Chance that any sample reaches a score, below which none is drawn."""

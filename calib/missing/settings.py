@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from calib.errors.errors import InputError
 from calib.missing.hypotheses import Hypotheses
 from calib.missing.rules import RULES
-from calib.problem.problem import Label
+from calib.problem.labels import Label
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from calib.missing.refits import Refits, near_to
 from calib.missing.rules import RULES
 from calib.problem import degrees_of_freedom
 from calib.problem.degrees_of_freedom import hat_root, p_value
-from calib.problem.problem import Label, Labelled, RowLabels
+from calib.problem.labels import Label, Labelled, RowLabels
 
 COLUMNS = ("what", "kind", "rows", "chi2", "dof", "p", "p_fit_without", "explains")
 _SINGULAR = 1e-9

@@ -180,7 +180,7 @@ def further(chosen: CandidateFit) -> str:
     out = []
     for q in (q for e in chosen.effects for q in e.parameters if q.name != e.name and q.name in chosen.fit.names):
         value, k = chosen.fit.values[q.name], chosen.fit.names.index(q.name)
-        reach = WIDE * math.sqrt(float(chosen.fit.covariance[k, k]))
+        reach = WIDE * float(chosen.fit.std[k])
         low, high = max(value - reach, q.lower), min(value + reach, q.upper)
         out.append(f"{q.name}: {magnitude_words(q, value, low, high)}.")
     return " ".join(out)

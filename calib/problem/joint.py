@@ -10,10 +10,12 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
+import scipy.linalg as la
 
 from calib.errors.errors import EvaluationError, InputError, again
 from calib.problem.degrees_of_freedom import behind
-from calib.problem.problem import Counts, Label, label_table
+from calib.problem.labels import Label, label_table
+from calib.problem.problem import Counts
 from calib.problem.space import Parameter, ParameterSpace
 
 _Result = TypeVar("_Result")
@@ -70,6 +72,14 @@ class JointRows:
     def relative_std(self) -> np.ndarray:
         """Relative standard deviation of every row, (n_rows,)."""
         return np.concatenate([problem.relative_std for problem in self.parts.values()])
+
+    @cached_property
+    def shared_errors(self) -> np.ndarray:
+        """Change of the residual by one standard deviation of every error that rows share, (n_rows, n_errors).
+
+        Each test has its own.
+        """
+        return np.asarray(la.block_diag(*(problem.shared_errors for problem in self.parts.values())))
 
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:

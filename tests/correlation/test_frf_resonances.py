@@ -1,8 +1,11 @@
 """Errors of a model at its resonances, which all lines and functions share."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import calib
 from calib.correlation.fault_rules import RULES
 from calib.correlation.frf.nuisance import ChannelError, channel_nuisances, concerned
 from calib.correlation.frf.problem import FRFProblem
@@ -10,6 +13,8 @@ from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.frf.resonances import ResonanceError
 from calib.errors.errors import InputError
 from calib.inference.gauss_newton import fit
+from calib.inference.identify import posterior
+from calib.measurement.accuracy import Claim
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
 from calib.problem.problem import PairProblem
@@ -145,3 +150,55 @@ def test_wrong_ones_are_refused(given, words):
 
 def test_the_largest_share_is_taken():
     assert ResonanceError("frequency", 3.0, 0.1, RULES.resonance_most).share == 5.0
+
+
+def claiming(data, share):
+    return replace(data, accuracy=Claim(share))
+
+
+def test_a_claimed_share_leaves_open_what_a_fitted_error_of_that_size_would_change(pair):
+    """Column by column the change of the residual by one standard deviation of the parameters of 3 %."""
+    data = claiming(measured(truth()), SHARE / 100)
+    shared = FRFResidual(FRFProblem(pair, data)).shared_errors
+    fitted = FRFResidual(FRFProblem(pair, data, channel_nuisances(data, resonance=SHARE)))
+    widths = {p.name: p.prior_width for p in fitted.space.parameters if p.name != "k"}
+    changes = fitted.jacobian(fitted.space.values, tuple(widths)) * list(widths.values())
+    np.testing.assert_allclose(-shared, changes, rtol=1e-6, atol=1e-9)
+    assert np.linalg.norm(shared, axis=0).min() > 1
+
+
+def test_nothing_is_shared_without_a_claim_and_where_it_is_fitted(pair):
+    data, claimed = measured(truth()), claiming(measured(truth()), 0.01)
+    errors = channel_nuisances(claimed, resonance=1.0)
+    rows = len(FRFResidual(FRFProblem(pair, data)).rows)
+    assert FRFResidual(FRFProblem(pair, data)).shared_errors.shape == (rows, 0)
+    assert FRFResidual(FRFProblem(pair, claimed, errors)).shared_errors.shape == (rows, 0)
+    assert FRFResidual(FRFProblem(pair, claimed, errors[:2])).shared_errors.shape == (rows, 2)  # of the other resonance
+
+
+def test_an_interval_knows_what_lines_share_where_nothing_is_fitted_for_it(pair):
+    """Resonances are off by what is claimed: k scatters as widely as its standard deviation with these errors."""
+    rng, pulls, narrow = np.random.default_rng(2), [], []
+    for seed in range(30):
+        data = claiming(measured(truth(SHARE / 100 * RATIO * rng.standard_normal(2)), seed), SHARE / 100)
+        residual = FRFResidual(FRFProblem(pair, data))
+        found = fit(PairProblem(residual, residual.space), residual.space)
+        slope, prior = residual.jacobian(found.values, ("k",)), np.array([residual.space["k"].prior_width])
+        for out, held in ((narrow, None), (pulls, residual.shared_errors)):
+            out.append((found.values["k"] - 2e4) / posterior(("k",), slope, prior, held).std[0])
+    assert np.sqrt(np.mean(np.square(narrow))) > 2 and 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.4
+
+
+def test_a_calibration_states_it_and_names_what_it_adds(pair):
+    data = claiming(measured(truth(), 1), SHARE / 100)
+    found = calib.Problem(pair, calib.FRFTest(data)).calibrate()
+    residual = FRFResidual(FRFProblem(pair, data))
+    slope, prior = residual.jacobian(found.values, ("k",)), np.array([residual.space["k"].prior_width])
+    alone, wide = (posterior(("k",), slope, prior, held).std[0] for held in (None, residual.shared_errors))
+    assert found.parameters.loc["k", "std"] == pytest.approx(wide, rel=1e-6) and wide > 2 * alone
+    (row,) = found.statistics.considered.to_dict("records")
+    assert row["parameter"] == "resonance_errors" and row["adds_to"] == "k" and row["matters"]
+    assert row["std_without"] == pytest.approx(alone, rel=1e-6) and row["std_with"] == pytest.approx(wide, rel=1e-6)
+    errors = channel_nuisances(data, resonance=SHARE)
+    freed = calib.Problem(pair, calib.FRFTest(data, nuisances=errors)).calibrate()
+    assert freed.parameters.loc["k", "std"] == pytest.approx(wide, rel=0.3)  # what the data say of these errors

@@ -93,6 +93,10 @@ class DeflectionResidual:
         return self.problem.relative_std
 
     @property
+    def shared_errors(self):
+        return np.zeros((len(self.rows), 0))
+
+    @property
     def std_dof(self):
         return self.problem.std_dof
 

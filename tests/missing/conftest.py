@@ -83,11 +83,16 @@ class Toy:
     std_dof: Mapping[str, float] = field(default_factory=dict)
     fails: Callable[[Mapping[str, float]], bool] = lambda values: False
     faults: tuple[Effect, ...] = ()
+    shared: tuple[np.ndarray, ...] = ()
     count: list[int] = field(default_factory=lambda: [0])
 
     @property
     def evaluations(self) -> int:
         return self.count[0]
+
+    @property
+    def shared_errors(self) -> np.ndarray:
+        return np.array(self.shared).reshape(len(self.shared), len(self.rows)).T
 
     def fit_problem(self, names: tuple[str, ...]) -> ToyProblem:
         known = {e.name: e for e in (*self.effects, *self.perturbations, *self.faults)}

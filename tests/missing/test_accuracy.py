@@ -9,7 +9,7 @@ from scipy.stats import chi2, f
 
 from calib.missing.accuracy import accuracy_sentence, less_accurate
 from calib.missing.decision import decide
-from calib.problem.problem import RowLabels
+from calib.problem.labels import RowLabels
 
 
 @pytest.mark.parametrize("verdict", ["nothing_detectable", "noise_underestimated"])

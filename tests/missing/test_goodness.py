@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from calib.missing.goodness import goodness, misfit_factor, noise_scale, overall
-from calib.problem.problem import RowLabels
+from calib.problem.labels import RowLabels
 
 
 def tables(toy, fit, factors=None, dof=None):

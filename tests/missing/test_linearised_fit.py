@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calib.errors.errors import EvaluationError
-from calib.missing.linearised_fit import least_squares_fit, nearest_whole, neighbouring_integers
+from calib.missing.linearised_fit import least_squares_fit, neighbouring_integers
+from calib.missing.nearest_integers import nearest_whole
 
 
 def matrix(toy, names):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, minimize
 
+from calib.missing.decision import decide
 from calib.missing.profile import profile_interval
 
 
@@ -94,3 +95,41 @@ def test_the_interval_ends_where_the_model_cannot_be_solved(toy):
     fit = replace(toy, fails=lambda values: values.get("E0", 0.0) > 1.1).calibrated("E0", start={"E0": 0.9})
     low, high = profile_interval(fit, "E0")
     assert low < 0.95 and np.isfinite(high) and high > fit.values["E0"]
+
+
+def sharing(toy, size=3.0):
+    """The toy whose rows share an error that looks like its first effect, of so many standard deviations in all."""
+    column = size * toy.columns["E0"] / np.linalg.norm(toy.columns["E0"])
+    return replace(toy, shared=(column,))
+
+
+def test_errors_that_rows_share_widen_the_interval_to_its_level(toy):
+    """A common error beside the noise of every row: the interval of independent errors misses, this one does not."""
+    toy = sharing(toy(signed=("E0",), parameters=2, modes=4, sensors=4, size=4.0))
+    rng, inside = np.random.default_rng(7), {False: 0, True: 0}
+    for _ in range(150):
+        truth = rng.normal()
+        drawn = toy.drawn(rng, {"E0": truth})
+        alone = replace(drawn, data=drawn.data + toy.shared[0] * rng.standard_normal()).calibrated("E0")
+        for knows, fit in ((False, alone), (True, replace(alone, shared=toy.shared_errors))):
+            low, high = profile_interval(fit, "E0")
+            inside[knows] += low <= truth <= high
+    assert inside[False] / 150 < 0.7 and 0.9 <= inside[True] / 150 <= 0.99
+
+
+def test_what_rows_share_changes_intervals_and_no_verdict(toy):
+    toy = toy(signed=("E0",), effects=3, parameters=2, modes=4, sensors=4, size=8.0)
+    drawn = toy.drawn(np.random.default_rng(8), {"E0": 2.0})
+    one, other = (decide(own) for own in (drawn, sharing(drawn)))
+    assert one.verdict == other.verdict == "effect" and one.chosen.ln_evidence == other.chosen.ln_evidence
+    assert one.chosen.fit.values == other.chosen.fit.values
+    assert other.chosen.magnitude("E0")[1] > 2 * one.chosen.magnitude("E0")[1]
+    (low, high), (wide_low, wide_high) = (profile_interval(found.chosen.fit, "E0") for found in (one, other))
+    assert wide_high - wide_low > 2 * (high - low) and wide_low < low < high < wide_high
+
+
+def test_a_limit_ends_a_widened_interval_too(toy):
+    toy = sharing(toy(effects=1, size=2.0), 20.0).drawn(np.random.default_rng(4), {"E0": 0.6})
+    narrow = replace(toy.effects[0], magnitude=replace(toy.effects[0].magnitude, upper=2.0))
+    fit = replace(replace(toy, effects=(narrow,)).calibrated("E0"), shared=toy.shared_errors)
+    assert profile_interval(fit, "E0") == (0.0, 2.0)

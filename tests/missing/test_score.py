@@ -11,7 +11,7 @@ from calib.missing.evidence import ln_evidence
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, _reached, correlation, family_p, noise_limit, scores
-from calib.problem.problem import RowLabels
+from calib.problem.labels import RowLabels
 
 
 def many(toy, fit: LinearisedFit, found: Scores, draws: int, seed: int, scale=None) -> np.ndarray:

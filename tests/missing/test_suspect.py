@@ -10,7 +10,7 @@ import pytest
 from calib.missing.goodness import goodness, overall
 from calib.missing.linearised_fit import FINE, least_squares_fit, linearised
 from calib.missing.suspect import data_of, suspect_in_short, suspect_sentence, suspects_table
-from calib.problem.problem import RowLabels
+from calib.problem.labels import RowLabels
 
 
 def linear(toy, wrong, seed=1, modes=6, sensors=6):

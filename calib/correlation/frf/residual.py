@@ -12,6 +12,7 @@ import numpy as np
 from calib.correlation.frf.comparison import FRFComparison
 from calib.correlation.frf.faults import FRFFault, frf_faults
 from calib.correlation.frf.problem import DEFINITION, FRFProblem
+from calib.correlation.frf.resonances import ResonanceError, claimed_at_resonances
 from calib.errors.errors import InputError
 from calib.execution.outcome import named_responses
 from calib.problem.degrees_of_freedom import KNOWN, beside_known
@@ -137,6 +138,16 @@ class FRFResidual:
         """Standard deviation of every row over the modulus of its FRF, (n_rows,)."""
         size = self._stacked(np.abs(self.problem.measured.values) * (1 + 1j))
         return np.divide(self.std, size, out=np.full(len(size), np.inf), where=size > 0)
+
+    @cached_property
+    def shared_errors(self) -> np.ndarray:
+        """Change of the residual by one standard deviation of what is claimed at every resonance, (n_rows, n_errors).
+
+        See `calib.correlation.frf.resonances.claimed_at_resonances`; without errors of resonances that are fitted.
+        """
+        fitted = {n.name for n in self.problem.nuisances if isinstance(n, ResonanceError)}
+        changes = claimed_at_resonances(self.problem.measured, fitted)
+        return np.asarray((self._stacked(changes) / self.std).T)
 
     @property
     def fitted_factors(self) -> Mapping[tuple[str, str], int]:

@@ -6,6 +6,7 @@ modulus says little of that: counted at each line by itself it averages out over
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -103,12 +104,16 @@ class ResonanceError(FactorError):
         return "resonance at "
 
     @property
+    def sd(self) -> float:
+        """Standard deviation of the relative error, %."""
+        return self.share * (self.ratio if self.kind == "frequency" else 1.0)
+
+    @property
     def parameter(self) -> Parameter:
         """Such as ``frequency_at_2.709_Hz``, in %."""
-        sd = self.share * (self.ratio if self.kind == "frequency" else 1.0)
-        most = RULES.limit * sd
+        most = RULES.limit * self.sd
         return Parameter(
-            f"{self.kind}_at_{self.freq:.6g}_Hz{in_test(self.test)}", 0.0, -most, most, "%", prior_sd=sd,
+            f"{self.kind}_at_{self.freq:.6g}_Hz{in_test(self.test)}", 0.0, -most, most, "%", prior_sd=self.sd,
             description=f"error of the model's {self.kind} at {self.freq:.4g} Hz{in_test(self.test)}",
         )  # fmt: skip
 
@@ -135,5 +140,35 @@ def of_every_resonance(measured: MeasuredFRFs, share: float) -> tuple[ResonanceE
     share : float
         Standard deviation of the change of the functions at the peak, % of the modulus.
     """
-    kinds: tuple[ResonanceKind, ...] = ("frequency", "damping")
-    return tuple(ResonanceError(k, r.freq, r.width, share) for r in measured.resonances() for k in kinds)
+    return tuple(ResonanceError(k, r.freq, r.width, share) for r in measured.resonances() for k in _KINDS)
+
+
+_KINDS: tuple[ResonanceKind, ...] = ("frequency", "damping")
+
+
+def claimed_at_resonances(measured: MeasuredFRFs, fitted: Collection[str] = ()) -> np.ndarray:
+    """Changes of measured functions by what their claimed accuracy leaves open at every resonance.
+
+    A share of the modulus that is claimed because the model is not exact is no independent error of every line: at a
+    resonance it is a shift or another damping, which all lines and all functions there share. Each is one standard
+    deviation of `ResonanceError` for the claimed share, to first order.
+
+    Parameters
+    ----------
+    measured : MeasuredFRFs
+    fitted : collection of str
+        Names of resonances whose errors are fitted; they are left out.
+
+    Returns
+    -------
+    ndarray (n_errors, n_freq, n_responses, n_references), complex
+        In the unit of the quantity; none without a claimed share.
+    """
+    claimed = measured.accuracy.share
+    errors = of_every_resonance(measured, 1.0) if claimed > 0 else ()
+    changes = [
+        claimed * error.sd * error.log_slope(0.0, measured.freq)[:, None, None] * measured.values
+        for error in errors
+        if error.name not in fitted
+    ]
+    return np.array(changes, dtype=complex).reshape(len(changes), *measured.values.shape)

@@ -111,6 +111,11 @@ class ModalResidual:
         return np.concatenate(blocks)
 
     @property
+    def shared_errors(self) -> np.ndarray:
+        """(n_rows, 0): modes share no errors that their standard deviations do not tell."""
+        return np.zeros((len(self.rows), 0))
+
+    @property
     def row_freqs(self) -> np.ndarray:
         """Natural frequency of the measured mode of every row, (n_rows,), Hz."""
         measured = self.problem.measured

@@ -73,6 +73,11 @@ class ResponseResidual:
         return np.full(len(self.rows), np.nan)
 
     @property
+    def shared_errors(self) -> np.ndarray:
+        """(n_rows, 0): errors of responses are independent."""
+        return np.zeros((len(self.rows), 0))
+
+    @property
     def relative_std(self) -> np.ndarray:
         """Relative standard deviation of every row, (n_rows,); infinite for a value of 0."""
         values, std = self.measured_values, self.std

@@ -16,7 +16,8 @@ from calib.missing.adequacy import adequacy_of, beside
 from calib.missing.candidate_fit import CandidateFit, WrongDatum
 from calib.missing.evidence import at_lower, ln_bayes_linear
 from calib.missing.hypotheses import FitProblem, Hypotheses
-from calib.missing.linearised_fit import LinearisedFit, nearest_whole
+from calib.missing.linearised_fit import LinearisedFit
+from calib.missing.nearest_integers import nearest_whole
 from calib.missing.refits import Refits, near_to
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, family_p, scored, scores
