@@ -131,7 +131,7 @@ class CalibrationSettings(Section):
     refine: bool = True
     """Whether least squares follow a search."""
     starts: int = Field(default=6, ge=1, le=10_000)
-    """Starts of ``gauss-newton``."""
+    """Starts of ``gauss-newton``; on FRFs more where the fit from these is rejected."""
     time_limit: float = Field(default=3600.0, gt=0, le=1e7)
     """Longest time of one evaluation of a function of your own, s."""
     weight_freq: float = Field(default=1.0, ge=0, le=1e12)

@@ -12,7 +12,8 @@ import pytest
 
 BENCH = Path(__file__).resolve().parents[1] / "benchmarks"
 NAMES = (
-    "missing_physics", "rates", "rates_faults", "rates_frame", "rates_scenarios", "rates_subject", "rates_table",
+    "missing_physics", "rates", "rates_faults", "rates_frame", "rates_frame_frf", "rates_scenarios", "rates_subject",
+    "rates_table",
 )  # fmt: skip
 
 
@@ -137,6 +138,77 @@ def test_a_misplaced_sensor_and_an_odd_repeat_are_measured(worlds, monkeypatch):
     odd, plain = (world.measure(scenario(world, f"fault/{name}"), 0).whole for name in ("odd repeat", "gain"))
     assert odd.freq_std.mean() > 2 * plain.freq_std.mean()
     assert world.specimen.layout is worlds[0].specimen.layout  # put back
+
+
+@pytest.fixture(scope="module")
+def by_frfs(bench, tmp_path_factory):
+    """Damped frames under two shakers."""
+    subject = bench["rates_subject"].FRAME_FRF
+    return bench["rates_frame_frf"].FRFFrameWorld(subject, tmp_path_factory.mktemp("frf"), "test")
+
+
+def test_thirty_frames_by_frfs_are_a_round(by_frfs):
+    groups = {group: sum(s.each for s in by_frfs.kinds if s.group == group) for group in ("nothing", "fault", "single")}
+    assert groups == {"nothing": 6, "fault": 6, "single": 14} and sum(s.each for s in by_frfs.kinds) == 30
+
+
+@pytest.mark.parametrize("kind", ["gain", "phase"])
+def test_a_wrong_channel_is_read_by_its_functions_alone(bench, by_frfs, kind):
+    made, test = bench["rates_frame_frf"], by_frfs._test
+    for number in range(6):
+        fault = made.Fault.drawn(kind, test, np.random.default_rng(number))
+        factors = fault.factors(test)
+        touched = np.abs(factors - 1) > 1e-12
+        wrong = test.responses if fault.side == "response" else test.references
+        assert touched.sum() == factors.size / len(wrong)
+        (factor,) = np.unique(np.round(factors[touched], 12))
+        size = abs(factor) if fault.side == "response" else 1 / abs(factor)
+        angle = np.degrees(np.angle(factor)) * (1 if fault.side == "response" else -1)
+        assert (size - 1, angle) == pytest.approx((fault.size, 0.0) if kind == "gain" else (0.0, fault.size), abs=1e-9)
+
+
+def test_a_wrong_channel_is_a_candidate_and_no_parameter(by_frfs):
+    kind = scenario(by_frfs, "fault/gain")
+    measured = by_frfs.measure(kind, 0)
+    asked = by_frfs.hypotheses(kind, measured)
+    assert measured.fault.name in {fault.name for fault in asked.faults}
+    free = set(asked.space.free_names)
+    assert measured.fault.name not in free and any("frequency_at" in name for name in free)
+    ratio = np.abs(measured.whole.values / measured.clean.values)
+    names = [s.name for s in measured.whole.responses]
+    own = names.index(measured.fault.channel.name)
+    assert np.median(ratio[:, own]) == pytest.approx(1 + measured.fault.size, abs=0.01)
+    assert np.median(np.delete(ratio, own, axis=1)) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("row", "right"),
+    [
+        ({"group": "nothing", "verdict": "nothing_detectable"}, True),
+        ({"group": "nothing", "verdict": "none_explains"}, False),
+        ({"group": "fault", "verdict": "measurement", "blamed": ["gain_1x"], "fault": "gain_1x"}, True),
+        ({"group": "fault", "verdict": "measurement", "blamed": ["gain_2x"], "fault": "gain_1x"}, False),
+        ({"group": "fault", "verdict": "effect", "blamed": [], "fault": "gain_1x", "credible": ["brace"]}, False),
+        ({"group": "single", "verdict": "effect", "outcome": "right", "credible": ["brace"], "visible": [9]}, True),
+        (
+            {"group": "single", "verdict": "partial", "outcome": "partial", "visible": [9], "nearly": {"right": True}},
+            True,
+        ),
+        ({"group": "single", "verdict": "nothing_detectable", "outcome": "nothing_detectable", "visible": [9]}, False),
+        ({"group": "single", "verdict": "nothing_detectable", "outcome": "nothing_detectable", "visible": [2]}, True),
+        ({"group": "outside", "verdict": "none_explains", "outcome": "none_explains", "visible": [9]}, True),
+        ({"group": "outside", "verdict": "effect", "outcome": "wrong", "credible": ["brace"], "visible": [9]}, False),
+        ({"group": "outside", "verdict": "failed", "outcome": "failed"}, False),
+    ],
+)
+def test_what_counts_as_told_rightly(bench, row, right):
+    assert bench["rates_frame_frf"].told_rightly({"credible": [], **row}) is right
+
+
+@pytest.mark.slow
+def test_a_channel_of_frfs_is_told_as_wrong(by_frfs):
+    row = by_frfs.run(scenario(by_frfs, "fault/gain"), 0)
+    assert row["verdict"] == "measurement" and row["blamed"] == [row["fault"]] and row["told_rightly"]
 
 
 def test_the_plan_has_a_thousand_cases_of_every_subject(bench):

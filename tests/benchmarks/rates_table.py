@@ -246,6 +246,14 @@ def rates(rows: Sequence[Row]) -> list[Rate]:
         rate(f"{three} of any score", "names a wrong effect", 0.02, False, triples, wrong),
         rate(f"{one}, named", "its 95 % interval covers the truth", 0.90, True, covering, lambda r: bool(r["covers"])),
         rate("a fault of the measurement", "names a wrong effect", 0.01, False, group("fault"), wrong),
+        rate(
+            "one wrong channel", "tells it", 0.90, True, [r for r in group("fault") if r.get("fault")],
+            lambda r: r["blamed"] == [r["fault"]],
+        ),
+        rate(
+            "nothing, a wrong channel, an effect or a design outside", "is told rightly", 0.83, True,
+            [r for r in rows if "told_rightly" in r], lambda r: bool(r["told_rightly"]),
+        ),
     ]  # fmt: skip
 
 
