@@ -213,6 +213,7 @@ def test_it_linearises_again_where_matrices_are_not_linear(frfs):
     assert abs(start_of(problem_of(model, frfs))["h"] - 1) < 0.04
 
 
+@pytest.mark.slow
 def test_a_rejected_calibration_starts_further(frfs):
     """Without a drive point there is no linear start, and least squares from the nominal values end in a minimum."""
     few = frfs.without(["1x"], ["4x"])
