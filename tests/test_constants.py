@@ -41,6 +41,7 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "missing/score.py": "_NEVER",
     "missing/suspect.py": "_SINGULAR",
     "sensitivity/partial.py": "OWN_PART",
+    "sensitivity/polynomials.py": "_OWN",
     "structure/eigenproblem/deflation.py": "_CLEAR _CONVERGED _SAME",
     "structure/bordered.py": "_RESIDUAL",
     "structure/eigenproblem/derivatives.py": "NEIGHBOUR REPEATED _BESIDE",
@@ -90,7 +91,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "hypotheses/design/imagined.py": "_TRIES",
     "analyses/provenance/places.py": "QUICK_SAMPLES QUICK_POPULATION QUICK_GENERATIONS QUICK_STARTS "
     "QUICK_TRAJECTORIES QUICK_BASE QUICK_SAMPLED",
-    "analyses/sensitivity.py": "TRAJECTORIES BASE",
+    "analyses/screening.py": "TRAJECTORIES BASE",
     "analyses/extend.py": "STARTS",
     "correlation/modal/order.py": "_STEP",
     "inference/cases.py": "FAILED",

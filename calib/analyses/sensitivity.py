@@ -1,28 +1,20 @@
-"""Sensitivity analysis: rank correlations, variance shares, and the selection of parameters."""
+"""Sensitivity analysis: rank correlations, variance shares, the selection of parameters, and metamodels."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pandas as pd
 
-from calib.analyses.answers import of_sensitivity, screening_answer
+from calib.analyses.answers import of_sensitivity
 from calib.analyses.failures import reasons, reasons_sentence
 from calib.analyses.joint_responses import Responses
-from calib.analyses.provenance.places import (
-    QUICK_BASE,
-    QUICK_SAMPLES,
-    QUICK_TRAJECTORIES,
-    Workers,
-    is_quick,
-    open_evaluator,
-)
+from calib.analyses.provenance.places import QUICK_SAMPLES, Workers, is_quick, open_evaluator
 from calib.analyses.provenance.record import analyses_of, begin_analysis, write_record
 from calib.analyses.provenance.recorded import recorded
 from calib.analyses.provenance.state import made_from, state_differences
@@ -38,19 +30,15 @@ from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.results.table import read_table
 from calib.results.written import is_own, require_unchanged
-from calib.sensitivity.rules import RULES
+from calib.sensitivity.prognosis import Prognosis, prognosis
 from calib.sensitivity.selection import Assessment, assess
 from calib.sensitivity.spearman import noise_floor
-from calib.sensitivity.variance import Design, morris_design, morris_effects, sobol_design, sobol_shares
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 from calib.study.study_file import shell_argument
 
 _BATCH = 50
 """Points evaluated and added to the ledger in one batch."""
-TRAJECTORIES, BASE = 20, 128
-"""Trajectories of Morris, twice those that usually rank well (`RULES.trajectories`), and base points of Sobol, a power
-of 2: the shares of a smooth function of five parameters then have a standard error of 0.01."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +65,8 @@ class Sensitivity:
         The commonest reasons of failure; empty without any.
     wide : str
         See `calib.problem.space.ParameterSpace.wide_sentence`.
+    prognosis : Prognosis
+        Metamodels of the responses, and how well they predict.
     """
 
     assessment: Assessment
@@ -88,6 +78,7 @@ class Sensitivity:
     sampled: pd.DataFrame
     why_failed: str = ""
     wide: str = ""
+    prognosis: Prognosis = field(default_factory=lambda: Prognosis(()))
 
     @property
     def table(self) -> pd.DataFrame:
@@ -110,6 +101,7 @@ class Sensitivity:
             f"Chance alone gives rank correlations up to {self.noise_floor:.2f}.",
             *filter(None, [self.wide, self.why_failed]),
             self.assessment.sentence,
+            *self.prognosis.sentences,
         )
 
 
@@ -129,6 +121,8 @@ def sensitivity(
     results.write_table("partial", assessment.partial, index=True)
     results.write_table("variance_share", assessment.variance_share.table, index=True)
     results.write_table("selection", assessment.selection)
+    results.write_table("prognosis", answer.prognosis.table)
+    results.write_table("prognosis_inputs", answer.prognosis.inputs)
     results.write_table("sensitivity_samples", answer.sampled)
     if study.sensitivity_space.constraints:
         results.write_table("input_correlation", assessment.input_correlation, index=True)
@@ -141,14 +135,14 @@ def sampled(
     study: AnyStudy, ledger: Ledger, workers: Workers = None, quick: bool = False, progress: Progress = silent
 ) -> Sensitivity:
     """Sample all free parameters by a constrained Latin hypercube; rank correlations, variance shares, selection."""
-    settings, space, names = study.settings.sensitivity, _space(study), Responses.of(study).measured
+    settings, space, names = study.settings.sensitivity, varied(study), Responses.of(study).measured
     count = min(settings.samples, QUICK_SAMPLES) if quick else settings.samples
     points = sample(space, count, settings.seed)
-    outcomes = _evaluate(study, ledger, [space.complete(x) for x in points.points], workers, progress)
+    outcomes = evaluated(study, ledger, [space.complete(x) for x in points.points], workers, progress)
     return measured(space, points, outcomes, names, study.settings.listed)
 
 
-def _space(study: AnyStudy) -> ParameterSpace:
+def varied(study: AnyStudy) -> ParameterSpace:
     """The parameters that are varied."""
     return study.search_space if len(study.studies) > 1 else study.studies[0].sensitivity_space
 
@@ -181,7 +175,8 @@ def measured(
     why = reasons_sentence(space, reasons(outcomes), len(outcomes))
     samples = pd.concat([x, y], axis=1)
     unpaired, wide = len(x) - known - failed, space.wide_sentence
-    return Sensitivity(assessment, len(x), failed, unpaired, drawn.acceptance, floor, samples, why, wide)
+    found = prognosis(space, x, y)
+    return Sensitivity(assessment, len(x), failed, unpaired, drawn.acceptance, floor, samples, why, wide, found)
 
 
 def selected_by_measures(study: LoadedStudy, home: Results) -> LoadedStudy:
@@ -242,129 +237,17 @@ def selected_in(path: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return tuple(table["parameter"][table["selected"].astype(bool)]), tuple(table["parameter"])
 
 
-# -- on request --------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Screening:
-    """Elementary effects (Morris) or variance shares (Sobol).
-
-    Attributes
-    ----------
-    method : {"morris", "sobol"}
-    table : DataFrame
-        One row per parameter and response.
-    points : int
-        Evaluated points.
-    note : str
-        What the sampling ignores, such as constraints.
-    failed : int
-        Points at which the model could not be evaluated.
-    unpaired : int
-        Points at which some response is unknown though the model was evaluated.
-    why_failed : str
-        The commonest reasons of failure; empty without any.
-    """
-
-    method: str
-    table: pd.DataFrame
-    points: int
-    note: str
-    failed: int = 0
-    unpaired: int = 0
-    why_failed: str = ""
-
-    @property
-    def answer(self) -> Answer:
-        """What was found, how sure that is, and what to do next."""
-        return screening_answer(self.method, self.table, self.sentences[0])
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """Number of points, those that are lost, with the trajectories that they take along; reasons of failure."""
-        points = f"{self.points} point{'s' * (self.points != 1)}"
-        points += f", {self.failed} failed" if self.failed else ""
-        points += f", {self.unpaired} left a response unknown" if self.unpaired else ""
-        told = " ".join(filter(None, [f"{points}.", self._dropped, self.note]))
-        return (told, *([self.why_failed] if self.why_failed else []))
-
-    @property
-    def _dropped(self) -> str:
-        """What is left of the trajectories, in words; empty where all are."""
-        if self.method != "morris" or not self.table["dropped"].any():
-            return ""
-        rows = self.table.drop_duplicates("response").to_dict("records")
-        worst, least = (pick(rows, key=lambda row: row["dropped"]) for pick in (max, min))
-        words = f"{worst['dropped']} of {worst['dropped'] + worst['trajectories']} trajectories are dropped"
-        if least["dropped"] < worst["dropped"]:
-            words += f" for {worst['response']}, {least['dropped']} for {least['response']}"
-        words += "; the others hold where the model can be evaluated, not over the whole limits."
-        if worst["trajectories"] < RULES.trajectories:
-            words += f" Fewer than {RULES.trajectories} rank parameters less surely."
-        return words
-
-
-def screen(
-    study: LoadedStudy,
-    results: Results,
-    ledger: Ledger,
-    method: Literal["morris", "sobol"],
-    workers: Workers = None,
-    quick: bool = False,
-    ignore_constraints: bool = False,
-    progress: Progress = silent,
-) -> Screening:
-    """Morris' elementary effects or Sobol's variance shares; writes their table, see `screened`."""
-    answer = screened(study, ledger, method, workers, quick, ignore_constraints, progress)
-    analysis = f"sensitivity --method {method}"
-    begin_analysis(results, analysis)
-    results.write_table(method, answer.table)
-    options, seed = ["--ignore-constraints"] * ignore_constraints, study.settings.sensitivity.seed
-    write_record(study, results, analysis, {"points": seed}, answer.sentences, quick, options, answer.answer)
-    return answer
-
-
-def screened(
-    study: AnyStudy,
-    ledger: Ledger,
-    method: Literal["morris", "sobol"],
-    workers: Workers = None,
-    quick: bool = False,
-    ignore_constraints: bool = False,
-    progress: Progress = silent,
-) -> Screening:
-    """Morris' elementary effects or Sobol's variance shares, for independent inputs between their limits."""
-    space, seed = _space(study), study.settings.sensitivity.seed
-    design: Design
-    if method == "morris":
-        design = morris_design(
-            space, QUICK_TRAJECTORIES if quick else TRAJECTORIES, seed, ignore_constraints=ignore_constraints
-        )
-    elif method == "sobol":
-        design = sobol_design(space, QUICK_BASE if quick else BASE, seed, ignore_constraints)
-    else:
-        raise InputError(
-            f"there is no method {method!r}", place="sensitivity, method", remedy="it is ranks, morris or sobol"
-        )
-    outcomes = _evaluate(study, ledger, [space.complete(x) for x in design.points], workers, progress)
-    responses = table_of(outcomes, Responses.of(study).measured)
-    failed = sum(o.status != "ok" for o in outcomes)
-    unpaired = int(responses.isna().any(axis=1).sum()) - failed
-    why = reasons_sentence(space, reasons(outcomes), len(outcomes))
-    table = morris_effects(design, responses) if method == "morris" else sobol_shares(design, responses)
-    return Screening(method, table, len(design.points), design.note, failed, unpaired, why)
-
-
 # -- evaluations -------------------------------------------------------------------------------------------------------
 
 
-def _evaluate(
+def evaluated(
     study: AnyStudy,
     ledger: Ledger,
     points: Sequence[Mapping[str, float]],
     workers: Workers,
     progress: Progress,
 ) -> list[Outcome]:
+    """Outcomes of points, in their order; an error where none could be evaluated."""
     outcomes: list[Outcome] = []
     responses = Responses.of(study)
     with _evaluator(study, ledger, responses, workers, len(points)) as evaluator:
@@ -375,7 +258,7 @@ def _evaluate(
             progress("sampling", len(outcomes), len(points))
     if all(o.status != "ok" for o in outcomes):
         found = reasons(outcomes)
-        words = reasons_sentence(_space(study), found, len(outcomes))
+        words = reasons_sentence(varied(study), found, len(outcomes))
         if study.in_memory:
             raise EvaluationError(f"the model cannot be evaluated within its limits: {words}", at=found[0].first.at)
         raise InputError(words, place=study.file, remedy="check the model over the limits of its parameters")

@@ -162,7 +162,7 @@ def draw_designs(
     written: list[Path] = []
     axes = [*found.space.free_names, "objective"]
     labels = {p.name: f"{p.name}, {p.unit}" for p in found.space.parameters if p.unit not in ("", "-")}
-    drawings = [(f"anthill_{_plain(x)}_{_plain(y)}", partial(draw_anthill, found.table, x, y)) for x, y in clouds]
+    drawings = [(f"anthill_{plain(x)}_{plain(y)}", partial(draw_anthill, found.table, x, y)) for x, y in clouds]
     if parallel:
         drawings.append(("designs_parallel", partial(draw_parallel, found.table, axes, "objective", parallel)))
     for name, drawing in drawings:
@@ -173,7 +173,8 @@ def draw_designs(
     return tuple(written)
 
 
-def _plain(name: str) -> str:
+def plain(name: str) -> str:
+    """A name as a part of a file's name."""
     return re.sub(r"[^\w.-]+", "_", name)
 
 

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from calib.analyses.extend import Extension
     from calib.analyses.intervals import Intervals
     from calib.analyses.propose import ProposalResult
-    from calib.analyses.sensitivity import Screening, Sensitivity
+    from calib.analyses.screening import Screening
+    from calib.analyses.sensitivity import Sensitivity
     from calib.analyses.versions import Versions
     from calib.api.entries.entry import Entry
     from calib.missing.explanation import Explanation

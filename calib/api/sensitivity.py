@@ -5,17 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import pandas as pd
 
-from calib.analyses.sensitivity import Sensitivity, sampled, screened
+from calib.analyses.screening import screened
+from calib.analyses.sensitivity import Sensitivity, sampled
 from calib.api.arguments import with_keys
 from calib.api.display import Displayed
 from calib.api.entries.entry import Entry
 from calib.api.pairs import ledger_or_memory, reporting
 from calib.api.protocols import ProblemLike
+from calib.errors.arguments import path as path_of
 from calib.execution.executor import Injected
+from calib.sensitivity.prognosis import Prognosis
 from calib.study.several import AnyStudy
 
 
@@ -76,6 +80,21 @@ class Assessed(Displayed):
         return self.answer.assessment.variance_share.table
 
     @property
+    def prognosis(self) -> Prognosis:
+        """Metamodels: ``.table`` and ``.inputs`` of CoP, ``prognosis["f"](points)`` predicts a response."""
+        found: Prognosis = self.answer.prognosis
+        return found
+
+    def draw(self, path: str | Path, response: str, inputs: tuple[str, str] | None = None) -> Path:
+        """Draw a metamodel against the model, or its surface over two inputs, into a PNG file; returns the file.
+
+        The other inputs of a surface have their nominal values.
+        """
+        from calib.api.metamodel_figures import draw_metamodel
+
+        return draw_metamodel(self.prognosis[response], self.samples, path_of(path, "path"), inputs)
+
+    @property
     def table(self) -> pd.DataFrame:
         """One row per parameter: its largest measures, the responses they belong to, and whether it is selected."""
         if not isinstance(self.answer, Sensitivity):
@@ -93,7 +112,7 @@ class Assessed(Displayed):
     @property
     def lines(self) -> Mapping[str, str]:
         """The answer by the labels of its lines, and where the rest is."""
-        rest = ".sentences, .spearman, .partial, .variance_share, .samples; .selected for calibrate"
+        rest = ".sentences, .spearman, .partial, .variance_share, .prognosis, .samples; .selected for calibrate"
         evidence = rest if isinstance(self.answer, Sensitivity) else ".table"
         return {**self.answer.answer.labelled, "Evidence": evidence}
 

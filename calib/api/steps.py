@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from calib.analyses.compare import ComparisonResult
     from calib.analyses.designs import Designs
     from calib.analyses.intervals import Intervals
-    from calib.analyses.sensitivity import Screening, Sensitivity
+    from calib.analyses.screening import Screening
+    from calib.analyses.sensitivity import Sensitivity
     from calib.missing.findings import ExplanationResult
     from calib.results.ledger import Ledger
     from calib.study.several import AnyStudy
@@ -60,7 +61,7 @@ def sampled(study: Any) -> Sensitivity:
 
 def screened(study: Any, method: Literal["morris", "sobol"], ignore_constraints: bool) -> Screening:
     """Indices of Morris or Sobol of the only test."""
-    from calib.analyses.sensitivity import screen
+    from calib.analyses.screening import screen
 
     loaded, workers, quick = study.one, study.workers, study.quick
     study.listener.begins(loaded, f"sensitivity, {method.capitalize()}")

@@ -175,18 +175,25 @@ class Study:
         method: Literal["ranks", "morris", "sobol"] = "ranks",
         *,
         ignore_constraints: bool = False,
+        residuals: Sequence[str] = (),
+        surfaces: Sequence[tuple[str, str, str]] = (),
         executor: Executor | Injected | None = None,
     ) -> AnalysisResult:
         """Global sensitivity: rank correlations over a Latin hypercube, or the indices of Morris or Sobol.
 
-        Each test is analysed by itself. ``executor`` evaluates the points; see `run`.
+        Each test is analysed by itself. Metamodels of the responses in ``residuals`` are drawn against the model, those
+        of ``surfaces`` (response and two inputs) over the inputs. ``executor`` evaluates the points; see `run`.
         """
         from calib.api.entries.compared import sensitivity_entries
+        from calib.api.metamodel_figures import draw_metamodels
 
         answers, entries = dict[str, Any](), {}
         for study in self._by(executor).tests:
             found = steps.sampled(study) if method == "ranks" else steps.screened(study, method, ignore_constraints)
             answers[study.one.test], entries[study.one.test] = found, sensitivity_entries(study.one, found)
+            if residuals or surfaces:
+                drawn = draw_metamodels(found, study.one, study.folder.path, residuals, surfaces)
+                self.listener.drawn(study.one, drawn, None)
         self.draw()
         printed = by_test(entries)
         if len(answers) == 1:

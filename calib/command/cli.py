@@ -146,11 +146,19 @@ def sensitivity(
     ignore_constraints: Annotated[
         bool, typer.Option("--ignore-constraints", help="Let morris and sobol ignore the constraints.")
     ] = False,
+    residuals: Annotated[
+        str | None, typer.Option("--residuals", metavar="RESPONSE", help="Draw its metamodel against the model.")
+    ] = None,
+    surface: Annotated[
+        tuple[str, str, str] | None,
+        typer.Option("--surface", metavar="RESPONSE X Y", help="Draw its metamodel over two parameters."),
+    ] = None,
     verbose: Verbose = False,
 ) -> None:
-    """Find which parameters matter: Latin hypercube, rank correlations, variance shares, selection with reasons."""
+    """Find which parameters matter: Latin hypercube, rank correlations, variance shares, selection, metamodels."""
     with _study("sensitivity", study, results, verbose, workers, quick) as loaded:
-        loaded.sensitivity(method.value, ignore_constraints=ignore_constraints)
+        named = {"residuals": [residuals] if residuals else (), "surfaces": [surface] if surface else ()}
+        loaded.sensitivity(method.value, ignore_constraints=ignore_constraints, **named)
 
 
 @app.command(short_help="Fit the parameters, and compare before and after.")

@@ -16,7 +16,8 @@ from calib.analyses.designs import Designs
 from calib.analyses.extend import Extension
 from calib.analyses.intervals import Intervals
 from calib.analyses.propose import ProposalResult
-from calib.analyses.sensitivity import Screening, Sensitivity
+from calib.analyses.screening import Screening
+from calib.analyses.sensitivity import Sensitivity
 from calib.analyses.versions import Versions
 from calib.api import progress
 from calib.api.entries import calibrated, compared, explained, proposed

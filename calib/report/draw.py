@@ -18,6 +18,7 @@ from calib.report.explanation_plan import plan_explanation
 from calib.report.frequencies import draw_frequencies, stages_of_added
 from calib.report.frf import draw_frac, draw_frf_lines, overlay_figure
 from calib.report.mesh import read_mesh
+from calib.report.metamodel import draw_prognosis
 from calib.report.model import face_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
 from calib.report.orthogonality import orthogonality_figure
@@ -190,6 +191,12 @@ def _sensitivities(folder: Folder) -> Iterator[Drawing]:
         if path.exists():
             matrix = read_results(path, ["parameter"], others_are_numbers=True)
             yield Drawing(name, caption, bound(draw_sensitivity, matrix, **looks), (name,))
+    path = folder / "prognosis.csv"
+    if path.exists() and (folder / "prognosis_inputs.csv").exists():
+        total = read_results(path, ["response"], ["cop"])
+        shares = read_results(folder / "prognosis_inputs.csv", ["response", "parameter"], ["cop"])
+        draw = bound(draw_prognosis, total, shares)
+        yield Drawing("prognosis", "prognosis by metamodels", draw, ("prognosis", "prognosis_inputs"))
     path = folder / "input_correlation.csv"
     if path.exists() and len(inputs := read_square(path)) > 1:
         draw = bound(draw_correlation, inputs, threshold=INDUCED, label=INPUTS)

@@ -43,6 +43,8 @@ KEYS = {
     "partial": ("parameter",),
     "posterior_correlation": ("parameter",),
     "predictions": ("mode",),
+    "prognosis": ("response",),
+    "prognosis_inputs": ("response", "parameter"),
     "proposals": ("rank",),
     "proposal_places": ("rank", "kind", "at", "x", "y", "z"),
     "response_misfit": ("stage", "response"),

@@ -1,4 +1,4 @@
-"""Thresholds by which parameters count as sensitive."""
+"""Thresholds by which parameters count as sensitive, and by which metamodels are chosen."""
 
 from __future__ import annotations
 
@@ -38,3 +38,68 @@ class SensitivityRules:
 
 RULES = SensitivityRules()
 """Thresholds in force."""
+
+
+@dataclass(frozen=True)
+class PrognosisRules:
+    """How metamodels are built and chosen; `record.json` holds those of a result.
+
+    Attributes
+    ----------
+    folds : int
+        Parts of the designs, each predicted from the others.
+    terms : int
+        Largest number of terms that a polynomial is chosen from.
+    products : int
+        Products in pairs of all inputs from which none are tried in quadratic polynomials.
+    q : float
+        Norm of the degrees of polynomial chaos (Blatman and Sudret 2011).
+    degree : int
+        Largest bound on that norm.
+    chance : float
+        Probability with which a term of an input without influence is taken.
+    rounds : int
+        Times at most that further inputs are looked for.
+    terms_a_row : float
+        Terms for every design, at most.
+    exact : float
+        Part of the variance below which a polynomial is exact.
+    patience : int
+        Terms without a smaller error after which no more are tried.
+    process_below : float
+        Prognosis of the best polynomial below which a Gaussian process is tried.
+    process_rows : int
+        Designs with which a Gaussian process is tried at most; its cost is cubic.
+    process_tuned : int
+        Designs by which its length scales are tuned; the cost is cubic, and more tell little more.
+    better : float
+        Part of its remaining error that a less simple model must save.
+    rows_least : int
+        Complete designs below which there is no metamodel.
+    pairs : int
+        Pairs of points behind each total share.
+    resamplings : int
+        Of the designs, behind the interval of a total prognosis.
+    """
+
+    folds: int = 5
+    terms: int = 700
+    products: int = 2000
+    q: float = 0.75
+    degree: int = 14
+    chance: float = 0.01
+    rounds: int = 3
+    terms_a_row: float = 0.5
+    exact: float = 1e-20
+    patience: int = 15
+    process_below: float = 0.99
+    process_rows: int = 500
+    process_tuned: int = 150
+    better: float = 0.05
+    rows_least: int = 20
+    pairs: int = 1024
+    resamplings: int = 400
+
+
+PROGNOSIS = PrognosisRules()
+"""Those in force."""

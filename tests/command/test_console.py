@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from calib.analyses import explain as explaining
-from calib.analyses.sensitivity import Screening
+from calib.analyses.screening import Screening
 from calib.api.entries.entry import Rows, decimals
 from calib.api.entries.explained import _predictions, _steps
 from calib.command import cli, terminal

@@ -54,7 +54,8 @@ INTERVALS = ("intervals.csv", "profiles.csv", "posterior_intervals.csv", "poster
 """Files of `calib.analyses.intervals`, removed with the calibration that they rest on."""
 PROPOSED = ("proposals.csv", "proposal_places.csv", "proposals.json")
 """Files of `calib.analyses.propose`, removed with the explanation that they rest on."""
-_MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivity_samples", "input_correlation")
+_MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivity_samples", "input_correlation",
+             "prognosis", "prognosis_inputs")  # fmt: skip
 _CALIBRATED = ("parameters", "points", "errors_by_case", "suspects_calibrated", "verdicts", "posterior_correlation",
                "confounded", "unseen_directions", "predictions", "convergence", "modes", "responses", "data_errors",
                "considered", "unexplained_calibrated", "versions")  # fmt: skip
@@ -231,7 +232,7 @@ _COMPARED = ("reading", "degrees_of_freedom", "floors", "comparison")
 _FITTED = (*_COMPARED, "faults", "models", "limits", "inference", "missing", "analyses")
 _USED: Mapping[str, tuple[str, ...]] = {
     "compare": (*_COMPARED, "analyses"),
-    "sensitivity": (*_COMPARED, "sensitivity"),
+    "sensitivity": (*_COMPARED, "sensitivity", "prognosis"),
     "calibrate": _FITTED,
     "intervals": _FITTED,
     "explain": _FITTED,
@@ -250,6 +251,7 @@ def every_rule() -> dict[str, Any]:
         "faults": faults.RULES,
         "models": models.RULES,
         "sensitivity": sensitivity.RULES,
+        "prognosis": sensitivity.PROGNOSIS,
         "limits": parameter.RULES,
         "inference": inference.RULES,
         "analyses": analyses.RULES,
@@ -271,7 +273,7 @@ def rules_of(analysis: str) -> dict[str, Any]:
 
 _MODULES: Mapping[str, tuple[str, ...]] = {
     "compare": ("calib.analyses.compare",),
-    "sensitivity": ("calib.analyses.sensitivity",),
+    "sensitivity": ("calib.analyses.sensitivity", "calib.analyses.screening"),
     "calibrate": ("calib.analyses.calibrate",),
     "intervals": ("calib.analyses.intervals",),
     "explain": ("calib.analyses.explain",),

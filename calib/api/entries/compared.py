@@ -6,9 +6,12 @@ import math
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from typing import Any
 
+import pandas as pd
+
 from calib.analyses.compare import ComparisonResult
 from calib.analyses.provenance.record import assumptions_table, check_repeats
-from calib.analyses.sensitivity import Screening, Sensitivity
+from calib.analyses.screening import Screening
+from calib.analyses.sensitivity import Sensitivity
 from calib.api.entries.entry import Entry, Rows, Warned, When, Words, count, decimals
 from calib.measurement.places import Doubt
 from calib.missing.local import unit_words
@@ -132,11 +135,25 @@ def _samples(study: AnyStudy, result: Sensitivity) -> list[Entry]:
     out += [
         Rows.of("", ("parameter", "Spearman", "partial", "variance share", "selected"), rows, most=20),
         Rows.of("Why:", ("parameter", "why"), reasons, ("why",), when="verbose"),
+        _prognosed(result.prognosis.table),
         *(Words(sentence) for sentence in result.sentences if sentence not in (result.wide, result.why_failed)),
     ]
     if any(one.model.space.constraints for one in study.studies):
         out.append(Words("Constraints correlate the sampled parameters; Spearman's coefficients alone may mislead."))
     return out
+
+
+def _prognosed(table: pd.DataFrame) -> Rows:
+    """Metamodels of the responses."""
+    rows = [
+        (
+            str(r["response"]), str(r["model"]), decimals(r["cop"], 3),
+            f"{decimals(r['lower'], 2)} to {decimals(r['upper'], 2)}" if pd.notna(r["cop"]) else "", str(r["inputs"]),
+        )
+        for r in table.to_dict("records")
+    ]  # fmt: skip
+    heads = ("response", "metamodel", "CoP", "95 %", "inputs")
+    return Rows.of("How well metamodels predict the responses:", heads, rows, ("inputs",), most=_FUNCTIONS)
 
 
 def _screening(study: AnyStudy, result: Screening) -> list[Entry]:

@@ -71,6 +71,11 @@ def _between(lower: float, upper: float) -> str:
     return "held" if math.isnan(lower) else f"{numbers.significant(lower)} to {numbers.significant(upper)}"
 
 
+def _until(lower: float, upper: float) -> str:
+    """An interval of shares."""
+    return numbers.UNKNOWN if math.isnan(lower) else f"{numbers.fixed(lower, 2)} to {numbers.fixed(upper, 2)}"
+
+
 def _yes_if(value: Any, words: tuple[str, str] = ("yes", "no")) -> str:
     """A flag that counts as no where it is unknown."""
     return numbers.yes(flag(value), words)
@@ -92,6 +97,7 @@ FILTERS: dict[str, Callable[..., Any]] = {
     "group": by_row(group_words, TextCells),
     "paired": by_row(_paired),
     "between": by_row(_between),
+    "until": by_row(_until),
     "yes_if": by_row(_yes_if, TextCells),
     "marked": by_row(_marked, TextCells),
     "counted": numbers.counted,

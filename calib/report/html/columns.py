@@ -63,6 +63,7 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
         flags="measured selected",
     ),
     **{name: _matrix("parameter") for name in ("partial", "sensitivity", "variance_share", "input_correlation")},
+    "prognosis": _columns("response model", "cop lower upper error", blank="inputs"),
     "morris": _columns("parameter response", "mu_star"),
     "sobol": _columns("parameter response", "ST"),
     # calibration

@@ -84,3 +84,10 @@ def largest_pair(table: pd.DataFrame) -> str:
     """The two parameters of the largest correlation, in words."""
     a, b, value = correlated_pairs(table).iloc[0]
     return f"{fixed(value, 2)}, of {a} and {b}"
+
+
+def least_predicted(table: pd.DataFrame) -> str:
+    """The responses that metamodels predict worst, in words."""
+    known = table.dropna(subset=["cop"]).sort_values("cop", kind="stable").head(3)
+    worst = [f"{_response(str(r['response']))} ({fixed(float(r['cop']), 2)})" for r in known.to_dict("records")]
+    return f"Least predicted: {'; '.join(worst)}." if worst else "No response has a metamodel."

@@ -1,0 +1,83 @@
+"""Figures of metamodels that a user names: against the model, and over two inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from calib.analyses.sensitivity import Sensitivity
+from calib.api.figures import plain
+from calib.errors.errors import InputError
+from calib.report.metamodel import CELLS, draw_residuals, surface_figure
+from calib.report.style import add_heading, owner_of, save, style
+from calib.sensitivity.prognosis import Metamodel
+from calib.study.study import LoadedStudy
+
+
+def draw_metamodels(
+    found: Any, study: LoadedStudy, folder: Path, residuals: Sequence[str], surfaces: Sequence[tuple[str, str, str]]
+) -> tuple[Path, ...]:
+    """Draw the named metamodels of a sensitivity analysis into its folder.
+
+    Parameters
+    ----------
+    found : Sensitivity
+    study : LoadedStudy
+    folder : Path
+        Where ``residuals_<response>.png`` and ``surface_<response>_<x>_<y>.png`` go.
+    residuals : sequence of str
+        Responses.
+    surfaces : sequence of (str, str, str)
+        A response and two inputs each.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, or a response without a metamodel.
+    """
+    if not isinstance(found, Sensitivity):
+        raise InputError("it has no metamodels", place=f"method {found.method}", remedy="use the method 'ranks'")
+    title, own = f"{study.settings.title}: metamodel", found.prognosis
+    drawn = [(f"residuals_{plain(r)}", partial(_figure, own[r], found.sampled, None)) for r in residuals]
+    for r, x, y in surfaces:
+        drawn.append((f"surface_{plain(r)}_{plain(x)}_{plain(y)}", partial(_figure, own[r], found.sampled, (x, y))))
+    written: list[Path] = []
+    for name, drawing in drawn:
+        with style():
+            figure = drawing()
+            add_heading(figure, title, study.synthetic)
+            written += save(figure, folder / name)
+    return tuple(written)
+
+
+def draw_metamodel(one: Metamodel, designs: pd.DataFrame, path: Path, inputs: tuple[str, str] | None) -> Path:
+    """Draw one metamodel into a PNG file; see `draw_metamodels`."""
+    with style():
+        (written,) = save(_figure(one, designs, inputs), path.with_suffix(""))
+    return written
+
+
+def _figure(one: Metamodel, designs: pd.DataFrame, inputs: tuple[str, str] | None) -> Figure:
+    if one.model is None:
+        raise InputError(f"it has no metamodel ({one.kind})", place=f"response {one.response}")
+    if inputs is None:
+        return owner_of(draw_residuals(pd.DataFrame({"true": one.true, "predicted": one.predicted}), one.response))
+    names = one.space.free_names
+    unknown = [name for name in inputs if name not in names]
+    if unknown or inputs[0] == inputs[1]:
+        what = f"{unknown[0]!r} is no input" if unknown else f"{inputs[0]!r} is named twice"
+        remedy = f"choose two of {', '.join(names)}"
+        raise InputError(what, place=f"surface of {one.response}", remedy=remedy)
+    ends = {p.name: (p.lower, p.upper) for p in one.space.free}
+    x, y = (np.linspace(*ends[name], CELLS) for name in inputs)
+    points = np.tile([p.value for p in one.space.free], (CELLS**2, 1)).astype(float)
+    points[:, names.index(inputs[0])], points[:, names.index(inputs[1])] = (a.ravel() for a in np.meshgrid(x, y))
+    grid = pd.DataFrame({name: points[:, names.index(name)] for name in inputs}).assign(**{one.response: one(points)})
+    labels = {p.name: f"{p.name}, {p.unit}" for p in one.space.free if p.unit not in ("", "-")}
+    return surface_figure(grid, designs, *inputs, one.response, labels)
