@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from calib.analyses.sensitivity import Sensitivity
 from calib.api.figures import plain
@@ -18,6 +17,9 @@ from calib.report.metamodel import CELLS, draw_residuals, surface_figure
 from calib.report.style import add_heading, owner_of, save, style
 from calib.sensitivity.prognosis import Metamodel
 from calib.study.study import LoadedStudy
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def draw_metamodels(
