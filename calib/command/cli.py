@@ -157,8 +157,12 @@ def sensitivity(
 ) -> None:
     """Find which parameters matter: Latin hypercube, rank correlations, variance shares, selection, metamodels."""
     with _study("sensitivity", study, results, verbose, workers, quick) as loaded:
-        named = {"residuals": [residuals] if residuals else (), "surfaces": [surface] if surface else ()}
-        loaded.sensitivity(method.value, ignore_constraints=ignore_constraints, **named)
+        loaded.sensitivity(
+            method.value,
+            ignore_constraints=ignore_constraints,
+            residuals=[residuals] if residuals else (),
+            surfaces=[surface] if surface else (),
+        )
 
 
 @app.command(short_help="Fit the parameters, and compare before and after.")
