@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from calib.errors.errors import InputError
 from calib.results.cell import guarded, guarded_table, number_of, unguarded
 from calib.results.results import Results
-from calib.results.table import FLAGS, read_table
+from calib.results.table import FLAGS, read_rows, read_table
 
 
 def write(folder, text, name="table.csv"):
@@ -137,3 +137,25 @@ def test_two_spellings_of_one_number_are_one_entry(tmp_path):
     assert caught.value.at.line == 4
     named = write(tmp_path, "case,value\n1,1\n1.0,2\n", "named.csv")
     assert read_table(named, ["case"], ["value"], unique="case")["case"].tolist() == ["1", "1.0"]
+
+
+@pytest.mark.parametrize("column", ["mode", "repeat", "response"])
+def test_a_label_in_two_spellings_of_one_number_is_refused(tmp_path, column):
+    with pytest.raises(InputError, match=r"line 4, column .*'0\.0' beside '0'"):
+        read_rows(write(tmp_path, f"{column},value\n0,1\n1.0,2\n0.0,3\n"), (column, "value"))
+    assert len(read_rows(write(tmp_path, f"{column},value\n0,1\n1.0,2\n0,0.0\na,0\n"), (column, "value"))) == 4
+
+
+@pytest.mark.parametrize(("text", "node"), [("12", 12), ("12.0", 12), ("12.", 12), ("12.5", None), ("1e1", None)])
+def test_a_node_may_be_written_as_a_spreadsheet_does(tmp_path, text, node):
+    (row,) = read_rows(write(tmp_path, f"node\n{text}\n"), ("node",))
+    if node is None:
+        with pytest.raises(InputError, match="node label"):
+            row.node()
+    else:
+        assert row.node() == node
+
+
+def test_a_column_of_another_name_is_named_with_those_that_are_there(tmp_path):
+    with pytest.raises(InputError, match=r"'value'.* mean, std"):
+        read_rows(write(tmp_path, "response,mean,std\na,1,2\n"), ("response", "value"), ("std",))

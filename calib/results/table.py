@@ -29,7 +29,10 @@ AGAIN = "run the study again to rewrite it"
 """Remedy for a damaged table that calib has written itself."""
 LEAVE_OUT = "give the value, or leave the line out"
 """Remedy for a value that was not measured."""
-_INTEGER = re.compile(r"\d{1,10}", re.ASCII)
+_NODE = re.compile(r"(\d{1,10})(?:[.,]0*)?", re.ASCII)
+"""A spreadsheet may write the integer as ``12.0``."""
+_LABELS = ("mode", "repeat", "response")
+"""Columns whose entries are names, even where these are numbers."""
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _HINT = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 
@@ -95,9 +98,10 @@ class TableRow:
     def node(self) -> int:
         """The node label, an integer from 0."""
         text = self.text("node")
-        if not _INTEGER.fullmatch(text):
+        match = _NODE.fullmatch(text)
+        if match is None:
             raise self.error("node", f"{shortened(text)} is not a node label", "write an integer, 10 digits or less")
-        return int(text)
+        return int(match[1])
 
 
 def read_rows(path: Path, required: Sequence[str], optional: Sequence[str] = ()) -> list[TableRow]:
@@ -118,10 +122,24 @@ def read_rows(path: Path, required: Sequence[str], optional: Sequence[str] = ())
             )
     if not sheet.cells:
         raise InputError("it holds a header but no rows", place=path, remedy="add one line a mode, sensor or node")
-    return [
+    rows = [
         TableRow(path, line, dict(zip(sheet.header, cells, strict=True)), sheet.comma, text, sheet.separator)
         for line, cells, text in zip(sheet.lines, sheet.cells, sheet.texts, strict=True)
     ]
+    for column in (name for name in _LABELS if name in sheet.header):
+        _require_one_spelling(rows, column)
+    return rows
+
+
+def _require_one_spelling(rows: Sequence[TableRow], column: str) -> None:
+    """InputError where a label stands beside another spelling of the same number, such as ``0.0`` beside ``0``."""
+    spelled: dict[float, str] = {}
+    for row in rows:
+        text = row.cells[column]
+        value = number_of(text, row.comma)
+        if value is not None and (other := spelled.setdefault(value, text)) != text:
+            words = f"{shortened(text)} beside {shortened(other)}: one label or two"
+            raise row.error(column, words, "write the same label alike")
 
 
 def read_table(
@@ -332,7 +350,9 @@ def _check_header(
                 raise InputError(
                     f"the column {old!r} is called {name!r} now", place=place, remedy=remedy or "rename it"
                 )
-            raise InputError(f"column {name!r} is missing", place=place, remedy=remedy or "add it")
+            others = ", ".join(own for own in header if own not in required)
+            rename = f"add it, or rename one of {others:.100}" if others else "add it"
+            raise InputError(f"column {name!r} is missing", place=place, remedy=remedy or rename)
 
 
 def _as_number(cell: str, comma: bool) -> str:

@@ -156,7 +156,9 @@ class Sources:
         except InputError as fault:  # of a wrong option, or of the user's own call of calib
             line = self.place("model_options") if key == "model" and options else place
             raise fault.with_line((None if refuses(fault) else raised_at(fault)) or line) from fault.__cause__
-        except (Exception, SystemExit) as fault:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as fault:  # an exit too, or an exception that is no Exception
             # The function is the user's own: its errors are bad input, reported without our traceback.
             raise InputError(f"{name} failed with {error_line(fault)}", place=place, at=raised_at(fault)) from fault
 
@@ -206,7 +208,9 @@ class Sources:
             ) from None  # fmt: skip
         except InputError as fault:
             raise fault.with_line(raised_at(fault)) from fault.__cause__
-        except (Exception, SystemExit) as fault:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as fault:  # an exit too, or an exception that is no Exception
             raise InputError(f"{where!r} failed with {error_line(fault)}", place=place, at=raised_at(fault)) from fault
 
 

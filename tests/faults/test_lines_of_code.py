@@ -36,6 +36,13 @@ BUILDING = {
     "exception of a library": (RETURN, f"    ⟦np.linalg.inv(np.zeros((2, 2)))⟧\n{RETURN}"),
     "exception of several lines": (RETURN, f"    x = ⟦float(⟧\n        'text')\n{RETURN}"),
     "exit": (RETURN, f"    ⟦raise SystemExit(3)⟧\n{RETURN}"),
+    "no word at import": ("import numpy as np", "import numpy as np\n⟦raise ImportError()⟧"),
+    "exit at import": ("import numpy as np", "import numpy as np\n⟦raise SystemExit⟧"),
+    "no Exception": ("import numpy as np", "import numpy as np\n⟦raise type('E', (BaseException,), {})⟧"),
+    "a text that cannot be made": (
+        "import numpy as np",
+        "import numpy as np\n⟦raise type('E', (Exception,), {'__str__': lambda self: 1 / 0})⟧",
+    ),
     "at import": ("import numpy as np", "import numpy as np\nx = ⟦{}['é']⟧"),
     "after letters of two bytes": ("import numpy as np", "import numpy as np\nx = 'ßß', ⟦{}['é']⟧"),
     "limits reversed in the model": ('Parameter("b", 2.0, 1.0, 3.0)', '⟦Parameter("b", 2.0, 3.0, 1.0)⟧'),
