@@ -31,9 +31,8 @@ from calib.correlation.units import frequency_hint, response_hints
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.outcome import as_cause, named_responses
 from calib.experiment.test import ForwardProblem
-from calib.measurement.check import SensorFinding
+from calib.measurement.check import SensorFinding, place_hints
 from calib.measurement.doubts import doubts_of, modal_doubts
-from calib.measurement.modal import MeasuredModes
 from calib.measurement.partners import NodePartners
 from calib.results.answer import Answer
 from calib.results.results import Results
@@ -255,7 +254,7 @@ def comparison_of(
             *hints,
             *unit_hints,
             *(one.sentence for one in twice),
-            *_place_hints(comparison.measured, sensor_findings),
+            *place_hints(comparison.measured, sensor_findings),
         ),
         std_notes=tuple(std_notes),
         unit_hints=unit_hints,
@@ -270,19 +269,6 @@ def _partners(problem: ForwardProblem) -> NodePartners | None:
     if isinstance(problem, FRFProblem):
         return sensor_partners(problem.model, (*problem.measured.responses, *problem.measured.references))
     return sensor_partners(problem.model, problem.measured.sensors) if isinstance(problem, ModalProblem) else None
-
-
-def _place_hints(measured: MeasuredModes, sensor_findings: Sequence[SensorFinding]) -> tuple[str, ...]:
-    """A hint where suspicious sensors are among those whose locations are in doubt."""
-    nodes = {one.node for one in measured.misplaced}
-    doubtful = {s.name for s in measured.sensors if s.node in nodes}
-    named = [name for finding in sensor_findings for name in finding.sensors if name in doubtful]
-    if not named:
-        return ()
-    return (
-        f"Check the locations of {', '.join(dict.fromkeys(named))} first: sensor table and universal file disagree "
-        "there, and the findings on these sensors below may follow from that.",
-    )
 
 
 def _frequency_hints(comparison: Comparison) -> tuple[str, ...]:

@@ -28,10 +28,9 @@ from calib.problem.space import ParameterSpace
 from calib.results.answer import Answer
 from calib.results.ledger import Ledger
 from calib.results.results import Results
-from calib.results.table import read_table
 from calib.results.written import is_own, require_unchanged
 from calib.sensitivity.prognosis import Prognosis, prognosis
-from calib.sensitivity.selection import Assessment, assess
+from calib.sensitivity.selection import Assessment, assess, selected_in
 from calib.sensitivity.spearman import noise_floor
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
@@ -231,10 +230,6 @@ def selecting(study: LoadedStudy, home: Results) -> LoadedStudy:
     return study.selecting(names)
 
 
-def selected_in(path: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Parameters that a ``selection.csv`` selects, and all that it assesses; InputError for an ambiguous table."""
-    table = read_table(path, ["parameter"], flags=["selected"], complete=["selected"], unique="parameter")
-    return tuple(table["parameter"][table["selected"].astype(bool)]), tuple(table["parameter"])
 
 
 # -- evaluations -------------------------------------------------------------------------------------------------------

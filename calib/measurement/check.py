@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from calib.errors.errors import InputError
+from calib.measurement.modal import MeasuredModes
 from calib.measurement.rules import RULES
 
 FindingKind = Literal["flipped", "swapped", "dead"]
@@ -299,3 +300,16 @@ def _sentence(before: _Shapes, after: _Shapes, rows: Operation, names: tuple[str
     if both - before.mean_mac >= 0.9 * (after.mean_mac - before.mean_mac):
         sentence += f"; reversing both signs would explain it as well ({both:.3f})"
     return sentence
+
+
+def place_hints(measured: MeasuredModes, sensor_findings: Sequence[SensorFinding]) -> tuple[str, ...]:
+    """A hint where suspicious sensors are among those whose locations are in doubt."""
+    nodes = {one.node for one in measured.misplaced}
+    doubtful = {s.name for s in measured.sensors if s.node in nodes}
+    named = [name for finding in sensor_findings for name in finding.sensors if name in doubtful]
+    if not named:
+        return ()
+    return (
+        f"Check the locations of {', '.join(dict.fromkeys(named))} first: sensor table and universal file disagree "
+        "there, and the findings on these sensors below may follow from that.",
+    )

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from calib.errors.errors import InputError
+from calib.results.table import read_table
 from calib.sensitivity.induced import Decomposition, decompose, input_correlation
 from calib.sensitivity.partial import orthonormal, partial, partial_noise_floor, table_arrays
 from calib.sensitivity.rules import RULES
@@ -308,3 +310,9 @@ def _peak(values: pd.Series[float], wanted: pd.Series[bool], only: bool = False)
 
 def _signed(value: float) -> str:
     return f"{value:+.2f}".replace("-", "−")
+
+
+def selected_in(path: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Parameters that a ``selection.csv`` selects, and all that it assesses; InputError for an ambiguous table."""
+    table = read_table(path, ["parameter"], flags=["selected"], complete=["selected"], unique="parameter")
+    return tuple(table["parameter"][table["selected"].astype(bool)]), tuple(table["parameter"])

@@ -12,12 +12,12 @@ from typing import Any
 from calib.analyses.provenance.places import QUICK, is_quick
 from calib.analyses.provenance.record import analyses_of
 from calib.analyses.provenance.state import WRITES, agree, code_of, made_from, state_differences
-from calib.analyses.sensitivity import selected_in
 from calib.errors.errors import InputError
 from calib.results.json_file import read_json
 from calib.results.results import Results
 from calib.results.table import read_table
 from calib.results.written import is_changed, is_own
+from calib.sensitivity.selection import selected_in
 from calib.study.study_file import StudyFile, shell_argument, study_file
 
 
