@@ -197,7 +197,7 @@ def import_matrices(
         {name: (one, {}) for name, one in read.matrices["mass"].items()},
         {name: (one, {}) for name, one in read.matrices["damping"].items()},
         dofs=read.dofs, parameters=[_factor(name) for name in factors.values()], units=system.name,
-        layers=read.layers, name=named[0].stem,
+        layers=read.layers, lines=read.lines, name=named[0].stem,
     )  # fmt: skip
     notes, warnings = _weighed(model, units)
     halves = [a.item for a in model.assumptions if a.value == "symmetric"]
@@ -352,6 +352,7 @@ def _written(
     contents |= {
         "study.toml": study.encode(), "model.py": model.encode(), "matrices.npz": packed.getvalue(),
         "dofs.csv": read.dofs.to_csv(index=False).encode(),
+        "lines.csv": pd.DataFrame(read.lines, columns=["node", "to_node"]).to_csv(index=False).encode(),
     }  # fmt: skip
     write_new_folder(folder, contents)
     return folder

@@ -16,6 +16,7 @@ from calib.errors.errors import InputError
 from calib.imports.containers import read_container
 from calib.imports.coordinates import DECKS, read_coordinates
 from calib.imports.dof_file import read_dofs, table_of
+from calib.imports.elements import element_edges
 from calib.imports.harwell_boeing import is_harwell_boeing, is_mapping, read_harwell_boeing
 from calib.imports.nastran import is_dmig, read_dmig
 from calib.imports.op4 import is_op4, read_op4
@@ -49,6 +50,8 @@ class ReadMatrices:
         ``node, direction`` and, where they are known, ``x, y, z`` in the code's unit of length.
     layers : {"mean"} or None
         Whether rows of one name are the layers of a shell.
+    lines : tuple of (node, node)
+        Edges of elements of the deck between nodes that have rows.
     notes : tuple of str
         What was left out, found or assumed.
     """
@@ -56,6 +59,7 @@ class ReadMatrices:
     matrices: Mapping[str, Mapping[str, sp.coo_array]]
     dofs: pd.DataFrame
     layers: Literal["mean"] | None = None
+    lines: tuple[tuple[int, int], ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -101,6 +105,9 @@ def read_matrices(
             found, told = read_dmig(file, text)
             notes += told
             stored += [(file, one) for one in found]
+        elif file.suffix.lower() == ".csv":
+            is_places = "direction" not in lines[0].lower()
+            dofs, coordinates = (dofs, coordinates or file) if is_places else (dofs or file, coordinates)
         elif file.suffix.lower() == ".dof" or (text and is_mapping(lines)):
             dofs = file if dofs is None else dofs
             is_calculix |= file.suffix.lower() == ".dof"
@@ -126,7 +133,8 @@ def read_matrices(
         notes += told
     matrices, table, told = _without_penalties(matrices, table)
     named_twice = bool(table.dropna(subset=["node"]).duplicated(["node", "direction"]).any())
-    return ReadMatrices(matrices, table, "mean" if is_calculix and named_twice else None, notes + told)
+    lines = _drawn(table, coordinates)
+    return ReadMatrices(matrices, table, "mean" if is_calculix and named_twice else None, lines, notes + told)
 
 
 def _bytes(file: Path) -> bytes:
@@ -291,6 +299,14 @@ def _placed(table: pd.DataFrame, file: Path, metres: float, has_own: bool) -> tu
         f"{int(lost.sum())} rows belong to {count} nodes that {file.name} does not define ({first} to {last}), which "
         "are the code's own: they stay in the model, and no sensor lies there.",
     )
+
+
+def _drawn(table: pd.DataFrame, file: Path | None) -> tuple[tuple[int, int], ...]:
+    """Edges of the elements of a deck between nodes that have rows; none without coordinates."""
+    if file is None or file.suffix.lower() == ".csv" or "x" not in table:
+        return ()
+    nodes = set(table["node"].dropna().astype(int))
+    return tuple(edge for edge in element_edges(file.read_text("latin-1")) if nodes.issuperset(edge))
 
 
 def _without_penalties(

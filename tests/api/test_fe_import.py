@@ -102,7 +102,7 @@ def test_parts_get_a_parameter_each(tmp_path):
     found = calib.import_matrices(tmp_path / "a.npz", to=tmp_path / "chain")
     assert [p.name for p in found.model.space] == ["K1", "K_2"]
     held = pd.read_csv(tmp_path / "chain" / "dofs.csv")
-    assert held["node"].tolist() == [1, 2]
+    assert held["node"].tolist() == [1, 2] and (tmp_path / "chain" / "lines.csv").exists()
     code = compile((tmp_path / "chain" / "model.py").read_text(), "model.py", "exec")
     space: dict = {"__file__": str(tmp_path / "chain" / "model.py"), "__name__": "model"}
     exec(code, space)

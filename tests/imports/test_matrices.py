@@ -166,6 +166,14 @@ def test_names_tell_what_a_matrix_is(name, kind):
     assert kind_of(name) == kind
 
 
+def test_tables_among_the_files_name_rows_and_places(tmp_path):
+    files, more = matrix_market(tmp_path)
+    nodes = dict.fromkeys(node for node, _ in NAMES)
+    pd.DataFrame({"node": list(nodes), "x": 0.5, "y": 0.0, "z": 0.0}).to_csv(tmp_path / "places.csv", index=False)
+    found = read_matrices([*files, more["dofs"], tmp_path / "places.csv"], metres=1e-3)
+    assert found.dofs["x"].unique().tolist() == [500.0] and len(found.dofs) == len(NAMES)
+
+
 def test_matrices_with_other_names_are_chosen(tmp_path):
     np.savez(tmp_path / "beam.npz", A=0.25 * K, A2=0.75 * K, B3=M, dofs=np.array(NAMES))
     with pytest.raises(InputError, match="A2"):

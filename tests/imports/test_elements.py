@@ -1,0 +1,37 @@
+"""Edges of elements: decks of Abaqus and CalculiX, and bulk data of Nastran."""
+
+from pathlib import Path
+
+import pytest
+
+from calib.imports.elements import element_edges
+from calib.imports.matrices import read_matrices
+
+EXPORTS = Path(__file__).parent / "exports"
+
+
+def test_edges_of_an_exported_deck_join_nodes_that_have_rows():
+    edges = element_edges((EXPORTS / "solid.inp").read_text())
+    assert len(edges) == len(set(edges)) == 12 + 8  # two bricks that share four edges
+    drawn = read_matrices([EXPORTS / "solid.sti"]).lines
+    assert len(drawn) == 4 + 4 + 4 and set(drawn) < set(edges)  # without those of the clamped end
+    assert (1, 2) in edges and not any(1 in edge for edge in drawn)
+
+
+@pytest.mark.parametrize(
+    ("text", "count", "some"),
+    [
+        ("*ELEMENT, TYPE=B32R, ELSET=A\n1, 11, 12, 13\n*NSET\n1, 2, 3\n", 2, (11, 12)),
+        ("*Element, type=S8R\n1, 1,2,3,4,5,6,7,\n8\n** a comment\n2, 2,9,10,3,11,12,13,6\n", 7, (9, 10)),
+        ("*ELEMENT,TYPE=C3D20R\n1," + ",".join(map(str, range(1, 16))) + ",\n16,17,18,19,20", 12, (4, 8)),
+        ("*ELEMENT, TYPE=C3D10\n1,1,2,3,4,5,6,7,8,9,10\n*ELEMENT, TYPE=MASS\n2, 7\n", 6, (3, 4)),
+        ("*ELEMENT, TYPE=STRI3\n1,1,2,3\n*ELEMENT, TYPE=SPRINGA\n2,1,5\n", 3, (1, 3)),
+        ("CQUAD4  1       7       1       2       3       4\nCBAR,2,8,4,5,0.,0.,1.\nCELAS2,3,1.,1,1\n", 5, (4, 5)),
+        ("CHEXA   1       7       1       2       3       4       5       6\n        7       8\n", 12, (3, 7)),
+        ("CTRIA3* 1               7               1               2\n*       3\n", 3, (1, 3)),
+        ("GRID    1               0.      0.      0.\n", 0, None),
+    ],
+)  # fmt: skip
+def test_edges_of_each_kind_of_element(text, count, some):
+    edges = element_edges(text)
+    assert len(edges) == count and (some is None or some in edges)
