@@ -16,7 +16,6 @@ from calib.analyses.case_starts import (
     Steps,
     evaluable,
     from_further_starts,
-    has_many_minima,
     known_starts,
     least_squares,
     until_agreed,
@@ -117,6 +116,10 @@ class CaseFinder:
     def _only(self) -> LoadedStudy | None:
         """The only test; None for several."""
         return self.study.studies[0] if len(self.study.studies) == 1 else None
+
+    @property
+    def _has_many_minima(self) -> bool:
+        return any(one.experiment.many_minima for one in self.study.studies)
 
     @property
     def exact(self) -> FitProblem:
@@ -245,7 +248,7 @@ class CaseFinder:
         for case in cases:
             fit = partial(self.refined, reductions, told=with_prefix(self.progress, case.name))
             found = least_squares(case, self.study, self.known, self.quick, fit)
-            if found[1].fits is False and not self.quick and has_many_minima(self.study):
+            if found[1].fits is False and not self.quick and self._has_many_minima:
                 found, note = from_further_starts(case, self.study, *found, fit)
                 self.agreeing.extend([note] if note else [])
             yield self.reported(*found)

@@ -13,12 +13,10 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.fit_statistics import FitStatistics
-from calib.analyses.least_squares import FitProgress
 from calib.analyses.provenance.places import QUICK_SAMPLED, QUICK_STARTS
 from calib.errors.errors import EvaluationError, InputError
 from calib.errors.place import Place
 from calib.execution.outcome import as_cause
-from calib.experiment import FRFTest
 from calib.inference.cases import Case, CaseResult
 from calib.inference.rules import RULES
 from calib.inference.starts import UntilLowestTwice
@@ -28,8 +26,9 @@ from calib.results.ledger import Ledger
 from calib.study.several import AnyStudy
 
 Starts: TypeAlias = Sequence[Mapping[str, float]]
-Fit: TypeAlias = Callable[[Starts, int, FitProgress, Counts], FitStatistics]
-"""Takes starts, the number of integer combinations, a callback after every fit, and the counts of requested points."""
+Fit: TypeAlias = Callable[..., FitStatistics]
+"""Takes starts, the number of integer combinations, a callback after every fit (`FitProgress`), the counts of requested
+points, and ``enough``, which tells after every start whether the others may be left out."""
 
 
 def known_starts(study: AnyStudy, ledger: Ledger, *others: Mapping[str, float]) -> tuple[dict[str, float], ...]:
@@ -77,11 +76,6 @@ def until_agreed(
     most = min(RULES.most_starts, QUICK_SAMPLED) if quick else RULES.most_starts
     sampled = [space.complete(x) for x in sample(space, most, case.seed).points]
     return from_starts(case, [*known, space.values, *sampled], fit)
-
-
-def has_many_minima(study: AnyStudy) -> bool:
-    """Whether the sum of squares typically has many minima: that of FRFs, whose resonances have to overlap first."""
-    return any(isinstance(one.experiment, FRFTest) for one in study.studies)
 
 
 def from_further_starts(

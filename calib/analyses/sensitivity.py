@@ -230,8 +230,6 @@ def selecting(study: LoadedStudy, home: Results) -> LoadedStudy:
     return study.selecting(names)
 
 
-
-
 # -- evaluations -------------------------------------------------------------------------------------------------------
 
 

@@ -81,6 +81,7 @@ class FRFTest(Test):
     node_limit: float | None = None
 
     words = "FRFs"
+    many_minima = True  # resonances have to overlap first
     can_hold_out = ("sensors", "references", "bands")
     shows_mesh = True
 

@@ -85,6 +85,8 @@ class Test(ABC):
     """The kind in words."""
     can_hold_out: ClassVar[tuple[str, ...]]
     """Kinds of data that it can hold out, as a study's file names them."""
+    many_minima: ClassVar[bool] = False
+    """Whether the sum of squares over its data typically has many minima, so that a rejected fit starts further."""
     shows_mesh: ClassVar[bool] = False
     """Whether its data show the error of a mesh, so that a finer one may be given."""
 

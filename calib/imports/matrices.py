@@ -133,8 +133,8 @@ def read_matrices(
         notes += told
     matrices, table, told = _without_penalties(matrices, table)
     named_twice = bool(table.dropna(subset=["node"]).duplicated(["node", "direction"]).any())
-    lines = _drawn(table, coordinates)
-    return ReadMatrices(matrices, table, "mean" if is_calculix and named_twice else None, lines, notes + told)
+    edges = _drawn(table, coordinates)
+    return ReadMatrices(matrices, table, "mean" if is_calculix and named_twice else None, edges, notes + told)
 
 
 def _bytes(file: Path) -> bytes:
