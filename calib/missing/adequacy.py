@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,12 +25,24 @@ def beside(fits: Refits, candidate_fit: CandidateFit, candidates: Sequence[Candi
     return fits.scores(fit, [e for e in candidates if e.name not in candidate_fit.names])
 
 
+def suspects(fits: Refits, candidate_fit: CandidateFit, also: Collection[str] = ()) -> Scores:
+    """Scores of the faults of the measurement that a fitted model lacks, of pairs the largest and those named."""
+    single, pairs = beside(fits, candidate_fit, fits.family.single), screened_pairs(fits, candidate_fit, also)
+    return single if pairs is None else single.joined(pairs.scores)
+
+
+def screened_pairs(fits: Refits, candidate_fit: CandidateFit, also: Collection[str] = ()) -> Screened | None:
+    """The largest scores of the faults of pairs that a fitted model lacks; None where there are none."""
+    own = [*candidate_fit.names, *(fault.name for fault in fits.granted)]
+    return fits.family.screened(candidate_fit.fit.granting(own), candidate_fit.names, also)
+
+
 def adequacy_of(fits: Refits, candidate_fit: CandidateFit, named: Scores) -> AdequacyTests:
     """Tests of a fitted model, given the scores of the named effects that it lacks."""
     hypotheses, seed = fits.hypotheses, fits.settings.seed
     local = beside(fits, candidate_fit, hypotheses.perturbations)
-    faults = beside(fits, candidate_fit, fits.single_faults) if fits.single_faults else None
-    pairs = None if faults is None else fits.screened(candidate_fit)
+    faults = beside(fits, candidate_fit, fits.family.single) if fits.family.single else None
+    pairs = None if faults is None else screened_pairs(fits, candidate_fit)
     kinds, modes = goodness(candidate_fit.fit, hypotheses)
     return AdequacyTests(
         named=named,

@@ -104,7 +104,7 @@ def outweighs(fits: Refits, found: Explanation, best: CandidateFit | None, margi
     fault, h = found.fault, fits.hypotheses
     if fault is None or not h.faults:
         return False
-    own, groups = math.log(max(len(fits.single_faults), 1)), math.log(max(len(found.groups), 1))
+    own, groups = fits.family.choice, math.log(max(len(found.groups), 1))
     limits = [
         found.base.ln_evidence + own + RULES.credible,
         ln_of(found.perturbation) - math.log(max(len(h.perturbations), 1)) + own,

@@ -310,7 +310,7 @@ class _Decision:
             for name in (t.names[0], *(n for n in collinear.get(t.names[0], ()) if n not in fitted))
         )
         near = lead.best.ln_evidence - RULES.credible
-        choice = math.log(max(len(self.fits.single_faults) / len(found.groups), 1.0))
+        choice = math.log(max(len(self.fits.family.single) / len(found.groups), 1.0))
         fault = found.fault if ln_of(found.fault) - choice > near else None
         if fault is None and (alike := mistakable(found, lead.best)) is not None:
             fault, found = alike, replace(found, fault_adequacy=tests_of(self.fits, found, alike))

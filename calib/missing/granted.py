@@ -84,9 +84,9 @@ def _beside(fits: Refits, best: CandidateFit, tests: AdequacyTests) -> tuple[Can
     faults = tests.suspects
     if faults is None or not faults.owners:
         return None
-    predicted = fits.predicted(faults)
+    predicted = fits.family.predicted(faults)
     k = int(np.argmax(predicted))
-    gain, choices = float(predicted[k]), math.log(max(len(fits.single_faults), 1))
+    gain, choices = float(predicted[k]), fits.family.choice
     others = max(_largest(tests.named), _largest(tests.perturbations)) ** 2 / 2
     if gain <= 2 * RULES.credible + choices or gain < others + RULES.credible:
         return None
@@ -108,4 +108,4 @@ def _needed(fits: Refits, told: Explanation, fault: Candidate) -> bool:
         return False
     k = fit.names.index(fault.name)
     size = abs(fit.values[fault.name]) / math.sqrt(float(fit.covariance[k, k]))
-    return size**2 / 2 > RULES.credible + math.log(max(len(fits.single_faults), 1)) + fits.price([fault])
+    return size**2 / 2 > RULES.credible + fits.family.choice + fits.family.price((fault.name,))

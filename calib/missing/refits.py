@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,6 +16,7 @@ from calib.inference.gauss_newton import FitSettings
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.collinear import Group
 from calib.missing.evidence import ln_bayes_linear, ln_evidence
+from calib.missing.fault_family import FaultFamily
 from calib.missing.hypotheses import Altered, FitProblem, Hypotheses
 from calib.missing.linearised_fit import (
     FINE,
@@ -29,7 +30,6 @@ from calib.missing.partners import pairing_points
 from calib.missing.plausible import implausible
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, scores
-from calib.missing.screened import Screened, screened
 from calib.missing.settings import Allowance, Settings
 from calib.problem.candidate import Candidate
 
@@ -80,23 +80,9 @@ class Refits:
         return {e.name: e for e in (*h.effects, *h.perturbations, *h.faults)}
 
     @cached_property
-    def single_faults(self) -> tuple[Candidate, ...]:
-        """Faults of the measurement but those of pairs."""
-        return tuple(e for e in self.hypotheses.faults if not e.of_pair)
-
-    @cached_property
-    def pair_faults(self) -> tuple[Candidate, ...]:
-        """Faults of pairs of channels or modes."""
-        return tuple(e for e in self.hypotheses.faults if e.of_pair)
-
-    def price(self, candidates: Sequence[Candidate]) -> float:
-        """What faults of pairs among some candidates cost: the logarithm of how many more there are than of others.
-
-        It is taken off their log evidence, as that of a choice among places. All faults then compare alike, at the
-        price of a single one: the logarithm of the number of single ones.
-        """
-        number = sum(e.of_pair for e in candidates)
-        return number * math.log(max(len(self.pair_faults) / max(len(self.single_faults), 1), 1.0)) if number else 0.0
+    def family(self) -> FaultFamily:
+        """Faults of the measurement that may be named."""
+        return FaultFamily(tuple(self.hypotheses.faults))
 
     def fit_problem(self, names: tuple[str, ...]) -> FitProblem:
         """The model with the named effects or local perturbations against the measurement."""
@@ -107,10 +93,7 @@ class Refits:
         return self.allowance.spent(part)
 
     def scores(self, fit: LinearisedFit, candidates: Sequence[Candidate]) -> Scores:
-        """Scores of candidates that a model lacks; of effects also at points where they pair more modes.
-
-        The search for these points over decades of magnitude is not charged: the budget is for fits.
-        """
+        """Scores of candidates that a model lacks, of effects also where they pair more modes; this is not charged."""
 
         def fit_problem(name: str) -> FitProblem:
             return self.fit_problem((*fit.effects, name))
@@ -122,19 +105,6 @@ class Refits:
             pairing = pairing_points(self.hypotheses, fit, effects, fit_problem)
         problems = {e.name: fit_problem(e.name) for e in candidates if e.grid or e.name in pairing}
         return scores(fit, candidates, problems, pairing)
-
-    def screened(self, candidate_fit: CandidateFit, also: Collection[str] = ()) -> Screened | None:
-        """The largest scores of the faults of pairs that a fitted model lacks; None where there are none."""
-        lacking = [e for e in self.pair_faults if e.name not in candidate_fit.names]
-        own = [*candidate_fit.names, *(fault.name for fault in self.granted)]
-        return screened(candidate_fit.fit.granting(own), lacking, also) if lacking else None
-
-    def suspects(self, candidate_fit: CandidateFit, also: Collection[str] = ()) -> Scores:
-        """Scores of the faults of the measurement that a fitted model lacks, of pairs the largest and those named."""
-        fit = candidate_fit.fit.granting(candidate_fit.names)
-        single = self.scores(fit, [e for e in self.single_faults if e.name not in candidate_fit.names])
-        pairs = self.screened(candidate_fit, also)
-        return single if pairs is None else single.joined(pairs.scores)
 
     # -- fits ----------------------------------------------------------------------------------------------------------
 
@@ -174,9 +144,8 @@ class Refits:
         by_effect = {
             g.effect.name: max(predicted[k] for k, n in enumerate(named.owners) if n in g.names) for g in groups
         }
-        order = sorted(by_effect, key=lambda n: (-by_effect[n], n))[: self.settings.refits]
         out: list[CandidateFit] = []
-        for name in order:
+        for name in sorted(by_effect, key=lambda n: (-by_effect[n], n))[: self.settings.refits]:
             if len(out) > 1 and self.spent(RULES.early):
                 break
             reached = max((t.ln_evidence - base.ln_evidence for t in out), default=0.0)
@@ -247,8 +216,7 @@ class Refits:
 
     def without(self, model: CandidateFit, effect: Candidate, base: CandidateFit) -> CandidateFit | None:
         """A model refitted without one of its effects, from its values; None where that cannot be evaluated."""
-        remaining = tuple(name for name in model.names if name != effect.name)
-        if not remaining:
+        if not (remaining := tuple(name for name in model.names if name != effect.name)):
             return base
         self.announce(f"leaving out {effect.title}")
         return self.best_of(remaining, [{n: v for n, v in model.fit.values.items() if n not in effect.names}], base)
@@ -265,7 +233,7 @@ class Refits:
     def _candidate_fit(self, names: tuple[str, ...], fit: LinearisedFit) -> CandidateFit:
         effects = tuple(self.by_name[n] for n in names)
         added, fit = (*effects, *self.granted), replace(fit, shared=self.hypotheses.shared_errors / self.scale)
-        return CandidateFit(effects, fit, ln_evidence(fit, added) - self.price(effects), implausible(fit, added))
+        return CandidateFit(effects, fit, ln_evidence(fit, added) - self.family.price(names), implausible(fit, added))
 
     def starts(self, fit: LinearisedFit, found: Scores, name: str) -> list[dict[str, float]]:
         """Starts for the fit of an effect: one step from a fit, for the best points of its grid."""
@@ -312,26 +280,6 @@ class Refits:
                 return competitor
         return perturbation
 
-    def predicted(self, found: Scores) -> np.ndarray:
-        """Log evidence that one step predicts for each column, less the price of a fault of a pair, (m,)."""
-        price = np.array([self.price([self.by_name[name]]) for name in found.owners])
-        return np.asarray(np.maximum(found.magnitude, 0.0) ** 2 / 2 - price)
-
-    def promising(self, found: Scores) -> list[int]:
-        """Columns of the faults that are fitted, those predicted to explain most first.
-
-        Of a pair only one whose signature is not that of another that is fitted: a channel reads many others, which
-        move alike.
-        """
-        order: list[int] = []
-        for k in np.argsort(-self.predicted(found), kind="stable").tolist():
-            like = np.abs(found.unit[:, order].T @ found.unit[:, k]).max(initial=0.0)
-            if not (self.by_name[found.owners[k]].of_pair and like > RULES.same):
-                order.append(k)
-            if len(order) == RULES.blamed:
-                break
-        return order
-
     def fault(self, base: CandidateFit, found: Scores, best: CandidateFit) -> CandidateFit | None:
         """Fit of the measurement fault with the largest score; None where it comes nowhere near the best effect.
 
@@ -352,9 +300,9 @@ class Refits:
         Like `fault`, only those that come near the best effect, and at most `DecisionRules.blamed` that are predicted
         to explain about equally well. Fits of faults are not charged: they need no further model.
         """
-        predicted, order = self.predicted(found), self.promising(found)
+        predicted, order = self.family.predicted(found), self.family.promising(found)
         reached = best.ln_evidence - base.ln_evidence
-        out: list[CandidateFit] = []
+        out = list[CandidateFit]()
         with self.allowance.uncharged():
             for k in order:
                 gain, largest = float(predicted[k]), float(predicted[order[0]])
@@ -367,8 +315,7 @@ class Refits:
 
     def local(self, name: str, base: CandidateFit, found: Scores, best: CandidateFit) -> CandidateFit | None:
         """Fit of one local perturbation, refined where it comes near the best effect."""
-        first = self.starts(base.fit, found, name)[0]
-        perturbation = self.best_of((*base.names, name), [first], base)
+        perturbation = self.best_of((*base.names, name), self.starts(base.fit, found, name)[:1], base)
         if self.spent():
             return perturbation
         if perturbation is not None and best.ln_evidence - perturbation.ln_evidence < RULES.close:

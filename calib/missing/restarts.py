@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.errors.errors import EvaluationError
+from calib.missing.adequacy import suspects
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.linearised_fit import LinearisedFit, linearised
 from calib.missing.refits import Refits
@@ -77,11 +78,11 @@ def restarted_faults(fits: Refits, base: CandidateFit, faults: Sequence[Candidat
     fit_problem = fits.fit_problem(())
     try:
         nominal = linearised(fit_problem, (), fit_problem.space.values)
-        found = fits.suspects(replace(base, fit=nominal), tuple(best))
+        found = suspects(fits, replace(base, fit=nominal), tuple(best))
     except EvaluationError:
         return tuple(faults)
     known = [name for name in best if name in found.owners]
-    for name in dict.fromkeys((*known, *(found.owners[k] for k in fits.promising(found)))):
+    for name in dict.fromkeys((*known, *(found.owners[k] for k in fits.family.promising(found)))):
         refit = fits.best_of((name,), fits.starts(nominal, found, name), base)
         if refit is not None and (name not in best or refit.fit.misfit < best[name].fit.misfit):
             best[name] = refit

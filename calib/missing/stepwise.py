@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.missing.adequacy import adequacy_of, adequate, beside, left_out_error, predicts
+from calib.missing.adequacy import adequacy_of, adequate, beside, left_out_error, predicts, suspects
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.collinear import Group, grouped
 from calib.missing.evidence import at_lower, ln_bayes_linear
@@ -206,8 +206,8 @@ class Stepwise:
             place = fits.best_perturbation(rest, local, scores, model) if local.owners else None
             if place is not None and place.ln_evidence - _chance(h.perturbations, groups) > model.ln_evidence:
                 out.append((place, "local_perturbation"))
-            faults = fits.faults(rest, fits.suspects(rest), model)[:1] if h.faults else ()
-            out += [(one, "fault") for one in faults if one.ln_evidence - _chance(fits.single_faults, groups) > near]
+            faults = fits.faults(rest, suspects(fits, rest), model)[:1] if h.faults else ()
+            out += [(one, "fault") for one in faults if one.ln_evidence - _chance(fits.family.single, groups) > near]
         return out
 
 

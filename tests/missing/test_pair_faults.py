@@ -108,8 +108,7 @@ def test_a_fault_of_a_pair_is_told_alone_and_beside_an_effect(faulty):
 def test_a_pair_pays_for_their_number(faulty):
     made = with_pairs(faulty())
     fits = refits(made)
-    pair, single = (next(e for e in made.faults if e.of_pair == of) for of in (True, False))
-    assert fits.price([pair]) == pytest.approx(np.log(PAIRS / 6)) and fits.price([single]) == 0.0
+    assert fits.family.price(("X7",)) == pytest.approx(np.log(PAIRS / 6)) and fits.family.price(("F2",)) == 0.0
     fit = fits.candidate_fit(("X7",), made.base.values)
     free = replace(fits, hypotheses=replace(made, faults=tuple(e for e in made.faults if e.name in ("F0", "X7"))))
     assert fit.ln_evidence == pytest.approx(

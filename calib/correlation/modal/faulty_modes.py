@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.correlation.modal.comparison import Comparison
-from calib.correlation.modal.faults import ModalFault, Readings, ReadingSlopes
+from calib.correlation.modal.faults import ModalFault, Readings
 from calib.correlation.modal.problem import ModalProblem
 from calib.measurement.mac import is_real
 from calib.structure.eigenproblem.derivatives import ModeDerivatives
@@ -90,10 +90,6 @@ class FaultyModes:
     def motions(self, found: Comparison) -> np.ndarray:
         """Motions of the sources in every model mode, (n_sources, n_modes)."""
         return np.asarray(self._sources @ found.modes.shapes)
-
-    def fault_slopes(self, found: Comparison, names: Sequence[str]) -> ReadingSlopes:
-        """Derivatives of readings by the magnitudes of some faults."""
-        return self.readings.slopes(found.faults, names)
 
     def mixtures(self, found: Comparison, i: int) -> np.ndarray | float:
         """What the shape of measured mode i holds of other measured modes, (n_sensors,)."""

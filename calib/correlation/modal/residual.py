@@ -92,10 +92,9 @@ class ModalResidual:
         """Hash that changes whenever the residual or its derivatives at the same named values could."""
         std = (self.std.freq, self.std.damping, self.std.shape)
         layout = (self.rows, self._damped, self._parts, self.factor_sensors)
-        faults = [(f.name, f.shares, f.damping, f.mixed) for f in self.faults]
         mesh = [] if self.problem.mesh is None else [self.problem.mesh.fingerprint]
-        parts = [*([faults] if faults else []), *mesh]
-        return digest_of(_DEFINITION, self.problem.fingerprint, std, layout, *parts)[:16]
+        faults = [(f.name, f.shares, f.damping, f.mixed) for f in self.faults]
+        return digest_of(_DEFINITION, self.problem.fingerprint, std, layout, *([faults] if faults else []), *mesh)[:16]
 
     @property
     def kinds(self) -> np.ndarray:
@@ -210,8 +209,8 @@ class ModalResidual:
         if own:
             columns[:, [name not in self._faulty for name in names]] = self.slope(values, own, at)
             found = at(values)
-        of_faults = [name in self._faulty for name in names]
-        columns[:, of_faults] = self._fault_slopes(found, [name for name in names if name in self._faulty])
+        faults = [k for k, name in enumerate(names) if name in self._faulty]
+        columns[:, faults] = self._fault_slopes(found, [names[k] for k in faults])
         return columns
 
     def frequencies(
@@ -284,8 +283,7 @@ class ModalResidual:
         """Whitened residual of an existing comparison, shape (n_rows,)."""
         measured, std = self.problem.measured, self.std
         freq = found.paired(found.modes.natural_freq)
-        ratio = self._ratio(found)
-        damped = list(self._damped)
+        ratio, damped = self._ratio(found), list(self._damped)
         with np.errstate(invalid="ignore"):
             blocks = [
                 np.nan_to_num(np.log(measured.natural_freq / freq), nan=1.0) / std.freq,
@@ -329,20 +327,17 @@ class ModalResidual:
     def _fault_slopes(self, found: Comparison, names: Sequence[str]) -> np.ndarray:
         """Derivatives of the residual by the magnitudes of some faults, (n_rows, n_faults)."""
         readings, motions, measured = self._faulty.readings, self._faulty.motions(found), self.problem.measured
-        slopes, n = self._faulty.fault_slopes(found, names), len(measured.sensors)
-        moduli = [k for k, name in enumerate(names) if readings.turns_to_modulus(name)]
-        mixed = [(k, name, readings.mixed(name)[0]) for k, name in enumerate(names) if readings.mixed(name)]
+        slopes = readings.slopes(found.faults, names)
 
         def turned(i: int) -> np.ndarray | None:
-            j = int(found.pairing.model_index[i])
-            if j < 0:
+            if (j := int(found.pairing.model_index[i])) < 0:
                 return None
             fit = self._fit(found, i)
-            out = fit.slope(slopes.of_mode(readings.omega[i], n, motions[:, j]))
-            for k in moduli:
-                out[:, k] = fit.modulus_slope
-            for k, name, mode in mixed:
-                if mode == measured.names[i]:
+            out = fit.slope(slopes.of_mode(readings.omega[i], len(measured.sensors), motions[:, j]))
+            for k, name in enumerate(names):
+                if readings.turns_to_modulus(name):
+                    out[:, k] = fit.modulus_slope
+                elif readings.mixed(name)[:1] == measured.names[i : i + 1]:
                     out[:, k] = fit.target_slope(self._faulty.mixture(name))
             return out
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.errors.errors import EvaluationError
 from calib.hypotheses.proposals.proposal import Composed, HungBy, Lost, Proposal, Proposals
-from calib.missing.adequacy import adequacy_of, beside
+from calib.missing.adequacy import adequacy_of, beside, suspects
 from calib.missing.candidate_fit import CandidateFit, WrongDatum
 from calib.missing.evidence import at_lower, ln_bayes_linear
 from calib.missing.hypotheses import FitProblem, Hypotheses
@@ -326,8 +326,8 @@ class Search:
         limit = base.ln_evidence + best.evidence
         fault = None
         if h.faults:
-            faults, choices = fits.faults(base, fits.suspects(base), best.candidate_fit), len(fits.single_faults)
-            own = [t for t in faults if t.ln_evidence - math.log(max(choices, 1)) >= limit and not t.implausible]
+            faults, choice = fits.faults(base, suspects(fits, base), best.candidate_fit), fits.family.choice
+            own = [t for t in faults if t.ln_evidence - choice >= limit and not t.implausible]
             fault = next(iter(own), None)
         datum = wrong_datum(fits, base, suspects_table(base.fit, h, fits.settings.alpha), best.candidate_fit)
         near = best.candidate_fit.ln_evidence - RULES.credible
