@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calib.correlation.frf.comparison import FRFComparison
-from calib.correlation.modal.comparison import BEYOND, Comparison
+from calib.correlation.modal.comparison import BEYOND, WITHIN, Comparison
 from calib.hypotheses.rules import RULES
 from calib.inference.verdicts import identified_sentence
 from calib.problem.joint import of_test
@@ -62,7 +62,8 @@ def of_comparison(result: _Compared) -> Answer:
     elif found.far:
         then = f"Check first: the pairing and the units of {listed(found.far)}, far off in frequency."
     else:
-        then = FIT if (found.where_it_fails()["verdict"] == BEYOND).any() else _FINE
+        verdicts = found.where_it_fails()["verdict"]
+        then = FIT if (verdicts == BEYOND).any() or not (verdicts == WITHIN).any() else _FINE
     return Answer(agreement, tested, then)
 
 

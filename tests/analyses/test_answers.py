@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from calib.analyses.answers import NAMED, UNTRIED, listed, of_comparison, of_fit, of_sensitivity, screening_answer
+from calib.correlation.modal.comparison import BEYOND, UNKNOWN, WITHIN
 
 
 def compared(error, mac=np.nan, noise=np.nan, checks=()):
@@ -86,6 +87,16 @@ def test_an_explanation_weighs_a_datum_before_the_user_doubts_it():
     wrong = {"": (compared(0.05, checks=("sensor 2x",)), compared(0.01))}
     then = fit(statistics(False, ["mode 2BT"]), verdicts(False), wrong).then
     assert "sensor 2x" in then and "explain" not in then
+
+
+def test_modes_call_for_no_calibration_where_they_agree_and_not_where_nothing_is_known():
+    def then(*verdicts):
+        table = pd.DataFrame({"verdict": verdicts})
+        found = SimpleNamespace(summary=lambda: ("", ""), far=(), where_it_fails=lambda: table)
+        return of_comparison(SimpleNamespace(comparison=found, frfs=None, checks=())).then
+
+    assert "calib calibrate STUDY" in then(WITHIN, BEYOND) and then(UNKNOWN, UNKNOWN) == then(WITHIN, BEYOND)
+    assert then(WITHIN, UNKNOWN) == then(WITHIN) != then(BEYOND)
 
 
 def test_responses_that_agree_call_for_no_calibration():
