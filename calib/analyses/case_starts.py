@@ -79,7 +79,7 @@ def until_agreed(
 
 
 def from_further_starts(
-    case: Case, study: AnyStudy, result: CaseResult, before: FitStatistics, fit: Fit
+    case: Case, study: AnyStudy, result: CaseResult, before: FitStatistics, fit: Callable[..., FitStatistics]
 ) -> tuple[tuple[CaseResult, FitStatistics], str]:
     """A case that is rejected, fitted from sampled points too, and a note on that.
 
