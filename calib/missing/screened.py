@@ -16,7 +16,7 @@ from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, scores
 from calib.problem.candidate import Candidate
-from calib.problem.problem import Labelled
+from calib.problem.labels import Labelled
 
 _ENTRIES = 4_000_000
 """Entries of the columns at a time, to limit memory."""
