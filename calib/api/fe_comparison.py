@@ -48,8 +48,8 @@ def compare_modes(
     Parameters
     ----------
     modes : path or MeasuredModes
-        Computed modes: a universal file, CalculiX .frd or .dat, Nastran .f06, Abaqus .dat, a listing of ANSYS, a modes
-        table (.csv), or those of `calib.modes`; see `calib.imports.fe_modes.read_fe_modes`.
+        Computed modes: a universal file, CalculiX .frd or .dat, Nastran .f06, Abaqus .fil or .dat, a listing of ANSYS,
+        a modes table (.csv), or those of `calib.modes`; see `calib.imports.fe_modes.read_fe_modes`.
     measured : path, sequence of paths, MeasuredModes or ModalTest
         As `calib.read_modes` takes them.
     shapes, sensors : path, optional

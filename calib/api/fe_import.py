@@ -210,6 +210,10 @@ def import_matrices(
         own = read_fe_modes(path_of(modes, "modes"))
         table, told, doubts = _against(model, own, table)
         notes, warnings = (*notes, *told), (*warnings, *doubts)
+        if doubts and any(words.startswith("common null space") for words in fixed):
+            warnings += (
+                "For motions without stiffness and mass, which are fixed here, codes print modes that are none.",
+            )
     out = Imported(model, read, table, notes, warnings, system.name)
     if to is None:
         return out
@@ -273,7 +277,7 @@ def _solved(model: StructuralModel) -> tuple[pd.DataFrame, tuple[str, ...]]:
             remedy="do stiffness, mass and rows belong to one run, and is the mass the mass?",
         ) from None  # fmt: skip
     freq = np.asarray(found.natural_freq)
-    rigid = len(found.excluded)
+    rigid = sum(one.kind == "zero" for one in found.excluded)
     notes = (f"{count(rigid, 'rigid-body motion')}: the model is free.",) if rigid else ()
     return pd.DataFrame({"mode": np.arange(1, len(freq) + 1), "freq": freq}), notes
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.errors.errors import InputError
 from calib.imports.coordinates import read_coordinates
+from calib.imports.fil import read_fil
 from calib.imports.frd import read_frd
 from calib.imports.printed import read_printed
 from calib.measurement.files.csv_format import is_rigid
@@ -55,8 +56,8 @@ def read_fe_modes(
     Parameters
     ----------
     file : Path
-        Universal file (datasets 55, 2414), modes table (.csv), CalculiX .frd, or what a code has printed: Nastran .f06,
-        Abaqus and CalculiX .dat, ANSYS PRNSOL (.txt, .lis, .out).
+        Universal file (datasets 55, 2414), modes table (.csv), CalculiX .frd, Abaqus .fil as text, or what a code has
+        printed: Nastran .f06, Abaqus and CalculiX .dat, ANSYS PRNSOL (.txt, .lis, .out).
     shapes : Path, optional
         Shapes table beside a modes table.
     coordinates : Path, optional
@@ -86,7 +87,8 @@ def read_fe_modes(
             "binary results of Nastran are not read", place=file,
             remedy="print them: DISPLACEMENT(PRINT) = ALL writes the .f06, which is read",
         )  # fmt: skip
-    freq, motions, points, notes = read_frd(file) if suffix == ".frd" else read_printed(file)
+    reader = {".frd": read_frd, ".fil": read_fil}.get(suffix, read_printed)
+    freq, motions, points, notes = reader(file)
     read = ReadModes(freq, motions, {n: _scaled(p, metres) for n, p in points.items()}, notes)
     if coordinates is not None:
         read = ReadModes(freq, motions, read_coordinates(coordinates, metres), notes)

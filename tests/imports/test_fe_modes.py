@@ -99,12 +99,31 @@ def ansys():
     return "\n".join(out) + "\n"
 
 
+def fil():
+    """Places in mm, displacements with a column for the rotation about y, which is inactive in other directions."""
+    records = [[1921, "6.14-1  ", "28-Nov-2"], *([1901, k + 1, 1e3 * x, 0.0, -4.0] for k, x in enumerate(X)),
+               [1902, 1, 2, 3, 0, 4, 0]]  # fmt: skip
+    for j, freq in enumerate(FREQ):
+        records.append([1980, j + 1, (2 * np.pi * freq) ** 2, 1.0, 0.0])
+        records += [[101, k + 1, ALONG[k, j], 0.0, SHAPES[k, j], 0.003 * k] for k in range(len(X))]
+    text = "".join("*" + "".join(item(one) for one in [len(own) + 1, *own]) for own in records)
+    return "\n".join(text[k : k + 80] for k in range(0, len(text), 80)) + "\n"
+
+
+def item(value):
+    if isinstance(value, str):
+        return f"A{value:8}"
+    if isinstance(value, float):
+        return "D" + f"{value:22.15E}".replace("E", "D")
+    return f"I{len(str(value)):2d}{value}"
+
+
 def fortran(value):
     digits, power = f"{value:.4E}".split("E")
     return f"{float(digits) / 10:.5f}E{int(power) + 1:+04d}"
 
 
-FILES = {"beam.frd": frd, "beam.f06": f06, "beam.dat": abaqus, "ccx.dat": calculix, "modes.txt": ansys}
+FILES = {"beam.frd": frd, "beam.f06": f06, "beam.dat": abaqus, "ccx.dat": calculix, "modes.txt": ansys, "beam.fil": fil}
 
 
 @pytest.fixture(params=FILES)
@@ -205,7 +224,9 @@ def test_complex_modes_keep_their_phases():
     ("name", "text", "words"),
     [
         ("a.f06", "nothing here\n", "no modes"), ("a.frd", "    1C\n 9999\n", "no displacements"),
-        ("a.op2", "x", "f06"), ("a.frd", frd().replace("MODAL", "     "), "none of modes"),
+        ("a.fil", "\0binary", "ASCII"), ("a.fil", fil()[:2000] + "\n", "cut off"),
+        ("a.fil", fil().replace("\n", "").replace("I 3101", "I 3107"), "no displacements"), ("a.op2", "x", "f06"),
+        ("a.frd", frd().replace("MODAL", "     "), "none of modes"),
         ("a.frd", frd()[:600] + "\n -1         2 1.0E+0x\n", "cannot be read"),
     ],
 )  # fmt: skip
