@@ -32,6 +32,8 @@ from calib.results.written import is_own, require_unchanged
 from calib.sensitivity.prognosis import Prognosis, prognosis
 from calib.sensitivity.selection import Assessment, assess, selected_in
 from calib.sensitivity.spearman import noise_floor
+from calib.structure.function_model import FunctionModel
+from calib.study.runs import Runs
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 from calib.study.study_file import shell_argument
@@ -138,7 +140,16 @@ def sampled(
     count = min(settings.samples, QUICK_SAMPLES) if quick else settings.samples
     points = sample(space, count, settings.seed)
     outcomes = evaluated(study, ledger, [space.complete(x) for x in points.points], workers, progress)
-    return measured(space, points, outcomes, names, study.settings.listed)
+    return measured(space, points, outcomes, names, study.settings.listed, _of_runs(study, names))
+
+
+def _of_runs(study: AnyStudy, names: Sequence[str]) -> Prognosis | None:
+    """The metamodels behind a study's responses, where its model is a table of runs; None where it computes."""
+    models = [one.model for one in study.studies]
+    runs = models[0].metamodels if len(models) == 1 and isinstance(models[0], FunctionModel) else None
+    if not isinstance(runs, Runs):
+        return None
+    return Prognosis(tuple(one for one in runs.prognosis.models if one.response in names), runs.prognosis.untried)
 
 
 def varied(study: AnyStudy) -> ParameterSpace:
@@ -152,6 +163,7 @@ def measured(
     outcomes: Sequence[Outcome],
     names: Sequence[str],
     forced: Sequence[str] | None = None,
+    metamodels: Prognosis | None = None,
 ) -> Sensitivity:
     """Sensitivity measures of a sample; see `Sensitivity` and `calib.sensitivity.selection.assess`.
 
@@ -165,6 +177,8 @@ def measured(
         Responses to assess.
     forced : sequence of str, optional
         Parameters that the user selected.
+    metamodels : Prognosis, optional
+        Those that gave the responses; by default they are built from the sample.
     """
     x = pd.DataFrame(drawn.points, columns=list(space.free_names))
     y = table_of(outcomes, names)
@@ -174,7 +188,7 @@ def measured(
     why = reasons_sentence(space, reasons(outcomes), len(outcomes))
     samples = pd.concat([x, y], axis=1)
     unpaired, wide = len(x) - known - failed, space.wide_sentence
-    found = prognosis(space, x, y)
+    found = metamodels or prognosis(space, x, y)
     return Sensitivity(assessment, len(x), failed, unpaired, drawn.acceptance, floor, samples, why, wide, found)
 
 

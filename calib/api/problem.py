@@ -63,9 +63,9 @@ class Problem:
         Other models with their tests; parameters of the same name are shared. See `join`.
     ledger : str or Path, optional
         File in which solved points of fits, searches and samples are kept and looked up, made where there is none: the
-        same call again solves none of them. `compare` and `explain` keep none. The key of a point holds all
-        parameter values, and matrices or the function's file, its code and the objects it holds; name another file
-        when something else changes that a function reads. Of joined problems that of the first counts.
+        same call again solves none of them. `compare` and `explain` keep none. The key of a point holds all parameter
+        values, and matrices or the function's file, code and objects; name another file when something else changes
+        that it reads. Of joined problems that of the first counts.
     unselected : tuple of str
         Parameters that `keep` has left out.
     settings : StudySettings
@@ -120,6 +120,13 @@ class Problem:
         object.__setattr__(self, "ledger", ledger_at(self.ledger))
         require_names([test for _, test in self._members])
         require_within(self.space)  # building the space raises any other inconsistency
+
+    @classmethod
+    def from_runs(cls, path: str | Path, inputs: Sequence[str], tests: Test | Sequence[Test], **more: Any) -> Problem:
+        """The problem of a table of runs, ``more`` of `calib.study.runs.read_runs`; its ``model`` has the metamodels."""
+        from calib.study.runs import read_runs
+
+        return cls(read_runs(path, inputs, **more), tests)
 
     @staticmethod
     def join(first: Problem, *others: Problem) -> Problem:
@@ -304,15 +311,11 @@ class Problem:
         parameters : sequence of str
             Parameters to vary; all free ones by default. The others keep their nominal values.
         method : {"ranks", "morris", "sobol"}
-        samples : int, optional
-            Number of points that keep the constraints; 500 by default.
-        seed : int, optional
-            Seed of the points; 1 by default.
+        samples, seed : int, optional
+            Number of points that keep the constraints, 500 by default, and their seed, 1 by default.
         ignore_constraints : bool
             Whether ``"morris"`` and ``"sobol"`` ignore the constraints.
-        executor : concurrent.futures.Executor or calib.execution.executor.Injected, optional
-            As in `search`.
-        progress : bool
+        executor, progress
             As in `calibrate`.
 
         Raises

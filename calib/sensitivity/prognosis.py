@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 from scipy import special
-from scipy.stats import qmc
 
 from calib.errors.errors import InputError
 from calib.problem.sampling import sample
@@ -329,6 +328,8 @@ class _Pairs:
     @classmethod
     def of(cls, space: ParameterSpace, seed: int) -> _Pairs:
         """Points over the admissible region, and values uniform over what limits and constraints then leave."""
+        from scipy.stats import qmc  # slow to import, and few metamodels need it
+
         p = len(space.free)
         unit = qmc.Sobol(2 * p, rng=np.random.default_rng(seed)).random(PROGNOSIS.pairs)
         base = sample(space, PROGNOSIS.pairs, seed).points if space.constraints else space.from_unit(unit[:, :p])

@@ -76,6 +76,8 @@ class PrognosisRules:
         Part of its remaining error that a less simple model must save.
     rows_least : int
         Complete designs below which there is no metamodel.
+    runs_an_input : int
+        Runs of a table for every input, below which it is no model.
     pairs : int
         Pairs of points behind each total share.
     resamplings : int
@@ -97,6 +99,7 @@ class PrognosisRules:
     process_tuned: int = 150
     better: float = 0.05
     rows_least: int = 20
+    runs_an_input: int = 3
     pairs: int = 1024
     resamplings: int = 400
 

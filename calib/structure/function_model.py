@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from calib.errors.arguments import objects
@@ -15,6 +15,15 @@ from calib.results.fingerprint import digest_of
 from calib.structure.function_parts import ScaledPart, scaled_parts
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import Assumption
+
+
+class Predicted(Protocol):
+    """Responses that are predicted with an error."""
+
+    @property
+    def errors(self) -> Mapping[str, float]:
+        """Standard deviation of each response, in its unit."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -33,6 +42,8 @@ class FunctionModel:
         Parts that the function scales where it is asked to; an explanation asks whether one of them is wrong.
     identity : str
         Identifies the function where its code and the objects it holds are not enough.
+    metamodels : Predicted, optional
+        What predicts the responses, where they are not computed: of a table of runs.
 
     Examples
     --------
@@ -50,6 +61,7 @@ class FunctionModel:
     assumptions: tuple[Assumption, ...] = ()
     parts: tuple[ScaledPart, ...] = ()
     identity: str = ""
+    metamodels: Predicted | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         objects([self.space], ParameterSpace, f"model {self.name}, space")

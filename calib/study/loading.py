@@ -27,6 +27,7 @@ from calib.structure.function_model import FunctionModel, extend_function
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.structure.soundness import require_sound
+from calib.study.measurement_settings import RUNS
 from calib.study.neighbours import Neighbours, project_folders
 from calib.study.settings import StudySettings
 
@@ -59,7 +60,7 @@ class Sources:
     def model(self) -> Model:
         """The model without effects; InputError for whatever is wrong with it."""
         name, place = self.settings.model, self.place("model")
-        model = self._call("model", name, self.settings.model_options)
+        model = self._runs(name) if name.endswith(RUNS) else self._call("model", name, self.settings.model_options)
         if not isinstance(model, StructuralModel | ModalFunctionModel | FunctionModel):
             raise InputError(
                 f"{name.rpartition(':')[2]} returns {type(model).__name__}",
@@ -77,6 +78,20 @@ class Sources:
                 there = place.of(fault.place or "")
                 raise InputError(fault.problem, place=there, remedy=fault.remedy, at=fault.at or at) from None
         return model
+
+    def _runs(self, name: str) -> Model:
+        """A table of runs; see `calib.study.runs.read_runs`."""
+        from calib.study.runs import read_runs  # metamodels are for tables of runs alone
+
+        options, path = self.settings.model_options, self.folder / name
+        if not path.is_file():
+            remedy = "paths are relative to the study's folder"
+            raise InputError(f"there is no table of runs {name!r}", place=self.place("model"), remedy=remedy)
+        if mismatch := _mismatch(read_runs, {"path": path, **options}):
+            words = f"a table of runs cannot be read with these model_options ({mismatch})"
+            place = self.place("model_options") if options else self.place("model")
+            raise InputError(words, place=place, remedy="write model_options = { inputs = [...] }")
+        return read_runs(path, **options)
 
     def finer(self) -> Model | None:
         """The model without effects on a finer mesh; None when the study names no options for one."""

@@ -39,6 +39,10 @@ DesignName = Annotated[str, Field(pattern=r"^design [1-9][0-9]{0,17}$")]
 """An evaluated design by its number in the ledger."""
 FUNCTION = r"^[^:]+:[A-Za-z_]\w*$"
 """Names a function: ``"file.py:function"`` in the study's folder, or ``"package.module:function"``."""
+RUNS = ".csv"
+"""Suffix of a table of runs, by which it is told from a function."""
+MODEL = r"^([^:]+:[A-Za-z_]\w*|.+\.csv)$"
+"""Names a function that returns a model, or a table of runs."""
 FunctionText = Annotated[PathText, Field(pattern=FUNCTION)]
 NAME = r"^[A-Za-z0-9_-]+$"
 """Name of a case or a test, which names files."""
@@ -212,7 +216,7 @@ class TestSettings(MeasurementSettings):
     """Data of this test that no fit uses."""
     pairing: PairingSettings = PairingSettings()
     """How its modes are paired."""
-    model: PathText | None = Field(default=None, pattern=FUNCTION)
+    model: PathText | None = Field(default=None, pattern=MODEL)
     """Another model for this test."""
     model_options: dict[str, Any] | None = None
     """Other options of the model."""

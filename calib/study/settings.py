@@ -13,8 +13,9 @@ from pydantic import (
 
 from calib.errors.errors import InputError
 from calib.study.measurement_settings import (
-    FUNCTION,
+    MODEL,
     NAME,
+    RUNS,
     DesignName,
     FunctionText,
     HeldOutSettings,
@@ -200,8 +201,9 @@ class StudySettings(Section):
 
     title: str
     """Title in figures and report."""
-    model: PathText = Field(pattern=FUNCTION)
-    """Function that returns the model: ``"file.py:function"`` in the folder, or ``"package.module:function"``."""
+    model: PathText = Field(pattern=MODEL)
+    """Function that returns the model: ``"file.py:function"`` in the folder, or ``"package.module:function"``; or a
+    table of runs, ``"runs.csv"``, with ``model_options = { inputs = [...] }``."""
     model_options: dict[str, Any] = {}
     """Keyword arguments of that function."""
     depends_on: tuple[PathText, ...] = ()
@@ -275,9 +277,9 @@ class StudySettings(Section):
 
     @property
     def functions(self) -> tuple[str, ...]:
-        """Functions that build models and effects, as named in the file."""
+        """Functions that build models and effects, as named in the file; a table of runs has none."""
         named = (self.model, *self.libraries, *(f for test in self.tests for f in (test.model, test.effects)))
-        return tuple(dict.fromkeys(name for name in named if name))
+        return tuple(dict.fromkeys(name for name in named if name and not name.endswith(RUNS)))
 
     @property
     def listed(self) -> tuple[str, ...] | None:

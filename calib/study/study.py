@@ -22,6 +22,7 @@ from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of, digest_of_files
 from calib.structure.effects.perturbations import scaling_by_function
+from calib.structure.function_model import FunctionModel
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.basis import Basis
 from calib.study.experiment import experiment_of, problem_of, with_place
@@ -257,6 +258,10 @@ def _study(
     hints = parameter_hints(model.space, file.settings)
     taken = file.settings.adopted.parameters if file.settings.adopted else ()
     initial = {**space.values, **{name: model.space[name].value for name in taken if name in model.space}}
+    if isinstance(model, FunctionModel) and model.metamodels is not None:
+        from calib.study.runs import require_within_runs  # metamodels are for tables of runs alone
+
+        require_within_runs(model, space, file.place("parameters"))
     model = replace(model, space=space)
     for k, name in enumerate(file.settings.depends_on):
         file.path(name, "depends_on", k)

@@ -20,6 +20,7 @@ from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.responses import MeasuredResponses, read_responses
 from calib.results.fingerprint import code_files, digest_of
+from calib.study.measurement_settings import RUNS
 from calib.study.settings import StudySettings, TestSettings
 from calib.study.study_text import find, place_of, read_layers, read_settings
 
@@ -220,7 +221,8 @@ class StudyFile:
         files = list(code)
         for data in settings.tests or (settings.measurement,):
             files += [*data.files, *data.shapes, *filter(None, [data.sensors, data.responses])]
-        files += settings.depends_on
+        tables = [settings.model, *(test.model for test in settings.tests)]
+        files += [*settings.depends_on, *(name for name in tables if name and name.endswith(RUNS))]
         return {file: (folder / file).resolve() for file in files}
 
     @property

@@ -18,7 +18,8 @@ from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.errors.toml_places import Keys, Mark, keys_in_words, place_in
 from calib.results.former_names import KEYS, MOVED
-from calib.study.settings import FUNCTION, NAME, StudySettings
+from calib.study.measurement_settings import FUNCTION, MODEL, RUNS
+from calib.study.settings import NAME, StudySettings
 
 
 def read_settings(file: Path) -> StudySettings:
@@ -131,6 +132,8 @@ def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
         return Path(os.path.relpath(own / path, folder)).as_posix()
 
     def function(name: Any) -> Any:
+        if str(name).endswith(RUNS):
+            return lead(name)
         where, _, what = str(name).rpartition(":")
         return f"{lead(where)}:{what}" if where.endswith(".py") else name
 
@@ -205,6 +208,7 @@ _EXPECTED: Mapping[str, tuple[str, str]] = {
 }
 """What a value must be, by the first word of the kind of error that pydantic reports, and a remedy."""
 _PATTERNS: Mapping[str, tuple[str, str]] = {
+    MODEL: ("names no model", 'write "file.py:function", "package.module:function" or a table of runs, "runs.csv"'),
     FUNCTION: ("names no function", 'write "file.py:function" or "package.module:function"'),
     NAME: ("is no name for files", "use letters, digits, - and _ only"),
 }

@@ -169,7 +169,8 @@ def response_problem(
         For a response that a model with modes does not have.
     """
     if isinstance(model, FunctionModel):
-        return FunctionProblem(model.space, model.function, used, model.fingerprint, repeats, measured.shares)
+        errors = model.metamodels.errors if model.metamodels else {}
+        return FunctionProblem(model.space, model.function, used, model.fingerprint, repeats, measured.shares, errors)
     function = ModalResponses.of(model, measured.targets, place)
     mark = f"{model.fingerprint} {function.count} modes"
     return ModalResponseProblem(model.space, function, used, mark, repeats, measured.shares)

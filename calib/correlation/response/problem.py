@@ -40,6 +40,8 @@ class FunctionProblem:
         standard deviations.
     shares : mapping from str to float
         Part of the variance of each target that the repeats estimate; default 1.
+    errors : mapping from str to float
+        Standard deviation with which the function predicts each response, where it does not compute it.
     """
 
     space: ParameterSpace
@@ -48,6 +50,7 @@ class FunctionProblem:
     fingerprint: str
     repeats: float | None = None
     shares: Mapping[str, float] = field(default_factory=dict)
+    errors: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.targets:
@@ -61,6 +64,16 @@ class FunctionProblem:
                     place="targets",
                     remedy="give a positive one or none",
                 )
+
+    @property
+    def compared(self) -> Targets:
+        """The targets with the standard deviation of their difference from the function, where it has an error."""
+        return {name: (value, self._wide(name)) for name, (value, _) in self.targets.items()}
+
+    def _wide(self, name: str) -> float | None:
+        """Standard deviation of a target, measured or assumed, and of the function together."""
+        (value, std), error = self.targets[name], self.errors.get(name, 0.0)
+        return math.hypot(std or RULES.unknown_response_std * abs(value), error) if error else std
 
     def with_model(self, model: Any) -> Self:
         """The same targets for another function; see `calib.correlation.modal.responses.ModalResponseProblem`."""
@@ -103,7 +116,7 @@ class FunctionProblem:
     @property
     def relative_std(self) -> np.ndarray:
         """Relative standard deviation of every target, (n_targets,); NaN where it would be assumed."""
-        return np.array([std / abs(value) if std else np.nan for value, std in self.targets.values()])
+        return np.array([std / abs(value) if std else np.nan for value, std in self.compared.values()])
 
     @property
     def sensitivity_responses(self) -> list[str]:
@@ -123,7 +136,11 @@ class FunctionProblem:
     @property
     def std_dof(self) -> dict[str, float]:
         """Degrees of freedom behind the standard deviations of each kind; infinite where they are known."""
-        return response_dof(self.targets, self.repeats, self.shares)
+        parts = {name: ((std or 0.0) / (self._wide(name) or 1.0)) ** 2 for name, (_, std) in self.targets.items()}
+        own = {
+            name: self.shares.get(name, 1.0) * (parts[name] if name in self.errors else 1.0) for name in self.targets
+        }
+        return response_dof(self.targets, self.repeats, own)
 
     def evaluate(self, values: Mapping[str, float]) -> dict[str, float]:
         """Responses at named values; missing parameters take their nominal value.

@@ -86,7 +86,7 @@ class ResponseResidual:
     @property
     def std(self) -> np.ndarray:
         """Standard deviation of every row, (n_rows,)."""
-        return response_std(self.problem.targets)
+        return response_std(self.problem.compared)
 
     @property
     def measured_values(self) -> np.ndarray:
@@ -106,7 +106,7 @@ class ResponseResidual:
     @property
     def fingerprint(self) -> str:
         """Hash that changes whenever the residual or its derivatives at the same named values could."""
-        content = (list(self.problem.targets.items()), self.step)
+        content = (list(self.problem.compared.items()), self.step)
         return digest_of(_DEFINITION, self.problem.fingerprint, content)[:16]
 
     @property

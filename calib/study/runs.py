@@ -1,0 +1,176 @@
+"""A table of runs as a model: metamodels predict its responses, and their errors count in every fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from calib.errors.arguments import path as path_of
+from calib.errors.errors import EvaluationError, InputError
+from calib.errors.place import Place
+from calib.measurement.files.csv_record import header_of
+from calib.problem.parameter import SI_FACTORS, Parameter
+from calib.problem.space import ParameterSpace
+from calib.results.cell import number_of
+from calib.results.fingerprint import digest_of
+from calib.results.table import TableRow, read_rows
+from calib.sensitivity.prognosis import Prognosis, prognosis
+from calib.sensitivity.rules import PROGNOSIS
+from calib.structure.function_model import FunctionModel
+from calib.structure.model import Assumption
+
+_EMPTY = "leave the cell of a failed run empty, or name the columns that are responses as 'outputs'"
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Metamodels of a table of runs, as the function of a model.
+
+    Attributes
+    ----------
+    space : ParameterSpace
+        The inputs, between the smallest and the largest value of the runs.
+    prognosis : Prognosis
+    """
+
+    space: ParameterSpace
+    prognosis: Prognosis
+
+    def __call__(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Predicted responses; EvaluationError outside the runs, where metamodels do not hold."""
+        x = np.array([[values[name] for name in self.space.free_names]])
+        if not self.space.feasible(x).all():
+            raise EvaluationError(outside(self.space, dict(zip(self.space.free_names, x[0].tolist(), strict=True))))
+        return {one.response: float(one(x)[0]) for one in self.prognosis.models if one.kind != "none"}
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Root mean square error of each metamodel, cross-validated, in the unit of the response."""
+        return {one.response: one.error for one in self.prognosis.models if one.error > 0}
+
+
+def outside(space: ParameterSpace, values: Mapping[str, float]) -> str:
+    """Which value is outside the runs, in words; empty where none is."""
+    for p in space.free:
+        slack = 1e-9 * (p.upper - p.lower)
+        if p.name in values and not p.lower - slack <= values[p.name] <= p.upper + slack:
+            return f"{p.name} = {values[p.name]:g} is outside the runs, which go from {p.lower:g} to {p.upper:g}"
+    return ""
+
+
+def require_within_runs(model: FunctionModel, space: ParameterSpace, place: Place) -> None:
+    """InputError where the limits of a study go beyond the runs of its table."""
+    if not isinstance(runs := model.metamodels, Runs):
+        return
+    for p in space.free:
+        for value in (p.lower, p.upper):
+            if p.name in runs.space and (words := outside(runs.space, {p.name: value})):
+                own = runs.space[p.name]
+                remedy = (
+                    f"narrow its limits to {own.lower:g} to {own.upper:g}, or add runs: metamodels do not extrapolate"
+                )
+                raise InputError(f"the limit {words}", place=place, remedy=remedy)
+
+
+def read_runs(path: str | Path, inputs: Sequence[str], outputs: Sequence[str] = ()) -> FunctionModel:
+    r"""Read a table of runs, one row a run, as a model whose responses are predicted by metamodels.
+
+    Parameters
+    ----------
+    path : str or Path
+        CSV with one column for every input and output; a second line may hold the units. Empty cells of outputs are
+        those of failed runs.
+    inputs : sequence of str
+        Columns that become parameters, free between their smallest and largest value, in the unit of the second line.
+    outputs : sequence of str
+        Columns that become responses; by default all others.
+
+    Returns
+    -------
+    FunctionModel
+        Its metamodels are chosen by `calib.sensitivity.prognosis.prognosis`; their errors, found by cross-validation,
+        add to the standard deviation of every measured response. ``model.metamodels.prognosis.table`` tells each.
+
+    Raises
+    ------
+    InputError
+        With file, line and column: a missing column, text in a cell, an input that never changes, an unknown unit, or
+        fewer than 3 runs for every input or than 20 in all.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import calib
+    >>> rows = [f"{k},{m},{(k / m) ** 0.5}" for k in range(10, 20) for m in range(1, 4)]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     table = Path(folder, "runs.csv")
+    ...     _ = table.write_text("\n".join(["k,m,w", "N/m,kg,rad/s", *rows]))
+    ...     problem = calib.Problem.from_runs(table, ["k", "m"], calib.ResponseTest({"w": (2.5, 0.01)}))
+    >>> round(problem.keep(["k"]).calibrate().values["k"], 1)  # m at 2 kg
+    12.5
+    """
+    path = path_of(path, "table of runs")
+    named = [inputs] if isinstance(inputs, str) else list(inputs)
+    header, _ = header_of(path)
+    wanted = [*named, *(outputs or [name for name in header if name not in named])]
+    rows = read_rows(path, [*wanted, *(name for name in header if name not in wanted)])
+    units = _units(rows[0]) if rows else None
+    rows = rows if units is None else rows[1:]
+    if not named or len(wanted) == len(named):
+        raise InputError("it has no " + ("inputs" if not named else "outputs"), place=path,
+                         remedy=f"name columns among {', '.join(header)}")  # fmt: skip
+    points = pd.DataFrame([[row.number(name) for name in named] for row in rows], columns=named)
+    found = wanted[len(named) :]
+    values = pd.DataFrame([[_output(row, name) for name in found] for row in rows], columns=found)
+    known, least = (
+        int(values.notna().any(axis=1).sum()),
+        max(PROGNOSIS.rows_least, PROGNOSIS.runs_an_input * len(named)),
+    )
+    if known < least:
+        words = f"{known} runs that did not fail are too few for {len(named)} inputs"
+        raise InputError(words, place=path, remedy=f"add runs, {least} at least, or name fewer inputs")
+    space = ParameterSpace(tuple(_parameter(path, name, points[name], (units or {}).get(name, "")) for name in named))
+    runs = Runs(space, prognosis(space, points, values))
+    identity = digest_of("runs 1", named, found, points.to_numpy(), values.to_numpy(), PROGNOSIS)[:16]
+    return FunctionModel(path.stem, space, runs, (_error_of(path, runs),), (), identity, runs)
+
+
+def _units(row: TableRow) -> dict[str, str] | None:
+    """The units of a second line; None where the row has a number."""
+    cells = row.cells
+    if any(number_of(cell, row.comma) is not None for cell in cells.values()) or not any(cells.values()):
+        return None
+    return {name: cell.strip("[]() ") for name, cell in cells.items()}
+
+
+def _output(row: TableRow, name: str) -> float:
+    try:
+        return row.optional(name)
+    except InputError as fault:
+        raise InputError(fault.problem, place=fault.place, remedy=_EMPTY) from None
+
+
+def _parameter(path: Path, name: str, values: pd.Series[float], unit: str) -> Parameter:
+    low, high = float(values.min()), float(values.max())
+    place = f"{path.name}, column {name}"
+    if not low < high:
+        raise InputError(f"it is {low:g} in every run", place=place, remedy="leave it out of 'inputs'")
+    if unit not in ("", *SI_FACTORS):
+        known = ", ".join(SI_FACTORS)
+        raise InputError(f"unknown unit {unit!r}", place=place, remedy=f"write one of {known}, or leave it empty")
+    return Parameter(name, 0.5 * (low + high), low, high, unit or "-")
+
+
+def _error_of(path: Path, runs: Runs) -> Assumption:
+    """That errors of prediction count, with the worst."""
+    worst = sorted((m for m in runs.prognosis.models if m.error > 0), key=lambda m: m.cop)[:3]
+    words = ", ".join(f"{m.response} {m.error:.3g} (CoP {m.cop:.2f})" for m in worst) or "0"
+    reason = (
+        "cross-validated; added to the standard deviation of every measured response, the least predicted named here"
+    )
+    return Assumption(f"prediction error of the metamodels of {path.name}", words, "unit of each", reason)

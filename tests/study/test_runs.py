@@ -1,0 +1,162 @@
+"""A table of runs is a model: it is compared, sampled, fitted and explained, and its errors of prediction count."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import calib
+from calib.analyses.compare import comparison_at
+from calib.problem.sampling import sample
+from calib.study.runs import read_runs
+
+SPACE = calib.ParameterSpace(
+    (calib.Parameter("k", 30.0, 20.0, 40.0, "kN/m"), calib.Parameter("m", 7.0, 5.0, 9.0, "kg"))
+)
+TRUE = {"k": 33.0, "m": 6.2}
+
+
+def computed(k, m):
+    """Frequencies of two masses in a chain, Hz, and their whole mass, kg."""
+    w = np.sqrt(1e3 * np.asarray(k) / np.asarray(m)) / (2 * np.pi)
+    return {"f1": 0.618 * w, "f2": 1.618 * w, "mass": 2.0 * np.asarray(m)}
+
+
+def table(count=60, seed=1, noise=0.0):
+    points = pd.DataFrame(sample(SPACE, count, seed).points, columns=["k", "m"])
+    found = points.assign(**computed(points["k"], points["m"]))
+    found["f2"] += noise * np.random.default_rng(seed).standard_normal(count)
+    return found
+
+
+def written(folder, found, units="kN/m,kg,Hz,Hz,kg"):
+    lines = found.to_csv(index=False, na_rep="").splitlines()
+    (folder / "runs.csv").write_text("\n".join([lines[0], *([units] if units else []), *lines[1:]]), encoding="utf-8")
+    return folder / "runs.csv"
+
+
+def measured(std=0.02):
+    values = computed(**TRUE)
+    return {name: (float(values[name]), std) for name in ("f1", "f2", "mass")}
+
+
+def study(folder, more="", limits=""):
+    rows = [f"{name},{value!r},{std}" for name, (value, std) in measured().items()]
+    (folder / "measured.csv").write_text("\n".join(["response,value,std", *rows]), encoding="utf-8")
+    (folder / "study.toml").write_text(
+        f"""title = "table"
+model = "runs.csv"
+model_options = {{ inputs = ["k", "m"] }}
+{more}
+[measurement]
+responses = "measured.csv"
+[calibration]
+method = "gauss-newton"
+{limits}
+""",
+        encoding="utf-8",
+    )
+    return folder / "study.toml"
+
+
+def test_a_table_predicts_what_was_computed(tmp_path):
+    problem = calib.Problem.from_runs(written(tmp_path, table()), ["k", "m"], calib.ResponseTest(measured(0.005)))
+    model = problem.model
+    assert [(p.name, p.unit) for p in model.space] == [("k", "kN/m"), ("m", "kg")]
+    found = model.function(TRUE)
+    for name, value in computed(**TRUE).items():
+        assert found[name] == pytest.approx(float(value), rel=1e-3)
+    fit = problem.calibrate(starts=3)
+    assert fit.values["k"] == pytest.approx(TRUE["k"], rel=5e-3)
+    assert fit.values["m"] == pytest.approx(TRUE["m"], rel=5e-3)
+
+
+def test_the_error_of_prediction_is_in_every_standard_deviation(tmp_path):
+    rough = read_runs(written(tmp_path, table(noise=0.5)), inputs=["k", "m"])
+    error = rough.metamodels.errors["f2"]
+    assert 0.3 < error < 0.8
+    test = calib.ResponseTest(measured(0.02))
+    problem = test.problem(rough)
+    std = dict(zip(problem.targets, test.residual(problem).std, strict=True))
+    assert std["f2"] == pytest.approx(np.hypot(0.02, error)) and std["mass"] == pytest.approx(0.02, abs=1e-4)
+    unknown = calib.ResponseTest({"f2": 18.0}).problem(rough)
+    assert unknown.compared["f2"][1] > error
+    row = calib.Problem(rough, test).compare().table.set_index("response").loc["f2"]
+    assert row["error_in_std"] == pytest.approx(row["error"] * row["measured"] / std["f2"])
+    wide, exact = (
+        calib.Problem(model, test).calibrate(starts=1).parameters["std"]["k"]
+        for model in (rough, replace(rough, metamodels=None))
+    )
+    assert wide > 1.1 * exact
+    assert any("f2" in one.value and "runs.csv" in one.item for one in rough.assumptions)
+
+
+def test_a_study_of_a_table_tells_the_prognosis_of_its_runs_and_fits(tmp_path):
+    found = table()
+    found.loc[[3, 7], ["f1", "f2", "mass"]] = np.nan
+    written(tmp_path, found)
+    loaded = calib.Study.load(study(tmp_path), results=tmp_path / "results")
+    told = loaded.sensitivity().of
+    assert (told.prognosis.table["designs"] == 58).all() and told.prognosis.table["cop"].min() > 0.99
+    fit = loaded.calibrate()
+    values = pd.read_csv(loaded.folder.path / "verdicts.csv").set_index("parameter")["value"]
+    assert values["k"] == pytest.approx(TRUE["k"], rel=0.01) and len(fit.table) == 2
+
+
+def test_another_table_is_another_model(tmp_path):
+    one = read_runs(written(tmp_path, table()), inputs=["k", "m"])
+    other = read_runs(written(tmp_path, table(seed=2)), inputs=["k", "m"])
+    assert one.fingerprint != other.fingerprint
+    again = read_runs(written(tmp_path, table()), inputs=["k", "m"])
+    assert one.fingerprint == again.fingerprint
+
+
+def test_beyond_the_runs_nothing_is_predicted(tmp_path):
+    written(tmp_path, table())
+    model = read_runs(tmp_path / "runs.csv", inputs=["k", "m"])
+    with pytest.raises(calib.EvaluationError, match=r"k = 50 is outside the runs"):
+        model.function({"k": 50.0, "m": 7.0})
+    file = study(tmp_path, limits="[parameters.k]\nlimits = [10.0, 39.0]\n")
+    with pytest.raises(calib.InputError, match=r"k = 10 is outside the runs, which go from 2\d") as fault:
+        comparison_at(calib.Study.load(file).loaded, TRUE)
+    assert "extrapolate" in str(fault.value) and str(file) in str(fault.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "inputs", "words"),
+    [
+        (lambda t: t, ["k", "mu"], r"mu"),
+        (lambda t: t, [], r"no inputs"),
+        (lambda t: t[["k", "m"]], ["k", "m"], r"no outputs"),
+        (lambda t: t.assign(f1="bad"), ["k", "m"], r"runs.csv, line 3.*column f1.*'bad'.*failed run empty"),
+        (lambda t: t.assign(k=[None, *t["k"][1:]]), ["k", "m"], r"runs.csv, line 3.*column k.*empty"),
+        (lambda t: t.assign(m=7.0), ["k", "m"], r"column m.* 7 in every run"),
+        (lambda t: t[:15], ["k", "m"], r"15 runs .*too few for 2 inputs.*20 at least"),
+    ],
+)
+def test_what_is_no_table_of_runs_is_refused_in_one_sentence(tmp_path, change, inputs, words):
+    file = written(tmp_path, change(table()), units="" if change(table()).shape[1] < 5 else "kN/m,kg,Hz,Hz,kg")
+    with pytest.raises(calib.InputError) as fault:
+        read_runs(file, inputs=inputs)
+    assert re.search(words, str(fault.value)) and "\n" not in str(fault.value)
+
+
+def test_an_unknown_unit_is_refused(tmp_path):
+    with pytest.raises(calib.InputError, match="unknown unit 'furlong'"):
+        read_runs(written(tmp_path, table(), "furlong,kg,Hz,Hz,kg"), inputs=["k", "m"])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [("{ }", r"inputs"), ('{ inputs = ["k"], colour = 1 }', r"colour"), (None, r"no table of runs 'runs.csv'")],
+)
+def test_a_study_of_a_table_names_the_line_of_what_is_wrong(tmp_path, options, words):
+    file = study(tmp_path)
+    if options is not None:
+        written(tmp_path, table())
+        file.write_text(file.read_text("utf-8").replace('{ inputs = ["k", "m"] }', options), encoding="utf-8")
+    with pytest.raises(calib.InputError, match=words) as fault:
+        comparison_at(calib.Study.load(file).loaded, TRUE)
+    assert str(file) in str(fault.value)
