@@ -9,6 +9,7 @@ import pytest
 from pydantic import BaseModel
 
 from calib import StructuralModel
+from calib.study.runs import read_runs
 from calib.study.settings import StudySettings
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -63,7 +64,8 @@ def test_what_names_a_key_is_seen():
 
 @pytest.mark.parametrize("folder", ["calib", "models"])
 def test_remedies_name_keys_that_exist(folder):
-    own = arguments("models") if folder == "models" else signature(StructuralModel.from_matrices).parameters
+    options = [*signature(StructuralModel.from_matrices).parameters, *signature(read_runs).parameters]
+    own = arguments("models") if folder == "models" else options
     known = keys() | set(own)
     told = list(remedies(folder))
     assert len(told) > 20 and {"model_options", "prior_sd", "mode_count", "freq_window", "parameters"} <= known

@@ -123,7 +123,7 @@ class Problem:
 
     @classmethod
     def from_runs(cls, path: str | Path, inputs: Sequence[str], tests: Test | Sequence[Test], **more: Any) -> Problem:
-        """The problem of a table of runs, ``more`` of `calib.study.runs.read_runs`; its ``model`` has the metamodels."""
+        """The problem of a table of runs, ``more`` of `calib.study.runs.read_runs`; its ``model`` has metamodels."""
         from calib.study.runs import read_runs
 
         return cls(read_runs(path, inputs, **more), tests)

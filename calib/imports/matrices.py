@@ -171,7 +171,7 @@ def _stored(file: Path, raw: bytes, text: str, lines: list[str]) -> list[Stored]
         return [read_harwell_boeing(file, lines)]
     if not text:
         raise InputError(
-            "its form is unknown", place=file, remedy="give matrices in one of the forms of docs/fe_code.md"
+            "its form is unknown", place=file, remedy="give matrices in a form of the page on finite-element codes"
         )
     name = {".sti": "stiffness", ".mas": "mass"}.get(file.suffix.lower(), file.stem)
     table = numbers_of(text, (3, 5), file)

@@ -42,7 +42,7 @@ def axes_of(file: Path, text: str) -> dict[int, np.ndarray]:
         if number not in systems or depth > len(systems):
             what = f"{others[number]} {number}" if number in others else f"system {number}"
             raise InputError(f"node {node} moves in {what}", place=file,
-                             remedy="CORD2R in the same file is turned; else write the matrices in global axes (CD = 0)"
+                             remedy="give its CORD2R in the same file, or write the matrices in global axes"
                              )  # fmt: skip
         reference, points = systems[number]
         origin, axes = frame(reference, node, depth + 1)

@@ -43,13 +43,14 @@ class FaultFamily:
         return math.log(max(len(self.single), 1))
 
     def price(self, names: Collection[str]) -> float:
-        """What faults of pairs among some candidates cost: the logarithm of how many more there are than of others.
+        """What faults of pairs among some candidates cost: the logarithm of how much rarer one is than a single one.
 
-        It is taken off their log evidence, as that of a choice among places. All faults then compare alike, at the
-        price of a single one.
+        Together they have `DecisionRules.pairs_share` of the probability of any fault. The price is taken off their log
+        evidence, as that of a choice among places. All faults then compare alike, at the price of a single one.
         """
         number = sum(name in self.pairs for name in names)
-        return number * max(math.log(max(len(self.pairs), 1)) - self.choice, 0.0)
+        rarer = math.log(1.0 / RULES.pairs_share - 1.0) + math.log(max(len(self.pairs), 1)) - self.choice
+        return number * max(rarer, 0.0)
 
     def screened(self, fit: LinearisedFit, without: Collection[str], also: Collection[str] = ()) -> Screened | None:
         """The largest scores of the faults of pairs but some, and those ``also`` named; None where there are none."""

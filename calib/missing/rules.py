@@ -116,8 +116,8 @@ class DecisionRules:
     screened : int
         Number of faults of pairs, those of the largest scores, that are kept of all.
     pairs_share : float
-        Share of the probability of a false alarm by any fault that those of pairs have: the limits of the others hardly
-        depend on them.
+        Share of the probability of any fault, and of a false alarm by one, that those of pairs have: the limits of the
+        others hardly depend on them.
     whole : float
         Distance of a magnitude from 1 below which a fault that is there wholly or not at all, an exchange, is there.
     confounded : float

@@ -24,7 +24,7 @@ KEYS = {
     "measured_noise_scale", "local_perturbations", "local_perturbation", "evaluations", "begun_anew",
     "accuracy", "std_assumed", "accuracy_that_explains", "place", "misfit_at", "measurement_fault", "wrong_datum",
     "refused", "nearly",
-    "faults", "blamed", "evaluations_intervals", "evaluations_recommendation", "errors", "seconds",
+    "faults", "pair_faults", "blamed", "evaluations_intervals", "evaluations_recommendation", "errors", "seconds",
 }  # fmt: skip
 
 

@@ -15,6 +15,7 @@ PLACES = {
     "faults": "calib.correlation.fault_rules.RULES",
     "models": "calib.structure.rules.RULES",
     "sensitivity": "calib.sensitivity.rules.RULES",
+    "prognosis": "calib.sensitivity.rules.PROGNOSIS",
     "limits": "calib.problem.parameter.RULES",
     "inference": "calib.inference.rules.RULES",
     "analyses": "calib.hypotheses.rules.RULES",

@@ -108,12 +108,13 @@ def test_a_fault_of_a_pair_is_told_alone_and_beside_an_effect(faulty):
 def test_a_pair_pays_for_their_number(faulty):
     made = with_pairs(faulty())
     fits = refits(made)
-    assert fits.family.price(("X7",)) == pytest.approx(np.log(PAIRS / 6)) and fits.family.price(("F2",)) == 0.0
+    rarer = np.log((1 - RULES.pairs_share) / RULES.pairs_share * PAIRS / 6)
+    assert fits.family.price(("X7",)) == pytest.approx(rarer) and fits.family.price(("F2",)) == 0.0
     fit = fits.candidate_fit(("X7",), made.base.values)
     free = replace(fits, hypotheses=replace(made, faults=tuple(e for e in made.faults if e.name in ("F0", "X7"))))
-    assert fit.ln_evidence == pytest.approx(
-        free.candidate_fit(("X7",), made.base.values).ln_evidence - np.log(PAIRS / 6)
-    )
+    alone = np.log((1 - RULES.pairs_share) / RULES.pairs_share)  # one pair beside one single fault
+    known = free.candidate_fit(("X7",), made.base.values).ln_evidence
+    assert fit.ln_evidence == pytest.approx(known - rarer + alone)
 
 
 def test_a_part_of_an_exchange_is_none(faulty):

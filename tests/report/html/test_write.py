@@ -44,7 +44,15 @@ def test_a_measured_structure_is_not_called_synthetic(everything, reader):
     ("gone", "section", "command"),
     [
         (
-            ["selection", "sensitivity", "partial", "variance_share", "input_correlation"],
+            [
+                "selection",
+                "sensitivity",
+                "partial",
+                "variance_share",
+                "input_correlation",
+                "prognosis",
+                "prognosis_inputs",
+            ],
             "sensitivity",
             "calib sensitivity",
         ),
