@@ -218,7 +218,7 @@ def _calibration(folder: Folder) -> Iterator[Drawing]:
             ["value", "ratio", "spread"],
             complete=["ratio"],
             flags=["on_limit", "stable", "identified", "search_on_limit"],
-            if_there=["lower", "upper", "std", "search_value", "search_on_limit"],
+            if_there=["lower", "upper", "std", "low", "high", "search_value", "search_on_limit"],
         )
         best = _best_case(folder / "summary.json", list(dict.fromkeys(found["case"])))
         space = folder / "parameter_space.csv"

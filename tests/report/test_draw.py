@@ -324,3 +324,17 @@ def test_fits_without_a_search_have_no_convergence(folder):
     assert [line.get_label().split()[0] for line in ax.lines if line.get_linewidth() > 1.5] == ["GB2"]
     table.assign(mean=np.nan).to_csv(folder / "convergence.csv", index=False)
     assert "convergence" not in Figures(folder, "x", False).plan
+
+
+def test_intervals_of_one_side_are_drawn_from_a_folder_as_its_table_has_them(folder, parameters):
+    """Of a parameter that a constraint or a limit holds: not two standard deviations to either side."""
+    best = parameters["case"] == "GB2"
+    low = parameters["lower"] + 0.25 * (parameters["upper"] - parameters["lower"])
+    high = parameters["lower"] + 0.5 * (parameters["upper"] - parameters["lower"])
+    parameters.assign(low=low, high=high, std=1e3).to_csv(folder / "parameters.csv", index=False)
+    with style():
+        figure = Figures(folder, "", False).plan["parameters"].draw()
+    (drawn,) = [marks for marks in figure.axes[0].collections if marks.get_gid() == "posterior"]
+    assert len(drawn.get_segments()) == best.sum() > 1
+    for segment in drawn.get_segments():
+        assert segment[:, 0] == pytest.approx([0.25, 0.5])
