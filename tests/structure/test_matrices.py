@@ -175,6 +175,8 @@ def test_a_row_of_no_node_stays_in_the_model(none):
     assert model.modes({}, N).natural_freq == pytest.approx(chain().modes({}, N).natural_freq)
     assert model.labels == (1, 2, 3, 4) and model.dofs.node[-1] == -1 and model.dofs.expansion[:, [4]].nnz == 0
     assert 4 not in np.concatenate(list(model.clusters.values()))
+    first = chain(dofs=[rows[-1], *rows[:-1]])
+    assert first.sensor_rows([Sensor(1, "x")])[0].tolist() == [0.0, 1.0, 0.0, 0.0, 0.0]
     with pytest.raises(InputError, match="no row names a node"):
         chain(dofs=[(none, none)] * N)
 
