@@ -304,19 +304,16 @@ class Problem:
     ) -> Assessed:
         """Global sensitivity: a Latin hypercube within the limits, rank correlations, variance shares, a selection.
 
-        Or, by ``method``, the elementary effects of Morris or the variance shares of Sobol, for independent inputs.
-
         Parameters
         ----------
         parameters : sequence of str
             Parameters to vary; all free ones by default. The others keep their nominal values.
         method : {"ranks", "morris", "sobol"}
+            The last two are elementary effects and variance shares, for independent inputs.
         samples, seed : int, optional
             Number of points that keep the constraints, 500 by default, and their seed, 1 by default.
         ignore_constraints : bool
-            Whether ``"morris"`` and ``"sobol"`` ignore the constraints.
-        executor, progress
-            As in `calibrate`.
+            Whether ``"morris"`` and ``"sobol"`` ignore the constraints. Executor and progress are as in `calibrate`.
 
         Raises
         ------
