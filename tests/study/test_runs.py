@@ -93,16 +93,37 @@ def test_the_error_of_prediction_is_in_every_standard_deviation(tmp_path):
     assert any("f2" in one.value and "runs.csv" in one.item for one in rough.assumptions)
 
 
+@pytest.mark.slow
 def test_a_study_of_a_table_tells_the_prognosis_of_its_runs_and_fits(tmp_path):
     found = table()
     found.loc[[3, 7], ["f1", "f2", "mass"]] = np.nan
     written(tmp_path, found)
     loaded = calib.Study.load(study(tmp_path), results=tmp_path / "results")
-    told = loaded.sensitivity().of
+    told = loaded.sensitivity(residuals=["f1"], surfaces=[("f2", "k", "m")]).of
+    assert all((loaded.folder.path / name).stat().st_size > 0 for name in ("residuals_f1.png", "surface_f2_k_m.png"))
+    stored = pd.read_csv(loaded.folder.path / "prognosis.csv")
+    pd.testing.assert_frame_equal(stored, told.prognosis.table, rtol=1e-6)
+    assert len(pd.read_csv(loaded.folder.path / "prognosis_inputs.csv")) == 3 * 2
     assert (told.prognosis.table["designs"] == 58).all() and told.prognosis.table["cop"].min() > 0.99
     fit = loaded.calibrate()
     values = pd.read_csv(loaded.folder.path / "verdicts.csv").set_index("parameter")["value"]
     assert values["k"] == pytest.approx(TRUE["k"], rel=0.01) and len(fit.table) == 2
+
+
+@pytest.mark.parametrize(
+    ("response", "inputs", "words"),
+    [("f1", ("k", "mu"), "'mu' is no input"), ("f1", ("k", "k"), "named twice"), ("f9", None, "no response 'f9'")],
+)
+def test_a_metamodel_is_drawn_by_its_name(tmp_path, response, inputs, words):
+    test = calib.ResponseTest(measured())
+    found = calib.Problem.from_runs(written(tmp_path, table()), ["k", "m"], test).sensitivity(
+        samples=30, progress=False
+    )
+    assert found.draw(tmp_path / "own.png", "f1", ("k", "m")).stat().st_size > 0
+    assert list(found.prognosis.table["response"]) == ["f1", "f2", "mass"]
+    with pytest.raises(calib.InputError, match=words):
+        found.draw(tmp_path / "other.png", response, inputs)
+    assert not (tmp_path / "other.png").exists()
 
 
 def test_another_table_is_another_model(tmp_path):
