@@ -176,7 +176,7 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
     "missing/goodness.py": "_LEAST",
     "execution/outcome.py": "_TRACE",
     "api/progress.py": "SPARSE OFTEN _BAR _STEADY",
-    "api/entries/compared.py": "WORST _FUNCTIONS",
+    "api/entries/compared.py": "WORST _FUNCTIONS _INPUTS",
     "api/fe_comparison.py": "DRAWN",
     "correlation/modal/pair_faults.py": "_WHOLE",
     "api/fe_import.py": "FREQ_AGREES MAC_AGREES MODES _ALIKE _NODES",

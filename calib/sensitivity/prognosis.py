@@ -34,7 +34,7 @@ class Metamodel:
     kind : str
         One of `KINDS`, ``"Gaussian process"``, `CONSTANT` or `NONE`.
     inputs : tuple of str
-        Those that it has.
+        Those that it has, the largest share first.
     cop, lower, upper : float
         Total coefficient of prognosis and its 95 % interval; NaN without a metamodel.
     shares : DataFrame (n_inputs, 3)
@@ -298,7 +298,7 @@ def _metamodel(
         },
         index=pd.Index(names, name="parameter"),
     )
-    inputs = tuple(names[i] for i in best.model.inputs)
+    inputs = tuple(names[i] for i in sorted(best.model.inputs, key=lambda i: -share[i]))
     error = float(np.sqrt(squares.mean()))
     return Metamodel(
         response, best.model.kind, inputs, cop, lower, upper, shares, rows, y, best.predicted, error, best.model, space

@@ -20,8 +20,8 @@ from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 from calib.study.study_file import shell_argument
 
-_FUNCTIONS = 24
-"""FRFs that are printed; the table in the results folder has all."""
+_FUNCTIONS, _INPUTS = 24, 4
+"""FRFs, and inputs of a metamodel, that are printed; the tables in the results folder have all."""
 WORST = 6
 """Rows of the largest deviations; the table in the results folder has all."""
 
@@ -143,12 +143,17 @@ def _samples(study: AnyStudy, result: Sensitivity) -> list[Entry]:
     return out
 
 
+def _largest(inputs: list[str]) -> str:
+    return ", ".join(inputs[:_INPUTS]) + (f" and {len(inputs) - _INPUTS} more" if len(inputs) > _INPUTS else "")
+
+
 def _prognosed(table: pd.DataFrame) -> Rows:
     """Metamodels of the responses."""
     rows = [
         (
             str(r["response"]), str(r["model"]), decimals(r["cop"], 3),
-            f"{decimals(r['lower'], 2)} to {decimals(r['upper'], 2)}" if pd.notna(r["cop"]) else "", str(r["inputs"]),
+            f"{decimals(r['lower'], 2)} to {decimals(r['upper'], 2)}" if pd.notna(r["cop"]) else "",
+            _largest(str(r["inputs"]).split(", ")),
         )
         for r in table.to_dict("records")
     ]  # fmt: skip
