@@ -217,7 +217,7 @@ def found_by(sums, tmp_path):
     ("file", "old", "new", "analyses"),
     [
         (SEARCH, "\n\n\n", "\n\n\nLATER = 1\n", "calibrate"),
-        ("sensitivity/spearman.py", "\n\n\n", "\n\n\nLATER = 1\n", "sensitivity' and 'calibrate"),
+        ("sensitivity/variance_share.py", "\n\n\n", "\n\n\nLATER = 1\n", "sensitivity' and 'calibrate"),
         (SEARCH, '"""', '"""Another sentence. ', ""),
         (SEARCH, "from __future__", "# a remark\n\nfrom __future__", ""),
         ("report/style.py", "\n\n\n", "\n\n\nLATER = 1\n", ""),
