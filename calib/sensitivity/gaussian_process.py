@@ -30,7 +30,7 @@ class GaussianProcess:
         All inputs of the designs, between -1 and 1.
     covariance : callable
         Kernel of the process, without noise.
-    weights : ndarray (n,)
+    weights : ndarray (n,) or (n, n_processes)
     constant : float
     """
 
@@ -43,7 +43,7 @@ class GaussianProcess:
     kind = "Gaussian process"
 
     def __call__(self, z: np.ndarray) -> np.ndarray:
-        """Mean (n,) at points (n, n_inputs)."""
+        """Mean (n,), or of each process, at points (n, n_inputs)."""
         own = list(self.inputs)
         return self.constant + np.asarray(self.covariance(z[:, own], self.points[:, own])) @ self.weights
 

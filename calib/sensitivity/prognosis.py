@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -284,8 +284,8 @@ def _metamodel(
     exact = pairs is None and isinstance(best.model, Polynomial)
     if not exact and pairs is None:
         pairs = _Pairs.of(space, 0)
-    share, blur = _shares(best.model, len(names), None if exact else pairs)
-    each = np.array([_shares(part, len(names), None if exact else pairs)[0] for part in best.parts])
+    every, blur = _shares([best.model, *best.parts], len(names), None if exact else pairs)
+    share, each = every[0], every[1:]
     k = len(each)
     spread = np.sqrt((k - 1) / k * ((each - each.mean(axis=0)) ** 2).sum(axis=0))
     half = cop * np.hypot(float(special.stdtrit(k - 1, 0.975)) * spread, 2.0 * blur)
@@ -346,17 +346,27 @@ class _Pairs:
         return cls(_scaled(space, base), _scaled(space, other))
 
 
-def _shares(model: Model, count: int, pairs: _Pairs | None) -> tuple[np.ndarray, np.ndarray]:
-    """Total share of every input in the variance of a model, and its standard error (Jansen 1999), (count,) both."""
+def _shares(models: Sequence[Model], count: int, pairs: _Pairs | None) -> tuple[np.ndarray, np.ndarray]:
+    """Total share of every input in the variance of models of one kind (Jansen 1999), (n_models, count).
+
+    The second is the standard error of the first model's, (count,).
+    """
+    share, blur = np.zeros((len(models), count)), np.zeros(count)
     if pairs is None:
-        assert isinstance(model, Polynomial)
-        return model.total_shares(count), np.zeros(count)
-    share, blur = np.zeros(count), np.zeros(count)
-    base = model(pairs.base)
-    variance = float(base.var())
-    for i in model.inputs if variance > 0 else ():
+        return np.array([one.total_shares(count) for one in models if isinstance(one, Polynomial)]), blur
+    base = _together(models, pairs.base)
+    variance = base.var(axis=0)
+    for i in sorted({i for one in models for i in one.inputs}):
         moved = pairs.base.copy()
         moved[:, i] = pairs.other[:, i]
-        halves = 0.5 * (model(moved) - base) ** 2 / variance
-        share[i], blur[i] = halves.mean(), halves.std() / np.sqrt(len(halves))
+        halves = 0.5 * (_together(models, moved) - base) ** 2 / np.where(variance > 0, variance, np.inf)
+        share[:, i], blur[i] = halves.mean(axis=0), halves[:, 0].std() / np.sqrt(len(halves))
     return share, blur
+
+
+def _together(models: Sequence[Model], z: np.ndarray) -> np.ndarray:
+    """Values (n, n_models); processes of one covariance evaluate it once."""
+    processes = [one for one in models if isinstance(one, GaussianProcess)]
+    if processes:
+        return replace(processes[0], weights=np.stack([one.weights for one in processes], axis=1))(z)
+    return np.stack([one(z) for one in models], axis=1)
