@@ -35,6 +35,8 @@ _LABEL_ROOM = 105
 """Characters that fit side by side under the bars."""
 _MOST_VALUES = 24
 """Bars that still have their values written above them."""
+_MOST_MACS = 18
+"""Marks that still have their MAC, of three digits, beside them."""
 
 
 def has_mac(*tables: pd.DataFrame | None) -> bool:
@@ -125,7 +127,7 @@ def draw_mac(
         for place, height, value in zip(x, heights, mac, strict=True):
             if math.isnan(value):
                 _not_paired(ax, place, ax.get_xaxis_transform())
-            elif len(modes) * len(series) <= _MOST_VALUES:
+            elif len(modes) * len(series) <= _MOST_MACS:
                 is_high = height > _HIGH
                 ax.annotate(
                     f"{value:.3f}", (place, height), xytext=(0, -6 if is_high else 6), textcoords="offset points",
