@@ -136,7 +136,9 @@ def read_runs(path: str | Path, inputs: Sequence[str], outputs: Sequence[str] = 
         raise InputError(words, place=path, remedy=f"add runs, {least} at least, or name fewer inputs")
     space = ParameterSpace(tuple(_parameter(path, name, points[name], (units or {}).get(name, "")) for name in named))
     runs = Runs(space, prognosis(space, points, values))
-    identity = digest_of("runs 1", named, found, points.to_numpy(), values.to_numpy(), PROGNOSIS)[:16]
+    # Which metamodels these are depends on what is installed: points that others predicted are not theirs.
+    chosen = [(one.kind, one.inputs) for one in runs.prognosis.models]
+    identity = digest_of("runs 1", named, found, points.to_numpy(), values.to_numpy(), PROGNOSIS, chosen)[:16]
     return FunctionModel(path.stem, space, runs, (_error_of(path, runs),), (), identity, runs)
 
 

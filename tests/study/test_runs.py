@@ -10,6 +10,7 @@ import pytest
 import calib
 from calib.analyses.compare import comparison_at
 from calib.problem.sampling import sample
+from calib.study import runs
 from calib.study.runs import read_runs
 
 SPACE = calib.ParameterSpace(
@@ -181,3 +182,17 @@ def test_a_study_of_a_table_names_the_line_of_what_is_wrong(tmp_path, options, w
     with pytest.raises(calib.InputError, match=words) as fault:
         comparison_at(calib.Study.load(file).loaded, TRUE)
     assert str(file) in str(fault.value)
+
+
+def test_other_metamodels_of_the_same_runs_are_another_model(tmp_path, monkeypatch):
+    """Which are chosen depends on what is installed: points that others predicted are not found again."""
+    path, before = written(tmp_path, table()), runs.prognosis
+    one = read_runs(path, ["k", "m"])
+
+    def other(*given):
+        found = before(*given)
+        first, *rest = found.models
+        return replace(found, models=(replace(first, kind="another kind"), *rest))
+
+    monkeypatch.setattr(runs, "prognosis", other)
+    assert read_runs(path, ["k", "m"]).fingerprint != one.fingerprint

@@ -252,10 +252,7 @@ class ModalResidual:
         return point | self._faulty.readings.active(values)
 
     def derivatives(
-        self,
-        found: Comparison,
-        names: Sequence[str],
-        at: Callable[[Mapping[str, float]], Comparison] | None = None,
+        self, found: Comparison, names: Sequence[str], at: Callable[[Mapping[str, float]], Comparison] | None = None
     ) -> ModeDerivatives:
         """Derivatives of the paired modes, in the order of the measured modes, with shapes at the sensors.
 
@@ -267,13 +264,9 @@ class ModalResidual:
         return self._derivatives(found, names if mesh is None else mesh.others(names), chosen, rows, at)
 
     def _derivatives(
-        self,
-        found: Comparison,
-        names: Sequence[str],
-        chosen: Sequence[int] | np.ndarray,
-        rows: np.ndarray,
+        self, found: Comparison, names: Sequence[str], chosen: Sequence[int] | np.ndarray, rows: np.ndarray,
         at: Callable[[Mapping[str, float]], Comparison] | None,
-    ) -> ModeDerivatives:
+    ) -> ModeDerivatives:  # fmt: skip
         reached, own = at or self.solve, (found.values, found.modes, names, chosen, rows)
         return self.problem.model.derivatives(*own, lambda values: reached(values).modes)
 
