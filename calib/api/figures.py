@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calib.analyses.designs import Designs
 from calib.analyses.extend import found_among
@@ -27,6 +28,10 @@ from calib.results.results import RESULTS, Results
 from calib.results.written import is_own
 from calib.study.several import JointStudy
 from calib.study.study_file import StudyFile, shell_argument
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _NUMBERED = re.compile(r"_\d+$")
 """End of the name of one of several pictures of a subject."""
@@ -159,16 +164,28 @@ def draw_designs(
     """
     from calib.report.designs import draw_anthill, draw_parallel
 
-    written: list[Path] = []
     axes = [*found.space.free_names, "objective"]
     labels = {p.name: f"{p.name}, {p.unit}" for p in found.space.parameters if p.unit not in ("", "-")}
     drawings = [(f"anthill_{plain(x)}_{plain(y)}", partial(draw_anthill, found.table, x, y)) for x, y in clouds]
     if parallel:
         drawings.append(("designs_parallel", partial(draw_parallel, found.table, axes, "objective", parallel)))
-    for name, drawing in drawings:
+    figures = [(name, partial(_owner, drawing, labels)) for name, drawing in drawings]
+    return write_named(figures, f"{study.settings.title}: designs", study.synthetic, folder)
+
+
+def _owner(draw: Callable[..., Axes], labels: Mapping[str, str]) -> Figure:
+    return owner_of(draw(labels=labels))
+
+
+def write_named(
+    figures: Sequence[tuple[str, Callable[[], Figure]]], title: str, synthetic: bool, folder: Path
+) -> tuple[Path, ...]:
+    """Draw figures that a user asked for, by name, each with a heading, and write them into a folder; their paths."""
+    written: list[Path] = []
+    for name, draw in figures:
         with style():
-            figure = owner_of(drawing(labels=labels))
-            add_heading(figure, f"{study.settings.title}: designs", study.synthetic)
+            figure = draw()
+            add_heading(figure, title, synthetic)
             written += save(figure, folder / name)
     return tuple(written)
 

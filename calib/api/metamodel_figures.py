@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.sensitivity import Sensitivity
-from calib.api.figures import plain
+from calib.api.figures import plain, write_named
 from calib.errors.errors import InputError
 from calib.report.metamodel import CELLS, draw_residuals, surface_figure
-from calib.report.style import add_heading, owner_of, save, style
+from calib.report.style import owner_of, save, style
 from calib.sensitivity.prognosis import Metamodel
 from calib.study.study import LoadedStudy
 
@@ -49,13 +49,7 @@ def draw_metamodels(
     drawn = [(f"residuals_{plain(r)}", partial(_figure, own[r], found.sampled, None)) for r in residuals]
     for r, x, y in surfaces:
         drawn.append((f"surface_{plain(r)}_{plain(x)}_{plain(y)}", partial(_figure, own[r], found.sampled, (x, y))))
-    written: list[Path] = []
-    for name, drawing in drawn:
-        with style():
-            figure = drawing()
-            add_heading(figure, title, study.synthetic)
-            written += save(figure, folder / name)
-    return tuple(written)
+    return write_named(drawn, title, study.synthetic, folder)
 
 
 def draw_metamodel(one: Metamodel, designs: pd.DataFrame, path: Path, inputs: tuple[str, str] | None) -> Path:
