@@ -233,7 +233,7 @@ from calib.problem.space import Parameter, ParameterSpace
 
 def wave():
     space = ParameterSpace((Parameter("a", 0.5, -3.0, 3.0, "-"),))
-    return FunctionModel("square", space, lambda v: {"y": v["a"] ** 2, "z": 1 + 0.01 * v["a"]})
+    return FunctionModel("square", space, lambda v: {"y": v["a"] ** 2, "y2": 2 * v["a"] ** 2, "z": 1 + 0.01 * v["a"]})
 """
 
 
@@ -244,7 +244,7 @@ def test_a_case_leaves_its_own_solution_only_where_the_data_prefer_another(study
     loaded = study("population = 6\ngenerations = 6")
     (tmp_path / "model.py").write_text(SQUARE)
     z_std = 0.001 if discriminated else 0.1
-    (tmp_path / "measured.csv").write_text(f"response,value,std\ny,1.0,0.01\nz,1.01,{z_std}\n")
+    (tmp_path / "measured.csv").write_text(f"response,value,std\ny,1.0,0.01\ny2,2.0,0.02\nz,1.01,{z_std}\n")
     text = (tmp_path / "study.toml").read_text()
     cases = ", ".join(f'{{ name = "{name}", seed = {k} }}' for k, name in enumerate("ABCDEF"))
     (tmp_path / "study.toml").write_text(text.replace('{ name = "A", seed = 1 }', cases))
