@@ -124,7 +124,8 @@ def test_the_sentence_agrees_with_the_tables(explained, name):
     summary, effects, errors = written(folder)
     text = summary["sentence"]
     local = len(set(pd.read_csv(folder / "perturbations.csv")["perturbation"]))
-    faults = pd.read_csv(folder / "faults.csv")["limit"].value_counts().iloc[0]  # those of pairs have a limit of their own
+    # Faults of pairs have a limit of their own.
+    faults = pd.read_csv(folder / "faults.csv")["limit"].value_counts().iloc[0]
     assert faults == summary["faults"] > 50
     counts = f"{len(effects)} effects, {local} local perturbations and {faults} faults of the measurement"
     assert f"largest score of {counts}" in text
