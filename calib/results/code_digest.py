@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import os
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -44,10 +45,25 @@ def code_digest(*modules: str, apart: Collection[str] = (), folder: Path = CALIB
     folder : Path
         Folder of calib.
     """
+    return _digest(modules, frozenset(apart), folder, _state(folder))
+
+
+@functools.lru_cache(maxsize=64)
+def _digest(
+    modules: tuple[str, ...], apart: frozenset[str], folder: Path, state: frozenset[tuple[str, int, int]]
+) -> str:
+    source = functools.cache(_source)
     digest = hashlib.sha256()
-    for line in sorted(_line(file, names) for file, names in imports_of(*modules, apart=apart, folder=folder).items()):
+    for line in sorted(_line(source, *each) for each in imports_of(*modules, apart=apart, folder=folder).items()):
         digest.update(line.encode())
     return digest.hexdigest()[:16]
+
+
+def _state(folder: Path) -> frozenset[tuple[str, int, int]]:
+    """Path, time of change and size of every file of code: while they stay, so does each digest."""
+    files = (os.path.join(place, name) for place, _, names in os.walk(folder) for name in names)
+    stats = ((file, os.stat(file)) for file in files if file.endswith((".py", ".pyi")))
+    return frozenset((file, stat.st_mtime_ns, stat.st_size) for file, stat in stats)
 
 
 Names: TypeAlias = Mapping[tuple[str, str], Path]
@@ -59,18 +75,19 @@ def imports_of(*modules: str, apart: Collection[str] = (), folder: Path = CALIB)
     ignored = {_file(folder, name) for name in apart} | {folder / name for name in _WITHOUT_INFLUENCE}
     ahead = [file for name in modules for file in _below(_file(folder, name))]
     found: dict[Path, Names] = {}
+    defining = functools.cache(_defining)
     while ahead:
         if (file := ahead.pop()) not in found and file not in ignored:
-            names = {(module, name): _defining(folder, module, name) for module, name in _source(file).imports}
+            names = {(module, name): defining(folder, module, name) for module, name in _source(file).imports}
             found[file] = {key: target for key, target in names.items() if target not in ignored}
             ahead += found[file].values()
     return found
 
 
-def _line(file: Path, names: Names) -> str:
+def _line(source: Callable[[Path], _Source], file: Path, names: Names) -> str:
     """What counts of a file: its code, and of each name that it imports from calib the code that defines it."""
-    own = sorted(f"{name} {_source(target).digest}" for (_, name), target in names.items())
-    return " ".join([_source(file).digest, *own]) + "\n"
+    own = sorted(f"{name} {source(target).digest}" for (_, name), target in names.items())
+    return " ".join([source(file).digest, *own]) + "\n"
 
 
 def _defining(folder: Path, module: str, name: str) -> Path:
