@@ -12,7 +12,7 @@ from calib.study.study import LoadedStudy
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.slow  # one minute of training; test_frf_reduction.py covers the same with a chain
+@pytest.mark.whole  # minutes of training; test_frf_reduction.py covers the same with a chain
 def test_the_hidden_effect_is_named_and_held_out_errors_fall(tmp_path):
     answer = explain(LoadedStudy.load(ROOT / "studies/hidden_bogie_frf"), Results.at(tmp_path, "hidden_bogie_frf"))
     assert 0 < answer.figures["basis_error"] < 0.05

@@ -122,6 +122,7 @@ def test_a_run_depends_only_on_its_number(bench, world, run):
     assert row["magnitudes"] == {"weak_damper": one.values["weak_damper"]}
 
 
+@pytest.mark.whole
 def test_the_first_runs_of_the_plan_keep_the_required_rates(bench, world):
     """Too few runs to estimate a rate, enough to detect a defect."""
     runs = (

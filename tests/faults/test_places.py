@@ -186,7 +186,9 @@ def test_a_full_disk(mast, small_disk, runner, left, drafts, kilobytes, whole, o
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kilobytes", [*range(10, 600, 80)])
+@pytest.mark.parametrize(
+    "kilobytes", [10, 330, *(pytest.param(size, marks=pytest.mark.whole) for size in (90, 170, 250, 410, 490, 570))]
+)
 def test_a_full_disk_at_any_moment(mast, small_disk, runner, left, drafts, kilobytes, one_sentence):
     run = runner.fork("calibrate", "mast", "--workers", "1", "--results", "whole", draw=True)
     assert run.wait() == 0

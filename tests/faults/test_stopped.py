@@ -64,7 +64,7 @@ def test_killed_twice(mast, runner, left, whole):
     kill_again_and_again(start, 2, 1, whole[0], lambda: True, left, whole[1])
 
 
-@pytest.mark.slow
+@pytest.mark.whole  # tests/benchmarks/kills.py counts the same for every command
 def test_killed_twenty_times(mast, runner, left, drafts):
     ledger = FOLDER / "ledger.sqlite"
 
@@ -82,7 +82,7 @@ def test_killed_twenty_times(mast, runner, left, drafts):
     assert drafts(FOLDER) == []
 
 
-@pytest.mark.slow
+@pytest.mark.whole  # tests/benchmarks/kills.py counts the same for every command
 def test_killed_twenty_times_with_worker_processes(mast, runner, left):
     def start(*given):
         return runner.fork("calibrate", "mast", "--workers", "2", *given)
@@ -123,7 +123,7 @@ def test_interrupted_by_the_keyboard_or_a_batch_system(mast, runner, left, draft
     assert left(FOLDER) == whole[0]
 
 
-@pytest.mark.slow
+@pytest.mark.whole  # tests/benchmarks/kills.py counts the same for every command
 def test_interrupted_at_any_moment(mast, runner, left, drafts):
     def start(*given):
         return runner.fork("run", "mast", "--workers", "1", *given, draw=True)
