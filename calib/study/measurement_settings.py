@@ -59,7 +59,7 @@ class WrongBelow(ValueError):
 class Section(BaseModel):
     """A section of ``study.toml``: unknown keys are refused."""
 
-    # Text below a field is its description in the JSON schema, in editors and in the documents. `schema` reads it, since
+    # Text below a field is its description in the JSON schema, in editors and in the documents. `schema` reads it:
     # pydantic's own option parses these files each time they are imported.
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
