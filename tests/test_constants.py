@@ -29,6 +29,7 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "inference/cmcf_equations.py": "RESONANT _RANK",
     "inference/constraints.py": "_EXACT",
     "inference/identify.py": "_ZERO",
+    "inference/freed.py": "_FAR",
     "inference/region.py": "ACTIVE",
     "measurement/mac.py": "_COLLINEAR",
     "correlation/modal/sensors.py": "_ROUNDING",

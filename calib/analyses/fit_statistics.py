@@ -18,10 +18,11 @@ from calib.errors.errors import InputError
 from calib.experiment.test import ForwardProblem
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import CaseResult
-from calib.inference.considered import At, Fittable, Nearby, changes_by_held, considered_table, explained_by_held
+from calib.inference.considered import At, Fittable, Nearby, changes_by_held, considered_table
 from calib.inference.constraints import ConstraintRows, Hold, constraint_rows, holds, multipliers
+from calib.inference.freed import Freed, freed
 from calib.inference.gauss_newton import FitResult, Prior
-from calib.inference.identify import Identifiability, identify, posterior, prediction_interval
+from calib.inference.identify import Identifiability, identify, posterior, prediction_interval, with_held
 from calib.inference.joint_part import COLUMNS, JointPart, joint_parts, std_by_test
 from calib.inference.region import active_limits
 from calib.inference.rules import RULES
@@ -306,55 +307,55 @@ def statistics_of(
 
     ``near`` serves the changes by held parameters, of which a model of full order would have to be solved many times.
     """
-    space, alpha, held_sd = problem.space, terms.alpha, terms.held_sd
+    space, held_sd = problem.space, terms.held_sd
     names = tuple(p.name for p in space.free if not p.integer)
-    if fit is not None and fit.names == names:
-        vector, slope = fit.residual, fit.jacobian
-    else:
-        vector, slope = problem.residual(values), problem.jacobian(values, names)
+    ended = None if fit is None or fit.names != names else (fit.residual, fit.jacobian)
+    vector, slope = ended or (problem.residual(values), problem.jacobian(values, names))
     prior_sd = np.array([space[n].prior_width for n in names])
     constraints = constraint_rows(space, names, posterior(names, slope, prior_sd).covariance, held_sd)
     misfit, shift = float(vector @ vector), Prior.of(space).residual(values, names)
     converged = fit is not None and fit.converged
     end = At(names, values, vector, slope, prior_sd, converged)
-    held = changes_by_held(problem if near is None else near.problem, end, held_sd, near and near.nearby)
+    own_rows, held = changes_by_held(problem if near is None else near.problem, end, held_sd, near and near.nearby)
     descent = -slope.T @ vector - shift / prior_sd
     active = active_limits(space, names, values, multipliers(space, names, values, descent))
     mesh = terms.mesh_at(values, len(vector))
     own_held, own_constraints = held, constraints
     held, constraints = np.hstack([held, mesh]), constraints.beside(mesh.shape[1])
-    free = explained_by_held(end, held, constraints, [name in active for name in names])
-    at = _Fitted.of(*free, constraints, converged)
+    free = freed(space, end, np.hstack([own_rows, mesh]), held_sd, constraints)
+    at = _Fitted.of(free, constraints, converged)
     dof = effective_dof(at.slope, at.prior_sd, sum(problem.fitted_factors.values()))
     kinds, modes = goodness(at, problem)
-    p_fit, birge = overall(kinds, modes), misfit_factor(kinds, modes, alpha)
+    p_fit, birge = overall(kinds, modes), misfit_factor(kinds, modes, terms.alpha)
     whole = {
         name: integer_std(numbers, misfits / birge**2, space[name].value, space[name].prior_width)
         for name, (numbers, misfits) in profiles.items()
     }
-    errors = problem.shared_errors  # which the test of the fit does not know: they count at each row by itself
+    errors = problem.shared_errors  # unknown to the test of the fit, where they count at each row by itself
     held, constraints = np.hstack([held, errors]), constraints.beside(errors.shape[1])
     identification = identify(
         space, names, slope, values=values, held=held, birge=birge, searched=fit is None, constraints=constraints
     )
+    rows, changes = np.vstack([slope / birge, constraints.slope]), np.vstack([held / birge, constraints.held])
+    alone = posterior(names, rows, prior_sd)
     held_by = holds(
-        space, names, values, identification.posterior.covariance, descent, constraints.constraints, fit is None
-    )
+        space, names, values, alone.covariance, descent / birge**2, constraints.constraints, fit is None, held_sd,
+        with_held(alone, rows, changes)[: len(names), len(names) :],
+    )  # fmt: skip
     predictions = prediction_interval(*problem.frequencies(values, names), identification.posterior.covariance)
-    suspected = suspects_table(at, problem, alpha)
+    suspected = suspects_table(at, problem, terms.alpha)
     by_test, parts = pd.DataFrame(columns=list(COLUMNS)), dict[str, JointPart]()
     if isinstance(problem, JointProblem):
         by_test = std_by_test(space, names, slope, [row.test for row in problem.rows], held, birge, constraints)
     if isinstance(problem, JointProblem) or len(constraints.slope):
         parts = joint_parts(problem, names, vector, slope, prior_sd, shift, own_held, held_sd, own_constraints)
     return FitStatistics(
-        values=values, misfit=misfit, prior_misfit=float(shift @ shift), dof=dof, p_fit=p_fit, alpha=alpha,
+        values=values, misfit=misfit, prior_misfit=float(shift @ shift), dof=dof, p_fit=p_fit, alpha=terms.alpha,
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
         predictions=predictions, fit=fit, ends=ends, suspects=suspected,
-        assumed=terms.assumed, by_test=by_test, parts=parts,
-        active=active, held_by=held_by,
+        assumed=terms.assumed, by_test=by_test, parts=parts, active=active, held_by=held_by,
         considered=considered_table(space, end, held, held_sd, constraints, birge, terms.mesh_sd, errors.shape[1]),
-        considered_misfit=float(free[0] @ free[0]),
+        considered_misfit=float(free.residual @ free.residual),
     )  # fmt: skip
 
 
@@ -388,10 +389,9 @@ class _Fitted:
     converged: bool
 
     @classmethod
-    def of(
-        cls, residual: np.ndarray, slope: np.ndarray, prior_sd: np.ndarray, constraints: ConstraintRows, converged: bool
-    ) -> _Fitted:
+    def of(cls, free: Freed, constraints: ConstraintRows, converged: bool) -> _Fitted:
         """The fit in parameters whose priors are independent where constraints count as data beside them."""
+        residual, slope, prior_sd = free
         if not len(constraints.slope):
             return cls(residual, slope, prior_sd, converged)
         beside = np.hstack([constraints.slope, constraints.held]) * prior_sd

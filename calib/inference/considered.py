@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, TypeAlias
@@ -10,12 +11,12 @@ import numpy as np
 import pandas as pd
 
 from calib.errors.errors import EvaluationError
-from calib.inference.constraints import ConstraintRows
+from calib.inference.constraints import ConstraintRows, std_of_sum
 from calib.inference.gauss_newton import FitSettings, fit
 from calib.inference.identify import posterior
 from calib.inference.region import InfeasibleError
 from calib.inference.rules import RULES
-from calib.problem.space import Parameter, ParameterSpace
+from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 
 COLUMNS = ("parameter", "value", "unit", "std", "adds_to", "std_without", "std_with", "matters", "words")
 
@@ -62,19 +63,34 @@ class At(NamedTuple):
     fitted: bool
 
 
+class HeldChanges(NamedTuple):
+    """Changes of the whitened residual by one standard deviation of each held parameter, (n_rows, n_held).
+
+    Attributes
+    ----------
+    of_rows : ndarray
+        H: those of the data.
+    of_estimates : ndarray
+        The H of which ``B = -V G^T H`` is how the estimates shift: the same where that is linear.
+    """
+
+    of_rows: np.ndarray
+    of_estimates: np.ndarray
+
+
 Nearby: TypeAlias = Callable[[Sequence[Mapping[str, float]]], Fittable]
 """Makes a problem that is accurate at given values too, where one of lower order is not by itself."""
 
 
 def changes_by_held(
     problem: Fittable, at: At, held_sd: Mapping[str, float], nearby: Nearby | None = None
-) -> np.ndarray:
-    """Change of the whitened residual by one standard deviation of each held parameter, (n_rows, n_held).
+) -> HeldChanges:
+    """Changes of the whitened residual by one standard deviation of each held parameter.
 
     The shift of the estimates that follows, ``B = -V G^T H``, is linear. Whether that holds is seen from the residual
     at one standard deviation to either side (sigma points; Julier and Uhlmann 2004), within the limits, with the
-    estimates moved along: where it differs from the linear one by what moves them further than `Rules.linear`, H is
-    taken from these points, and after a fit B from new fits there; H is then the change that leads to this B.
+    estimates moved along: where it differs from the linear one by what moves them further than `Rules.linear`, or the
+    points break a constraint by as much, H is taken from these points, and after a fit B from new fits there.
 
     Parameters
     ----------
@@ -88,7 +104,8 @@ def changes_by_held(
         is not linear.
     """
     if not held_sd:
-        return np.zeros((len(at.residual), 0))
+        none = np.zeros((len(at.residual), 0))
+        return HeldChanges(none, none)
     covariance = posterior(at.names, at.slope, at.prior_sd).covariance
     linear = problem.jacobian(at.values, tuple(held_sd)) * list(held_sd.values())
     centre = problem.residual(at.values)
@@ -105,10 +122,12 @@ def changes_by_held(
         for k, column in zip(bent, sharper.T, strict=True):
             linear[:, k] = column * held_sd[names[k]]
             every[k] = _SigmaPoints.of(problem, at, centre, covariance, names[k], held_sd[names[k]], linear[:, k])
+    shifting = linear.copy()
     for k, one in enumerate(every):
         if one is not None and not one.is_linear:
-            linear[:, k] = one.refitted(problem) if at.fitted else one.secant
-    return linear
+            linear[:, k] = one.secant
+            shifting[:, k] = one.refitted(problem) if at.fitted else one.secant
+    return HeldChanges(linear, shifting)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +149,8 @@ class _SigmaPoints:
         What limits leave out of the move of the estimates.
     width : float
         Distance of the points, in standard deviations: less than two at a limit.
+    broken : bool
+        Whether a point breaks a constraint by what counts.
     """
 
     at: At
@@ -139,6 +160,7 @@ class _SigmaPoints:
     off: np.ndarray
     cut: np.ndarray
     width: float
+    broken: bool
 
     @classmethod
     def of(
@@ -171,11 +193,14 @@ class _SigmaPoints:
             off.append(there - centre - at.slope @ by - far * linear)
             cut.append(far * shift - by)
         pair = points[0], points[1]
-        return cls(at, covariance, linear, pair, np.column_stack(off), np.column_stack(cut), width)
+        broken = any(_breaks(constraint, at.names, covariance, shift, pair) for constraint in problem.space.constraints)
+        return cls(at, covariance, linear, pair, np.column_stack(off), np.column_stack(cut), width, broken)
 
     @property
     def is_linear(self) -> bool:
         """Whether neither what is beyond the linear change nor a limit moves an estimate by over `Rules.linear`."""
+        if self.broken:
+            return False
         linear, *further = (self.covariance @ (self.at.slope.T @ np.column_stack([self.linear, self.off]))).T
         size = RULES.linear * np.hypot(np.sqrt(np.diag(self.covariance)), linear)
         return bool(np.all(np.abs([*further, *self.cut.T]) <= size))
@@ -206,45 +231,26 @@ def _within(p: Parameter, value: float, change: float) -> float:
     return min(max(value + change, min(p.lower, value)), max(p.upper, value))
 
 
+def _breaks(
+    constraint: LinearConstraint,
+    names: Sequence[str],
+    covariance: np.ndarray,
+    shift: np.ndarray,
+    points: Sequence[Mapping[str, float]],
+) -> bool:
+    """Whether a point breaks a constraint, which does not count as data, by over `Rules.linear` of its sum's std."""
+    weights = dict(constraint.coefficients)
+    c = np.array([weights.get(name, 0.0) for name in names])
+    std = std_of_sum(c, covariance)
+    if (constraint.upper - constraint.lower) / math.sqrt(12.0) <= RULES.narrow * std or not c.any():
+        return False
+    size = RULES.linear * math.hypot(std, float(c @ shift))
+    sums = [sum(weight * point[name] for name, weight in weights.items()) for point in points]
+    return any(not constraint.lower - size <= total <= constraint.upper + size for total in sums)
+
+
 _ROUGH = FitSettings(iterations=10, gain=1e-2)
 """A tenth of a standard deviation is enough of a shift."""
-
-
-def explained_by_held(
-    at: At, held: np.ndarray, constraints: ConstraintRows, stuck: Sequence[bool]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The fit as it would be with held parameters free under their priors, to first order.
-
-    Its sum of squares tests the model with the covariance ``H H^T`` added to that of the data.
-
-    Parameters
-    ----------
-    at : At
-        At its optimum.
-    held : ndarray (n_rows, n_held)
-        From `changes_by_held`.
-    constraints : ConstraintRows
-        Rows beside the data.
-    stuck : sequence of bool, length n_params
-        Parameters that a limit holds; they stay there.
-
-    Returns
-    -------
-    residual : ndarray (n_rows,)
-    slope : ndarray (n_rows, n_params + n_held)
-    prior_sd : ndarray (n_params + n_held,)
-    """
-    n, free = len(at.names), ~np.asarray(stuck, dtype=bool)
-    slope, sd = np.hstack([at.slope, held]), np.concatenate([at.prior_sd, np.ones(held.shape[1])])
-    if not held.shape[1]:
-        return at.residual, slope, sd
-    kept = np.concatenate([free, np.ones(held.shape[1], dtype=bool)])
-    beside = np.hstack([constraints.slope, constraints.held])
-    rows = (np.vstack([slope, beside]) * np.where(np.isfinite(sd), sd, 1.0))[:, kept]
-    prior = np.isfinite(sd[kept]).astype(float)
-    gradient = np.concatenate([np.zeros(n), held.T @ at.residual])[kept]  # of the fitted ones none is left
-    step = -np.linalg.lstsq(rows.T @ rows + np.diag(prior), gradient, rcond=1e-13)[0]
-    return at.residual + rows[: len(at.residual)] @ step, slope, sd
 
 
 def considered_table(
@@ -264,8 +270,8 @@ def considered_table(
     space : ParameterSpace
     at : At
     held : ndarray (n_rows, n_held + n_meshes + n_shared)
-        From `changes_by_held`, and changes by one standard deviation of the errors of meshes, and of those that rows
-        share.
+        `HeldChanges.of_estimates`, and changes by one standard deviation of the errors of meshes, and of those that
+        rows share.
     held_sd : mapping from str to float
     constraints : ConstraintRows
     birge : float

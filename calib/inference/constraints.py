@@ -137,12 +137,15 @@ def holds(
     descent: np.ndarray,
     as_data: Sequence[LinearConstraint] = (),
     searched: bool = False,
+    held_sd: Mapping[str, float] = _NONE,
+    shift: np.ndarray | None = None,
 ) -> dict[str, Hold]:
     """Fitted parameters that a limit or a constraint holds.
 
     A constraint holds parameters where their sum is on it (see `calib.problem.parameter.limit_at`), unless it counts
     as data: of its parameters those that it informs more than all else does, or that would move by more than one
-    standard deviation without it.
+    standard deviation without it. A constraint holds nothing where held parameters leave its sum more uncertain than
+    the fitted ones do.
 
     Parameters
     ----------
@@ -152,32 +155,43 @@ def holds(
     values : mapping from str to float
         At the end of the fit.
     covariance : ndarray (n_params, n_params)
-        Without those constraints that do not count as data.
+        Without those constraints that do not count as data, and without held parameters.
     descent : ndarray (n_params,)
         Direction in which the misfit falls; see `calib.inference.region.active_limits`.
     as_data : sequence of LinearConstraint
         Constraints that count as data; see `constraint_rows`.
     searched : bool
         See `calib.inference.identify.Identifiability`.
+    held_sd : mapping from str to float
+        Standard deviations of held parameters that are uncertain.
+    shift : ndarray (n_params, n_held), optional
+        Of the estimates, by one standard deviation of each of these, and of further errors.
     """
-    std, found = np.sqrt(np.diag(covariance)), dict[str, Hold]()
+    shift = np.zeros((len(names), len(held_sd))) if shift is None else shift
+    std, found = np.sqrt(np.diag(covariance) + np.sum(shift**2, axis=1)), dict[str, Hold]()
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     for constraint in space.constraints:
         c = _weights(constraint, names)
-        own = std_of_sum(c, covariance)
-        if constraint in as_data or not own > 0:
+        alone = std_of_sum(c, covariance)
+        unsure = math.hypot(*(weight * held_sd.get(name, 0.0) for name, weight in constraint.coefficients))
+        if constraint in as_data or not alone > unsure:
             continue
+        own = math.hypot(alone, float(np.linalg.norm(shift.T @ c)))
         total = sum(weight * values[name] for name, weight in constraint.coefficients)
         at = limit_at(total, constraint.lower, constraint.upper, own, searched)
         if at is None:
             continue
         side = 1 if at == "upper" else -1
-        along = finite @ c
-        beyond = max(side * float(along @ descent) / own, 0.0) if math.isfinite(own) else 0.0
+        by_data = finite @ c
+        along, push = by_data + shift @ (shift.T @ c), max(side * float(by_data @ descent), 0.0)
+        beyond = push / own if math.isfinite(own) else 0.0
         for k in np.flatnonzero(c).tolist():
-            part = abs(float(along[k])) / (own * std[k]) if math.isfinite(own * std[k]) and std[k] > 0 else 1.0
-            if part**2 >= RULES.by_data or part * beyond >= 1.0:
-                found[names[k]] = Hold(constraint.name, int(side * np.sign(along[k] or c[k])), beyond, min(part, 1.0))
+            part, moved = 1.0, beyond
+            if math.isfinite(own * std[k]) and std[k] > 0:
+                part, moved = abs(float(along[k])) / (own * std[k]), abs(float(by_data[k])) * push / (alone**2 * std[k])
+            if part**2 >= RULES.by_data or moved >= 1.0:
+                way = int(side * np.sign(by_data[k] or c[k]))
+                found[names[k]] = Hold(constraint.name, way, beyond, min(part, 1.0))
     for k, name in enumerate(names):
         at = space[name].limit_at(values[name], float(std[k]), searched)
         if at is not None:

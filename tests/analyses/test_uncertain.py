@@ -205,7 +205,7 @@ def changes(problem, nearby=None):
     """The changes by b and s, each held within 0.4, with the shift of k that follows."""
     values = problem.space.complete({})
     at = At(("k",), values, problem.residual(values), problem.jacobian(values, ["k"]), np.array([1.0]), True)
-    held = changes_by_held(problem, at, {"b": 0.4, "s": 0.4}, nearby)
+    held = changes_by_held(problem, at, {"b": 0.4, "s": 0.4}, nearby).of_estimates
     covariance = posterior(at.names, at.slope, at.prior_sd).covariance
     return held, (-covariance @ at.slope.T @ held)[0]
 
@@ -234,3 +234,33 @@ def test_nobody_is_asked_where_all_is_linear():
 
     held, _ = changes(Linear(0.0), lambda points: pytest.fail("it is linear"))
     assert held == pytest.approx(np.array([[40.0, 0.0], [0.0, 0.004]]))
+
+
+@pytest.mark.parametrize(("least", "shift"), [(2.0, 2.1), (4.3, 3.0)])
+def test_a_held_parameter_takes_part_in_a_constraint(least, shift):
+    """The truth is a = 1, c = 3. With c held at 0 ± 3 the constraint takes a to its limit, far from the data.
+
+    At the two ends of c the constraint leaves a at ``least + 3``, and at the larger of ``least - 3`` and its data.
+    """
+    rng = np.random.default_rng(8)
+    by, truth = ["a", "c", "c"] * 4, {"a": 1.0, "c": 3.0}
+    measured = {f"y_{k}": (truth[name] + 0.5 * rng.standard_normal(), 0.5) for k, name in enumerate(by)}
+
+    def problem(sd):
+        space = calib.ParameterSpace(
+            (calib.Parameter("a", 1.0, -9.0, 9.0), calib.Parameter("c", 0.0, -9.0, 9.0, prior_sd=sd)),
+            (calib.LinearConstraint("a and c", (("a", 1.0), ("c", 1.0)), least, 50.0),),
+        )
+        model = calib.FunctionModel("two", space, lambda v: {f"y_{k}": v[name] for k, name in enumerate(by)})
+        return calib.Problem(model, calib.ResponseTest(measured))
+
+    found = problem(sd=3.0).calibrate(["a"], progress=False)
+    assert found.values["a"] == pytest.approx(least)
+    assert found.statistics.misfit > 200 and found.statistics.fits is True
+    both = problem(sd=3.0).calibrate(["a", "c"], progress=False)
+    assert found.statistics.considered_misfit == pytest.approx(both.statistics.misfit, rel=1e-3)
+    row = found.parameters.loc["a"]
+    assert row["std"] == pytest.approx(shift, rel=0.1) and row["low"] < 1.0 < row["high"]
+    assert "constraint" not in row["not_identified"]
+    exact = problem(sd=0.01).calibrate(["a"], progress=False)
+    assert exact.statistics.fits is False and "constraint" in exact.parameters.loc["a", "not_identified"]

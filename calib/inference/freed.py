@@ -1,0 +1,106 @@
+"""A fit as it would be with its held parameters free under their priors, which is what is tested."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.inference.considered import MESH_ERROR, At
+from calib.inference.constraints import ConstraintRows
+from calib.inference.gauss_newton import Prior, fit
+from calib.problem.space import Parameter, ParameterSpace
+
+
+class Freed(NamedTuple):
+    """A fit with held parameters free under their priors, to first order.
+
+    Attributes
+    ----------
+    residual : ndarray (n_rows,)
+        Whitened. Its sum of squares tests the model with the covariance ``H H^T`` added to that of the data.
+    slope : ndarray (n_rows, n_params + n_held)
+        Per unit of each fitted parameter, and per standard deviation of each held one.
+    prior_sd : ndarray (n_params + n_held,)
+        In the same units.
+    """
+
+    residual: np.ndarray
+    slope: np.ndarray
+    prior_sd: np.ndarray
+
+
+def freed(
+    space: ParameterSpace, at: At, held: np.ndarray, held_sd: Mapping[str, float], constraints: ConstraintRows
+) -> Freed:
+    """Fit again with held parameters free under their priors, linearised, within the limits and constraints.
+
+    A sum may be on its limit only because one of its parameters is held. Where nothing was fitted the parameters move
+    with the held ones alone.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    at : At
+    held : ndarray (n_rows, n_held + n_meshes)
+        Changes of the rows, see `calib.inference.considered.HeldChanges`, and those by one standard deviation of the
+        errors of meshes.
+    held_sd : mapping from str to float
+        Standard deviations of the held parameters.
+    constraints : ConstraintRows
+        Rows beside the data, with as many held quantities.
+    """
+    n, rows = len(at.names), len(at.residual)
+    slope, prior_sd = np.hstack([at.slope, held]), np.concatenate([at.prior_sd, np.ones(held.shape[1])])
+    if not held.shape[1]:
+        return Freed(at.residual, slope, prior_sd)
+    spread = {**held_sd, **{f"{MESH_ERROR} {k}": 1.0 for k in range(held.shape[1] - len(held_sd))}}
+    values, names = {**dict.fromkeys(spread, 0.0), **at.values}, (*at.names, *spread)
+    wide = _widened(space, values, spread, names)
+    prior = Prior.of(wide)
+    beside = np.hstack([constraints.slope, constraints.held])
+    pull = np.concatenate([at.residual, np.zeros(len(beside)), prior.residual(values, at.names)])
+    if not at.fitted and n:  # what would move the parameters by itself is left out
+        own = np.vstack([at.slope, constraints.slope, np.diag(1.0 / at.prior_sd)])
+        pull = pull - own @ np.linalg.lstsq(own, pull, rcond=None)[0]
+        centre = np.array([values[name] for name in at.names]) - at.prior_sd * pull[-n:]
+        prior = Prior({**prior.centre, **dict(zip(at.names, centre.tolist(), strict=True))}, prior.sd)
+    unit = np.concatenate([np.ones(n), 1.0 / np.array(list(spread.values()))])
+    start = pull[: rows + len(beside)]
+    linear = _Linear(names, np.array([values[name] for name in names]), start, np.vstack([slope, beside]) * unit)
+    end = fit(linear, wide, values, prior)
+    return Freed(at.residual + (end.residual - start)[:rows], slope, prior_sd)
+
+
+_FAR = 10.0
+"""Limits of a held parameter that is freed, in its standard deviations: as good as none."""
+
+
+def _widened(
+    space: ParameterSpace, values: Mapping[str, float], spread: Mapping[str, float], names: Sequence[str]
+) -> ParameterSpace:
+    """The space with held parameters free about their values, and with one for every error of a mesh."""
+    new = [Parameter(name, 0.0, -_FAR, _FAR) for name in spread if name not in space]
+    space = replace(space, parameters=(*space.parameters, *new))
+    for name, sd in spread.items():
+        ends = {"lower": values[name] - _FAR * sd, "upper": values[name] + _FAR * sd}
+        space = space.replace(name, value=values[name], prior_sd=sd, distribution="uniform", **ends)
+    return space.freeze({p.name: values[p.name] for p in space.free if p.name not in names})
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """A residual that is linear in the named parameters about some values."""
+
+    names: tuple[str, ...]
+    centre: np.ndarray
+    start: np.ndarray
+    slope: np.ndarray
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        return np.asarray(self.start + self.slope @ (np.array([values[name] for name in self.names]) - self.centre))
+
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        return np.asarray(self.slope[:, [self.names.index(name) for name in names]])
