@@ -20,7 +20,7 @@ from calib.correlation.rules import RULES
 from calib.correlation.standard_deviations import known_std
 from calib.errors.errors import EvaluationError
 from calib.measurement.mac import mac
-from calib.structure.eigenproblem.derivatives import REPEATED, eigenvalues
+from calib.structure.eigenproblem.mode_systems import REPEATED, eigenvalues
 from calib.structure.modes import Modes
 
 if TYPE_CHECKING:

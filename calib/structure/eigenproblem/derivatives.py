@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,18 +12,12 @@ import scipy.sparse as sp
 from calib.errors.errors import InputError
 from calib.execution.tasks import each
 from calib.problem.space import ParameterSpace
-from calib.structure.bordered import bordered
+from calib.structure.eigenproblem.mode_systems import Damped, Matrix, Undamped, eigenvalues, has_entries
 from calib.structure.eigenproblem.solve import DENSE_LIMIT
 from calib.structure.modes import Modes
 
-Matrix = Any
-"""A dense ndarray or a SciPy sparse array, shape (n_dof, n_dof), symmetric; a derivative need only be multiplied."""
-
-NEIGHBOUR = 0.1
-"""Eigenvalues closer than this fraction of their modulus form one group: the bordered matrix then stays regular."""
-
-REPEATED = 1e-7
-"""Eigenvalues closer than this fraction of their modulus count as repeated; single shapes have no derivative."""
+_ENTRIES = 1_000_000
+"""Entries of a block of right-hand sides: several such blocks are in memory at a time."""
 
 _BESIDE = 1e-6
 """Offset from 0, over the limit, at which derivatives by a parameter under a square root are taken.
@@ -89,7 +83,7 @@ class Analytic:
         values = self.space.values
         # Derivatives are evaluated only where needed: some matrices have none at 0.
         slopes = (self.matrix_derivatives(values, name) for name in self.space.names)
-        return _has_entries(self.matrices(values)[1]) or any(_has_entries(damping) for _, damping, _ in slopes)
+        return has_entries(self.matrices(values)[1]) or any(has_entries(damping) for _, damping, _ in slopes)
 
     @property
     def numbers_function(self) -> None:
@@ -130,12 +124,6 @@ def beside_roots(
             p = space[name]
             out[name] = _BESIDE * (p.upper if p.upper > 0 else p.lower)
     return out
-
-
-def eigenvalues(modes: Modes) -> np.ndarray:
-    """Lambda of every mode in 1/s, upper half-plane, shape (n_modes,), complex."""
-    size = 2 * np.pi * modes.natural_freq
-    return -modes.damping_ratio * size + 2j * np.pi * modes.damped_freq
 
 
 def mode_derivatives(
@@ -190,10 +178,13 @@ def eigen_derivatives(
     """Derivatives of modes from matrices and their derivatives.
 
     With ``Z = lambda^2 M + lambda C + K``, ``psi^T (2 lambda M + C) psi = 1`` and ``F = dZ psi`` at fixed lambda,
-    ``dlambda = -psi^T F``. The shape's derivative follows from one bordered factorisation per mode, with all parameters
-    as right-hand sides (Nelson 1976; the bordered form after Friswell and Adhikari 2000). The border holds all solved
-    eigenvalues within 10 % of the mode's own, conjugates included, so that close modes do not spoil the solution; their
-    contribution is added as ``-psi_j (psi_j^T F)/(lambda_i - lambda_j)``. Eigenvalues closer than 1e-7 count as
+    ``dlambda = -psi^T F``. The shape's derivative solves a system in Z with all parameters as right-hand sides (Nelson
+    1976). In sparse models those of many modes are iterated together, with one factor and what all solved modes add to
+    it (`calib.structure.eigenproblem.mode_systems`), to a residual of 1e-6 of the force. A mode without a gap to the
+    modes that were not solved takes one bordered factorisation (after Friswell and Adhikari 2000). The border holds all
+    solved eigenvalues within 10 % of the mode's own, conjugates included, so that close modes do not spoil the
+    solution; their contribution is added as ``-psi_j (psi_j^T F)/(lambda_i - lambda_j)``. Eigenvalues closer than 1e-7
+    count as
     repeated: if a parameter couples them, the shapes have no derivative and the mode is flagged. Modes that were turned
     inside a subspace (`Modes.groups`) have the derivatives of their Rayleigh quotients, and of their shapes the part
     that leaves the subspace.
@@ -217,7 +208,7 @@ def eigen_derivatives(
     chosen = np.arange(modes.n_modes) if which is None else np.asarray(which, dtype=int)
     if len(chosen) and not (chosen.min() >= 0 and chosen.max() < modes.n_modes):
         raise InputError(f"a mode outside 0..{modes.n_modes - 1} is requested", place="mode derivatives")
-    solver = _Damped if modes.is_complex else _Undamped
+    solver = Damped if modes.is_complex else Undamped
     stiffness, damping, mass = (_small_as_dense(matrix) for matrix in (stiffness, damping, mass))
     group = solver(stiffness, damping, mass, [tuple(map(_small_as_dense, slope)) for slope in slopes], modes)
     wanted = None if rows is None else np.asarray(rows)
@@ -226,11 +217,16 @@ def eigen_derivatives(
     eigenvalue = np.zeros((len(names), len(chosen)), dtype=complex)
     shapes = np.zeros((len(names), n_rows, len(chosen)), dtype=group.shape_type)
     regular = np.ones(len(chosen), dtype=bool)
-    shared, some = (group, without_shapes, wanted), chosen.tolist() if slopes else []
     worth = sp.issparse(stiffness) and wanted is not None and not without_shapes  # to be sent to other processes
-    found = each(_of_mode, shared, some) if worth else (_of_mode(shared, j) for j in some)
-    for i, (own, shape, good) in enumerate(found):
-        eigenvalue[:, i], shapes[:, :, i], regular[i] = own, shape.T if good else np.nan, good
+    alone = without_shapes or not sp.issparse(stiffness)
+    tasks = _tasks(group, list(dict.fromkeys(chosen.tolist())), len(slopes), alone) if slopes else []
+    shared = group, without_shapes, wanted
+    found = each(_of_modes, shared, tasks) if worth else (_of_modes(shared, task) for task in tasks)
+    for (_, some), answers in zip(tasks, found, strict=True):
+        for j, (own, shape, good) in zip(some, answers, strict=True):
+            i = np.flatnonzero(chosen == j)
+            eigenvalue[:, i] = own[:, None]
+            shapes[:, :, i], regular[i] = shape.T[:, :, None] if good else np.nan, good
     lam = eigenvalues(modes)[chosen]
     size = np.abs(lam)
     grown = np.real(np.conj(lam) * eigenvalue) / size
@@ -245,134 +241,39 @@ def eigen_derivatives(
     )
 
 
-def _of_mode(shared: tuple[Any, bool, np.ndarray | None], j: int) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Derivatives of one mode: of its eigenvalue (n_params,), of its shape (n_rows, n_params), and if they exist."""
+Task: TypeAlias = tuple[float | None, list[int]]
+"""A shift at which a factor serves some modes, or None where a mode is solved by a factor with a border."""
+Answer: TypeAlias = tuple[np.ndarray, np.ndarray, bool]
+"""Derivatives of one mode: of its eigenvalue (n_params,), of its shape (n_rows, n_params), and if they exist."""
+
+
+def _tasks(group: Undamped | Damped, chosen: list[int], n_params: int, alone: bool) -> list[Task]:
+    """Which modes are solved together, in portions of a limited size; ``alone`` where none are."""
+    tasks: list[Task] = []
+    most = max(1, _ENTRIES // (group.all.shape[0] * n_params))
+    for shift, some in [] if alone else group.bands(chosen, n_params):
+        tasks += [(shift, some[k : k + most]) for k in range(0, len(some), most)]
+    together = {j for _, some in tasks for j in some}
+    return [*tasks, *((None, [j]) for j in chosen if j not in together)]
+
+
+def _of_modes(shared: tuple[Undamped | Damped, bool, np.ndarray | None], task: Task) -> list[Answer]:
+    """Derivatives of some modes."""
     group, without_shapes, wanted = shared
-    own, shape, good = group.of(j, without_shapes)
-    return own, shape if wanted is None else wanted @ shape, good
-
-
-class _Damped:
-    """State-space modes: groups of close eigenvalues among the modes and their conjugates."""
-
-    def __init__(self, stiffness: Matrix, damping: Matrix, mass: Matrix, slopes: list[Any], modes: Modes):
-        self.k, self.c, self.m, self.slopes = stiffness, damping, mass, slopes
-        upper = eigenvalues(modes)
-        self.eigenvalues = np.concatenate([upper, upper.conj()])
-        self.all = np.hstack([modes.shapes, modes.shapes.conj()])
-        self.shape_type, self.groups = complex, modes.groups
-
-    def of(self, i: int, without_shape: bool) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Derivatives of lambda (n_params,) and psi (n_dof, n_params), and whether the mode is regular."""
-        lam, psi = self.eigenvalues[i], self.all[:, i]
-        force = np.column_stack([lam * (lam * (dm @ psi) + dc @ psi) + dk @ psi for dk, dc, dm in self.slopes])
-        gap = np.abs(self.eigenvalues - lam)
-        near = np.flatnonzero(gap <= NEIGHBOUR * abs(lam))
-        near = np.concatenate([[i], near[near != i]])
-        group, others = self.all[:, near], self.eigenvalues[near]
-        turned, scale = np.isin(near, _group_of(self.groups, i)), 1.0 + 0j
-        if turned.any():  # a turned shape has its unit norm to first order in the damping only
-            scale = np.sqrt(psi @ (2 * lam * (self.m @ psi) + self.c @ psi))
-            psi, force, group[:, 0] = psi / scale, force / scale, psi / scale
-        same = turned | (gap[near] <= REPEATED * abs(lam))
-        group[:, same] = _orthogonal(group[:, same], 2 * lam * self.m + self.c)
-        part = group.T @ force
-        free = same & ~(turned & (near != i))
-        regular = not _coupled(part[free], group[:, free], force)
-        slope = -part[0]
-        if not regular:
-            return _mean_slope(group[:, same], self.slopes, lam), np.zeros_like(force), False
-        if without_shape:
-            return slope, np.zeros_like(force), True
-        inertia = self.m @ group
-        border = (lam + others) * inertia + self.c @ group
-        matrix = lam * (lam * self.m + self.c) + self.k
-        rest, good = bordered(matrix, border, -(force - border @ part), (group.T @ inertia) @ part)
-        for j in range(1, len(near)):
-            if not same[j]:
-                rest -= np.outer(group[:, j], part[j] / (lam - others[j]))
-        norm = np.array([psi @ (2 * lam * (dm @ psi) + dc @ psi) for _, dc, dm in self.slopes])
-        own = -0.5 * (2 * slope * (psi @ inertia[:, 0]) + norm) - border[:, 0] @ rest
-        return slope, (rest + np.outer(psi, own)) * scale, good
-
-
-class _Undamped:
-    """Classical modes: groups of close squared frequencies."""
-
-    def __init__(self, stiffness: Matrix, damping: Matrix, mass: Matrix, slopes: list[Any], modes: Modes):
-        self.k, self.m, self.slopes, self.all = stiffness, mass, slopes, modes.shapes
-        self.omega = 2 * np.pi * modes.natural_freq
-        self.groups = modes.groups
-        self.shape_type: type = complex if any(_has_entries(dc) for _, dc, _ in slopes) else float
-
-    def of(self, i: int, without_shape: bool) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Derivatives of lambda (n_params,) and phi (n_dof, n_params), and whether the mode is regular."""
-        omega, phi = self.omega[i], self.all[:, i]
-        columns = [dk @ phi - omega**2 * (dm @ phi) for dk, _, dm in self.slopes]
-        force: np.ndarray = np.column_stack(columns).astype(self.shape_type)
-        if self.shape_type is complex:
-            force += 1j * omega * np.column_stack([dc @ phi for _, dc, _ in self.slopes])
-        gap = np.abs(self.omega - omega)
-        near = np.flatnonzero(gap <= NEIGHBOUR * omega)
-        near = np.concatenate([[i], near[near != i]])
-        group = self.all[:, near]
-        part = group.T @ force
-        turned = np.isin(near, _group_of(self.groups, i))
-        same = turned | (gap[near] <= REPEATED * omega)
-        free = same & ~(turned & (near != i))
-        regular = not _coupled(part[free], group[:, free], force)
-        # d(omega^2) = phi^T F = -2 lambda dlambda
-        slope = 0.5j * part[0] / omega
-        if not regular:
-            return _mean_slope(group[:, same], self.slopes, 1j * omega), np.zeros_like(force), False
-        if without_shape:
-            return slope, np.zeros_like(force), True
-        border = self.m @ group
-        rest, good = bordered(self.k - omega**2 * self.m, border, -(force - border @ part), np.zeros_like(part))
-        for j in range(1, len(near)):
-            if not same[j]:
-                rest += np.outer(group[:, j], part[j] / (omega**2 - self.omega[near[j]] ** 2))
-        own = -0.5 * np.array([phi @ (dm @ phi) for _, _, dm in self.slopes]) - border[:, 0] @ rest
-        return slope, rest + np.outer(phi, own), good
-
-
-def _group_of(groups: Sequence[tuple[int, ...]], i: int) -> list[int]:
-    """All modes of the subspace in which a mode was turned; none for a single one."""
-    return next((list(group) for group in groups if i in group), [])
+    shift, some = task
+    posed = [group.posed(j) for j in some]
+    solved = [one for one in posed if one.regular and not without_shapes]
+    rests = group.together(shift, solved) if shift is not None and solved else [None] * len(solved)
+    shapes, good = {one.mode: np.zeros_like(one.force) for one in posed}, {one.mode: one.regular for one in posed}
+    for one, known in zip(solved, rests, strict=True):
+        rest, good[one.mode] = group.alone(one) if known is None else (known, True)
+        shapes[one.mode] = group.normalised(one, rest)
+    if wanted is not None:
+        shapes = {j: wanted @ shape for j, shape in shapes.items()}
+    return [(one.slope, shapes[one.mode], good[one.mode]) for one in posed]
 
 
 def _small_as_dense(matrix: Matrix) -> Matrix:
     """A small sparse matrix as a dense array, whose products and factors are many times cheaper."""
     sparse: Any = matrix if sp.issparse(matrix) else None
     return matrix if sparse is None or sparse.shape[0] > DENSE_LIMIT else sparse.toarray()
-
-
-def _orthogonal(group: np.ndarray, weight: Matrix) -> np.ndarray:
-    """Shapes of a repeated eigenvalue, orthogonalised in the given weight; the first one stays."""
-    out = group.copy()
-    for j in range(1, group.shape[1]):
-        for _ in range(2):  # the second pass removes rounding error
-            out[:, j] -= out[:, :j] @ (out[:, :j].T @ (weight @ out[:, j]))
-        out[:, j] /= np.sqrt(complex(out[:, j] @ (weight @ out[:, j])))
-    return out
-
-
-def _mean_slope(group: np.ndarray, slopes: list[Any], lam: complex) -> np.ndarray:
-    """Mean derivative over a repeated eigenvalue, which does not depend on the choice of its shapes."""
-    total = np.zeros(len(slopes), dtype=complex)
-    for psi in group.T:
-        for q, (dk, dc, dm) in enumerate(slopes):
-            total[q] -= psi @ (lam * (lam * (dm @ psi) + dc @ psi) + dk @ psi)
-    if not np.iscomplexobj(group):
-        total /= 2 * lam  # phi^T M phi = 1 instead of psi^T (2 lambda M + C) psi = 1
-    return total / group.shape[1]
-
-
-def _coupled(part: np.ndarray, group: np.ndarray, force: np.ndarray) -> bool:
-    """Whether some parameter couples the shapes of a repeated eigenvalue; the first one is the mode itself."""
-    size = np.linalg.norm(group, axis=0)[:, None] * np.linalg.norm(force, axis=0)
-    return bool(np.any(np.abs(part[1:]) > 1e-6 * size[1:]))
-
-
-def _has_entries(matrix: Matrix) -> bool:
-    return bool(abs(matrix).max() > 0)
