@@ -221,7 +221,7 @@ def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: s
 
 def _doubts(tests: Sequence[LoadedStudy]) -> Doubts:
     """What a comparison at the nominal values doubts in the measurements; nothing where a model fails there."""
-    sentences, checks = [], []
+    sentences, checks, data = [], [], list[str]()
     for one in tests:
         if one.problem.reducible is None:
             continue  # a user's function would be called once more than the decision needs; a comparison tells the same
@@ -231,7 +231,9 @@ def _doubts(tests: Sequence[LoadedStudy]) -> Doubts:
             continue
         sentences += [of_test(one.test, words) if one.test else words for words in found.doubts]
         checks += [f"{what} in test {one.test}" if one.test else what for what in found.checks]
-    return Doubts(tuple(sentences), tuple(checks))
+        twice = [mode for pair in found.found_twice for mode in (pair.first, pair.second)]
+        data += [f"mode {of_test(one.test, mode) if one.test else mode}" for mode in twice]
+    return Doubts(tuple(sentences), tuple(checks), tuple(data))
 
 
 def explain_tests(

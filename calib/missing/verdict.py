@@ -13,10 +13,7 @@ from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.goodness import worst_repeats
 from calib.missing.recommendation import Recommendation
 from calib.missing.suspect import suspect_in_short, suspect_sentence
-from calib.missing.verdict_words import (
-    beside_faults,
-    check_faults,
-)
+from calib.missing.verdict_words import VerdictWords, beside_faults, check_faults, misfit_in_short
 from calib.missing.words_by_verdict import WORDS
 from calib.results.answer import Answer
 
@@ -35,10 +32,13 @@ class Doubts(NamedTuple):
     sentences : tuple of str
     checks : tuple of str
         What to check, such as ``sensor 12y``.
+    data : tuple of str
+        Modes of which one may not be there, as `calib.missing.suspect.suspects_table` names them.
     """
 
     sentences: tuple[str, ...] = ()
     checks: tuple[str, ...] = ()
+    data: tuple[str, ...] = ()
 
 
 NO_DOUBTS = Doubts()
@@ -58,6 +58,24 @@ class Verdict:
 
     answer: Answer
     sentences: tuple[str, ...]
+
+
+_LEAVE_OUT = "Leave it out, and ask again."
+
+
+def _without_doubtful(found: Explanation, doubts: Doubts) -> VerdictWords | None:
+    """What is told where nothing explains a misfit that a mode causes which is doubtful without a fit; else None."""
+    table = found.suspects
+    causes = table[table["explains"].astype(bool) & table["what"].isin(doubts.data)]
+    if found.verdict not in UNEXPLAINED or causes.empty:
+        return None
+    first = causes.iloc[0]
+    return VerdictWords(
+        f"Without {first['what']} the model fits (p = {first['p_fit_without']:.2g}, to first order): nothing else is "
+        "seen to be missing.",
+        misfit_in_short(found),
+        _LEAVE_OUT,
+    )
 
 
 def verdict_of(
@@ -93,7 +111,8 @@ def verdict_of(
     doubts : Doubts
         What looks wrong in the measurement itself, before any fit. It comes first, unless the data fit.
     """
-    words = WORDS[found.verdict](found, effects)
+    words = _without_doubtful(found, doubts) or WORDS[found.verdict](found, effects)
+    settled = words.then == _LEAVE_OUT
     sure, support = [words.sure], list(words.support)
     if found.verdict == "misfit_unlocated" and disagreements is not None:
         repeats = worst_repeats(found.base_adequacy, disagreements)[:_REPEATS]
@@ -128,6 +147,8 @@ def verdict_of(
         doubts = NO_DOUBTS  # with a gross error in them the data would not fit
     headline = " ".join(filter(None, (*doubts.sentences, words.found, beside_faults(found))))
     check = f"Check first: {'; '.join(doubts.checks)}." if doubts.checks else ""
+    if settled:
+        pointed = short = ""
     then = (check, words.then, check_faults(found), pointed, short)
     answer = Answer(headline, *(" ".join(filter(None, some)) for some in (sure, then)))
     return Verdict(answer, tuple(filter(None, (answer.found, answer.sure, words.then, pointed, *support))))

@@ -3,9 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from calib.missing.decision import decide
+from calib.missing.suspect import COLUMNS
 from calib.missing.tables import effects_table
 from calib.missing.verdict import Doubts, verdict_of
 from tests.missing.test_restarts import TRUTH, turning
@@ -89,6 +91,22 @@ def test_what_a_comparison_finds_in_the_measurement_comes_first(cases, verdict):
     told = doubted(cases[verdict])
     assert told.answer.found.startswith("Sensor 12y looks turned round. The model lacks something")
     assert told.answer.then.startswith("Check first: sensor 12y. ") and told.sentences[0] == told.answer.found
+
+
+@pytest.mark.parametrize(("doubtful", "alone"), [("mode M2", True), ("mode M3", False)])
+def test_nothing_more_is_missing_where_a_mode_found_twice_is_all_that_does_not_fit(cases, doubtful, alone):
+    table = pd.DataFrame(
+        [("mode M2", "mode", 54, 6e4, 50.0, 1e-9, 0.31, True), ("mode M3", "mode", 54, 9e3, 50.0, 1e-3, np.nan, False)],
+        columns=list(COLUMNS),
+    )
+    for verdict in ("none_explains", "partial"):
+        found = replace(cases[verdict], suspects=table)
+        doubts = Doubts(("Two modes look like one.",), ("modes M1 and M2",), ("mode M1", doubtful))
+        told = verdict_of(found, effects_table(found, {}, {}), errors(), pointed="Look there.", doubts=doubts).answer
+        assert told.found.startswith("Two modes look like one. ") and told.then.startswith("Check first: modes M1")
+        assert ("lacks" in told.found) is not alone and ("Look there." in told.then) is not alone
+        assert ("mode M2" in told.found and "0.31" in told.found) is alone
+        assert ("ask again" in told.then) is alone
 
 
 @pytest.mark.parametrize("verdict", ["nothing_detectable", "effect"])
