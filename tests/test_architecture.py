@@ -169,7 +169,7 @@ def test_the_first_level_is_a_few_rooms():
 def test_only_the_report_imports_plotting_libraries():
     for part, file in parts():
         if part != "report":
-            assert not {name.split(".")[0] for name in imports(file, run_only=True)} & {"matplotlib", "jinja2"}, file
+            assert "matplotlib" not in {name.split(".")[0] for name in imports(file, run_only=True)}, file
 
 
 def test_the_page_names_every_part_and_every_folder_on_one_page():

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import io
-import json
 import re
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import resources
 from pathlib import Path
 from string import Template
 from typing import Any, TypeAlias
@@ -18,18 +15,18 @@ import scipy.sparse as sp
 
 from calib.api.display import Displayed, compared
 from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
+from calib.api.fe_study import TEMPLATE, TermsByKind, measurement_of, model_of, quoted, write_study
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import EvaluationError, InputError
 from calib.experiment import ModalTest
 from calib.imports.fe_modes import read_fe_modes
 from calib.imports.matrices import KINDS, ReadMatrices, read_matrices
-from calib.measurement.files.read import Named, found_files, read_modes
+from calib.measurement.files.read import Named, found_files
 from calib.measurement.modal import DIRECTIONS, MeasuredModes
 from calib.problem.space import Parameter
-from calib.results.written import write_new_folder
 from calib.structure.model import StructuralModel
 from calib.structure.unit_system import SYSTEMS, unit_system
-from calib.study.study_file import shell_argument
+from calib.study.study_file import shell_argument, study_file
 
 Names: TypeAlias = str | Sequence[str]
 
@@ -142,7 +139,8 @@ def import_matrices(
     Parameters
     ----------
     files : path or sequence of paths
-        Of the matrices; decks among them give coordinates, mappings and .dof files the names of rows.
+        Of the matrices; decks among them give coordinates, mappings and .dof files the names of rows. Or the folder of
+        a study whose model is a solver: its matrices over its parameters are found by runs, and checked by others.
     dofs : path, optional
         Node and direction of each row where no file of the code names them: a table ``node, direction[, x, y, z]`` in
         the code's unit of length, two columns, or numbers such as 12.3.
@@ -183,22 +181,28 @@ def import_matrices(
     >>> calib.import_matrices(file).modes["freq"].round(2).tolist()
     [6.09, 14.7]
     """
+    named = found_files(files)
+    if len(named) == 1 and study_file(named[0]).is_file() and (named[0].is_dir() or named[0].suffix == ".toml"):
+        from calib.api.fe_runs import import_runs
+
+        given = (dofs, coordinates, units, stiffness, mass, damping, modes, measured, shapes, sensors)
+        if any(given):
+            raise InputError("a study has all that its import needs", place="calib import", remedy="give --to alone")
+        return import_runs(study_file(named[0]), None if to is None else path_of(to, "to"))
     system = unit_system(units or "m-kg-N", "units")
     chosen = {kind: (names,) if isinstance(names, str) else tuple(names)
               for kind, names in (("stiffness", stiffness), ("mass", mass), ("damping", damping))}  # fmt: skip
-    named = found_files(files)
     read = read_matrices(
         named, dofs=None if dofs is None else path_of(dofs, "dofs"), metres=system.length, chosen=chosen,
         coordinates=None if coordinates is None else path_of(coordinates, "coordinates"),
     )  # fmt: skip
     factors = _factors(list(read.matrices["stiffness"]))
-    model = StructuralModel.from_matrices(
-        {name: (one, factors[name]) for name, one in read.matrices["stiffness"].items()},
-        {name: (one, {}) for name, one in read.matrices["mass"].items()},
-        {name: (one, {}) for name, one in read.matrices["damping"].items()},
-        dofs=read.dofs, parameters=[_factor(name) for name in factors.values()], units=system.name,
-        layers=read.layers, lines=read.lines, name=named[0].stem,
-    )  # fmt: skip
+    terms: TermsByKind = {
+        kind: {name: (one, factors[name] if kind == "stiffness" else {}) for name, one in read.matrices[kind].items()}
+        for kind in KINDS
+    }
+    parameters = [Parameter(name, 1.0, 0.5, 1.5, "-", prior_sd=0.1) for name in factors.values()]
+    model = model_of(read, terms, parameters, system.name, named[0].stem)
     notes, warnings = _weighed(model, units)
     halves = [a.item for a in model.assumptions if a.value == "symmetric"]
     mirrored = (f"One triangle was given and has been mirrored: {', '.join(halves)}.",) if halves else ()
@@ -217,7 +221,14 @@ def import_matrices(
     out = Imported(model, read, table, notes, warnings, system.name)
     if to is None:
         return out
-    folder = _written(out, named, path_of(to, "to"), factors, measured, shapes, sensors)
+    contents: dict[str, bytes] = {}
+    lines, most = measurement_of(measured, shapes, sensors, contents)
+    text = Template((TEMPLATE / "imported_study.toml").read_text("utf-8")).substitute(
+        title=quoted(f"Imported model {model.name}"), measurement="\n".join(lines),
+        mode_count=min(model.n_dof, max(MODES, most)),
+    )  # fmt: skip
+    source, new = ", ".join(file.name for file in named), path_of(to, "to")
+    folder = write_study(model, read, system.name, terms, source, new, text, contents)
     return replace(out, study=folder, measured=bool(measured))
 
 
@@ -233,10 +244,6 @@ def _factors(names: Sequence[str]) -> dict[str, str]:
     if len(names) == 1:
         return {names[0]: _PARAMETER}
     return {name: re.sub(r"\W", "_", name) for name in names}
-
-
-def _factor(name: str) -> Parameter:
-    return Parameter(name, 1.0, 0.5, 1.5, "-", prior_sd=0.1)
 
 
 def _weighed(model: StructuralModel, units: str | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -325,72 +332,3 @@ def _against(
         more = f"; {count(lost, 'mode')} of the code without a partner" if lost else ""
         return out, notes, (f"{words}{more}. {remedy}",)
     return out, (*notes, f"{words}: the imported model has the code's own modes."), ()
-
-
-def _written(
-    found: Imported, files: Sequence[Path], folder: Path, factors: Mapping[str, str], measured: Named, shapes: Named,
-    sensors: str | Path | None,
-) -> Path:  # fmt: skip
-    """Write the study; returns its folder."""
-    read = found.read
-    template = resources.files("calib") / "template"
-    contents: dict[str, bytes] = {}
-    lines, most = _measurement(measured, shapes, sensors, contents)
-    names = {kind: list(read.matrices[kind]) for kind in KINDS}
-    model = Template((template / "imported_model.py.txt").read_text("utf-8")).substitute(
-        source=_plain(", ".join(file.name for file in files)), units=found.units, stiffness=json.dumps(dict(factors)),
-        mass=json.dumps(names["mass"]), damping=json.dumps(names["damping"]),
-        layers="None" if read.layers is None else _quoted(read.layers), name=_plain(found.model.name),
-    )  # fmt: skip
-    study = Template((template / "imported_study.toml").read_text("utf-8")).substitute(
-        title=_quoted(f"Imported model {found.model.name}"), measurement="\n".join(lines),
-        mode_count=min(found.model.n_dof, max(MODES, most)),
-    )  # fmt: skip
-    held: dict[str, Any] = {}
-    for kind, own in read.matrices.items():
-        for name, one in own.items():
-            held |= {f"{kind} {name} entries": one.data, f"{kind} {name} rows": one.row.astype(np.int32),
-                     f"{kind} {name} columns": one.col.astype(np.int32)}  # fmt: skip
-    packed = io.BytesIO()
-    np.savez_compressed(packed, **held)
-    contents |= {
-        "study.toml": study.encode(), "model.py": model.encode(), "matrices.npz": packed.getvalue(),
-        "dofs.csv": read.dofs.to_csv(index=False).encode(),
-        "lines.csv": pd.DataFrame(read.lines, columns=["node", "to_node"]).to_csv(index=False).encode(),
-    }  # fmt: skip
-    write_new_folder(folder, contents)
-    return folder
-
-
-def _measurement(
-    measured: Named, shapes: Named, sensors: str | Path | None, contents: dict[str, bytes]
-) -> tuple[list[str], int]:
-    """Lines of ``[measurement]``, whose files are added to the study's, and the number of model modes to solve."""
-    if not measured and (shapes or sensors):
-        raise InputError("no modes are named beside shapes and places", place="measured", remedy="name them")
-    if not measured:
-        return [
-            '# files = ["modes.csv"]                # measured modes: put the file here and take the # away',
-            '# shapes = ["shapes.csv"]              # with shapes in a table',
-            '# sensors = "sensors.csv"              # with nodes that are numbered otherwise: node, x, y, z (m)',
-        ], 0
-    named = {"files": found_files(measured), "shapes": found_files(shapes) if shapes else []}
-    named["sensors"] = [path_of(sensors, "sensors")] if sensors is not None else []
-    read = read_modes(named["files"], shapes=named["shapes"], sensors=sensors)
-    out: dict[str, list[str]] = {}
-    for key, files in named.items():
-        for file in files:
-            name = file.name if file.name not in contents else f"{len(contents)}_{file.name}"
-            contents[name] = file.read_bytes()
-            out.setdefault(key, []).append(name)
-    lines = [f"{key} = [{', '.join(map(_quoted, out[key]))}]" for key in ("files", "shapes") if key in out]
-    lines += [f"sensors = {_quoted(out['sensors'][0])}"] if "sensors" in out else []
-    return lines, 2 * read.n_modes
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
-
-
-def _plain(text: str) -> str:
-    return re.sub(r'[\\"$]', "_", text)

@@ -46,6 +46,9 @@ class Listener:
     def begins(self, study: StudyFile, verb: str) -> None:
         """An analysis begins."""
 
+    def will_run(self, sentence: str) -> None:
+        """How often an analysis will start the study's solver; empty for other models."""
+
     def other_state(self, rows: int) -> None:
         """Number of stored evaluations that belong to another state of the study."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from calib.analyses.provenance import places
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from calib.missing.findings import ExplanationResult
     from calib.results.ledger import Ledger
     from calib.study.several import AnyStudy
+    from calib.study.study import LoadedStudy
 
 
 @contextmanager
@@ -40,19 +42,30 @@ def compared(study: Any) -> ComparisonResult:
     study.listener.begins(loaded, "compare")
     with study.listener.progress() as step:
         step("solving the model")
-        answer = compare(loaded, study.folder)
+        answer = compare(loaded, study.folder) if loaded.settings.solver is None else _of_solver(study, loaded)
     study.listener.compared(loaded, answer, study.folder)
     return answer
+
+
+def _of_solver(study: Any, loaded: LoadedStudy) -> ComparisonResult:
+    """The same of a solver, whose runs are stored."""
+    from calib.analyses.compare import compare
+    from calib.analyses.provenance.recorded import recorded
+
+    with opened_ledger(study, loaded) as ledger:
+        return compare(recorded(loaded, ledger), study.folder)
 
 
 def sampled(study: Any) -> Sensitivity:
     """Rank correlations of the only test over a Latin hypercube."""
     from calib.analyses.reduction import fingerprints
+    from calib.analyses.runs_ahead import runs_ahead
     from calib.analyses.sensitivity import sensitivity
 
     loaded, root = study.one, study.results
     study.listener.begins(loaded, "sensitivity")
     with opened_ledger(study, loaded) as ledger, study.listener.progress() as step:
+        study.listener.will_run(runs_ahead(loaded, ledger, "sensitivity", study.workers, study.quick))
         study.listener.other_state(ledger.other_fingerprints(*fingerprints(loaded, places.results_of(loaded, root))))
         answer = sensitivity(loaded, study.folder, ledger, study.workers, study.quick, step)
     study.listener.sampled(loaded, answer, study.folder)
@@ -75,6 +88,7 @@ def calibrated(study: Any, case: str | None = None, method: Method | None = None
     """The fit of all tests together, of the parameters that the sensitivity analysis selected where that is asked."""
     from calib.analyses.calibrate import calibrate, chosen_cases
     from calib.analyses.reduction import fingerprints
+    from calib.analyses.runs_ahead import runs_ahead
 
     root, quick = study.results, study.quick
     chosen_cases(study.loaded, case)
@@ -87,6 +101,7 @@ def calibrated(study: Any, case: str | None = None, method: Method | None = None
         study.listener.progress() as step,
         places.tasks_shared(study.workers),
     ):
+        study.listener.will_run(runs_ahead(loaded, ledger, "calibrate", study.workers, quick))
         known = [mark for one in loaded.studies for mark in fingerprints(one, homes[one.test])]
         study.listener.other_state(ledger.other_fingerprints(*known))
         folders = {one.test: places.results_of(one, root, quick, case, method) for one in loaded.studies}
@@ -135,6 +150,13 @@ def repeated(study: Any) -> Repeated:
     return found
 
 
+def decks_written(study: Any, into: Path) -> tuple[Path, ...]:
+    """Decks of the study's solver with the values of its calibration."""
+    from calib.analyses.decks import write_decks
+
+    return write_decks(_selecting(study), study.folder, into)
+
+
 def listed(study: Any) -> Designs:
     """Every evaluated point of the study as it is."""
     from calib.analyses.designs import designs
@@ -157,9 +179,13 @@ def explained(study: Any) -> ExplanationResult:
     """Which effect of the study's library the model lacks, by all tests together."""
     from calib.analyses.explain import explain
     from calib.analyses.provenance.stored import with_stored_modes
+    from calib.analyses.runs_ahead import runs_ahead
 
     loaded, root = study.loaded, study.results
     study.listener.begins(loaded, "explain")
+    if loaded.settings.solver is not None:
+        with opened_ledger(study, loaded) as ledger:
+            study.listener.will_run(runs_ahead(loaded, ledger, "explain", study.workers))
     with (
         study.listener.progress() as step,
         places.tasks_shared(study.workers),

@@ -320,6 +320,10 @@ class Study:
         self.listener.extended(written)
         return replace(self, path=written.file, results=places.root_for(written.file, self.results), read=None)
 
+    def decks(self, into: str | Path) -> tuple[Path, ...]:
+        """Write the solver's decks with the calibrated values into a new folder; see `calib.analyses.decks`."""
+        return steps.decks_written(self, path_of(into, "into"))
+
     def run(self, *, executor: Executor | Injected | None = None) -> Study:
         """Run every analysis, add the named effects, calibrate again, and write ``report.html``.
 

@@ -18,7 +18,7 @@ from calib.command import terminal
 from calib.command.compare import compare
 from calib.command.designs import designs
 from calib.command.look import look
-from calib.command.matrices import import_matrices
+from calib.command.matrices import deck, import_matrices
 from calib.command.options import (
     CachePath,
     CalibrationMethod,
@@ -211,6 +211,7 @@ def intervals(
 
 
 app.command(short_help="List evaluated designs, the best first.")(designs)
+app.command(short_help="Write the solver's deck with the calibrated values.")(deck)
 
 
 @app.command(short_help="Evaluate failed points once more.")

@@ -1,4 +1,4 @@
-"""``calib import``: matrices of a finite-element code become a study."""
+"""``calib import`` and ``calib deck``: a model comes from a finite-element code, and goes back to it."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from typing import Annotated
 import typer
 
 from calib.command import terminal
-from calib.command.options import Verbose, possible
+from calib.command.options import ResultsPath, StudyPath, Verbose, possible
+from calib.results.results import RESULTS
 
 
 def import_matrices(
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILES...", help=".sti, .mtx, DMIG .pch, .op4, Harwell-Boeing, .mat, .npz.")
+        list[Path],
+        typer.Argument(metavar="FILES...", help=".sti, .mtx, DMIG .pch, .op4, Harwell-Boeing, .mat, .npz; or a study."),
     ],
     to: Annotated[Path, typer.Option("--to", metavar="FOLDER", callback=possible, help="New folder of the study.")],
     dofs: Annotated[
@@ -44,7 +46,8 @@ def import_matrices(
     """Make a study of the matrices that a finite-element code has written: stiffness, mass and damping.
 
     Checks rows, triangles, symmetry, mass and units, prints the first frequencies and compares them with the code's own
-    (--modes). What lies beside a file under its name (.mas, .dof, .inp, .mapping) is read too.
+    (--modes). What lies beside a file under its name (.mas, .dof, .inp, .mapping) is read too. A study whose model is a
+    solver, given in place of files, becomes one of matrices by some runs of the solver; others check it.
     """
     from calib.api.fe_import import import_matrices as import_them
     from calib.execution.tasks import one_thread
@@ -57,3 +60,19 @@ def import_matrices(
     terminal.tell_entries(found.entries, verbose)
     for line in found.next_steps:
         terminal.say(line)
+
+
+def deck(
+    study: StudyPath,
+    into: Annotated[
+        Path, typer.Option("--into", metavar="FOLDER", callback=possible, help="A folder that does not exist yet.")
+    ],
+    results: ResultsPath = RESULTS,
+    verbose: Verbose = False,
+) -> None:
+    """Write the templates of the study's solver, or those under 'decks', with the calibrated values. Run them there."""
+    from calib.command.cli import _study  # which registers this command
+
+    with _study("deck", study, results, verbose) as loaded:
+        for written in loaded.decks(into):
+            terminal.say(f"Written: {written}")

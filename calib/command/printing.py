@@ -102,6 +102,10 @@ class _Printing(Listener):
     def begins(self, study: StudyFile, verb: str) -> None:
         self._collected.append(AnalysisEntries(verb, f"{study.settings.title}: {verb}{_label(study)}"))
 
+    def will_run(self, sentence: str) -> None:
+        if sentence:  # now: the answer may be hours away
+            terminal.complain(sentence)
+
     def other_state(self, rows: int) -> None:
         if rows:
             belong, they = ("belongs", "it is") if rows == 1 else ("belong", "they are")

@@ -1,4 +1,4 @@
-"""Edges of the elements of a deck, which figures draw: *ELEMENT of Abaqus and CalculiX, bulk data of Nastran."""
+"""Of a deck: supports, and edges of elements, which figures draw; of Abaqus, CalculiX and Nastran."""
 
 from __future__ import annotations
 
@@ -83,3 +83,33 @@ def _nastran(text: str) -> Iterator[Edge]:
         numbers = fields[first : first + corners]
         if len(numbers) == corners and all(re.fullmatch(r"\d+", one) for one in numbers):
             yield from ((int(numbers[i]), int(numbers[j])) for i, j in edges[corners])
+
+
+def held_motions(text: str) -> set[tuple[int, int]]:
+    """Node and direction (1 to 6) of every motion that ``*BOUNDARY`` of a deck of Abaqus or CalculiX holds."""
+    sets: dict[str, set[int]] = {}
+    held: set[tuple[int, int]] = set()
+    key = name = ""
+    for line in text.splitlines():
+        bare = line.strip()
+        if not bare or bare.startswith("**"):
+            continue
+        if bare.startswith("*"):
+            key = bare.upper().replace(" ", "")
+            match = re.search(r"NSET=([^,]+)", key)
+            name = match[1] if match is not None else ""
+            continue
+        fields = [field.strip().upper() for field in bare.split(",")]
+        if key.startswith("*NODE,") and name:
+            sets.setdefault(name, set()).add(int(fields[0]))
+        elif key.startswith("*NSET") and "GENERATE" in key:
+            first, last, step = (*map(int, filter(None, fields[:3])), 1)[:3]
+            sets.setdefault(name, set()).update(range(first, last + 1, step))
+        elif key.startswith("*NSET"):
+            for field in filter(None, fields):
+                sets.setdefault(name, set()).update({int(field)} if field.isdigit() else sets.get(field, ()))
+        elif key.startswith("*BOUNDARY") and len(fields) > 1 and fields[1].isdigit():
+            nodes = {int(fields[0])} if fields[0].isdigit() else sets.get(fields[0], set())
+            last = int(fields[2]) if len(fields) > 2 and fields[2].isdigit() else int(fields[1])
+            held |= {(node, d) for node in nodes for d in range(int(fields[1]), last + 1)}
+    return held

@@ -16,7 +16,7 @@ from calib.errors.errors import InputError
 from calib.imports.containers import read_container
 from calib.imports.coordinates import DECKS, read_coordinates
 from calib.imports.dof_file import read_dofs, table_of
-from calib.imports.elements import element_edges
+from calib.imports.elements import element_edges, held_motions
 from calib.imports.harwell_boeing import is_harwell_boeing, is_mapping, read_harwell_boeing
 from calib.imports.nastran import is_dmig, read_dmig
 from calib.imports.op4 import is_op4, read_op4
@@ -131,6 +131,9 @@ def read_matrices(
     if coordinates is not None:
         table, told = _placed(table, coordinates, metres, is_calculix)
         notes += told
+        if is_calculix:
+            table, told = _without_held(table, coordinates)
+            notes += told
     matrices, table, told = _without_penalties(matrices, table)
     named_twice = bool(table.dropna(subset=["node"]).duplicated(["node", "direction"]).any())
     edges = _drawn(table, coordinates)
@@ -299,6 +302,20 @@ def _placed(table: pd.DataFrame, file: Path, metres: float, has_own: bool) -> tu
         f"{int(lost.sum())} rows belong to {count} nodes that {file.name} does not define ({first} to {last}), which "
         "are the code's own: they stay in the model, and no sensor lies there.",
     )
+
+
+def _without_held(table: pd.DataFrame, file: Path) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """The table without the names of rows that move a supported node: the stretch of a shell's thickness there."""
+    held = held_motions(file.read_text("latin-1")) if file.suffix.lower() != ".csv" else set()
+    if not held:
+        return table, ()
+    rows = np.array([pair in held for pair in zip(table["node"], table["direction"], strict=True)])
+    if not rows.any():
+        return table, ()
+    out = table.copy()
+    out.loc[rows, ["node", "direction"]] = pd.NA
+    words = f"{int(rows.sum())} rows are of supported nodes, which move in them by the stretch of the thickness alone: "
+    return out, (words + "no sensor lies there.",)
 
 
 def _drawn(table: pd.DataFrame, file: Path | None) -> tuple[tuple[int, int], ...]:

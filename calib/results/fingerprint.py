@@ -16,7 +16,9 @@ import scipy.sparse as sp
 
 from calib.errors.errors import InputError
 
-SKIPPED = ("__pycache__", "results", "site-packages", "node_modules")
+FAILED_RUNS = "failed_runs"
+"""Subfolder of a study in which folders of failed runs of its solver are kept."""
+SKIPPED = ("__pycache__", "results", "site-packages", "node_modules", FAILED_RUNS)
 """Subfolders of a study that hold no source of its model; hidden ones hold none either."""
 
 

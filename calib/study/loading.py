@@ -20,7 +20,9 @@ from calib.errors.own_code import defined_at, raised_at, refuses
 from calib.errors.place import Place
 from calib.execution.outcome import error_line
 from calib.execution.retry import retrying
+from calib.measurement.modal import Sensor
 from calib.problem.effect import Effect
+from calib.problem.parameter import Parameter
 from calib.results.fingerprint import digest_of
 from calib.structure.effects.extend import extend
 from calib.structure.function_model import FunctionModel, extend_function
@@ -30,6 +32,7 @@ from calib.structure.soundness import require_sound
 from calib.study.measurement_settings import RUNS
 from calib.study.neighbours import Neighbours, project_folders
 from calib.study.settings import StudySettings
+from calib.study.solver_settings import SolverSettings
 
 Model = StructuralModel | ModalFunctionModel | FunctionModel
 _KEYS = {"model": ("model",), "effects": ("effects",), "finer_options": ("explain", "finer_options")}
@@ -50,17 +53,25 @@ class Sources:
         The study's; files are relative to it.
     place : callable
         See `PlaceOf`.
+    sensors : callable
+        Those of the measured shapes, which a solver is asked for.
     """
 
     settings: StudySettings
     folder: Path
     place: PlaceOf
+    sensors: Callable[[], tuple[Sensor, ...]] = tuple
     _entered: list[bool] = field(init=False, repr=False, compare=False, default_factory=list)
 
     def model(self) -> Model:
         """The model without effects; InputError for whatever is wrong with it."""
-        name, place = self.settings.model, self.place("model")
-        model = self._runs(name) if name.endswith(RUNS) else self._call("model", name, self.settings.model_options)
+        name, place = self.settings.model_name, self.place("model")
+        if self.settings.solver is not None:
+            model: Any = self._solver(self.settings.solver)
+        elif name.endswith(RUNS):
+            model = self._runs(name)
+        else:
+            model = self._call("model", name, self.settings.model_options)
         if not isinstance(model, StructuralModel | ModalFunctionModel | FunctionModel):
             raise InputError(
                 f"{name.rpartition(':')[2]} returns {type(model).__name__}",
@@ -79,6 +90,32 @@ class Sources:
                 raise InputError(fault.problem, place=there, remedy=fault.remedy, at=fault.at or at) from None
         return model
 
+    def _solver(self, given: SolverSettings) -> Model:
+        """A solver; see `calib.study.solver.solver_model`."""
+        from calib.study.solver import solver_model  # most studies have none
+
+        if self.settings.model_options:
+            words = "a solver takes no model_options"
+            raise InputError(words, place=self.place("model_options"), remedy="write its keys under [model]")
+        parameters = []
+        for name, one in given.parameters.items():
+            try:
+                parameters.append(
+                    Parameter(name, one.value, *one.limits, one.unit, integer=one.integer, prior_sd=one.prior_sd)
+                )
+            except InputError as fault:
+                place = self.place("model", "parameters", name)
+                raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
+        options = given.model_dump(exclude={"parameters", "sensors"})
+        try:
+            return solver_model(
+                parameters=parameters, sensors=given.sensors or self.sensors(), folder=self.folder,
+                time_limit=self.settings.calibration.time_limit, **options,
+            )  # fmt: skip
+        except InputError as fault:
+            there = fault.at or self.place("model")
+            raise InputError(fault.problem, place=fault.place, remedy=fault.remedy, at=there) from None
+
     def _runs(self, name: str) -> Model:
         """A table of runs; see `calib.study.runs.read_runs`."""
         from calib.study.runs import read_runs  # metamodels are for tables of runs alone
@@ -95,10 +132,10 @@ class Sources:
 
     def finer(self) -> Model | None:
         """The model without effects on a finer mesh; None when the study names no options for one."""
-        options = self.settings.explain.finer_options
-        if not options:
+        options, name = self.settings.explain.finer_options, self.settings.model_name
+        if not options or not name:
             return None
-        model = self._call("finer_options", self.settings.model, {**self.settings.model_options, **options})
+        model = self._call("finer_options", name, {**self.settings.model_options, **options})
         return model if isinstance(model, StructuralModel | ModalFunctionModel | FunctionModel) else None
 
     def library(self, base: Model) -> tuple[Effect, ...]:
@@ -187,7 +224,7 @@ class Sources:
         what = "library of effects" if key == "effects" else "model"
         try:
             if not self._entered:
-                keys = (self.settings.model, *self.settings.libraries)
+                keys = (self.settings.model_name, *self.settings.libraries)
                 named = [self.folder / key.rpartition(":")[0] for key in keys]
                 own = [path.parent.resolve() for path in named if path.suffix == ".py"]
                 # A module is named relative to the project of the file that names it, which may be that of a base.

@@ -7,7 +7,7 @@ import inspect
 import itertools
 import re
 from collections.abc import Iterator
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     Field,
@@ -33,6 +33,10 @@ from calib.study.measurement_settings import (
     TestSettings,
     WrongBelow,
 )
+from calib.study.solver_settings import SolverSettings
+
+_GRACE = 10.0
+"""Seconds that a process has to end a solver that takes too long, and to tell what it said."""
 
 
 class ParameterSettings(Section):
@@ -205,14 +209,17 @@ class StudySettings(Section):
 
     title: str
     """Title in figures and report."""
-    model: PathText = Field(pattern=MODEL)
+    model: Annotated[PathText, Field(pattern=MODEL)] | SolverSettings
     """Function that returns the model: ``"file.py:function"`` in the folder, or ``"package.module:function"``; or a
-    table of runs, ``"runs.csv"``, with ``model_options = { inputs = [...] }``."""
+    table of runs, ``"runs.csv"``, with ``model_options = { inputs = [...] }``; or under ``[model]`` a solver."""
     model_options: dict[str, Any] = {}
     """Keyword arguments of that function."""
     depends_on: tuple[PathText, ...] = ()
     """Files that the model reads, such as a solver's input, relative to the folder; results become outdated
     when one changes."""
+    decks: tuple[PathText, ...] = ()
+    """Templates of a solver's input, with ``{{ NAME }}`` where values of parameters belong, into which ``calib deck``
+    writes calibrated values; by default those under ``[model]``."""
     retry: RetrySettings | None = None
     """When a failed evaluation of that function is repeated: ``{ pattern = "LICENSE", times = 5, wait = 60 }``."""
     effects: FunctionText | tuple[FunctionText, ...] | None = None
@@ -268,6 +275,11 @@ class StudySettings(Section):
         return self
 
     @property
+    def evaluation_limit(self) -> float:
+        """Seconds after which the process of an evaluation is ended: a solver is ended before, by who waits for it."""
+        return self.calibration.time_limit + (_GRACE if self.solver is not None else 0.0)
+
+    @property
     def several(self) -> bool:
         """Whether several tests are fitted together."""
         return len(self.tests) > 1
@@ -282,8 +294,18 @@ class StudySettings(Section):
     @property
     def functions(self) -> tuple[str, ...]:
         """Functions that build models and effects, as named in the file; a table of runs has none."""
-        named = (self.model, *self.libraries, *(f for test in self.tests for f in (test.model, test.effects)))
+        named = (self.model_name, *self.libraries, *(f for test in self.tests for f in (test.model, test.effects)))
         return tuple(dict.fromkeys(name for name in named if name and not name.endswith(RUNS)))
+
+    @property
+    def model_name(self) -> str:
+        """What ``model`` names, a function or a table; empty for a solver."""
+        return self.model if isinstance(self.model, str) else ""
+
+    @property
+    def solver(self) -> SolverSettings | None:
+        """The solver under ``[model]``."""
+        return None if isinstance(self.model, str) else self.model
 
     @property
     def listed(self) -> tuple[str, ...] | None:

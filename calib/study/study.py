@@ -240,7 +240,7 @@ def _study(
     file: StudyFile, read: Mapping[str, str], adopted: Mapping[str, float], adopted_sd: Mapping[str, float]
 ) -> LoadedStudy:
     """Load and check everything that a study's file names; see `LoadedStudy.load`."""
-    sources = Sources(file.settings, file.folder, file.place)
+    sources = Sources(file.settings, file.folder, file.place, lambda: file.measured_sensors)
     base = sources.model()
     library = sources.library(base)
     members = [(one.name, one.build) for effect in library for one in effect.family]

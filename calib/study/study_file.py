@@ -17,7 +17,7 @@ from calib.measurement.corrections import corrected
 from calib.measurement.files.read import read_modes
 from calib.measurement.files.read_frf import read_frfs
 from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.modal import MeasuredModes
+from calib.measurement.modal import MeasuredModes, Sensor
 from calib.measurement.responses import MeasuredResponses, read_responses
 from calib.results.fingerprint import code_files, digest_of
 from calib.study.measurement_settings import RUNS
@@ -125,6 +125,13 @@ class StudyFile:
             place = self.place("measurement", "accuracy")
             raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
 
+    @property
+    def measured_sensors(self) -> tuple[Sensor, ...]:
+        """Sensors of the measured shapes of all tests of the study."""
+        every = StudyFile.read(self.file).parts
+        measured = [data for one in every if isinstance(data := one.measured_data(), MeasuredModes)]
+        return tuple({sensor.name: sensor for modes in measured for sensor in modes.sensors}.values())
+
     def measured_data(self) -> Measured:
         """What the files of one test hold; InputError where they cannot be read.
 
@@ -221,7 +228,9 @@ class StudyFile:
         files = list(code)
         for data in settings.tests or (settings.measurement,):
             files += [*data.files, *data.shapes, *filter(None, [data.sensors, data.responses])]
-        tables = [settings.model, *(test.model for test in settings.tests)]
+        tables = [settings.model_name, *(test.model for test in settings.tests)]
+        if settings.solver is not None:
+            files += [*settings.solver.template, *settings.solver.files]
         files += [*settings.depends_on, *(name for name in tables if name and name.endswith(RUNS))]
         return {file: (folder / file).resolve() for file in files}
 

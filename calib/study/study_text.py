@@ -131,6 +131,9 @@ def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
             return path
         return Path(os.path.relpath(own / path, folder)).as_posix()
 
+    def leads(paths: Any) -> Any:
+        return [lead(path) for path in paths] if isinstance(paths, list) else lead(paths)
+
     def function(name: Any) -> Any:
         if str(name).endswith(RUNS):
             return lead(name)
@@ -141,7 +144,9 @@ def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
         out = dict(section)
         for key, value in section.items():
             if key in _PATHS:
-                out[key] = [lead(v) for v in value] if isinstance(value, list) else lead(value)
+                out[key] = leads(value)
+            elif key == "model" and isinstance(value, dict):
+                out[key] = {**value, **{k: leads(value[k]) for k in _OF_SOLVER if k in value}}
             elif key in _FUNCTIONS:
                 out[key] = [function(v) for v in value] if isinstance(value, list) else function(value)
             elif key in _WITH_PATHS and isinstance(value, dict):
@@ -155,10 +160,11 @@ def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
 
 _OF_ONE_TEST = ("measurement", "held_out", "pairing")
 """Keys that describe the measurement of a study without ``[[tests]]``."""
-_PATHS = ("files", "shapes", "sensors", "responses", "depends_on", "study")
+_PATHS = ("files", "shapes", "sensors", "responses", "depends_on", "decks", "study")
 _FUNCTIONS = ("model", "effects")
 _WITH_PATHS = ("measurement", "adopted")
-"""Keys that hold paths, functions in files, and tables with such keys."""
+_OF_SOLVER = ("template", "files")
+"""Keys that hold paths, functions in files, tables with such keys, and lists of paths under ``[model]``."""
 
 
 def _layer(file: Path) -> Layer:
@@ -208,7 +214,10 @@ _EXPECTED: Mapping[str, tuple[str, str]] = {
 }
 """What a value must be, by the first word of the kind of error that pydantic reports, and a remedy."""
 _PATTERNS: Mapping[str, tuple[str, str]] = {
-    MODEL: ("names no model", 'write "file.py:function", "package.module:function" or a table of runs, "runs.csv"'),
+    MODEL: (
+        "names no model",
+        'write "file.py:function", "package.module:function" or a table of runs, "runs.csv"; a solver a table [model]',
+    ),
     FUNCTION: ("names no function", 'write "file.py:function" or "package.module:function"'),
     NAME: ("is no name for files", "use letters, digits, - and _ only"),
 }
@@ -220,6 +229,8 @@ def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
     if first["type"] == "string_type" and isinstance(first.get("input"), list):  # a text or a list of them: in which
         inner = (e for e in fault.errors() if e["loc"][0] == first["loc"][0] and e is not first)
         first = next((e for e in inner if not isinstance(e.get("input"), list)), first)
+    elif first["type"] == "string_type" and isinstance(first.get("input"), dict):  # a text or a table: in which
+        first = next((e for e in fault.errors() if e["loc"][0] == first["loc"][0] and len(e["loc"]) > 2), first)
     kind, words = first["type"], first["msg"].removeprefix("Value error, ")
     below = getattr(first.get("ctx", {}).get("error"), "keys", ())
     keys = _written((*first["loc"], *below), _merged(layers), missing=kind == "missing")

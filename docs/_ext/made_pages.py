@@ -66,8 +66,11 @@ def keys() -> str:
             parts.append(f"## `{heading}`\n\n{words}{_key_table(section, whole, known)}")
             for key, below in own.items():
                 inner, listed = _section(below, whole)
-                if inner is not None and key not in whole["properties"]:
-                    inner_heading = f"[[{name}.{key}]]" if listed == "each" else f"[{name}.{key}]"
+                at_the_top, _ = _section(whole["properties"].get(key, {}), whole)
+                if inner is not None and inner is not at_the_top:
+                    inner_heading = {"one": f"[{name}.{key}]", "each": f"[[{name}.{key}]]"}.get(
+                        listed, f"[{name}.{key}.NAME]"
+                    )
                     words = f"{_sentence(inner['description'])}\n\n"
                     parts.append(f"## `{inner_heading}`\n\n{words}{_key_table(inner, whole, {})}")
     return "\n".join(parts)

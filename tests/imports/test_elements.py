@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.imports.elements import element_edges
+from calib.imports.elements import element_edges, held_motions
 from calib.imports.matrices import read_matrices
 
 EXPORTS = Path(__file__).parent / "exports"
@@ -35,3 +35,26 @@ def test_edges_of_an_exported_deck_join_nodes_that_have_rows():
 def test_edges_of_each_kind_of_element(text, count, some):
     edges = element_edges(text)
     assert len(edges) == count and (some is None or some in edges)
+
+
+def test_motions_that_a_deck_holds_are_known_by_node_and_set():
+    deck = """*NODE, NSET=ALL
+1,0,0,0
+2,1,0,0
+*NSET, NSET=EDGE, GENERATE
+4, 8, 2
+*Nset, nset=Both
+edge, 11,
+*BOUNDARY
+** a comment
+1,1,3
+Both,3
+all,6,6,0.0
+*STEP
+*BOUNDARY, OP=NEW
+12,2
+*NODE PRINT, NSET=ALL
+U
+"""
+    both = {(node, 3) for node in (4, 6, 8, 11)}
+    assert held_motions(deck) == {(1, 1), (1, 2), (1, 3), (1, 6), (2, 6), (12, 2)} | both

@@ -63,7 +63,7 @@ def isolated(study: LoadedStudy) -> LoadedStudy:
     if problem.user_function is None:
         return study
     source = EvaluationSource.of(study, problem)
-    child = ChildFunction(Evaluator(source, 1, study.settings.calibration.time_limit, isolated=True))
+    child = ChildFunction(Evaluator(source, 1, study.settings.evaluation_limit, isolated=True))
     return replace(
         study,
         model=model.with_function(child),

@@ -154,7 +154,7 @@ def open_evaluator(
     function = bare.user_function
     if chosen == 1 and isinstance(function, ChildFunction):
         return nullcontext(_answering(given, function.evaluator))
-    return _opened_for(given, Evaluator(source, chosen, study.settings.calibration.time_limit))
+    return _opened_for(given, Evaluator(source, chosen, study.settings.evaluation_limit))
 
 
 @contextmanager

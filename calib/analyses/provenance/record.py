@@ -100,7 +100,7 @@ def write_record(
         "study": study.name,
         "title": given.title,
         "synthetic": study.synthetic,
-        "model": given.model,
+        "model": given.model if given.solver is None else given.solver.command,
         "adopted": {} if given.adopted is None else {n: study.adopted.get(n) for n in given.adopted.parameters},
         "adopted_from": None if given.adopted is None else given.adopted.study,
         "effects_known": len(study.library),

@@ -150,7 +150,7 @@ def _several(study: LoadedStudy, workers: Workers) -> BatchEvaluator | None:
     count = available_cores() if workers is None else workers
     if count == 1 or not isinstance(function, ChildFunction):
         return None
-    return Evaluator(function.evaluator.source, count, study.settings.calibration.time_limit)
+    return Evaluator(function.evaluator.source, count, study.settings.evaluation_limit)
 
 
 @dataclass(frozen=True, eq=False)

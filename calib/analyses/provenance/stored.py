@@ -90,16 +90,16 @@ def confirm(study: LoadedStudy, ledger: Ledger, known: Outcome) -> float:
 def with_stored_modes(
     study: AnyStudy, opened: Callable[[], AbstractContextManager[Ledger]], workers: Workers = 1
 ) -> Iterator[AnyStudy]:
-    """A study with its functions of modes behind the ledger, one stored point of each checked.
+    """A study with its functions of modes and its solvers behind the ledger, one stored point of each checked.
 
     Other functions are put behind a ledger that is not kept, where ``workers`` may share their points. This holds for
     every test of the study.
     """
-    modes = any(_has_modes(one) for one in study.studies)
+    modes = any(_is_stored(one) for one in study.studies)
     with opened() if modes else nullcontext() as ledger, Ledger.in_memory() as passing:
 
         def kept(one: LoadedStudy) -> LoadedStudy:
-            if ledger is not None and _has_modes(one):
+            if ledger is not None and _is_stored(one):
                 confirmed(one, ledger)
                 return recorded(one, ledger, workers)
             return with_passing(one, passing, workers)
@@ -116,8 +116,8 @@ def with_passing(study: LoadedStudy, ledger: Ledger, workers: Workers) -> Loaded
     return study if function.several is None else replace(own, model=own.model.with_function(function))
 
 
-def _has_modes(study: LoadedStudy) -> bool:
-    return study.problem.numbers_function is not None
+def _is_stored(study: LoadedStudy) -> bool:
+    return study.problem.numbers_function is not None or study.settings.solver is not None
 
 
 def point_label(space: ParameterSpace, values: Mapping[str, float]) -> str:

@@ -1,0 +1,75 @@
+"""The calibrated model goes back: decks of a solver with the calibrated values, and a table of these."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from calib.analyses.staged import required_calibration
+from calib.errors.errors import EvaluationError, InputError
+from calib.imports.deck import check_template, deck_name, deck_of
+from calib.results.results import Results
+from calib.results.written import write_new_folder
+from calib.study.several import AnyStudy
+
+TABLE = "calibrated.csv"
+
+
+def write_decks(study: AnyStudy, results: Results, into: Path) -> tuple[Path, ...]:
+    """Write the decks of a study with its calibrated values, those of parameters that were not fitted nominal.
+
+    Parameters
+    ----------
+    study : Study
+        It names templates under ``decks``, or has a solver.
+    results : Results
+        With its calibration.
+    into : Path
+        A folder that does not exist yet.
+
+    Returns
+    -------
+    tuple of Path
+        The decks, the solver's other files and `TABLE`: ``parameter, value, std, unit``.
+
+    Raises
+    ------
+    InputError
+        Without a calibration of the present state or without templates, and for a template that cannot be written.
+    """
+    first, settings = study.studies[0], study.settings
+    solver = settings.solver
+    templates = settings.decks or (solver.template if solver is not None else ())
+    if not templates:
+        raise InputError(
+            "it names no deck", place=study.file,
+            remedy='copy the deck into the study, write {{ NAME }} where values belong, and decks = ["deck.inp"]',
+        )  # fmt: skip
+    found = required_calibration(study, results)
+    space = first.model.space
+    values = {**space.values, **{name: value for name, value in found.values.items() if name in space}}
+    whole = {name: round(v) if space[name].integer else v for name, v in values.items()}
+    contents = {deck_name(name): _deck(study.folder / name, whole) for name in templates}
+    for name in solver.files if solver is not None and not settings.decks else ():
+        contents[Path(name).name] = (study.folder / name).read_bytes()
+    rows = [
+        f"{name},{float(v)!r},{found.std.get(name, float('nan')):.4g},{space[name].unit}" for name, v in values.items()
+    ]
+    contents[TABLE] = "\n".join(["parameter,value,std,unit", *rows, ""]).replace(",nan,", ",,").encode()
+    write_new_folder(into, contents)
+    return tuple(into / name for name in contents)
+
+
+def _deck(file: Path, values: Mapping[str, float]) -> bytes:
+    """The deck of one template."""
+    try:
+        text = file.read_bytes().decode("utf-8")
+    except OSError as fault:
+        raise InputError(f"it cannot be read ({fault.strerror})", place=file) from None
+    except UnicodeDecodeError as fault:
+        raise InputError(f"it is not UTF-8 text (byte {fault.start})", place=file, remedy="save it so") from None
+    check_template(file, text, values)
+    try:
+        return deck_of(text, values).encode()
+    except EvaluationError as fault:
+        raise InputError(str(fault), place=file) from None

@@ -1,0 +1,64 @@
+"""What a solver will be started for, how often and how long, told before its first run."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from calib.analyses.provenance.isolation import Workers, available_cores
+from calib.analyses.provenance.places import QUICK_SAMPLES, QUICK_STARTS
+from calib.execution.executor import Injected
+from calib.results.ledger import Ledger
+from calib.study.several import AnyStudy
+
+_STEPS = 5
+"""Steps of least squares from one start to its end, in the usual case."""
+_AGREE = 6
+"""Starts after which fits usually agree, where a study leaves their number to that."""
+
+Verb = Literal["sensitivity", "calibrate", "explain"]
+
+
+def runs_ahead(study: AnyStudy, ledger: Ledger, verb: Verb, workers: Workers = None, quick: bool = False) -> str:
+    """How often an analysis will start the solver of a study, and how long that takes; empty without a solver.
+
+    Parameters
+    ----------
+    study : Study
+    ledger : Ledger
+        A stored run tells how long one takes.
+    verb : {"sensitivity", "calibrate", "explain"}
+    workers : int, Injected or None
+        See `calib.analyses.provenance.places.open_evaluator`.
+    quick : bool
+    """
+    settings = study.settings
+    if settings.solver is None:
+        return ""
+    stored = next((s for one in study.studies if (s := ledger.stored(one.problem.ledger_key)) is not None), None)
+    runs, why = _runs(study, verb, quick)
+    told = f"The solver, {settings.solver.command!r}, will be started about {runs} times: {why}."
+    if stored is None:
+        return f"{told} How long one takes is not known yet."
+    at_once = 1 if isinstance(workers, Injected) else workers or available_cores()
+    whole = runs * stored.seconds / at_once
+    shared = f" with {at_once} at once" if at_once > 1 else ""
+    unit, size = ("min", 60.0) if whole >= 120 else ("s", 1.0)
+    return f"{told} One took {stored.seconds:.2g} s: {whole / size:.2g} {unit}{shared}, less what is stored."
+
+
+def _runs(study: AnyStudy, verb: Verb, quick: bool) -> tuple[int, str]:
+    """Expected runs of a verb, and of what they are made."""
+    settings, tests = study.settings, len(study.studies)
+    calibration = settings.calibration
+    if verb == "sensitivity":
+        samples = QUICK_SAMPLES if quick else settings.sensitivity.samples
+        return samples, f"{samples} samples"
+    step = tests * (1 + 2 * len(study.search_space.free))
+    fixed = calibration.method == "gauss-newton"
+    starts = QUICK_STARTS if quick else calibration.starts if fixed else _AGREE
+    cases = 1 if verb == "explain" or calibration.method == "auto" else len(calibration.cases)
+    runs, why = cases * starts * _STEPS * step, f"{step} for a step of least squares, some {_STEPS} steps from a start"
+    if calibration.method == "genetic" and verb == "calibrate":
+        searched = cases * tests * calibration.population * calibration.generations
+        return runs + searched, f"up to {searched} for the searches, and {why}"
+    return runs, f"{why}, {starts} starts"

@@ -1,0 +1,104 @@
+"""Decks: input files of a code with values of parameters written where ``{{ name }}`` stands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from calib.errors.errors import EvaluationError, InputError
+from calib.errors.place import Place
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+SUFFIX = ".j2"
+"""Of a template; the deck has the same name without it."""
+MATRICES = "matrices"
+"""Name in a template that is true where the run shall write matrices, and false where it shall compute modes."""
+
+
+def fortran(value: object) -> str:
+    """A value as codes read it: a number that is no integer always has a decimal point.
+
+    ``1e6`` is an integer to some of them, or a number of a degree of freedom (*SPRING of CalculiX); ``1.0e6`` is none.
+    """
+    if not isinstance(value, float):
+        return str(value)
+    mantissa, exponent, power = repr(float(value)).partition("e")
+    return mantissa + ("" if "." in mantissa else ".0") + exponent + power
+
+
+def in_columns(value: float, columns: int) -> str:
+    """The number with most digits in so many columns, such as the 8 of a field of Nastran.
+
+    Raises
+    ------
+    EvaluationError
+        Where it does not fit.
+    """
+    for digits in range(17, 0, -1):
+        for text in (f"{value:#.{digits}g}", f"{value:.{digits - 1}e}"):
+            mantissa, exponent, power = text.partition("e")
+            whole = mantissa + ("" if "." in mantissa else ".")
+            for end in (f"{exponent}{power}", f"{int(power):+d}" if power else ""):
+                if len(whole + end) <= columns:
+                    return whole + end
+    raise EvaluationError(f"{value!r} does not fit into {columns} columns")
+
+
+def deck_name(template: str | Path) -> str:
+    """Name of the deck of a template."""
+    return Path(template).name.removesuffix(SUFFIX)
+
+
+def check_template(file: Path, text: str, known: Iterable[str]) -> set[str]:
+    """The parameters that a template uses; InputError with the line for wrong syntax or an unknown name."""
+    import jinja2
+    from jinja2 import meta
+
+    lines = text.split("\n")
+    try:
+        tree = _environment().parse(text)
+    except jinja2.TemplateSyntaxError as fault:
+        raise InputError(
+            f"it is no template ({fault.message})", place=Place.in_lines(str(file), lines, fault.lineno),
+            remedy="write {{ name }} where the value of a parameter belongs",
+        ) from None  # fmt: skip
+    used = meta.find_undeclared_variables(tree) - set(_environment().globals)
+    listed = sorted(known)
+    for name in sorted(used - {*listed, MATRICES}):
+        number = next((k for k, line in enumerate(lines, start=1) if name in line), 1)
+        raise InputError(
+            f"{name!r} is no parameter", place=Place.in_lines(str(file), lines, number),
+            remedy=f"the parameters are {', '.join(listed) or 'none'}",
+        )  # fmt: skip
+    return used
+
+
+def deck_of(text: str, values: Mapping[str, float], matrices: bool = False) -> str:
+    """A template with the values in it.
+
+    Raises
+    ------
+    EvaluationError
+        Where an expression in it fails at these values.
+    """
+    plain: dict[str, Any] = {name: v if isinstance(v, int) else float(v) for name, v in values.items()}
+    try:
+        return _environment().from_string(text).render({**plain, MATRICES: matrices})
+    except EvaluationError:
+        raise
+    except Exception as fault:  # whatever an expression of the user's may raise
+        raise EvaluationError(f"the template cannot be written ({type(fault).__name__}: {fault})") from None
+
+
+@cache
+def _environment() -> Environment:
+    import jinja2
+
+    filters: dict[str, Callable[..., str]] = {"columns": in_columns}
+    made = jinja2.Environment(undefined=jinja2.StrictUndefined, finalize=fortran, keep_trailing_newline=True)
+    made.filters |= filters
+    return made
