@@ -59,7 +59,7 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "api/fe_runs.py": "_CLOSE _FRESH _NODES",
     "study/solver.py": "MODES STEP _KEPT _NOTED _TOLD",
     "structure/places.py": "_LITTLE _STRAIGHT",
-    "hypotheses/proposals/point_compositions.py": "_SAME",
+    "structure/effects/point_compositions.py": "_SAME",
     "structure/reduction/refinement.py": "_ALONG ACCURACY _CLEAR _ORTHOGONAL _SHIFT",
     "structure/eigenproblem/solve.py": "_COPY _ROUNDINGS _SHIFT _TURNING",
     "structure/eigenproblem/solve_dense.py": "_SHIFT",
@@ -92,7 +92,8 @@ ACCURACY = {  # of solutions, reduced bases and differences, which are checked a
 }
 
 EFFORT = {  # of iterations and searches that end by themselves, and of quick runs, which say that they are quick
-    "hypotheses/proposals/compositions.py": "MODES RIGID",
+    "structure/effects/compositions.py": "MODES RIGID _DIGITS",
+    "structure/effects/footings.py": "_HELD",
     "hypotheses/linear_start.py": "EQUATION_ERROR LEVEL ROUNDS",
     "hypotheses/design/imagined.py": "_TRIES",
     "analyses/provenance/places.py": "QUICK_SAMPLES QUICK_POPULATION QUICK_GENERATIONS QUICK_STARTS "
@@ -147,7 +148,7 @@ SPEED = {  # memory, time, processes; results are the same
     "structure/places.py": "_FEW",
     "structure/effects/attach.py": "ENDS",
     "structure/eigenproblem/compression.py": "_WORTHWHILE",
-    "hypotheses/proposals/part_compositions.py": "_FEW",
+    "structure/effects/part_compositions.py": "_FEW",
     "structure/elongations.py": "MOST_MOTIONS",
     "structure/eigenproblem/derivatives.py": "_ENTRIES",
     "structure/eigenproblem/known_modes.py": "_STEPS _FACTOR _BORDERED _TWICE",

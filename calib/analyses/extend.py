@@ -140,7 +140,7 @@ def _candidates(study: AnyStudy, names: Sequence[str]) -> tuple[Effect, ...]:
         raise InputError(
             "the study names no library of effects",
             place=study.file,
-            remedy='add a line such as effects = "effects.py:library"',
+            remedy='add a line such as effects = "effects.py:library" or effects = "generic"',
         )
     effects = tuple(pick(study.library, name, Place(str(study.file))) for name in dict.fromkeys(names))
     for effect in effects:

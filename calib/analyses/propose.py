@@ -24,7 +24,6 @@ from calib.analyses.provenance.stale import stale_answers
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.stage import Progress, silent
 from calib.hypotheses.proposals.code import FUNCTION, library_text
-from calib.hypotheses.proposals.compositions import Measured, compositions
 from calib.hypotheses.proposals.proposal import Proposals
 from calib.hypotheses.proposals.proposal_search import Search
 from calib.hypotheses.proposals.words import (
@@ -45,6 +44,7 @@ from calib.missing.settings import Settings
 from calib.results.answer import Answer
 from calib.results.json_file import read_json
 from calib.results.results import Results
+from calib.structure.effects.compositions import Measured, compositions
 from calib.study.loading import Model
 from calib.study.settings import ExplainSettings
 from calib.study.several import AnyStudy

@@ -18,9 +18,9 @@ from calib.api.arguments import explain_settings
 from calib.api.display import Displayed
 from calib.api.entries.entry import Entry
 from calib.api.finer_mesh import finer_of, require_finer_mesh
-from calib.api.pairs import including, library_of, reporting
+from calib.api.pairs import generic_of, including, library_of, reporting
 from calib.api.proposed import Proposed, proposed
-from calib.api.protocols import Effects, Finer, P
+from calib.api.protocols import Candidates, Effects, Finer, P
 from calib.errors.errors import InputError
 from calib.execution.executor import Injected
 from calib.missing.discrepancy import TABLE as PARAMETERS
@@ -30,6 +30,7 @@ from calib.problem.effect import Effect
 from calib.results.ledger import Ledger
 from calib.structure.model import StructuralModel
 from calib.study.loading import lacking, require_distinct
+from calib.study.measurement_settings import GENERIC
 from calib.study.settings import StudySettings
 
 Library: TypeAlias = Mapping[str, tuple[Effect, ...]]
@@ -177,7 +178,7 @@ class Explained(Displayed, Generic[P]):
 
 def explained(
     problem: P,
-    effects: Effects,
+    effects: Candidates,
     keys: Mapping[str, Any],
     finer: Finer,
     reduction: bool | Mapping[str, Any] | None,
@@ -187,10 +188,13 @@ def explained(
 ) -> Explained[P]:
     """See `calib.api.problem.Problem.explain`."""
     known, models = problem.settings.with_effects, [model for model, _ in problem.by_model]
-    library = {name: lacking(own, known) for name, own in library_of(problem, effects).items()}
+    generic = isinstance(effects, str) and effects == GENERIC
+    listed = generic_of(problem) if generic else library_of(problem, cast(Effects, effects))
+    library = {name: lacking(own, known) for name, own in listed.items()}
     for model in models:
         require_distinct(library.get(model.name, ()), model, "effects")
     settings = explain_settings(problem.settings, keys, reduction)
+    settings = settings.model_copy(update={"effects": GENERIC if generic else None})
     refined = {name: mesh for name, mesh in getattr(problem, "finer", {}).items() if isinstance(mesh, StructuralModel)}
     meshes = finer_of(models, finer) or refined
     if meshes or any(test.shows_mesh for _, test in problem.pairs):  # else it does not count, which is told

@@ -21,7 +21,7 @@ from calib.api.arguments import ExplainKeys, calibration_settings
 from calib.api.display import Compared, Displayed, compared
 from calib.api.entries.entry import Entry
 from calib.api.pairs import ledger_or_memory, reporting
-from calib.api.protocols import Effects, Finer, P
+from calib.api.protocols import Candidates, Finer, P
 from calib.api.search import Searched
 from calib.errors.arguments import path as path_of
 from calib.execution.executor import Injected
@@ -191,7 +191,7 @@ class Fit(Displayed, Generic[P]):
 
     def explain(
         self,
-        effects: Effects = (),
+        effects: Candidates = (),
         *,
         finer: Finer = None,
         reduction: bool | Mapping[str, Any] | None = None,

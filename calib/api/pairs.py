@@ -22,6 +22,7 @@ from calib.problem.problem import Counts
 from calib.problem.problem import PairProblem as OneTestProblem
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
+from calib.structure.effects.compositions import generic_effects
 from calib.study.in_memory import TestedModel, study_in_memory
 from calib.study.loading import extended
 from calib.study.settings import StudySettings
@@ -163,6 +164,17 @@ def library_of(problem: ProblemLike, effects: Effects) -> dict[str, tuple[Effect
                 f"no model is named {name!r}", place="effects", remedy=f"the models are {', '.join(known)}"
             )
     return {name: objects(own, Effect, f"effects of {name}") for name, own in effects.items()}
+
+
+def generic_of(problem: ProblemLike) -> dict[str, tuple[Effect, ...]]:
+    """Effects composed of each model's own parts, joints, supports and points, by the name of the model."""
+    out, taken = dict[str, tuple[Effect, ...]](), list[str]()
+    for name in dict.fromkeys(one.model.name for one in problem.tested):
+        own = [one for one in problem.tested if one.model.name == name]
+        base, sensed = own[0].test.located(own[0].base), [data for one in own for data in one.test.sensed]
+        out[name] = generic_effects(base, sensed, taken)
+        taken += [parameter for effect in out[name] for parameter in effect.names]
+    return out
 
 
 def by_model(pairs: Sequence[tuple[Model, Test]]) -> tuple[tuple[Model, tuple[Test, ...]], ...]:

@@ -22,7 +22,7 @@ from calib.api.pairs import (
     studied,
     under,
 )
-from calib.api.protocols import Effects, Finer
+from calib.api.protocols import Candidates, Effects, Finer
 from calib.errors.arguments import names as names_of
 from calib.errors.arguments import objects
 from calib.errors.arguments import values as values_of
@@ -342,7 +342,7 @@ class Problem:
 
     def explain(
         self,
-        effects: Effects = (),
+        effects: Candidates = (),
         *,
         finer: Finer = None,
         reduction: bool | Mapping[str, Any] | None = None,
@@ -357,9 +357,9 @@ class Problem:
 
         Parameters
         ----------
-        effects : sequence of Effect, or mapping from str to sequences of them
+        effects : sequence of Effect, mapping from str to sequences of them, or "generic"
             Effects that the model may lack; for joined problems by the name of the model. Effects of the same name are
-            one effect.
+            one effect. ``"generic"`` composes them of each model's own parts, joints, supports and points.
         finer : StructuralModel, or mapping from str to StructuralModel, optional
             The model on a finer mesh, which tells the scores that are due to the mesh alone; by the name of the model.
         reduction, executor, progress

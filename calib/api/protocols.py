@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeAlias, TypeVar
 
 from calib.problem.effect import Effect
 from calib.structure.model import StructuralModel
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 Effects: TypeAlias = Sequence[Effect] | Mapping[str, Sequence[Effect]]
 """Effects that models may lack: of the first model, or by the name of the model."""
+Candidates: TypeAlias = Effects | Literal["generic"]
+"""The same, or ``"generic"``: effects composed of each model's own parts, joints, supports and points."""
 Finer: TypeAlias = StructuralModel | Mapping[str, StructuralModel] | None
 """The same on a finer mesh: of the first model, or by the name of the model."""
 

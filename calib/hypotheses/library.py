@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -12,8 +13,10 @@ from calib.measurement.modal import MeasuredModes
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.results.written import is_own
+from calib.structure.effects.composed import OF_MATRICES
 from calib.structure.effects.extend import extend
 from calib.structure.effects.perturbations import Perturbation, accelerometers, perturbations
+from calib.structure.located import placed_sensors
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.basis import Basis
 from calib.structure.reduction.cache import basis_key, kept_basis
@@ -45,7 +48,7 @@ def local_perturbations(
     """
     if not isinstance(model, StructuralModel):
         return ()
-    placed = {s.name: s for one in measured for s in one.sensors if s.point is not None}
+    placed = {s.name: s for one in measured for s in placed_sensors(model, one.sensors)}
     values = {name: value for name, value in values.items() if name in model.space}
     sensors, lowest = list(placed.values()), min((one.lowest_freq for one in measured), default=0.0)
     return (*perturbations(model, sensors, values, lowest, of), *accelerometers(model, sensors, values, of))
@@ -63,11 +66,15 @@ def effects_basis(
 ) -> Basis:
     """A basis for the effects and local perturbations of a model, kept in a folder and in the cache, or trained.
 
-    The folder holds one such basis. ``base`` returns a basis of the model alone; by default that of the cache.
-    EvaluationError when the model cannot be solved at some training point.
+    Composed effects, of which there may be hundreds, count as local perturbations: the basis spans derivatives by them,
+    not modes with each. The folder holds one such basis. ``base`` returns a basis of the model alone; by default that
+    of the cache. EvaluationError when the model cannot be solved at some training point.
     """
     own = wanted.key(model, space)
     whole = extend(model, [*effects, *(one.effect for one in local)])
+    composed = [e for e in effects if isinstance(e.build, OF_MATRICES) and not e.grid]
+    effects = [e for e in effects if e not in composed]
+    local = [*local, *(Perturbation(e, "composed", (math.nan, math.nan, math.nan)) for e in composed)]
     sampled = [(e.name, [parameter_key(p) for p in e.parameters], e.plausible, e.grid) for e in effects]
     key = basis_key(whole, own, sampled, [weight_key(one) for one in local])
     path = None if folder is None else folder / f"basis_effects_{key}.npz"

@@ -99,13 +99,16 @@ class ExperimentalDesign:
         g, columns = linearisation.slope[rows] / scale * prior, linearisation.columns[rows] / scale
         information, cross = g.T @ g + np.eye(len(prior)), g.T @ columns
         whole = np.sum(columns * columns, axis=0)
-        out = np.empty(len(self.effects))
-        for k, name in enumerate(self.effects):
-            others = [j for j, n in enumerate(linearisation.names) if n != name]
-            own = cross[others, k]
-            absorbed = la.solve(information[np.ix_(others, others)], own, assume_a="pos") if others else own
-            out[k] = math.sqrt(max(whole[k] - own @ absorbed, 0.0))
-        return out
+        absorbed = np.zeros(len(self.effects))
+        # An effect that is in the model does not absorb itself; the others have the same parameters beside them.
+        for own in {name if name in linearisation.names else "" for name in self.effects}:
+            others = [j for j, n in enumerate(linearisation.names) if n != own]
+            of = [k for k, name in enumerate(self.effects) if (name if name in linearisation.names else "") == own]
+            if others:
+                beside = cross[np.ix_(others, of)]
+                solved = la.solve(information[np.ix_(others, others)], beside, assume_a="pos")
+                absorbed[of] = np.sum(beside * solved, axis=0)
+        return np.sqrt(np.maximum(whole - absorbed, 0.0))
 
     def averaged(self, values: np.ndarray) -> tuple[float, float, float]:
         """Mean over linearisations with a finite value, and the quantiles of `EIGHT_OF_TEN`; NaN where none has one."""

@@ -92,6 +92,18 @@ def row_of(model: _Located, sensor: Sensor) -> tuple[np.ndarray, float]:
     )
 
 
+def placed_sensors(model: Any, sensors: Iterable[Sensor]) -> list[Sensor]:
+    """Sensors whose place is known, by their coordinates or else by those of the model's node of that number."""
+    nodes = {label: k for k, label in enumerate(model.labels)} if model.mesh.placed.all() else {}
+    out = []
+    for sensor in sensors:
+        if sensor.point is None and sensor.node in nodes:
+            x, y, z = model.mesh.points[nodes[sensor.node]].tolist()
+            sensor = replace(sensor, point=(x, y, z))
+        out += [] if sensor.point is None else [sensor]
+    return out
+
+
 def sensor_partners(model: Any, sensors: Iterable[Sensor]) -> NodePartners | None:
     """Partners of the nodes of some sensors on a model, see `calib.measurement.partners.node_partners`.
 

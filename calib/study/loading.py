@@ -24,12 +24,13 @@ from calib.measurement.modal import Sensor
 from calib.problem.effect import Effect
 from calib.problem.parameter import Parameter
 from calib.results.fingerprint import digest_of
+from calib.structure.effects.compositions import Measured, generic_effects
 from calib.structure.effects.extend import extend
 from calib.structure.function_model import FunctionModel, extend_function
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import StructuralModel
 from calib.structure.soundness import require_sound
-from calib.study.measurement_settings import RUNS
+from calib.study.measurement_settings import GENERIC, RUNS
 from calib.study.neighbours import Neighbours, project_folders
 from calib.study.settings import StudySettings
 from calib.study.solver_settings import SolverSettings
@@ -138,8 +139,10 @@ class Sources:
         model = self._call("finer_options", name, {**self.settings.model_options, **options})
         return model if isinstance(model, StructuralModel | ModalFunctionModel | FunctionModel) else None
 
-    def library(self, base: Model) -> tuple[Effect, ...]:
+    def library(self, base: Model, sensed: Callable[[], Sequence[Measured]]) -> tuple[Effect, ...]:
         """The effects that the model may lack, in the order of their library; none when the study names none.
+
+        ``sensed`` returns what the tests of the model measured, for generic effects at their sensors.
 
         Raises
         ------
@@ -150,7 +153,14 @@ class Sources:
         if not self.settings.libraries:
             return ()
         place = self.place("effects")
-        library = tuple(effect for function in self.settings.libraries for effect in self._library(function, place))
+        named = [function for function in self.settings.libraries if function != GENERIC]
+        library = tuple(effect for function in named for effect in self._library(function, place))
+        if GENERIC in self.settings.libraries:
+            taken = [name for effect in library for one in effect.family for name in one.names]
+            try:
+                library += generic_effects(base, sensed(), taken)
+            except InputError as fault:
+                raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
         require_distinct(library, base, place)
         return library
 

@@ -37,13 +37,16 @@ PathText = Annotated[str, AfterValidator(possible_path)]
 Share = Annotated[float, Field(ge=0, le=1)]
 DesignName = Annotated[str, Field(pattern=r"^design [1-9][0-9]{0,17}$")]
 """An evaluated design by its number in the ledger."""
-FUNCTION = r"^[^:]+:[A-Za-z_]\w*$"
-"""Names a function: ``"file.py:function"`` in the study's folder, or ``"package.module:function"``."""
 RUNS = ".csv"
 """Suffix of a table of runs, by which it is told from a function."""
 MODEL = r"^([^:]+:[A-Za-z_]\w*|.+\.csv)$"
-"""Names a function that returns a model, or a table of runs."""
-FunctionText = Annotated[PathText, Field(pattern=FUNCTION)]
+"""Names a function that returns a model, ``"file.py:function"`` in the study's folder or ``"package.module:function"``,
+or a table of runs."""
+GENERIC = "generic"
+"""In place of a library: effects composed of the model's own parts, joints, supports and points."""
+LIBRARY = r"^(generic|[^:]+:[A-Za-z_]\w*)$"
+"""Names a function that returns a library of effects, or `GENERIC`."""
+LibraryText = Annotated[PathText, Field(pattern=LIBRARY)]
 NAME = r"^[A-Za-z0-9_-]+$"
 """Name of a case or a test, which names files."""
 
@@ -221,5 +224,5 @@ class TestSettings(MeasurementSettings):
     """Another model for this test."""
     model_options: dict[str, Any] | None = None
     """Other options of the model."""
-    effects: PathText | None = Field(default=None, pattern=FUNCTION)
+    effects: LibraryText | None = None
     """Library of effects of that other model."""

@@ -17,12 +17,13 @@ from pydantic import (
 
 from calib.errors.errors import InputError
 from calib.study.measurement_settings import (
+    GENERIC,
     MODEL,
     NAME,
     RUNS,
     DesignName,
-    FunctionText,
     HeldOutSettings,
+    LibraryText,
     MeasurementSettings,
     Pair,
     PairingSettings,
@@ -222,8 +223,9 @@ class StudySettings(Section):
     writes calibrated values; by default those under ``[model]``."""
     retry: RetrySettings | None = None
     """When a failed evaluation of that function is repeated: ``{ pattern = "LICENSE", times = 5, wait = 60 }``."""
-    effects: FunctionText | tuple[FunctionText, ...] | None = None
-    """Function that returns the library of effects that the model may lack; or a list of such functions."""
+    effects: LibraryText | tuple[LibraryText, ...] | None = None
+    """Function that returns the library of effects that the model may lack, or a list of such functions; ``"generic"``
+    among them composes effects of the model's own parts, joints, supports and points."""
     with_effects: tuple[str, ...] = ()
     """Effects of the library that are in the model."""
     base: PathText | tuple[PathText, ...] | None = None
@@ -286,7 +288,7 @@ class StudySettings(Section):
 
     @property
     def libraries(self) -> tuple[str, ...]:
-        """Functions that return the library of effects."""
+        """Functions that return the library of effects; `GENERIC` may be among them."""
         if self.effects is None:
             return ()
         return (self.effects,) if isinstance(self.effects, str) else self.effects
@@ -295,7 +297,7 @@ class StudySettings(Section):
     def functions(self) -> tuple[str, ...]:
         """Functions that build models and effects, as named in the file; a table of runs has none."""
         named = (self.model_name, *self.libraries, *(f for test in self.tests for f in (test.model, test.effects)))
-        return tuple(dict.fromkeys(name for name in named if name and not name.endswith(RUNS)))
+        return tuple(dict.fromkeys(name for name in named if name and name != GENERIC and not name.endswith(RUNS)))
 
     @property
     def model_name(self) -> str:

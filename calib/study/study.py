@@ -242,7 +242,7 @@ def _study(
     """Load and check everything that a study's file names; see `LoadedStudy.load`."""
     sources = Sources(file.settings, file.folder, file.place, lambda: file.measured_sensors)
     base = sources.model()
-    library = sources.library(base)
+    library = sources.library(base, lambda: _sensed(file, base))
     members = [(one.name, one.build) for effect in library for one in effect.family]
     digest = digest_of(members)[:16]  # before any effect is built, which may fill caches
     included = sources.included(library)
@@ -278,6 +278,13 @@ def _study(
         file.name, file.file, file.settings, model, experiment, problem, space, selected, library, dict(adopted), sd,
         initial, hints, read, digest, base if included else None, part=file.part,
     )  # fmt: skip
+
+
+def _sensed(file: StudyFile, base: Model) -> list[MeasuredModes | MeasuredFRFs]:
+    """What the tests of this model measured at sensors, held-out data excepted."""
+    own = file.settings.model, file.settings.model_options
+    tests = [one for one in StudyFile.read(file.file).parts if (one.settings.model, one.settings.model_options) == own]
+    return [data for one in tests for data in experiment_of(one, base).sensed]
 
 
 def with_nuisances(space: ParameterSpace, problem: ForwardProblem) -> ParameterSpace:

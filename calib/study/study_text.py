@@ -18,7 +18,7 @@ from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.errors.toml_places import Keys, Mark, keys_in_words, place_in
 from calib.results.former_names import KEYS, MOVED
-from calib.study.measurement_settings import FUNCTION, MODEL, RUNS
+from calib.study.measurement_settings import LIBRARY, MODEL, RUNS
 from calib.study.settings import NAME, StudySettings
 
 
@@ -218,7 +218,7 @@ _PATTERNS: Mapping[str, tuple[str, str]] = {
         "names no model",
         'write "file.py:function", "package.module:function" or a table of runs, "runs.csv"; a solver a table [model]',
     ),
-    FUNCTION: ("names no function", 'write "file.py:function" or "package.module:function"'),
+    LIBRARY: ("names no function", 'write "file.py:function", "package.module:function" or "generic"'),
     NAME: ("is no name for files", "use letters, digits, - and _ only"),
 }
 

@@ -8,11 +8,11 @@ import pytest
 
 import calib
 from calib.hypotheses.proposals.code import library_text
-from calib.hypotheses.proposals.composition import Names
-from calib.hypotheses.proposals.compositions import compositions
-from calib.hypotheses.proposals.point_compositions import hung_at
 from calib.hypotheses.proposals.proposal import Proposal
+from calib.structure.effects.composition import Names
+from calib.structure.effects.compositions import compositions
 from calib.structure.effects.extend import addition_of, extend
+from calib.structure.effects.point_compositions import hung_at
 from tests.api.storeys import DAMPING, FLOORS, MASS, STIFF, chain, measured, posed
 
 CASES = {

@@ -37,11 +37,11 @@ from scipy.stats import beta
 from calib.correlation.modal.residual import ModalResidual
 from calib.execution.stage import silent
 from calib.hypotheses.hypotheses import ModelHypotheses
-from calib.hypotheses.proposals.compositions import compositions
 from calib.hypotheses.proposals.proposal import Composed
 from calib.hypotheses.proposals.proposal_search import Search
 from calib.missing.refits import Refits
 from calib.missing.settings import Settings
+from calib.structure.effects.compositions import compositions
 
 VISIBLE = 6.0
 NEAR = 0.7

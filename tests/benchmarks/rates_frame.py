@@ -59,16 +59,18 @@ COUNT = 12
 class Frame:
     """Mesh with so many elements of each member, and its element matrices."""
 
-    def __init__(self, elements: int) -> None:
-        self.elements = elements
-        across = np.cumsum([0.0, *SPANS])
-        self.points = [(float(x), 0.0, HEIGHT * s) for s in range(STOREYS + 1) for x in across]
+    def __init__(
+        self, elements: int, spans: Sequence[float] = SPANS, height: float = HEIGHT, storeys: int = STOREYS
+    ) -> None:
+        self.elements, self.spans = elements, spans
+        across = np.cumsum([0.0, *spans])
+        self.points = [(float(x), 0.0, height * s) for s in range(storeys + 1) for x in across]
         self.members: dict[str, list[int]] = {}
         width = len(across)
-        for s in range(STOREYS):
+        for s in range(storeys):
             for c in range(width):
                 self._member(f"column {s + 1}{c + 1}", s * width + c, (s + 1) * width + c)
-            for b in range(len(SPANS)):
+            for b in range(len(spans)):
                 self._member(f"beam {s + 1}{b + 1}", (s + 1) * width + b, (s + 1) * width + b + 1)
         self.size = 3 * len(self.points)
 
@@ -164,7 +166,7 @@ class Frame:
         damping: dict[str, Any] = {}
         if damped:
             damping = {f"loss of {m}": (LOSS * matrix, "loss") for m, (matrix, _) in own.items()}
-        supports = {f"support {c + 1}": self.support(c + 1) for c in range(len(SPANS) + 1)}
+        supports = {f"support {c + 1}": self.support(c + 1) for c in range(len(self.spans) + 1)}
         own |= {name: (matrix, "k_ground") for name, matrix in supports.items()}
         if damped:
             damping |= {f"loss of {name}": (GROUND_LOSS * matrix, "c_ground") for name, matrix in supports.items()}

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.hypotheses.proposals.proposal import HungBy
 from calib.hypotheses.proposals.proposal_search import Search, hung_over_fixed
 from calib.missing.score import scores
+from calib.structure.effects.composition import HungBy
 
 
 def test_a_hung_mass_moves_with_its_carrier_below_its_frequency_and_against_it_above():

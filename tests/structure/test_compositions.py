@@ -10,13 +10,13 @@ import pytest
 import scipy.sparse as sp
 
 from calib.errors.errors import InputError
-from calib.hypotheses.proposals.composition import Names
-from calib.hypotheses.proposals.part_compositions import _alike, of_joints, of_mounts, of_supports
-from calib.hypotheses.proposals.point_compositions import further_spots, mirrored, of_sensors
 from calib.measurement.modal import Sensor
 from calib.structure.affine import Monomial
 from calib.structure.effects.attach import joined_nodes, mounted_dampers, part_of, relative_rotation
+from calib.structure.effects.composition import Names
 from calib.structure.effects.extend import extend
+from calib.structure.effects.part_compositions import _alike, of_joints, of_mounts, of_supports
+from calib.structure.effects.point_compositions import further_spots, mirrored, of_sensors
 from calib.structure.elongations import elongations
 from models.railway.rig import bogie_on_rig
 
@@ -165,7 +165,7 @@ def test_further_places_lie_on_the_model_and_apart(bogie, sensors):
 def test_compositions_come_in_one_order_whatever_the_seed_of_hashes():
     names = [f"rod {a} {b} {c}" for a in ("upper", "lower") for b in ("front", "rear") for c in ("left", "x")]
     words = (
-        "from calib.hypotheses.proposals.part_compositions import _alike\nfrom types import SimpleNamespace as N\n"
+        "from calib.structure.effects.part_compositions import _alike\nfrom types import SimpleNamespace as N\n"
         f"print([[p.name for p in group] for group in _alike([N(name=n) for n in {names}])])"
     )
     out = {

@@ -7,12 +7,12 @@ import textwrap
 from collections.abc import Sequence
 
 from calib import structure
-from calib.hypotheses.proposals.composed import Builder, quoted
 from calib.hypotheses.proposals.proposal import Proposal
 from calib.hypotheses.proposals.proposal import composition_words as in_words
 from calib.missing.local import range_words
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
+from calib.structure.effects.composed import Builder, quoted
 
 FUNCTION = "proposed_effects"
 """Function of the file that returns the effects."""
@@ -25,7 +25,7 @@ def library_text(proposals: Sequence[Proposal], study: str, beside: Sequence[str
     Parameters
     ----------
     proposals : sequence of Proposal
-        Their effects are built by a `calib.hypotheses.proposals.composed.Builder`.
+        Their effects are built by a `calib.structure.effects.composed.Builder`.
     study : str
         Title of the study.
     beside : sequence of str

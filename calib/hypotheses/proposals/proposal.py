@@ -13,7 +13,7 @@ from calib.problem.candidate import Candidate
 
 
 class Composed(Protocol):
-    """An effect composed of local perturbations, such as `calib.hypotheses.proposals.composition.Composition`."""
+    """An effect composed of local perturbations, such as `calib.structure.effects.composition.Composition`."""
 
     @property
     def effect(self) -> Candidate:
@@ -52,21 +52,6 @@ def composition_words(composed: Composed) -> str:
         return f"{composed.kind} {composed.at}"
     at = "at" if composed.kind.endswith((" mass", "ground", "rotational spring")) else "of"
     return f"{composed.kind} {at} {composed.at}"
-
-
-@dataclass(frozen=True, eq=False)
-class HungBy:
-    """A hung mass, and the candidate that is the same mass held fast.
-
-    Attributes
-    ----------
-    composed : Composed
-    fixed : str
-        Name of that local perturbation or effect.
-    """
-
-    composed: Composed
-    fixed: str
 
 
 @dataclass(frozen=True)

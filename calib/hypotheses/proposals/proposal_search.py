@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.errors.errors import EvaluationError
-from calib.hypotheses.proposals.proposal import Composed, HungBy, Lost, Proposal, Proposals
+from calib.hypotheses.proposals.proposal import Composed, Lost, Proposal, Proposals
 from calib.missing.adequacy import adequacy_of, beside, suspects
 from calib.missing.candidate_fit import CandidateFit, WrongDatum
 from calib.missing.evidence import at_lower, ln_bayes_linear
@@ -23,6 +23,7 @@ from calib.missing.rules import RULES
 from calib.missing.score import Scores, family_p, scored, scores
 from calib.missing.suspect import suspects_table, wrong_datum
 from calib.problem.candidate import Candidate
+from calib.structure.effects.composition import HungBy
 
 _DAMPED = 0.1
 """Damping ratio of the hung masses whose signatures are derived from those of fixed ones: peaks at neighbouring natural

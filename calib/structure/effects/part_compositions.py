@@ -13,20 +13,22 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.errors.errors import InputError
-from calib.hypotheses.proposals.composed import (
-    Builder,
-    MountedDampers,
-    RotationalSprings,
-    ScaledByFunction,
-    ScaledParts,
-    SoftSupports,
-)
-from calib.hypotheses.proposals.composition import Composition, Names
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
 from calib.results.answer import names_in_words
 from calib.structure.affine import Monomial, SelectedTerm
 from calib.structure.effects.attach import ENDS, joined_nodes, parts_of, relative_rotation
+from calib.structure.effects.composed import (
+    Builder,
+    MountedDampers,
+    RotationalSprings,
+    ScaledByFunction,
+    ScaledParts,
+    SoftFooting,
+    SoftSupports,
+)
+from calib.structure.effects.composition import Composition, Names
+from calib.structure.effects.footings import footings
 from calib.structure.effects.perturbations import LEAST
 from calib.structure.eigenproblem.inertia import symmetric_factor
 from calib.structure.elongations import elongations
@@ -202,6 +204,37 @@ def of_supports(model: StructuralModel, names: Names) -> Iterator[Composition]:
         yield Composition(effect, "soft support", at, tuple(dict.fromkeys(places)), len(own))
 
 
+def of_footings(
+    model: StructuralModel, values: Mapping[str, float], names: Names, middle: float
+) -> Iterator[Composition]:
+    """Flexibilities in series with supports that matrices hold without naming them, in each direction they resist.
+
+    The plausible size is `RULES.relative` over the dynamic stiffness against the support at the middle of the measured
+    band. A model that names its parts names its supports as well.
+    """
+    found = [] if model.parts else list(footings(model, values))
+    if not found:
+        return
+    stiffness, _, mass = model.matrices(values)
+    factor = symmetric_factor(sp.csc_array(stiffness + (2 * np.pi * middle) ** 2 * mass))
+    for footing in found:
+        nodes = [str(model.labels[n] if model.labels else n + 1) for n in footing.nodes]
+        near = f"the support near node {nodes[0]}"
+        for direction in footing.directions:
+            b, k = footing.forces[:, direction], float(footing.stiffness[direction])
+            size = RULES.relative / max(k - float(b @ factor.solve(b)), 1e-9 * k)
+            axis = "xyz"[direction % 3]
+            at, unit = (f"{near}, in {axis}", "mm/MN") if direction < 3 else (f"{near}, about {axis}", "rad/kNm")
+            size *= 1e9 if direction < 3 else 1e3
+            name = names.free(f"soft support {nodes[0]} {'r' * (direction >= 3)}{axis}")
+            magnitude = Parameter(
+                name, 0.0, 0.0, RULES.added_most * size, unit, prior_sd=size,
+                description=f"flexibility in series with {at}",
+            )  # fmt: skip
+            effect = _part_effect("soft support", at, magnitude, SoftFooting(name, footing.place, direction))
+            yield Composition(effect, "soft support", at, (footing.place,))
+
+
 def _acting(
     model: StructuralModel, term: SelectedTerm, values: Mapping[str, float]
 ) -> list[tuple[float, float, float]]:
@@ -215,7 +248,7 @@ def of_joints(
     """Rotational springs about each axis between bodies that a spring joins, of single joints and of those of one kind.
 
     Springs of the same bodies near each other are one joint. Plausible sizes as for springs at sensors, see
-    `calib.hypotheses.proposals.point_compositions.of_sensors`.
+    `calib.structure.effects.point_compositions.of_sensors`.
     """
     if not np.all(np.isfinite(model.mesh.points)):
         return

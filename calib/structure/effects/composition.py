@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.hypotheses.proposals.composed import Builder
 from calib.problem.effect import Effect
+from calib.structure.effects.composed import Builder
 
 Point = tuple[float, float, float]
 
@@ -22,7 +22,7 @@ class Composition:
     Attributes
     ----------
     effect : Effect
-        Built by a `calib.hypotheses.proposals.composed.Builder`.
+        Built by a `calib.structure.effects.composed.Builder`.
     kind : str
         Of parts: ``stiffness``, ``damping``, ``mass``, ``section`` (stiffness and mass together), ``dissipation``
         (dampers in parallel to them), ``damper mount`` (springs in series with dampers), ``soft support`` (springs in
@@ -60,6 +60,21 @@ class Composition:
     def family(self) -> tuple[str, bool]:
         """Compositions among which it was chosen: of its kind, and of single places or of several together."""
         return self.kind, self.count > 1
+
+
+@dataclass(frozen=True, eq=False)
+class HungBy:
+    """A hung mass, and the candidate that is the same mass held fast.
+
+    Attributes
+    ----------
+    composed : Composition
+    fixed : str
+        Name of that local perturbation or effect.
+    """
+
+    composed: Composition
+    fixed: str
 
 
 def slug(text: str) -> str:

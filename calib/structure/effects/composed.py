@@ -23,6 +23,7 @@ from calib.structure.effects.attach import (
     softened_supports,
 )
 from calib.structure.effects.extend import Addition
+from calib.structure.effects.footings import softened_footing
 from calib.structure.model import PartKind, StructuralModel
 from calib.structure.rules import RULES
 
@@ -134,6 +135,36 @@ class SoftSupports:
     def code(self) -> tuple[str, ...]:
         """See `Builder`."""
         return (f'return softened_supports(model, {_names(self.supports)}, "{self.name}")',)
+
+
+@dataclass(frozen=True)
+class SoftFooting:
+    """A flexibility in series with a support that matrices hold without naming it.
+
+    Attributes
+    ----------
+    name : str
+        Of the flexibility.
+    place : (3,) float
+        M.
+    direction : int
+        0..5 for x, y, z and rotations about them.
+    """
+
+    name: str
+    place: tuple[float, float, float]
+    direction: int
+
+    def __call__(self, model: StructuralModel) -> Addition:
+        """See `calib.structure.effects.footings.softened_footing`."""
+        return softened_footing(model, self.place, self.direction, self.name)
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """See `Builder`."""
+        place = ", ".join(repr(float(c)) for c in self.place)
+        turning = "  # 3, 4, 5: rx, ry, rz" if self.direction >= 3 else "  # 0, 1, 2: x, y, z"
+        return (f'return softened_footing(model, ({place}), {self.direction}, "{self.name}"){turning}',)
 
 
 @dataclass(frozen=True)
@@ -320,6 +351,19 @@ class ScaledByFunction:
             f"part = {quoted(self.part)}",
             f'return lambda values: model.function({{**values, part: values.get(part, 0.0) + values["{self.name}"]}})',
         )
+
+
+OF_MATRICES = (
+    ScaledParts,
+    MountedDampers,
+    SoftSupports,
+    SoftFooting,
+    RotationalSprings,
+    PointMass,
+    HungMass,
+    Connection,
+)
+"""What builds a composed effect of a model of matrices."""
 
 
 def quoted(text: str) -> str:

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from calib.hypotheses.proposals.composed import Connection, HungMass, PointMass
-from calib.hypotheses.proposals.composition import Composition, Names, Point
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
 from calib.results.answer import names_in_words
 from calib.structure.effects.attach import Place, motion
+from calib.structure.effects.composed import Connection, HungMass, PointMass
+from calib.structure.effects.composition import Composition, Names, Point
 from calib.structure.eigenproblem.inertia import symmetric_factor
 from calib.structure.model import StructuralModel
 from calib.structure.rules import RULES

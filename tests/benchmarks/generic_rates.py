@@ -1,0 +1,406 @@
+"""How often generic effects name rightly what an imported frame lacks.
+
+    python tests/benchmarks/generic_rates.py run --cases 60
+    python tests/benchmarks/generic_rates.py report --write docs/rates_generic.csv
+
+Every case is a plane frame of its own: one or two bays, two or three storeys, spans, heights, sensors and true
+parameters drawn anew. It is given as matrices without a library: in about every second case one K and one M, else those
+of every member and support, which share parameters. The test comes from a mesh three times finer, on which the effect
+is made otherwise than the candidates are: a mass is spread over a length and lies anywhere on a member, a support gives
+way less sideways, a section is cut over half of a member and loses its mass too, a strut has a mass. Hinges at joints,
+a storey with softer columns, and cut sections where matrices name no members are in no form of the candidates.
+
+What is named is right if it is of the kind that was made and at its place: within a third of a member for masses and
+supports, on that member for sections, between those columns for struts. A set of several that cannot be told apart is
+right if its best is; one that holds the truth elsewhere is no wrong name.
+"""
+
+from __future__ import annotations
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_variable] = "1"
+
+import argparse
+import json
+import math
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import scipy.sparse as sp
+from rates_frame import DENSITY, LIKE, SECTIONS, STEEL, Frame
+from rates_subject import ROOT
+from rates_table import NAMING, Rate, bound_of, write_rates
+from rates_world import digest_of
+
+import calib
+from calib.analyses.explain import adapter_for, decision
+from calib.execution.stage import silent
+from calib.measurement.modal import MeasuredModes, Sensor
+from calib.missing.explanation import Explanation
+from calib.problem.effect import Effect
+from calib.problem.space import Parameter
+from calib.structure.effects.composed import Connection, PointMass, ScaledParts, SoftFooting
+from calib.structure.effects.compositions import generic_effects
+from calib.structure.model import StructuralModel
+
+COARSE, FINE = 4, 12
+MODES, SOLVED = 8, 11
+FREQ, SHAPE = 1e-3, 0.01
+"""Standard deviations: of a frequency over it, of a shape over its largest entry."""
+INSIDE = ("mass", "support", "cut", "strut")
+OUTSIDE = ("hinge", "storey")
+DETECTABLE = 6.0
+SOURCES = (
+    "tests/benchmarks/generic_rates.py",
+    "tests/benchmarks/rates_frame.py",
+    "calib/hypotheses",
+    "calib/analyses/explain.py",
+)
+Place = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One frame with its test.
+
+    Attributes
+    ----------
+    hidden : str
+        What was made; empty for nothing.
+    known : bool
+        Whether the candidates have something of that kind at that place.
+    parts : bool
+        Whether the matrices name members and supports.
+    model : StructuralModel
+    measured : MeasuredModes
+    clean : (MeasuredModes, MeasuredModes)
+        What would be measured without noise with the effect and without it.
+    right : callable
+        Whether a candidate is what was made.
+    size : float
+        Of the effect.
+    """
+
+    hidden: str
+    known: bool
+    parts: bool
+    model: StructuralModel
+    measured: MeasuredModes
+    clean: tuple[MeasuredModes, MeasuredModes]
+    right: Callable[[Effect], bool]
+    size: float
+
+
+def case(number: int) -> Case:
+    """The case of a number."""
+    rng = np.random.default_rng([20261129, number])
+    kinds = ("", *INSIDE, *INSIDE, *INSIDE, *OUTSIDE)
+    hidden, parts = kinds[number % len(kinds)], bool(rng.random() < 0.5)
+    spans = rng.uniform(4.0, 7.0, 1 + int(rng.random() < 0.6)).round(2).tolist()
+    height, storeys = round(float(rng.uniform(3.0, 4.0)), 2), 2 + int(rng.random() < 0.4)
+    coarse, fine = (Frame(n, spans, height, storeys) for n in (COARSE, FINE))
+    model = coarse.model() if parts else _as_one(coarse)
+    sensors = _sensors(coarse, rng)
+    names = ("E_columns", "E_beams", "m_floors", "k_ground") if parts else ("stiffness",)
+    values = {n: 1 + 0.5 * float(model.space[n].prior_width) * float(rng.standard_normal()) for n in names}
+    true = values if parts else dict.fromkeys(("E_columns", "E_beams", "k_ground"), values["stiffness"])
+    stiffness, mass, right, size = _made(hidden, coarse, fine, rng, parts)
+    with_it, without = (_measured(fine.model(k, m), true, sensors) for k, m in ((stiffness, mass), ({}, {})))
+    noisy = _noisy(with_it, rng)
+    known = hidden in INSIDE and (parts or hidden != "cut")
+    return Case(hidden, known, parts, model, noisy, (with_it, without), right, size)
+
+
+def _as_one(frame: Frame) -> StructuralModel:
+    """The frame as one K and one M, as codes export it."""
+    whole = frame.model()
+    k, _, m = whole.matrices({})
+    dofs = [(n + 1, d, *frame.points[n]) for n in range(len(frame.points)) for d in ("x", "z", "ry")]
+    return calib.StructuralModel.from_matrices(
+        {"K": (k, "stiffness")}, {"M": m}, dofs=pd.DataFrame(dofs, columns=["node", "direction", "x", "y", "z"]),
+        parameters=[Parameter("stiffness", 1.0, 0.5, 1.5, "-", prior_sd=0.1)], name="frame",
+    )  # fmt: skip
+
+
+def _sensors(frame: Frame, rng: np.random.Generator) -> tuple[Sensor, ...]:
+    """Columns sideways at the middle and the top, beams upright at two places of three; one in ten is left out."""
+    out = []
+    for member in frame.members:
+        column = member.startswith("column")
+        along = [("x", 0.5), ("x", 1.0)] if column else [("z", 0.5), ("z", float(rng.choice([0.25, 0.75])))]
+        out += [(frame.node(member, at), d) for d, at in along if rng.random() > 0.1]
+    return tuple(Sensor(n + 1, d, frame.points[n]) for n, d in dict.fromkeys(out))
+
+
+def _measured(model: StructuralModel, values: dict[str, float], sensors: tuple[Sensor, ...]) -> MeasuredModes:
+    """What a test without noise would measure."""
+    own = {name: value for name, value in values.items() if name in model.space}
+    found = model.modes(own, MODES)
+    rows = np.array([model.locator.row(s.point, "xyz".index(s.direction))[0] for s in sensors])  # type: ignore[arg-type]
+    shapes = (rows @ found.shapes).real
+    shapes = shapes / np.abs(shapes).max(axis=0)
+    freq = np.asarray(found.natural_freq)
+    return MeasuredModes(
+        tuple(f"F{k + 1}" for k in range(MODES)), freq, freq, FREQ * freq, np.full(MODES, 0.01), np.full(MODES, np.nan),
+        sensors, shapes, np.full(shapes.shape, SHAPE), 5, True,
+    )  # fmt: skip
+
+
+def _noisy(clean: MeasuredModes, rng: np.random.Generator) -> MeasuredModes:
+    freq = clean.natural_freq * (1 + FREQ * rng.standard_normal(MODES))
+    shapes = clean.shapes + SHAPE * rng.standard_normal(clean.shapes.shape)
+    return replace(clean, natural_freq=freq, damped_freq=freq, shapes=shapes)
+
+
+Made = tuple[dict[str, Any], dict[str, Any], Callable[[Effect], bool], float]
+
+
+def _made(hidden: str, coarse: Frame, fine: Frame, rng: np.random.Generator, parts: bool) -> Made:
+    """Terms of stiffness and mass on the finer mesh, what is right, and the size of the effect."""
+    members = list(coarse.members)
+    member = str(rng.choice(members))
+    part = member.split()[0]
+    column, beam = (str(rng.choice([m for m in members if m.startswith(kind)])) for kind in ("column", "beam"))
+    bays, size = len(coarse.spans), float(rng.uniform(0.6, 1.6))
+    ends = np.array([coarse.points[coarse.members[member][k]] for k in (0, -1)])
+    near = float(np.linalg.norm(ends[1] - ends[0])) / 3
+
+    def nothing(effect: Effect) -> bool:
+        return False
+
+    if hidden == "mass":
+        along, kg = float(rng.uniform(0.2, 0.8)), 250.0 * size
+        at = ends[0] + along * (ends[1] - ends[0])
+        return {}, {"hidden": kg * fine.spread(member, along, 0.9)}, lambda e: _kind(e) == "mass" and (
+            _within(e, coarse, at, near) or _on(e, member)
+        ), kg  # fmt: skip
+    if hidden == "support":
+        foot, x = 1 + int(rng.integers(bays + 1)), min(0.55 * size, 0.9)
+        change = -x * fine.support(foot, (0.9, 1.0, 1.0))
+        at = np.array(coarse.points[foot - 1])
+        return {"hidden": (change, "k_ground")}, {}, lambda e: _kind(e) in ("support", "stiffness") and (
+            _within(e, coarse, at, near) or _on(e, f"support {foot}")
+        ), x  # fmt: skip
+    if hidden == "cut":
+        x, low = min(0.5 * size, 0.8), int(rng.integers(0, 3)) / 4
+        stiffness = (-x * fine.stiffness(member, low, low + 0.5), f"E_{part}s")
+        lost = -x * fine.mass(member, DENSITY * SECTIONS[part][0], low, low + 0.5)
+        return {"hidden": stiffness}, {"hidden": lost}, lambda e: _on(e, member), x
+    if hidden == "strut":
+        level, bay = int(column.split()[1][0]), int(rng.integers(bays))
+        names = [f"column {level}{bay + 1}", f"column {level}{bay + 2}"]
+        k = 1.5e6 * size
+        one, other = (fine.node(name, 0.5) for name in names)
+        row = np.zeros(fine.size)
+        row[3 * one], row[3 * other] = -1.0, 1.0
+        weight = 20.0 * (fine.lump(one) + fine.lump(other))
+        tie = sp.csr_array(row[None])
+        zs = coarse.points[coarse.node(names[0], 0.5)][2]
+        xs = sorted(coarse.points[coarse.node(name, 0.5)][0] for name in names)
+        return {"hidden": k * (tie.T @ tie)}, {"hidden": weight}, lambda e: _joins(e, xs, zs), k
+    if hidden == "hinge":
+        x = min(0.5 * size, 0.85)
+        flexible = LIKE * coarse.spans[0] / 8 / (STEEL * SECTIONS["beam"][1]) * x / (1 - x)
+        change = fine.stiffness(beam, 0, 1 / FINE, flexible) - fine.stiffness(beam, 0, 1 / FINE)
+        return {"hidden": (change, "E_beams")}, {}, nothing, x
+    if hidden == "storey":
+        soft = [fine.stiffness(m) for m in members if m.startswith("column 2")]
+        return {"hidden": (-0.15 * size * sum(soft[1:], soft[0]), "E_columns")}, {}, nothing, 0.15 * size
+    return {}, {}, nothing, 0.0
+
+
+def _kind(effect: Effect) -> str:
+    """What a candidate changes."""
+    build = effect.build
+    if isinstance(build, PointMass):
+        return "mass"
+    if isinstance(build, SoftFooting):
+        return "support"
+    if isinstance(build, ScaledParts):
+        return build.parts[0][0]
+    return "spring"
+
+
+def _within(effect: Effect, frame: Frame, at: np.ndarray, near: float) -> bool:
+    """Whether a candidate that acts at one point does so near a place."""
+    build, places = effect.build, list[Place]()
+    if isinstance(build, PointMass):
+        places = [point for _, point in build.places]
+    elif isinstance(build, SoftFooting):
+        places = [build.place]
+    return len(places) == 1 and math.dist(places[0], at.tolist()) <= near
+
+
+def _on(effect: Effect, member: str) -> bool:
+    """Whether a candidate changes that member or support alone."""
+    build = effect.build
+    if not isinstance(build, ScaledParts):
+        return False
+    names = {name.removeprefix("steel of ").removeprefix("floor on ") for _, name in build.parts}
+    return names == {member}
+
+
+def _joins(effect: Effect, xs: list[float], z: float) -> bool:
+    """Whether a candidate is a horizontal spring between those columns at that height."""
+    build = effect.build
+    if not isinstance(build, Connection) or len(build.ends) != 1 or build.ends[0][1] is None or build.direction != 0:
+        return False
+    (_, one), (_, other) = build.ends[0]  # type: ignore[misc]
+    return sorted([one[0], other[0]]) == xs and max(abs(one[2] - z), abs(other[2] - z)) < 1e-6
+
+
+def run(number: int, code: str) -> dict[str, Any]:
+    """What is told of one case, beside the truth."""
+    started, one = time.perf_counter(), case(number)
+    library = generic_effects(one.model, [one.measured])
+    problem = calib.Problem(one.model, calib.ModalTest(one.measured, mode_count=SOLVED))
+    study = problem.study(effects={one.model.name: library})
+    adapter = adapter_for(study, None, silent, {})
+    found = decision(adapter, study.settings.explain, "case")
+    score = _score(one, found)
+    group = "nothing" if not one.hidden else "single" if one.known else "outside"
+    return {
+        "number": number, "code": code, "group": group, "hidden": [one.hidden] if one.hidden else [],
+        "scenario": one.hidden or "nothing", "parts": one.parts, "magnitudes": {one.hidden: one.size},
+        "n_dof": one.model.n_dof,
+        "verdict": found.verdict, "credible": list(found.credible), "candidates": len(library),
+        "best": [] if found.chosen is None else list(found.chosen.names), "outcome": _outcome(one, library, found),
+        "visible": [round(score, 2)] * bool(one.hidden), "z": [round(score, 2)] * bool(one.hidden),
+        "p_family": found.base_adequacy.p_family, "p_fit": found.base_adequacy.p_fit, "evaluations": found.evaluations,
+        "blamed": [fault.name for fault, _ in found.faulty],
+        "place": None if found.place is None else found.place.names[0],
+        "seconds": round(time.perf_counter() - started, 1),
+    }  # fmt: skip
+
+
+def _outcome(one: Case, library: tuple[Effect, ...], found: Explanation) -> str:
+    """See `rates_outcome.outcome`; a set is right if the best of it is, one that holds the truth is `second`."""
+    if not found.names_something:
+        return found.verdict
+    assert found.chosen is not None
+    of = {effect.name: effect for effect in library}
+    best, credible = ([name for name in names if name in of] for names in (found.chosen.names, found.credible))
+    if best and all(one.right(of[name]) for name in best):
+        return "right"
+    return "second" if any(one.right(of[name]) for name in credible) else "wrong"
+
+
+def _score(one: Case, found: Explanation) -> float:
+    """Change that the effect makes beyond what the parameters absorb, in standard deviations."""
+    fit, tests = found.base.fit, (calib.ModalTest(clean, mode_count=SOLVED) for clean in one.clean)
+    known = {name: value for name, value in fit.values.items() if name in one.model.space}
+    with_it, without = (test.residual(test.problem(one.model)) for test in tests)
+    change = with_it.of(with_it.solve(known)) - without.of(without.solve(known))
+    if len(change) != len(fit.residual):
+        return float("nan")
+    return float(np.linalg.norm(fit.project_out(change[:, None])))
+
+
+def counts(rows: list[dict[str, Any]]) -> list[Rate]:
+    """The criteria of `rates_table.rates` that the cases are made for, with what is required of generic effects."""
+
+    def rate(
+        hidden: str, verdict: str, required: float, some: list[Any], is_so: Callable[[Any], bool], least: bool = True
+    ) -> Rate:
+        return Rate(hidden, verdict, required, least, sum(map(is_so, some)), len(some))
+
+    single = [r for r in rows if r["group"] == "single"]
+    strong = [r for r in single if r["visible"][0] >= DETECTABLE]
+    outside, nothing = ([r for r in rows if r["group"] == name] for name in ("outside", "nothing"))
+    seen = [r for r in outside if r["visible"][0] >= DETECTABLE]
+    one = "an effect, generic candidates"
+    return [
+        rate(f"{one}, expected score 6 or more", "names it rightly", 0.9, strong, lambda r: r["outcome"] == "right"),
+        rate(f"{one}, expected score 6 or more", "the truth is among the names, or nothing is named", 0.98, strong,
+             lambda r: r["outcome"] != "wrong"),
+        rate(f"{one} of any magnitude", "names a wrong effect", 0.0, single, lambda r: r["outcome"] == "wrong", False),
+        rate("something in no form of the candidates", "names something", 0.02, outside,
+             lambda r: r["verdict"] in NAMING, False),
+        rate("something in no form of the candidates, expected score 6 or more", "says that something is missing",
+             0.85, seen, lambda r: r["verdict"] != "nothing_detectable"),
+        rate("nothing, generic candidates", "names something", 0.01, nothing, lambda r: r["verdict"] in NAMING, False),
+    ]  # fmt: skip
+
+
+def main() -> None:
+    """Run or report."""
+    arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    arguments.add_argument("what", choices=("run", "report"))
+    arguments.add_argument("--cases", type=int, default=60)
+    arguments.add_argument("--skip", type=int, default=0)
+    arguments.add_argument("--folder", type=Path, default=ROOT / "results/generic")
+    arguments.add_argument("--write", type=Path)
+    given = arguments.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    file = given.folder / "cases.jsonl"
+    if given.what == "report":
+        report([json.loads(line) for line in file.read_text("utf-8").splitlines()], given.write, file)
+        return
+    code = digest_of(SOURCES)
+    done = (
+        {row["number"] for row in map(json.loads, file.read_text("utf-8").splitlines()) if row["code"] == code}
+        if file.exists()
+        else set()
+    )
+    with file.open("a", encoding="utf-8") as out:
+        for number in range(given.skip, given.cases):
+            if number in done:
+                continue
+            try:
+                row = run(number, code)
+            except Exception as fault:
+                row = {
+                    "number": number,
+                    "code": code,
+                    "group": "failed",
+                    "error": repr(fault),
+                    "traceback": traceback.format_exc(),
+                }
+            out.write(json.dumps(row) + "\n")
+            out.flush()
+            print(
+                {
+                    k: row.get(k)
+                    for k in (
+                        "number",
+                        "scenario",
+                        "parts",
+                        "visible",
+                        "verdict",
+                        "outcome",
+                        "best",
+                        "error",
+                        "seconds",
+                    )
+                },
+                flush=True,
+            )
+
+
+def report(rows: list[dict[str, Any]], write: Path | None, file: Path) -> None:
+    """Rates with their one-sided 95 % bounds, then every case that is not right."""
+    rows = [row for row in rows if row["code"] == rows[-1]["code"]]
+    failed, rows = [r for r in rows if r["group"] == "failed"], [r for r in rows if r["group"] != "failed"]
+    print(f"{len(rows)} cases, {len(failed)} broke; {min(r['candidates'] for r in rows)} to "
+          f"{max(r['candidates'] for r in rows)} candidates")  # fmt: skip
+    for rate in counts(rows):
+        print(f"{rate.hidden}: {rate.verdict} in {rate.count} of {rate.n}, bound {100 * bound_of(rate):.0f} %")
+    for r in rows:
+        if r["outcome"] not in ("right", "nothing_detectable"):
+            print(r["number"], r["scenario"], r["visible"], r["outcome"], r["verdict"], r["best"], r["credible"][:6])
+    if write is not None:
+        made = date.fromtimestamp(file.stat().st_mtime).isoformat()
+        write_rates(counts(rows), write, rows[-1]["code"], made)
+
+
+if __name__ == "__main__":
+    main()
