@@ -22,7 +22,6 @@ from calib.problem.problem import Counts
 from calib.problem.problem import PairProblem as OneTestProblem
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
-from calib.structure.effects.compositions import generic_effects
 from calib.study.in_memory import TestedModel, study_in_memory
 from calib.study.loading import extended
 from calib.study.settings import StudySettings
@@ -168,6 +167,8 @@ def library_of(problem: ProblemLike, effects: Effects) -> dict[str, tuple[Effect
 
 def generic_of(problem: ProblemLike) -> dict[str, tuple[Effect, ...]]:
     """Effects composed of each model's own parts, joints, supports and points, by the name of the model."""
+    from calib.structure.effects.compositions import generic_effects  # for these alone
+
     out, taken = dict[str, tuple[Effect, ...]](), list[str]()
     for name in dict.fromkeys(one.model.name for one in problem.tested):
         own = [one for one in problem.tested if one.model.name == name]

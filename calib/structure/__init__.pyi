@@ -31,8 +31,8 @@ from .effects.attach import softened_part as softened_part
 from .effects.attach import softened_supports as softened_supports
 from .effects.extend import Addition as Addition
 from .effects.extend import extend as extend
-from .effects.footings import softened_footing as softened_footing
 from .effects.perturbations import relative_change as relative_change
+from .effects.rigid_joints import softened_joint as softened_joint
 from .function_model import response_of as response_of
 from .function_model import slope_entry as slope_entry
 from .function_parts import ScaledPart as ScaledPart

@@ -20,11 +20,11 @@ from calib.errors.own_code import defined_at, raised_at, refuses
 from calib.errors.place import Place
 from calib.execution.outcome import error_line
 from calib.execution.retry import retrying
-from calib.measurement.modal import Sensor
+from calib.measurement.frf import MeasuredFRFs
+from calib.measurement.modal import MeasuredModes, Sensor
 from calib.problem.effect import Effect
 from calib.problem.parameter import Parameter
 from calib.results.fingerprint import digest_of
-from calib.structure.effects.compositions import Measured, generic_effects
 from calib.structure.effects.extend import extend
 from calib.structure.function_model import FunctionModel, extend_function
 from calib.structure.modal_function import ModalFunctionModel
@@ -139,7 +139,7 @@ class Sources:
         model = self._call("finer_options", name, {**self.settings.model_options, **options})
         return model if isinstance(model, StructuralModel | ModalFunctionModel | FunctionModel) else None
 
-    def library(self, base: Model, sensed: Callable[[], Sequence[Measured]]) -> tuple[Effect, ...]:
+    def library(self, base: Model, sensed: Callable[[], Sequence[MeasuredModes | MeasuredFRFs]]) -> tuple[Effect, ...]:
         """The effects that the model may lack, in the order of their library; none when the study names none.
 
         ``sensed`` returns what the tests of the model measured, for generic effects at their sensors.
@@ -156,6 +156,8 @@ class Sources:
         named = [function for function in self.settings.libraries if function != GENERIC]
         library = tuple(effect for function in named for effect in self._library(function, place))
         if GENERIC in self.settings.libraries:
+            from calib.structure.effects.compositions import generic_effects  # for these alone
+
             taken = [name for effect in library for one in effect.family for name in one.names]
             try:
                 library += generic_effects(base, sensed(), taken)

@@ -50,7 +50,7 @@ def composition_words(composed: Composed) -> str:
     """A composition in words, such as ``mass of floor 4`` or ``hung mass at sensor 3y``."""
     if composed.kind.endswith("between"):
         return f"{composed.kind} {composed.at}"
-    at = "at" if composed.kind.endswith((" mass", "ground", "rotational spring")) else "of"
+    at = "at" if composed.kind.endswith((" mass", "ground", "rotational spring", "soft joint")) else "of"
     return f"{composed.kind} {at} {composed.at}"
 
 

@@ -23,7 +23,7 @@ from calib.structure.effects.attach import (
     softened_supports,
 )
 from calib.structure.effects.extend import Addition
-from calib.structure.effects.footings import softened_footing
+from calib.structure.effects.rigid_joints import Point, softened_joint
 from calib.structure.model import PartKind, StructuralModel
 from calib.structure.rules import RULES
 
@@ -138,33 +138,37 @@ class SoftSupports:
 
 
 @dataclass(frozen=True)
-class SoftFooting:
-    """A flexibility in series with a support that matrices hold without naming it.
+class SoftJoint:
+    """A flexibility in series with a support, or with a beam's end, that matrices hold without naming it.
 
     Attributes
     ----------
     name : str
         Of the flexibility.
-    place : (3,) float
-        M.
-    direction : int
-        0..5 for x, y, z and rotations about them.
+    places : tuple of (3,) float
+        M; see `calib.structure.effects.rigid_joints.softened_joint`.
+    direction : int or None
+        0..5 for x, y, z and rotations about them; None for all.
     """
 
     name: str
-    place: tuple[float, float, float]
-    direction: int
+    places: tuple[Point, ...]
+    direction: int | None
 
     def __call__(self, model: StructuralModel) -> Addition:
-        """See `calib.structure.effects.footings.softened_footing`."""
-        return softened_footing(model, self.place, self.direction, self.name)
+        """See `calib.structure.effects.rigid_joints.softened_joint`."""
+        return softened_joint(model, self.places, self.direction, self.name)
 
     @property
     def code(self) -> tuple[str, ...]:
         """See `Builder`."""
-        place = ", ".join(repr(float(c)) for c in self.place)
-        turning = "  # 3, 4, 5: rx, ry, rz" if self.direction >= 3 else "  # 0, 1, 2: x, y, z"
-        return (f'return softened_footing(model, ({place}), {self.direction}, "{self.name}"){turning}',)
+        points = [f"({', '.join(repr(float(c)) for c in point)})" for point in self.places]
+        places = f"({', '.join(points)}{',' * (len(points) == 1)})"
+        axes = "0, 1, 2: x, y, z; 3, 4, 5: rx, ry, rz; None: all"
+        return (
+            f"places = {places}",
+            f'return softened_joint(model, places, {self.direction}, "{self.name}")  # {axes}',
+        )
 
 
 @dataclass(frozen=True)
@@ -357,7 +361,7 @@ OF_MATRICES = (
     ScaledParts,
     MountedDampers,
     SoftSupports,
-    SoftFooting,
+    SoftJoint,
     RotationalSprings,
     PointMass,
     HungMass,

@@ -26,8 +26,9 @@ class Composition:
     kind : str
         Of parts: ``stiffness``, ``damping``, ``mass``, ``section`` (stiffness and mass together), ``dissipation``
         (dampers in parallel to them), ``damper mount`` (springs in series with dampers), ``soft support`` (springs in
-        series with supports), ``rotational spring`` (between the bodies that a spring joins). At points: ``added
-        mass``, ``hung mass``, ``spring to ground``, ``damper to ground``, ``spring between``, ``damper between``.
+        series with supports), ``soft joint`` (with ends of beams), ``rotational spring`` (between the bodies that a
+        spring joins). At points: ``added mass``, ``hung mass``, ``spring to ground``, ``damper to ground``, ``spring
+        between``, ``damper between``.
     at : str
         Parts, sensors or points, in words.
     places : tuple of (3,) float

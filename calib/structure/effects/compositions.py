@@ -16,11 +16,11 @@ from calib.structure.affine import Monomial
 from calib.structure.effects.composition import Composition, HungBy, Names
 from calib.structure.effects.extend import addition_of
 from calib.structure.effects.part_compositions import (
-    of_footings,
     of_function,
     of_joints,
     of_mounts,
     of_parts,
+    of_rigid_joints,
     of_supports,
 )
 from calib.structure.effects.point_compositions import further_spots, heavy, held_at, hung_at, moving, of_sensors
@@ -170,7 +170,7 @@ def _plain(
     values = _own(model, values)
     middle = _middle(_band(model, measured, values))
     return (
-        *of_parts(model, names, middle), *of_supports(model, names), *of_footings(model, values, names, middle),
+        *of_parts(model, names, middle), *of_supports(model, names), *of_rigid_joints(model, values, names, middle),
         *of_joints(model, values, names, middle),
         *of_sensors(model, _sensors(model, measured), values, names, middle),
     )  # fmt: skip

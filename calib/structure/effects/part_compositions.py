@@ -24,12 +24,12 @@ from calib.structure.effects.composed import (
     RotationalSprings,
     ScaledByFunction,
     ScaledParts,
-    SoftFooting,
+    SoftJoint,
     SoftSupports,
 )
 from calib.structure.effects.composition import Composition, Names
-from calib.structure.effects.footings import footings
 from calib.structure.effects.perturbations import LEAST
+from calib.structure.effects.rigid_joints import RigidJoint, member_ends, supports
 from calib.structure.eigenproblem.inertia import symmetric_factor
 from calib.structure.elongations import elongations
 from calib.structure.function_parts import ScaledPart
@@ -52,6 +52,7 @@ _PARTS: Mapping[str, tuple[str, str]] = {
     "dissipation": ("is elastic without loss", "Rubber, friction in joints, and whatever gets warm"),
     "damper mount": ("is mounted rigidly", "Soft or worn bushes and thin brackets at the ends of dampers"),
     "soft support": ("stands as firmly as drawn", "Soft foundations, oil columns, clearances and thin packings"),
+    "soft joint": ("is joined rigidly", "Loose bolts, thin end plates and cracked welds"),
     "rotational spring": ("rotates freely where bodies are joined", "Wide seats, stiff bushes and tight joints"),
 }
 """What the model assumes, and where to look, by kind."""
@@ -59,6 +60,7 @@ _TITLES: Mapping[str, tuple[str, str]] = {
     "dissipation": ("Dissipation of {}", "dissipation in {}"),
     "damper mount": ("Soft mount of {}", "a soft mount of {}"),
     "soft support": ("Flexibility in series with {}", "a flexibility in series with {}"),
+    "soft joint": ("Soft joint at {}", "a soft joint at {}"),
     "rotational spring": ("Rotational spring at {}", "a rotational spring at {}"),
 }
 
@@ -204,35 +206,48 @@ def of_supports(model: StructuralModel, names: Names) -> Iterator[Composition]:
         yield Composition(effect, "soft support", at, tuple(dict.fromkeys(places)), len(own))
 
 
-def of_footings(
+def of_rigid_joints(
     model: StructuralModel, values: Mapping[str, float], names: Names, middle: float
 ) -> Iterator[Composition]:
-    """Flexibilities in series with supports that matrices hold without naming them, in each direction they resist.
+    """Flexibilities in series with supports and with ends of beams that matrices hold without naming them.
 
-    The plausible size is `RULES.relative` over the dynamic stiffness against the support at the middle of the measured
-    band. A model that names its parts names its supports as well.
+    Of each in every direction that it resists. The plausible size is `RULES.relative` over the dynamic stiffness of the
+    rest against that motion at the middle of the measured band. A model that names its parts names these as well.
     """
-    found = [] if model.parts else list(footings(model, values))
+    found: list[tuple[str, RigidJoint]] = []
+    if not model.parts:
+        found += [("soft support", one) for one in supports(model, values)]
+        found += [("soft joint", one) for one in member_ends(model, values)]
     if not found:
         return
     stiffness, _, mass = model.matrices(values)
     factor = symmetric_factor(sp.csc_array(stiffness + (2 * np.pi * middle) ** 2 * mass))
-    for footing in found:
-        nodes = [str(model.labels[n] if model.labels else n + 1) for n in footing.nodes]
-        near = f"the support near node {nodes[0]}"
-        for direction in footing.directions:
-            b, k = footing.forces[:, direction], float(footing.stiffness[direction])
+    for kind, joint in found:
+        nodes = [str(model.labels[n] if model.labels else n + 1) for n in joint.nodes]
+        where, places = f"the support near node {nodes[0]}", (joint.place,)
+        if kind == "soft joint":
+            where, (x, y, z) = f"node {nodes[0]} towards node {nodes[1]}", model.mesh.points[joint.nodes[1]].tolist()
+            places = (joint.place, (x, y, z))
+        label, relative = " ".join(nodes[: len(places)]), list[float]()
+        for direction in joint.directions:
+            b, k = joint.forces[:, direction], float(joint.stiffness[direction])
             size = RULES.relative / max(k - float(b @ factor.solve(b)), 1e-9 * k)
-            axis = "xyz"[direction % 3]
-            at, unit = (f"{near}, in {axis}", "mm/MN") if direction < 3 else (f"{near}, about {axis}", "rad/kNm")
-            size *= 1e9 if direction < 3 else 1e3
-            name = names.free(f"soft support {nodes[0]} {'r' * (direction >= 3)}{axis}")
-            magnitude = Parameter(
-                name, 0.0, 0.0, RULES.added_most * size, unit, prior_sd=size,
-                description=f"flexibility in series with {at}",
-            )  # fmt: skip
-            effect = _part_effect("soft support", at, magnitude, SoftFooting(name, footing.place, direction))
-            yield Composition(effect, "soft support", at, (footing.place,))
+            relative.append(size * k)
+            turns, axis = direction >= 3, "xyz"[direction % 3]
+            unit, size = ("rad/kNm", 1e3 * size) if turns else ("mm/MN", 1e9 * size)
+            name = names.free(f"{kind} {label} {'r' * turns}{axis}")
+            at = f"{where}, {'about' if turns else 'in'} {axis}"
+            yield _soft_joint(kind, at, name, unit, size, SoftJoint(name, places, direction))
+        if kind == "soft support" and len(relative) > 1:
+            name = names.free(f"{kind} {label}")
+            at = f"{where}, in all directions"
+            yield _soft_joint(kind, at, name, "-", min(relative), SoftJoint(name, places, None))
+
+
+def _soft_joint(kind: str, at: str, name: str, unit: str, size: float, build: SoftJoint) -> Composition:
+    words = f"flexibility in series with {at}" + (", over its own" if unit == "-" else "")
+    magnitude = Parameter(name, 0.0, 0.0, RULES.added_most * size, unit, prior_sd=size, description=words)
+    return Composition(_part_effect(kind, at, magnitude, build), kind, at, build.places[:1])
 
 
 def _acting(
