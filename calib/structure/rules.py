@@ -40,6 +40,8 @@ class ModelRules:
         Most places between sensors at which a composed mass may be.
     further_apart : float
         Their least distance from others, over the size of the model.
+    beam_ends : int
+        Most ends of beams, those nearest to sensors, that composed effects soften.
     neighbours : int
         Nearest sensors of the same direction to which a sensor may be joined in a composed effect.
     hung_points : int
@@ -76,6 +78,7 @@ class ModelRules:
     same_joint: float = 0.1
     further_places: int = 12
     further_apart: float = 0.1
+    beam_ends: int = 60
     neighbours: int = 3
     hung_points: int = 7
     hung_ratio: float = 0.03

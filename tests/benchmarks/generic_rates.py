@@ -53,8 +53,8 @@ from calib.structure.effects.composed import Connection, PointMass, ScaledParts,
 from calib.structure.effects.compositions import generic_effects
 from calib.structure.model import StructuralModel
 
-COARSE, FINE = 6, 18
-MODES, SOLVED = 8, 11
+COARSE, FINE = 5, 15
+MODES, SOLVED = 7, 10
 FREQ, SHAPE = 1e-3, 0.01
 """Standard deviations: of a frequency over it, of a shape over its largest entry."""
 INSIDE = ("mass", "support", "thin", "strut", "joint")
@@ -71,25 +71,7 @@ Place = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One frame with its test.
-
-    Attributes
-    ----------
-    hidden : str
-        What was made; empty for nothing.
-    known : bool
-        Whether the candidates have something of that kind at that place.
-    parts : bool
-        Whether the matrices name members and supports.
-    model : StructuralModel
-    measured : MeasuredModes
-    clean : (MeasuredModes, MeasuredModes)
-        What would be measured without noise with the effect and without it.
-    right : callable
-        Whether a candidate is what was made.
-    size : float
-        Of the effect.
-    """
+    """One frame with its test; ``clean`` is without noise, with the effect and without it."""
 
     hidden: str
     known: bool
@@ -107,7 +89,7 @@ def case(number: int) -> Case:
     kinds = ("", *INSIDE, *INSIDE, *OUTSIDE)
     hidden, parts = kinds[number % len(kinds)], bool(rng.random() < 0.5)
     spans = rng.uniform(4.0, 7.0, 1 + int(rng.random() < 0.6)).round(2).tolist()
-    height, storeys = round(float(rng.uniform(3.0, 4.0)), 2), 2 + int(rng.random() < 0.4)
+    height, storeys = round(float(rng.uniform(3.0, 4.0)), 2), 2 + int(rng.random() < 0.2)
     coarse, fine = (Frame(n, spans, height, storeys) for n in (COARSE, FINE))
     model = coarse.model() if parts else _as_one(coarse)
     sensors = _sensors(coarse, rng)

@@ -153,7 +153,7 @@ def test_nodes_that_plates_join_have_no_ends_of_beams():
 
 def test_compositions_soften_each_support_and_joint_in_each_direction_and_are_neutral_at_0():
     _, model = held(range(12))
-    found = list(of_rigid_joints(model, {"stiffness": 1.0}, Names(()), 20.0))
+    found = list(of_rigid_joints(model, [], {"stiffness": 1.0}, Names(()), 20.0))
     assert [c.kind for c in found] == ["soft support"] * 14 + ["soft joint"] * 6
     assert {c.effect.magnitude.unit for c in found} == {"mm/MN", "rad/kNm", "-"}
     for kind in ("soft support", "soft joint"):
@@ -164,9 +164,16 @@ def test_compositions_soften_each_support_and_joint_in_each_direction_and_are_ne
         assert soft[0] < 0.995 * stiff[0]
 
 
+def test_of_many_ends_of_beams_those_next_to_sensors_come_first():
+    _, model = held(range(12))
+    for corner in ((0.0, 0.0, LEG), (SPAN, 0.0, LEG)):
+        found = of_rigid_joints(model, [calib.Sensor(0, "x", corner)], {"stiffness": 1.0}, Names(()), 20.0)
+        assert next(c for c in found if c.kind == "soft joint").place == corner
+
+
 def test_code_of_a_composition_builds_what_it_builds():
     _, model = held(range(12))
-    every = [c.effect for c in of_rigid_joints(model, {"stiffness": 1.0}, Names(()), 20.0)]
+    every = [c.effect for c in of_rigid_joints(model, [], {"stiffness": 1.0}, Names(()), 20.0)]
     for effect in (every[0], every[-1]):
         scope = {"softened_joint": softened_joint}
         exec("def build(model):\n" + "\n".join(f"    {line}" for line in effect.build.code), scope)

@@ -167,12 +167,12 @@ def _plain(
     """Compositions without degrees of freedom of their own."""
     if not isinstance(model, StructuralModel):
         return tuple(of_function(model.parts, names))
-    values = _own(model, values)
+    values, sensors = _own(model, values), _sensors(model, measured)
     middle = _middle(_band(model, measured, values))
     return (
-        *of_parts(model, names, middle), *of_supports(model, names), *of_rigid_joints(model, values, names, middle),
-        *of_joints(model, values, names, middle),
-        *of_sensors(model, _sensors(model, measured), values, names, middle),
+        *of_parts(model, names, middle), *of_supports(model, names),
+        *of_rigid_joints(model, sensors, values, names, middle), *of_joints(model, values, names, middle),
+        *of_sensors(model, sensors, values, names, middle),
     )  # fmt: skip
 
 

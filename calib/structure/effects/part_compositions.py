@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.errors.errors import InputError
+from calib.measurement.modal import Sensor
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
 from calib.results.answer import names_in_words
@@ -207,27 +208,29 @@ def of_supports(model: StructuralModel, names: Names) -> Iterator[Composition]:
 
 
 def of_rigid_joints(
-    model: StructuralModel, values: Mapping[str, float], names: Names, middle: float
+    model: StructuralModel, sensors: Sequence[Sensor], values: Mapping[str, float], names: Names, middle: float
 ) -> Iterator[Composition]:
     """Flexibilities in series with supports and with ends of beams that matrices hold without naming them.
 
-    Of each in every direction that it resists. The plausible size is `RULES.relative` over the dynamic stiffness of the
-    rest against that motion at the middle of the measured band. A model that names its parts names these as well.
+    Of each in every direction that it resists; of many beams the ends nearest to `sensors`, which have places. The
+    plausible size is `RULES.relative` over the dynamic stiffness of the rest against that motion at the middle of the
+    measured band. A model that names its parts names these as well.
     """
     found: list[tuple[str, RigidJoint]] = []
     if not model.parts:
         found += [("soft support", one) for one in supports(model, values)]
-        found += [("soft joint", one) for one in member_ends(model, values)]
+        ends = sorted(member_ends(model, values), key=lambda one: _away(one.place, sensors))
+        found += [("soft joint", one) for one in ends[: RULES.beam_ends]]
     if not found:
         return
     stiffness, _, mass = model.matrices(values)
     factor = symmetric_factor(sp.csc_array(stiffness + (2 * np.pi * middle) ** 2 * mass))
     for kind, joint in found:
         nodes = [str(model.labels[n] if model.labels else n + 1) for n in joint.nodes]
-        where, places = f"the support near node {nodes[0]}", (joint.place,)
+        where, places = f"the support near node {nodes[0]}", [joint.place]
         if kind == "soft joint":
             where, (x, y, z) = f"node {nodes[0]} towards node {nodes[1]}", model.mesh.points[joint.nodes[1]].tolist()
-            places = (joint.place, (x, y, z))
+            places.append((x, y, z))
         label, relative = " ".join(nodes[: len(places)]), list[float]()
         for direction in joint.directions:
             b, k = joint.forces[:, direction], float(joint.stiffness[direction])
@@ -237,11 +240,16 @@ def of_rigid_joints(
             unit, size = ("rad/kNm", 1e3 * size) if turns else ("mm/MN", 1e9 * size)
             name = names.free(f"{kind} {label} {'r' * turns}{axis}")
             at = f"{where}, {'about' if turns else 'in'} {axis}"
-            yield _soft_joint(kind, at, name, unit, size, SoftJoint(name, places, direction))
+            yield _soft_joint(kind, at, name, unit, size, SoftJoint(name, tuple(places), direction))
         if kind == "soft support" and len(relative) > 1:
             name = names.free(f"{kind} {label}")
             at = f"{where}, in all directions"
-            yield _soft_joint(kind, at, name, "-", min(relative), SoftJoint(name, places, None))
+            yield _soft_joint(kind, at, name, "-", min(relative), SoftJoint(name, tuple(places), None))
+
+
+def _away(place: tuple[float, float, float], sensors: Sequence[Sensor]) -> float:
+    """Distance from the nearest sensor, m."""
+    return min((math.dist(place, s.point) for s in sensors if s.point is not None), default=0.0)
 
 
 def _soft_joint(kind: str, at: str, name: str, unit: str, size: float, build: SoftJoint) -> Composition:

@@ -20,6 +20,8 @@ _HELD = 1e-6
 exports have 7 digits or more."""
 _SYMMETRIC = 1e-4
 """Asymmetry of what a beam has on the diagonal, over its entries, from which it is none."""
+_TRIED = 100
+"""Blocks after which a model that had no beam among them has none."""
 _ANGLE = 0.1
 """Sine of the angle from which two beams that meet at a node do not go on straight."""
 Point = tuple[float, float, float]
@@ -103,17 +105,21 @@ def supports(model: StructuralModel, values: Mapping[str, float]) -> Iterator[Ri
     of_node = sp.csr_array(
         (np.ones(len(rows)), (np.arange(len(rows)), model.dofs.node[rows])), (len(rows), len(points))
     )
-    joined = sp.csr_array((stiffness[rows][:, rows] != 0).astype(float)) + of_node @ of_node.T
+    beside = sp.csr_array(stiffness[rows][:, rows])
+    beside.data = np.abs(beside.data)
+    beside.eliminate_zeros()
+    joined = beside + of_node @ of_node.T
     count, group = connected_components(joined, directed=False) if len(rows) else (0, np.zeros(0))
     for k in range(count):
         yield _support(model, stiffness, rows[group == k], terms, si)
 
 
-def member_ends(model: StructuralModel, values: Mapping[str, float]) -> Iterator[RigidJoint]:
+def member_ends(model: StructuralModel, values: Mapping[str, float], at: Point | None = None) -> Iterator[RigidJoint]:
     """Ends of beams at nodes where three or more meet, or two at an angle; none where nodes are joined otherwise.
 
     The block of K that joins two nodes is that of the beams between them. What these have on the diagonal follows: a
-    motion of both as a rigid body meets no force. Blocks of which that is not symmetric are those of no beam.
+    motion of both as a rigid body meets no force. Blocks of which that is not symmetric are those of no beam. Where a
+    place is given, in m, only those at the nearest node.
     """
     found = _stiffness(model, values)
     if found is None:
@@ -122,22 +128,31 @@ def member_ends(model: StructuralModel, values: Mapping[str, float]) -> Iterator
     node, points = model.dofs.node, model.mesh.points
     rigid = _rigid(model, points.mean(axis=0))
     moving = np.abs(rigid).max(axis=0) > 0
-    rows: dict[int, np.ndarray] = {int(n): np.flatnonzero(node == n) for n in np.unique(node)}
-    turning = [d for d in (3, 4, 5) if (model.dofs.direction == d).any()]
-    for n, own in rows.items():
-        near = [int(m) for m in np.unique(node[np.unique(stiffness[own].indices)]) if m != n]
-        if len(own) != moving.sum() or not turning or not _meet(points, n, near):
+    turning = tuple(d for d in (3, 4, 5) if (model.dofs.direction == d).any())
+    of_node = sp.csr_array((np.ones(len(node)), (node, np.arange(len(node)))), (len(points), len(node)))
+    joined = sp.csr_array(of_node @ abs(stiffness) @ of_node.T)
+    joined.eliminate_zeros()
+    chosen = range(len(points)) if at is None else [int(np.argmin(np.linalg.norm(points - np.array(at), axis=1)))]
+    tried = 0
+    for n in chosen:
+        own = of_node.indices[of_node.indptr[n] : of_node.indptr[n + 1]]
+        near = [m for m in joined.indices[joined.indptr[n] : joined.indptr[n + 1]].tolist() if m != n]
+        if len(own) != moving.sum() or not turning or not _meet(points, n, near) or tried > _TRIED:
             continue
         for m in near if len(near) > 2 else near[:1]:
-            forces = _of_end(stiffness, own, rows[m], rigid[:, moving])
+            other = of_node.indices[of_node.indptr[m] : of_node.indptr[m + 1]]
+            forces = _of_end(stiffness, own, other, rigid[:, moving])
             if forces is None:
+                tried += 1
                 continue
-            share = [float(np.abs(t.coefficient(si) * sp.csr_array(t.matrix)[own][:, rows[m]]).sum()) for t in terms]
-            wide, size, at = np.zeros((model.n_dof, 6)), np.zeros((6, 6)), model.dofs.direction[own]
-            wide[:, at], size[np.ix_(at, at)] = forces, forces[own]
+            tried = -len(node) * len(node)  # it has beams: whatever else it has, it is searched to the end
+            blocks = (sp.csr_array(t.matrix)[own][:, other].toarray() for t in terms)
+            share = [abs(t.coefficient(si)) * float(np.abs(b).sum()) for t, b in zip(terms, blocks, strict=True)]
+            wide, size, along = np.zeros((model.n_dof, 6)), np.zeros((6, 6)), model.dofs.direction[own]
+            wide[:, along], size[np.ix_(along, along)] = forces, forces[own]
             x, y, z = points[n].tolist()
             most = _over_value(terms[int(np.argmax(share))], si)
-            yield RigidJoint((n, m), (x, y, z), tuple(turning), wide, size, most)
+            yield RigidJoint((n, m), (x, y, z), turning, wide, size, most)
 
 
 def softened_joint(
@@ -161,8 +176,9 @@ def softened_joint(
     InputError
         Where no support or no beam resists that motion.
     """
-    what, of = ("end of a beam", member_ends) if len(places) == 2 else ("support", supports)
-    found = [one for one in of(model, model.space.values) if direction in (None, *one.directions)]
+    values, what = model.space.values, "end of a beam" if len(places) == 2 else "support"
+    every = member_ends(model, values, places[0]) if len(places) == 2 else supports(model, values)
+    found = [one for one in every if direction in (None, *one.directions)]
     if not found:
         raise InputError(f"the model {model.name} has no {what} that resists motion {direction}", place="effect")
 
