@@ -5,7 +5,7 @@
 
 Every case is a plane frame of its own: one or two bays, two or three storeys, spans, heights, sensors and true
 parameters drawn anew. It is given as matrices without a library: in about every second case one K and one M, else those
-of every member and support, which share parameters. The test comes from a mesh three times finer, on which the effect
+of every member and support, which share parameters. The test comes from a mesh twice as fine, on which the effect
 is made otherwise than the candidates are: a mass is spread over a length and lies anywhere on a member, a support gives
 way less sideways, a thinner member loses mass too, a strut has a mass; a joint is a hinge at the end of a beam. A
 section cut over half of a member, a storey with softer columns, and a thinner member where matrices name none are in no
@@ -53,7 +53,7 @@ from calib.structure.effects.composed import Connection, PointMass, ScaledParts,
 from calib.structure.effects.compositions import generic_effects
 from calib.structure.model import StructuralModel
 
-COARSE, FINE = 5, 15
+COARSE, FINE = 6, 12
 MODES, SOLVED = 7, 10
 FREQ, SHAPE = 1e-3, 0.01
 """Standard deviations: of a frequency over it, of a shape over its largest entry."""
