@@ -72,9 +72,12 @@ def effects_basis(
     """
     own = wanted.key(model, space)
     whole = extend(model, [*effects, *(one.effect for one in local)])
-    composed = [e for e in effects if isinstance(e.build, OF_MATRICES) and not e.grid]
-    effects = [e for e in effects if e not in composed]
-    local = [*local, *(Perturbation(e, "composed", (math.nan, math.nan, math.nan)) for e in composed)]
+    solved = [e for e in effects if e.grid or not isinstance(e.build, OF_MATRICES)]
+    nowhere = (math.nan, math.nan, math.nan)
+    composed = [
+        Perturbation(e, "composed", nowhere) for e in effects if not e.grid and isinstance(e.build, OF_MATRICES)
+    ]
+    effects, local = solved, [*local, *composed]
     sampled = [(e.name, [parameter_key(p) for p in e.parameters], e.plausible, e.grid) for e in effects]
     key = basis_key(whole, own, sampled, [weight_key(one) for one in local])
     path = None if folder is None else folder / f"basis_effects_{key}.npz"

@@ -39,6 +39,8 @@ Model = StructuralModel | ModalFunctionModel | FunctionModel
 _KEYS = {"model": ("model",), "effects": ("effects",), "finer_options": ("explain", "finer_options")}
 """Keys for which a function is called."""
 
+Sensed = tuple[Model, Sequence[MeasuredModes | MeasuredFRFs]]
+"""A model, and what its tests measured at sensors."""
 PlaceOf = Callable[..., Place]
 """Place of a key of the study, such as ``place("model")``."""
 
@@ -139,10 +141,10 @@ class Sources:
         model = self._call("finer_options", name, {**self.settings.model_options, **options})
         return model if isinstance(model, StructuralModel | ModalFunctionModel | FunctionModel) else None
 
-    def library(self, base: Model, sensed: Callable[[], Sequence[MeasuredModes | MeasuredFRFs]]) -> tuple[Effect, ...]:
+    def library(self, base: Model, sensed: Callable[[], Sensed]) -> tuple[Effect, ...]:
         """The effects that the model may lack, in the order of their library; none when the study names none.
 
-        ``sensed`` returns what the tests of the model measured, for generic effects at their sensors.
+        ``sensed`` returns the model and what its tests measured, for generic effects at their sensors.
 
         Raises
         ------
@@ -160,7 +162,7 @@ class Sources:
 
             taken = [name for effect in library for one in effect.family for name in one.names]
             try:
-                library += generic_effects(base, sensed(), taken)
+                library += generic_effects(*sensed(), taken)
             except InputError as fault:
                 raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
         require_distinct(library, base, place)

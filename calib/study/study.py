@@ -280,11 +280,12 @@ def _study(
     )  # fmt: skip
 
 
-def _sensed(file: StudyFile, base: Model) -> list[MeasuredModes | MeasuredFRFs]:
-    """What the tests of this model measured at sensors, held-out data excepted."""
+def _sensed(file: StudyFile, base: Model) -> tuple[Model, list[MeasuredModes | MeasuredFRFs]]:
+    """The model as its tests locate sensors on it, and what they measured at sensors, held-out data excepted."""
     own = file.settings.model, file.settings.model_options
     tests = [one for one in StudyFile.read(file.file).parts if (one.settings.model, one.settings.model_options) == own]
-    return [data for one in tests for data in experiment_of(one, base).sensed]
+    experiments = [experiment_of(one, base) for one in tests]
+    return experiments[0].located(base), [data for one in experiments for data in one.sensed]
 
 
 def with_nuisances(space: ParameterSpace, problem: ForwardProblem) -> ParameterSpace:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from calib.measurement.places import Point
 from calib.structure.affine import Term, parameter
 from calib.structure.effects.attach import (
     Place,
@@ -23,7 +24,7 @@ from calib.structure.effects.attach import (
     softened_supports,
 )
 from calib.structure.effects.extend import Addition
-from calib.structure.effects.rigid_joints import Point, softened_joint
+from calib.structure.effects.rigid_joints import softened_joint
 from calib.structure.model import PartKind, StructuralModel
 from calib.structure.rules import RULES
 

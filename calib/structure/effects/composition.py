@@ -9,10 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.measurement.places import Point
 from calib.problem.effect import Effect
 from calib.structure.effects.composed import Builder
-
-Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 
 from calib.errors.errors import InputError
 from calib.measurement.modal import Sensor
+from calib.measurement.places import Point
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
 from calib.results.answer import names_in_words
@@ -247,7 +248,7 @@ def of_rigid_joints(
             yield _soft_joint(kind, at, name, "-", min(relative), SoftJoint(name, tuple(places), None))
 
 
-def _away(place: tuple[float, float, float], sensors: Sequence[Sensor]) -> float:
+def _away(place: Point, sensors: Sequence[Sensor]) -> float:
     """Distance from the nearest sensor, m."""
     return min((math.dist(place, s.point) for s in sensors if s.point is not None), default=0.0)
 

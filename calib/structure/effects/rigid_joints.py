@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from calib.errors.errors import InputError
+from calib.measurement.places import Point
 from calib.structure.affine import Monomial, SeriesLoss, Term, parameter
 from calib.structure.effects.extend import Addition
 from calib.structure.model import StructuralModel
@@ -24,7 +25,6 @@ _TRIED = 100
 """Blocks after which a model that had no beam among them has none."""
 _ANGLE = 0.1
 """Sine of the angle from which two beams that meet at a node do not go on straight."""
-Point = tuple[float, float, float]
 _SKEW = np.array(
     [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]]
 )
