@@ -13,7 +13,6 @@ from calib.measurement.modal import MeasuredModes
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.results.written import is_own
-from calib.structure.effects.composed import OF_MATRICES
 from calib.structure.effects.extend import extend
 from calib.structure.effects.perturbations import Perturbation, accelerometers, perturbations
 from calib.structure.located import placed_sensors
@@ -70,6 +69,8 @@ def effects_basis(
     not modes with each. The folder holds one such basis. ``base`` returns a basis of the model alone; by default that
     of the cache. EvaluationError when the model cannot be solved at some training point.
     """
+    from calib.structure.effects.composed import OF_MATRICES  # where a basis is trained
+
     own = wanted.key(model, space)
     whole = extend(model, [*effects, *(one.effect for one in local)])
     solved = [e for e in effects if e.grid or not isinstance(e.build, OF_MATRICES)]

@@ -90,7 +90,7 @@ def test_every_kind_of_composition_is_written_as_it_is_built():
     every = {c.kind: c for c in (*own.plain, *own.mounts, *(one.composed for one in own.hung))}
     assert set(every) == {
         "stiffness", "damping", "mass", "dissipation", "damper mount", "added mass", "hung mass", "spring to ground",
-        "damper to ground", "spring between", "damper between",
+        "damper to ground", "spring between", "damper between", "soft support",
     }  # fmt: skip
     proposals = [Proposal(c, _Fitted(c), 1.0, 1.0, 1) for c in every.values()]
     scope = {}
