@@ -93,7 +93,7 @@ ACCURACY = {  # of solutions, reduced bases and differences, which are checked a
 
 EFFORT = {  # of iterations and searches that end by themselves, and of quick runs, which say that they are quick
     "structure/effects/compositions.py": "MODES RIGID _DIGITS",
-    "structure/effects/rigid_joints.py": "_HELD _SYMMETRIC _ANGLE _TRIED",
+    "structure/effects/rigid_joints.py": "_HELD _SYMMETRIC _ANGLE _TRIED _MOST",
     "hypotheses/linear_start.py": "EQUATION_ERROR LEVEL ROUNDS",
     "hypotheses/design/imagined.py": "_TRIES",
     "analyses/provenance/places.py": "QUICK_SAMPLES QUICK_POPULATION QUICK_GENERATIONS QUICK_STARTS "

@@ -1,6 +1,7 @@
 """Supports and ends of beams in matrices that name none: where they are, and what a flexibility in series does."""
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -18,6 +19,7 @@ from models.fem import beam, thin_plate
 from models.fem.nodes import assemble
 from models.fem.section import Section
 
+EXPORTS = Path(__file__).parents[1] / "imports" / "exports"
 SECTION = Section(area=4e-3, i_y=3e-6, i_z=8e-6, torsion=5e-6)
 LEG, SPAN, CELLS = 2.0, 3.0, 4
 FEET = ((0.0, 0.0, 0.0), (SPAN, 0.0, 0.0))
@@ -66,6 +68,15 @@ def test_the_free_rotations_of_pinned_feet_are_not_resisted():
     found = sorted(supports(model, {}), key=lambda one: one.place)
     assert [one.directions for one in found] == [(0, 1, 2)] * 2
     np.testing.assert_allclose([one.place for one in found], FEET, atol=1e-9)
+
+
+def test_rows_of_the_code_s_own_do_not_hide_the_clamped_face_of_a_solid():
+    """Eight-node solids of CalculiX with incompatible modes, clamped at x = 0; 60 by 10 by 5 mm."""
+    found = calib.import_matrices(EXPORTS / "solid.sti", units="mm-t-N")
+    (face,) = supports(found.model, {})
+    assert sorted(found.model.labels[n] for n in face.nodes) == [5, 6, 7, 8]
+    np.testing.assert_allclose(face.place, (0.0, 0.005, 0.0025), atol=2e-3)
+    assert face.directions == (0, 1, 2, 3, 4, 5)
 
 
 def test_a_free_structure_and_one_that_is_not_placed_have_none():

@@ -23,6 +23,8 @@ _SYMMETRIC = 1e-4
 """Asymmetry of what a beam has on the diagonal, over its entries, from which it is none."""
 _TRIED = 100
 """Blocks after which a model that had no beam among them has none."""
+_MOST = 0.5
+"""Share of the nodes that supports may hold in a model with rows of no node."""
 _ANGLE = 0.1
 """Sine of the angle from which two beams that meet at a node do not go on straight."""
 _SKEW = np.array(
@@ -93,25 +95,29 @@ def supports(model: StructuralModel, values: Mapping[str, float]) -> Iterator[Ri
     A row of K without supports gives no force where the whole moves as a rigid body; next to a support it does,
     whatever its own rows were. Neighbouring rows that do belong to one support. Its place is that of nodes of which
     some motions are suppressed, else as far beyond the point where it resists translations without a moment as that
-    lies from its nodes: the end of a clamped beam, the node of a spring to the ground.
+    lies from its nodes: the end of a clamped beam, the node of a spring to the ground. Rows of no node, such as
+    incompatible modes of solids, stay at rest where the whole moves; where that meets forces at most nodes, they are
+    rows of another kind, and no support is known.
     """
-    found = _stiffness(model, values)
+    found = _stiffness(model, values, internal=True)
     if found is None:
         return
     stiffness, terms, si = found
-    points = model.mesh.points
+    points, node = model.mesh.points, model.dofs.node
     rigid = _rigid(model, points.mean(axis=0))
     rows = np.flatnonzero(_resisted(stiffness, rigid).any(axis=1))
-    of_node = sp.csr_array(
-        (np.ones(len(rows)), (np.arange(len(rows)), model.dofs.node[rows])), (len(rows), len(points))
-    )
+    placed = np.flatnonzero(node[rows] >= 0)
+    if (node < 0).any() and len(np.unique(node[rows[placed]])) > _MOST * len(points):
+        return
+    of_node = sp.csr_array((np.ones(len(placed)), (placed, node[rows[placed]])), (len(rows), len(points)))
     beside = sp.csr_array(stiffness[rows][:, rows])
     beside.data = np.abs(beside.data)
     beside.eliminate_zeros()
     joined = beside + of_node @ of_node.T
     count, group = connected_components(joined, directed=False) if len(rows) else (0, np.zeros(0))
     for k in range(count):
-        yield _support(model, stiffness, rows[group == k], terms, si)
+        if (node[rows[group == k]] >= 0).any():
+            yield _support(model, stiffness, rows[group == k], terms, si)
 
 
 def member_ends(model: StructuralModel, values: Mapping[str, float], at: Point | None = None) -> Iterator[RigidJoint]:
@@ -219,7 +225,7 @@ def _support(
     model: StructuralModel, stiffness: sp.csr_array, rows: np.ndarray, terms: Sequence[Term], si: Mapping[str, float]
 ) -> RigidJoint:
     """The support that holds these rows."""
-    nodes = np.unique(model.dofs.node[rows])
+    nodes = np.unique(model.dofs.node[rows][model.dofs.node[rows] >= 0])
     per_node = np.bincount(model.dofs.node[model.dofs.node >= 0])[nodes]
     points = model.mesh.points[nodes]
     kept = np.zeros((model.n_dof, 1))
@@ -244,16 +250,17 @@ def _support(
 
 
 def _stiffness(
-    model: StructuralModel, values: Mapping[str, float]
+    model: StructuralModel, values: Mapping[str, float], internal: bool = False
 ) -> tuple[sp.csr_array, list[Term], dict[str, float]] | None:
     """K at named values with its terms and the values in SI.
 
-    None where degrees of freedom are not the motions of placed nodes by which they are named, and where parameters
-    place supports.
+    None where degrees of freedom are not the motions of placed nodes by which they are named, those of no node excepted
+    where `internal` ones are allowed, and where parameters place supports.
     """
     expansion, si = sp.csr_array(model.dofs.expansion), model.space.si(model.space.complete(values))
     terms = [t for t in model.stiffness.terms if isinstance(t.coefficient, Monomial) and t.coefficient(si)]
-    named = not (model.dofs.node < 0).any() and expansion.nnz == model.n_dof and np.all(expansion.data == 1)
+    inside = int((model.dofs.node < 0).sum())
+    named = expansion.nnz == model.n_dof - inside and np.all(expansion.data == 1) and (internal or not inside)
     if not named or not model.mesh.placed.all() or not terms or model.stiffness.selected:
         return None
     first, *more = (t.coefficient(si) * sp.csr_array(t.matrix) for t in terms)
@@ -274,11 +281,11 @@ def _resisted(stiffness: sp.csr_array, rigid: np.ndarray) -> np.ndarray:
 def _rigid(model: StructuralModel, about: np.ndarray) -> np.ndarray:
     """Motions of the degrees of freedom as a rigid body, translations and rotations about a place, (n_dof, 6)."""
     node, direction = model.dofs.node, model.dofs.direction
-    away = model.mesh.points[node] - about
+    away = np.where(node[:, None] >= 0, model.mesh.points[node], about) - about
     out = np.zeros((model.n_dof, 6))
     turned = np.einsum("kij,nj->nik", _SKEW, away)  # e_k x (point - place), (n_dof, 3, axis)
-    moves = direction < 3
+    moves, turns = (node >= 0) & (direction < 3), (node >= 0) & (direction >= 3)
     out[moves, direction[moves]] = 1.0
     out[moves, 3:] = turned[moves, direction[moves]]
-    out[~moves, direction[~moves]] = 1.0
+    out[turns, direction[turns]] = 1.0
     return out
