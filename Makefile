@@ -13,6 +13,7 @@ TEST_WORKERS ?= 2
 TOGETHER := -n $(TEST_WORKERS) --dist loadgroup
 STUDIES := studies/four_storey_rig studies/bogie studies/hidden_bogie
 # What `make run` shows: the bogies with small searches; the full ones take several minutes each.
+FIRST := results/hidden_bogie/quick
 SHOWN := studies/four_storey_rig 'studies/bogie --quick' 'studies/hidden_bogie --quick'
 ONE_BLAS_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # Compiled tests are kept whatever the shell says: or every process compiles all of them and all of calib anew.
@@ -48,10 +49,10 @@ venv: $(VENV)/.installed
 venv-dev: $(VENV)/.installed-dev
 
 run: $(VENV)/.installed
-	@touch $(VENV)/.run-begun
 	@set -e; for study in $(SHOWN); do echo "calib run $$study"; $(BIN)/calib run $$study; done
-	@echo; echo 'Figures and reports:'; find results \( -name '*.png' -o -name report.html \) -newer $(VENV)/.run-begun | sort
-	@echo; echo 'Worst errors of studies/hidden_bogie, without and with what its model lacks:'; $(BIN)/python docs/figures.py --only hidden_bogie --of quick --into results
+	@echo; $(BIN)/python -c 'import json; told = json.load(open("$(FIRST)/record.json", encoding="utf-8")); \
+	    print("\n".join(told["analyses"]["explain"]["answer"].values()))'
+	@echo; echo 'The picture of it: $(FIRST)/answer.png'; echo 'Open this page:    $(FIRST)/report.html'
 
 test: $(VENV)/.installed-dev
 	$(ONE_BLAS_THREAD) $(KEPT_BYTECODE) $(BIN)/python -m pytest $(TOGETHER) $(PYTEST_ARGS)

@@ -18,10 +18,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 from PIL import Image
 
-from calib.report.comparison import draw_worst
 from calib.report.figures import Figures
 from calib.report.style import DPI, add_heading, legend_above, style, take_dollars_literally
 from calib.report.tables import read_results
+from calib.report.worst import draw_worst
 from calib.study.loading import module_of
 
 HERE = Path(__file__).resolve().parent
@@ -48,6 +48,7 @@ FIGURES = {
     "bogie_comparison": Shown("bogie", "comparison"),
     "bogie_mode_shapes": Shown("bogie", "mode_shapes_after"),
     "bogie_parameters": Shown("bogie", "parameters"),
+    "hidden_bogie": Shown("hidden_bogie", "answer"),
     "hidden_misfit": Shown("hidden_bogie", "sensor_misfit"),
     "hidden_effects": Shown("hidden_bogie", "ranked_effects"),
     "hidden_why": Shown("hidden_bogie", "why_this_effect"),
@@ -76,6 +77,8 @@ FIGURES = {
     "tire_times": Shown("tire_contact_article", "times"),
     "tire_effects": Shown("hidden_tire", "ranked_effects"),
 }
+WORST = "hidden_worst"
+"""The figure of two studies: that of the bogie, without and with what it lacks."""
 SCRIPTS = {
     "solar_panel_article": HERE.parent / "studies/solar_panel/article_figures.py",
     "tire_contact_article": HERE.parent / "studies/tire_contact/article_figures.py",
@@ -89,11 +92,10 @@ def main() -> None:
     arguments.add_argument("--results", type=Path, default=Path("results"), help="where the studies' results are")
     arguments.add_argument("--into", type=Path, default=HERE / "figures", help="where the figures go")
     arguments.add_argument("--only", metavar="NAME", help="one figure, which must be drawn")
-    arguments.add_argument("--of", default="", metavar="PART", help="for hidden_bogie: 'quick' for the quick runs")
     given = arguments.parse_args()
     given.into.mkdir(parents=True, exist_ok=True)
-    both = [given.results / name / given.of for name in ("hidden_bogie", "hidden_bogie_extended")]
-    drawn = {"hidden_bogie": lambda: before_and_after(*both)}
+    both = [given.results / name for name in ("hidden_bogie", "hidden_bogie_extended")]
+    drawn = {WORST: lambda: before_and_after(*both)}
     drawn |= {name: partial(of_folder, given.results / shown.folder, shown.name) for name, shown in FIGURES.items()}
     if given.only is not None and given.only not in drawn:
         arguments.error(f"there is no figure {given.only!r}")

@@ -163,6 +163,8 @@ SPEED = {  # memory, time, processes; results are the same
 }
 
 WORDS = {  # lengths of lists and lines, and the levels that sentences and tables state
+    "missing/reservations.py": "_LISTED",
+    "missing/test_order.py": "_BAND _HAMMER _LEAST_REPEATS _LINES _NARROW",
     "analyses/answers.py": "NAMED",
     "problem/space.py": "DECADES",
     "analyses/failures.py": "SHOWN",

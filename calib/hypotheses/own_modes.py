@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -11,6 +11,7 @@ from calib.correlation.modal.comparison import Comparison
 from calib.hypotheses.rules import RULES
 from calib.problem.effect import Effect
 from calib.structure.effects.extend import addition_of
+from calib.structure.model import StructuralModel
 from calib.study.loading import Model
 
 COLUMNS = ("effect", "model_mode", "natural_freq", "share", "paired")
@@ -38,19 +39,43 @@ def own_modes(base: Model, effects: Sequence[Effect], found: Comparison) -> pd.D
     model, own, rows = found.model.reducible, base.reducible, []
     if own is None or model is None:
         return pd.DataFrame(columns=list(COLUMNS))
-    shapes = found.modes.shapes
-    energy = np.real(np.conj(shapes) * (model.matrices(found.values)[2] @ shapes))
     paired = {int(found.pairing.model_index[i]): found.measured.names[i] for i in found.pairing.paired}
-    first = own.n_dof
-    for effect in effects:
-        last = first + addition_of(own, effect).n_added
-        share = energy[first:last].sum(axis=0) / energy.sum(axis=0)
+    for name, share in added_shares(own, effects, model, found.values, found.modes.shapes).items():
         rows += [
-            (effect.name, j + 1, float(found.modes.natural_freq[j]), float(share[j]), paired.get(j, ""))
+            (name, j + 1, float(found.modes.natural_freq[j]), float(share[j]), paired.get(j, ""))
             for j in np.flatnonzero(share > RULES.own_mode).tolist()
         ]
-        first = last
     return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def added_shares(
+    base: StructuralModel,
+    effects: Sequence[Effect],
+    model: StructuralModel,
+    values: Mapping[str, float],
+    shapes: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """Share of the kinetic energy of each mode in the degrees of freedom that each effect adds, (n_modes,), by name.
+
+    Parameters
+    ----------
+    base : StructuralModel
+        Without the effects.
+    effects : sequence of Effect
+        In the order in which the extended model has them, after all others.
+    model : StructuralModel
+        The extended model.
+    values : mapping from str to float
+    shapes : ndarray (n_dof, n_modes)
+        Of the extended model.
+    """
+    energy = np.real(np.conj(shapes) * (model.matrices(values)[2] @ shapes))
+    out, first = {}, base.n_dof
+    for effect in effects:
+        last = first + addition_of(base, effect).n_added
+        out[effect.name] = energy[first:last].sum(axis=0) / energy.sum(axis=0)
+        first = last
+    return out
 
 
 def own_modes_sentence(table: pd.DataFrame) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as la
@@ -15,6 +16,30 @@ _TESTS = 200
 """Simulated measurements per posterior sample: the standard error of the mean is 7 % of the spread due to noise."""
 EIGHT_OF_TEN = (0.1, 0.9)
 """Quantile levels between which eight of ten cases lie."""
+
+
+class Excitation(NamedTuple):
+    """How a mode is best excited.
+
+    Attributes
+    ----------
+    at : tuple of float
+        Place, m.
+    direction : str
+        ``x``, ``y`` or ``z``.
+    freq : float
+        Its natural frequency, Hz.
+    damping : float
+        Its damping ratio.
+    hung : str
+        Effect whose added degrees of freedom the mode moves most; empty for a mode of the structure.
+    """
+
+    at: tuple[float, float, float]
+    direction: str
+    freq: float
+    damping: float
+    hung: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +57,8 @@ class CandidateMeasurement:
         Factor on the standard deviation of all rows, such as ``1/sqrt(2)`` for twice the repeats.
     prior_sd : mapping from str to float
         Standard deviations of parameters after a bench test of a component.
+    excitation : Excitation or None
+        Of a further mode.
     """
 
     name: str
@@ -39,6 +66,7 @@ class CandidateMeasurement:
     rows: np.ndarray | None = None
     scale: float = 1.0
     prior_sd: Mapping[str, float] = field(default_factory=dict)
+    excitation: Excitation | None = None
 
 
 def at_effect(name: str) -> str:

@@ -36,6 +36,7 @@ from calib.missing.pattern import BY_TEST, parameter_table, pattern_table, place
 from calib.missing.profile import profile_interval
 from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
 from calib.missing.recommendation import Interval, Recommendation, recommend, recommendation
+from calib.missing.reservations import Reservation, reservations
 from calib.missing.steps_table import step_fits, steps_tables
 from calib.missing.suspect import suspect_sentence
 from calib.missing.tables import (
@@ -47,6 +48,8 @@ from calib.missing.tables import (
     perturbations_table,
     pull_table,
 )
+from calib.missing.test_order import TABLE as TEST_ORDER
+from calib.missing.test_order import test_order
 from calib.missing.verdict import NO_DOUBTS, Doubts, verdict_of
 from calib.missing.verdict_words import elsewhere, limits_sentence
 from calib.problem.joint import TEST
@@ -79,6 +82,8 @@ class ExplanationResult:
         Tracebacks of the commonest failures in the user's code.
     richer : tuple of DetailedFit
         More detailed forms of the effect that nearly explains the data, from simple to detailed.
+    doubts : tuple of Reservation
+        What speaks against what is named, and how to check it.
     """
 
     explanation: Explanation
@@ -92,6 +97,7 @@ class ExplanationResult:
     seconds: float
     traces: tuple[str, ...] = ()
     richer: tuple[DetailedFit, ...] = ()
+    doubts: tuple[Reservation, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -143,7 +149,7 @@ def findings(
     )
     progress("what to measure next")
     examined = adapter.hypotheses.evaluations
-    next_table, advised = _next(adapter, found, effects, progress)
+    next_tables, advised = _next(adapter, found, effects, progress)
     # Evaluations for intervals and recommendation are counted apart from those of the decision.
     recommended = adapter.hypotheses.evaluations
     progress("discretisation error")
@@ -159,17 +165,10 @@ def findings(
     of_test = adapter.tables(_stages(found))
     acting = _acting(found, of_test)
     remainder = remainder_of(found, places, acting, labels["mode"].tolist())
+    pointed = elsewhere(found, places, acting)
     verdict = verdict_of(
-        found,
-        effects,
-        errors,
-        advised,
-        facts.disagreements,
-        facts.assumed,
-        supposed,
-        elsewhere(found, places, acting),
-        doubts,
-    )
+        found, effects, errors, advised, facts.disagreements, facts.assumed, supposed, pointed, doubts
+    )  # fmt: skip
     at_limits = limits_sentence(found)
     added = (
         at_limits,
@@ -207,7 +206,7 @@ def findings(
         "pulls": pull_table(found),
         "misfit_kinds": misfit_table(found),
         "candidate_fits": candidate_fits_table(found),
-        "next_measurement": next_table,
+        **next_tables,
         "accuracy": accuracy,
         **({} if by_kind is None else {ACCURACY_BY_KIND: by_kind.table}),
         "suspects_explained": found.suspects,
@@ -227,6 +226,7 @@ def findings(
         found, answer, tuple(sentences), tuple(notes), effects,
         errors.assign(std_from="assumed" if facts.assumed else "stated"), tables, figures,
         time.perf_counter() - started, richer=detailed,
+        doubts=reservations(found, effects, pointed, facts.assumed),
     )  # fmt: skip
 
 
@@ -301,12 +301,12 @@ def _confirmed(adapter: Adapter, found: Explanation) -> tuple[Explanation, pd.Da
 
 def _next(
     adapter: Adapter, found: Explanation, effects: pd.DataFrame, progress: Progress
-) -> tuple[pd.DataFrame, Recommendation | None]:
-    """The recommended next measurement, as a table and in words."""
+) -> tuple[dict[str, pd.DataFrame], Recommendation | None]:
+    """The recommended next measurement, as tables and in words: gains of all candidates, and a test order."""
     # A measurement with faults is corrected first: what to measure beside it is asked of the corrected one.
     design = None if found.granted else adapter.design(found, progress)
     if design is None:
-        return pd.DataFrame(columns=[*RECOMMENDATION_COLUMNS, "told"]), None
+        return {"next_measurement": pd.DataFrame(columns=[*RECOMMENDATION_COLUMNS, "told"])}, None
     table = recommend(design)
     pair = None if design.competing is None else design.competing.names
     unseen = effects.loc[~effects["visible"].astype(bool), "name"].tolist()
@@ -319,4 +319,6 @@ def _next(
         str(r["name"]): Interval(float(r["magnitude_low"]), float(r["magnitude_high"]), str(r["unit"])) for r in rows
     }
     told = (pair[0],) if pair is not None else named or unseen
-    return table.assign(told=table["effect"].isin(told)), recommendation(table, pair, unseen, named, intervals)
+    order = test_order(table, design, told, intervals)
+    tables = {"next_measurement": table.assign(told=table["effect"].isin(told)), TEST_ORDER: order}
+    return tables, recommendation(table, pair, unseen, named, intervals)

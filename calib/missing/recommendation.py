@@ -75,6 +75,10 @@ class ExperimentalDesign:
         At posterior samples.
     competing : CompetingModels or None
         Two indistinguishable models.
+    repeats : int
+        Of the measurement that there is.
+    band : (float, float)
+        Frequencies between which it was measured, Hz; NaN where there are none.
     """
 
     effects: tuple[str, ...]
@@ -82,6 +86,8 @@ class ExperimentalDesign:
     measurements: tuple[CandidateMeasurement, ...]
     linearisations: tuple[Linearisation, ...]
     competing: CompetingModels | None = None
+    repeats: int = 1
+    band: tuple[float, float] = (math.nan, math.nan)
 
     def sizes(self, measurement: CandidateMeasurement | None) -> np.ndarray:
         """Lengths of the projected signatures, (n_linearisations, m): expected scores of unit magnitudes."""

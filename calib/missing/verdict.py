@@ -21,7 +21,7 @@ _REPEATS = 3
 """Largest number of repeats named in a sentence."""
 
 
-_OUTSIDE = "An effect outside the library cannot be excluded."
+_OUTSIDE = "A cause that is not listed cannot be ruled out."
 
 
 class Doubts(NamedTuple):

@@ -254,7 +254,7 @@ def elsewhere(
     known = [distance for distance in away.values() if math.isfinite(distance)]
     if not known or not away[best] > min(known):
         return ""
-    return f"The place is the library's; the data point most to {best}."
+    return f"That place comes from the list of causes; the data alone point most to {best}, {away[best]:.2g} m away."
 
 
 def as_it_is(effects: Sequence[Candidate]) -> str:

@@ -11,7 +11,7 @@ import pandas as pd
 
 from calib.errors.errors import InputError
 from calib.report.calibration import MOST_ENDS, draw_convergence, draw_searches, ends_figure, search_runs
-from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix, draw_worst
+from calib.report.comparison import comparison_figure, draw_comac, draw_mac_matrix
 from calib.report.correlation import INDUCED, INPUTS, MOST_IN_MATRIX, POSTERIOR, STRONG, draw_correlation
 from calib.report.drawing import Drawing, bound, existing
 from calib.report.explanation_plan import plan_explanation
@@ -31,6 +31,7 @@ from calib.report.sensitivity import MEASURES, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
 from calib.report.style import stage_words
 from calib.report.tables import Folder, kind_of, read_results, read_square, read_stages
+from calib.report.worst import draw_worst
 from calib.results.json_file import read_json
 
 _MATRICES: dict[str, tuple[str, dict[str, Any]]] = {

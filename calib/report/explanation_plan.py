@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from calib.report.answer import AnsweredPlace, answer_figure, answered_place
 from calib.report.drawing import Drawing, bound, existing
 from calib.report.explanation import draw_confounding, ranked_effects_figure
 from calib.report.frf import draw_frf_misfit
 from calib.report.mesh import rest_lines
 from calib.report.misfit import draw_pulls, draw_suspects, where_it_fails_figure
+from calib.report.numbers import significant, with_unit
 from calib.report.predictions import NUMBERS, draw_predictions
 from calib.report.proposals import placed_proposals, proposals_figure
 from calib.report.responses import draw_response_misfit
@@ -47,6 +49,8 @@ def plan_explanation(folder: Folder) -> Iterator[Drawing]:
     name = more[0] if len(more) == 1 else ""
     attempt = any(t is not None and (t["stage"] == "attempt").any() for t in (kinds, errors))
     rest = rest_lines(folder)
+    if rest is not None:
+        yield from _answer(folder, rest, errors, attempt)
     yield from _misfits(folder, kinds, rest, name)
     yield from _suspects(folder)
     if pulls is not None:
@@ -119,6 +123,48 @@ def _misfits(folder: Folder, kinds: pd.DataFrame | None, rest: np.ndarray | None
         caption = "scores of local perturbations: places to inspect, not causes"
         draw = bound(perturbation_map_figure, perturbations, rest)
         yield Drawing("perturbation_map", caption, draw, ("perturbations",))
+
+
+_SIZES = ["magnitude", "magnitude_low", "magnitude_high"]
+
+
+def sizes(effects: pd.DataFrame, names: Sequence[str]) -> dict[str, str]:
+    """Fitted magnitude of each of these effects with its 95 % interval, in words, by name."""
+    rows = effects[effects["name"].isin(list(names)) & effects["magnitude"].notna()]
+    return {
+        str(
+            r["name"]
+        ): f"{with_unit(r['magnitude'], str(r['unit']), 2)} (95 %: {significant(r['magnitude_low'], 2)} to "
+        f"{significant(r['magnitude_high'], 2)})"
+        for r in rows.to_dict("records")
+    }
+
+
+def read_place(folder: Folder, attempt: bool) -> AnsweredPlace | None:
+    """Where the explanation in a folder points; of an ``attempt`` that is not believed, where the data alone do."""
+    sensors = _read(folder, "sensors", ["sensor"], [*PLACE])
+    why = None if attempt else _read(folder, "why", ["effect"], ["signature"], blank=["sensor"])
+    acts = _read(folder, "effect_places", ["effect"], [*PLACE])
+    local = _read(folder, "perturbations", ["perturbation"], [*PLACE, "score", "limit"], blank=["sensor"])
+    return answered_place(sensors, acts, why, local)
+
+
+def _answer(folder: Folder, rest: np.ndarray, errors: pd.DataFrame | None, attempt: bool) -> Iterator[Drawing]:
+    """The place, and an error without and with what is named there."""
+    found = read_place(folder, attempt)
+    if found is None:
+        return
+    sensors = _read(folder, "sensors", ["sensor"], [*PLACE])
+    both = _read(folder, "added_errors", ["group", "stage"], ["rms", "expected"])
+    why = None if attempt else _read(folder, "why", ["effect"], [])
+    what = "" if why is None else " and ".join(dict.fromkeys(why["effect"])).replace("_", " ")
+    effects = _read(folder, "effects", ["name"], _SIZES, blank=["unit"])
+    size = "" if effects is None or why is None else "; ".join(sizes(effects, list(why["effect"].unique())).values())
+    shown = None if attempt else errors if both is None else both
+    draw = bound(answer_figure, rest, found, what, size, sensors, shown)
+    named = ["sensors", "effect_places", "why", "perturbations", "effects", "errors", "added_errors"]
+    tables = existing(folder, named)
+    yield Drawing("answer", f"where to look for the {what}" if len(found.acts) else "where to look", draw, tables)
 
 
 def _suspects(folder: Folder) -> Iterator[Drawing]:

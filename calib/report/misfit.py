@@ -179,7 +179,8 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
         y = np.arange(len(names)) + (k - (len(models) - 1) / 2) * step
         shift = rows["standardised"].to_numpy(dtype=float)
         is_attempt = attempt and model != "base"
-        label = style.added("base" if model == "base" else "attempt" if is_attempt else "explained", model)
+        stage = "base" if model == "base" else "attempt" if is_attempt else "explained"
+        label = style.added(stage, "" if model == "base" else model)
         looks: dict[str, Any] = (
             {"color": style.GREY, "markerfacecolor": "white"} if is_attempt else {"color": _COLOURS[k % len(_COLOURS)]}
         )

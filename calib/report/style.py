@@ -150,9 +150,9 @@ def stage_words(stage: str, effects: str = "") -> str:
 
 
 def added(stage: str, name: str = "") -> str:
-    """Describe a fit of an explanation: ``base``, or by the effects added to the base model, where known."""
+    """Describe a fit of an explanation: ``base``, or by the effects added to the model as it is, where known."""
     if stage == "base":
-        return "base model, calibrated"
+        return f"without {name}, calibrated" if name else "model as it is, calibrated"
     if stage == "attempt":
         return f"with {name}: best attempt, not believed" if name else "with the best attempt, not believed"
     return f"with {name or 'the missing effect'}, calibrated"

@@ -42,6 +42,10 @@ _KINDS = {
 }
 STEP_ERRORS = "error_by_step"
 """Name of the figure of `draw_error_steps`."""
+WORTHWHILE = 1.2
+"""Gain from which a measurement is recommended."""
+_MEASURED = ", held out so far"
+"""End of the name of a measurement that there is already."""
 _RANGE = 20.0
 """Ratio of the largest to the smallest error above which the axis is logarithmic."""
 _SHOWN = 10
@@ -191,12 +195,17 @@ def draw_error_versions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
 def best_candidates(table: pd.DataFrame, count: int = _SHOWN) -> pd.DataFrame:
     """Return the best candidate measurements, best first, each with the effect whose score it raises most.
 
-    They are those for the effects that the recommendation is about, where a column ``told`` says which these are. They
-    are ranked by ``ln_bayes`` where any is known, otherwise by ``gain``.
+    They are those for the effects that the recommendation is about, where a column ``told`` says which these are, and
+    of these what is not measured yet and worthwhile, where anything is. They are ranked by ``ln_bayes`` where any is
+    known, otherwise by ``gain``.
     """
+    new = table[~table["measurement"].astype(str).str.endswith(_MEASURED)]
+    table = new if len(new) else table
     if "told" in table and (about := table["told"].fillna(False).astype(bool)).any():
         table = table[about]
     key = ["ln_bayes", "gain"] if table["ln_bayes"].notna().any() else ["gain"]
+    worthwhile = table[table[key[0]] >= (WORTHWHILE if key[0] == "gain" else LEAST_BAYES_FACTOR)]
+    table = worthwhile if len(worthwhile) else table
     rows = table.sort_values("gain", ascending=False, kind="stable").drop_duplicates("measurement")
     return rows.sort_values(key, ascending=False, kind="stable", ignore_index=True).head(count)
 

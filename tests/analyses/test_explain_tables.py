@@ -21,6 +21,7 @@ COMMON = {"faults", "effects", "errors", "perturbations", "confounding", "pulls"
           "next_measurement", "accuracy", "explained_fits", "suspects_explained", "why", "why_parameters",
           "why_places"}  # fmt: skip
 MODAL = COMMON | {
+    "test_order",
     "sensor_misfit",
     "unpaired",
     "mesh_points",

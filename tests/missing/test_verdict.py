@@ -86,7 +86,7 @@ def test_the_recommendation_is_stated_where_it_applies(cases, verdict):
 
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_the_warning_about_the_library_follows_a_named_effect(cases, verdict):
-    warned = "outside the library" in text_of(cases[verdict])
+    warned = "A cause that is not listed" in text_of(cases[verdict])
     assert warned == (verdict in ("effect", "indistinguishable", "two_effects", "several_effects", "partial"))
 
 

@@ -54,7 +54,7 @@ def test_the_explained_model_stands_beside_the_base_model(kinds):
     figure = where_it_fails_figure(kinds)
     panels = [ax for ax in figure.axes if ax.images]
     assert [ax.get_title(loc="left") or ax.get_title() for ax in panels[:2]] == [
-        "base model, calibrated",
+        "model as it is, calibrated",
         "with the missing effect, calibrated",
     ]
     words, colours = cells(panels[1], names=panels[0])
@@ -147,7 +147,7 @@ def test_values_stand_beside_the_dots_with_their_unit(pulls):
 
 def test_the_legend_has_an_entry_for_what_is_drawn(pulls):
     words = [t.get_text() for t in draw_pulls(pulls).get_legend().get_texts()]
-    assert words == ["base model, calibrated", "with arb + seats, calibrated", "limit ± 2.50", "pulled"]
+    assert words == ["model as it is, calibrated", "with arb + seats, calibrated", "limit ± 2.50", "pulled"]
     calm = pulls[pulls["model"] != "base"].assign(limit=np.nan)
     assert [t.get_text() for t in draw_pulls(calm).get_legend().get_texts()] == ["with arb + seats, calibrated"]
 
@@ -157,7 +157,7 @@ def test_the_dots_of_an_attempt_are_hollow_and_grey(pulls):
     looks = {x.get_gid(): (x.get_color(), x.get_markerfacecolor()) for x in ax.lines}
     assert looks["shift arb + seats"] == (GREY, "white") and GREY not in looks["shift base"]
     words = [t.get_text() for t in ax.get_legend().get_texts()]
-    assert words[:2] == ["base model, calibrated", "with arb + seats: best attempt, not believed"]
+    assert words[:2] == ["model as it is, calibrated", "with arb + seats: best attempt, not believed"]
 
 
 def test_no_parameter(pulls):

@@ -1,7 +1,7 @@
 import numpy as np
 import pandas as pd
 
-from calib.report.comparison import draw_worst
+from calib.report.worst import draw_worst
 
 
 def table(**sizes):
@@ -46,3 +46,19 @@ def test_the_dashed_line_is_in_the_legend():
     (line,) = [line for line in ax.lines if line.get_gid() == "noise"]
     assert line.get_xdata()[0] == 1.0
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["before calibration", line.get_label()]
+
+
+def test_what_has_grown_beyond_the_noise_is_shown_however_small_it_was():
+    """The worst first, then below a line the largest of what the last stage has made worse."""
+    many = {f"M{k:02d}": 30.0 - k for k in range(20)}
+    before = table(**many, A=0.9, B=0.8, C=0.1, D=0.7)
+    after = table(**dict.fromkeys(many, 0.5), A=1.7, B=2.5, C=0.9, D=0.6)
+    ax = draw_worst(before, after)
+    names = [label.get_text() for label in ax.get_yticklabels()]
+    assert names[:2] == ["frequency M00", "frequency M01"] and names[-2:] == ["frequency B", "frequency A"]
+    (line,) = [line for line in ax.lines if line.get_gid() == "grown"]
+    assert names[int(line.get_ydata()[0] + 0.5)] == "frequency B"
+    drawn = draw_worst(table(A=2.0, B=3.0), table(A=1.5, B=1.0), added=table(A=1.8, B=0.5)).collections[0]
+    colours = {tuple(colour) for colour in drawn.get_colors()}
+    assert len(colours) == 2  # A has grown from the second stage to the third, though not from the first
+    assert not any(line.get_gid() == "grown" for line in draw_worst(table(A=2.0), table(A=3.0)).lines)

@@ -62,7 +62,7 @@ _CALIBRATED = ("parameters", "points", "errors_by_case", "suspects_calibrated", 
 EXPLAINED = ("effects", "why", "why_parameters", "why_places", "reduction_by_test", "test_differences",
               "effect_places", "accuracy", "accuracy_by_kind", "explained_fits", "suspects_explained", "faults",
               "perturbations", "confounding", "pulls", "candidate_fits", "misfit_kinds", "sensor_misfit",
-              "response_misfit", "frf_misfit", "unpaired", "errors", "next_measurement", "discretisation",
+              "response_misfit", "frf_misfit", "unpaired", "errors", "next_measurement", "test_order", "discretisation",
               "steps", "steps_errors", "steps_rejected", "unexplained", "unexplained_predictions",
               "unexplained_errors", "richer", "richer_errors", "found_places", "versions")  # fmt: skip
 WRITES: Mapping[str, tuple[str, ...]] = {

@@ -20,6 +20,7 @@ from calib.missing.predictions import ERRORS as ERRORS_WITH
 from calib.missing.predictions import TABLE as PREDICTIONS
 from calib.missing.recommendation import rounded
 from calib.missing.steps_table import STEPS, STEPS_ERRORS
+from calib.missing.test_order import TABLE as TEST_ORDER
 from calib.problem.joint import TEST, of_test
 from calib.results.results import Results
 from calib.study.several import AnyStudy
@@ -51,6 +52,8 @@ def explained_entries(study: AnyStudy, result: ExplanationResult, followed: bool
         *map(Warned, result.notes),
         Words(f"\nVerdict: {result.verdict}"),
         *(Words(sentence) for sentence in result.sentences if sentence not in in_answer),
+        *_order(result),
+        *_doubts(result),
         *map(Words, held_out(study)),
     ]
     effects = count(sum(len(g.names) for g in found.groups), "effect")
@@ -62,6 +65,25 @@ def explained_entries(study: AnyStudy, result: ExplanationResult, followed: bool
         against = "ln Bayes is against the base model, for the plausible size of each effect"
         out.append(Words(f"z is a score, not a probability; {against}."))
     return out
+
+
+def _order(result: ExplanationResult) -> list[Rows]:
+    """What to measure next, as a test order."""
+    table = result.tables.get(TEST_ORDER)
+    if table is None:
+        return []
+    rows = [
+        (f"{r['step']}", r["what"], r["excite"], r["sensors"], r["how"], r["narrows"]) for r in table.to_dict("records")
+    ]
+    heads = ("step", "what", "excite", "sensors", "how", "narrows")
+    return [Rows.of("What to measure next, the cheapest first:", heads, rows, heads)]
+
+
+def _doubts(result: ExplanationResult) -> list[Rows]:
+    """What speaks against what is named, and how to check each."""
+    rows = [(f"{number}", *one) for number, one in enumerate(result.doubts, 1)]
+    heads = ("", "doubt", "how to check it")
+    return [Rows.of("Doubts, and how to check each:", heads, rows, heads, when="verbose")]
 
 
 def _effect(r: Mapping[Any, Any]) -> tuple[str, ...]:

@@ -12,14 +12,19 @@ from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import StandardDeviations
 from calib.hypotheses.design.candidate_places import motion_words, spread_places, where_acting
 from calib.hypotheses.hypotheses import ModelHypotheses
+from calib.hypotheses.own_modes import added_shares
 from calib.hypotheses.rules import RULES
 from calib.measurement.accuracy import Accuracy
-from calib.measurement.modal import MeasuredModes, Sensor
+from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
+from calib.missing.competing import Excitation
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.recommendation import HELD_OUT
 from calib.problem.effect import Effect
 from calib.problem.problem import PairProblem
+from calib.structure.effect_places import effect_places
+from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
+from calib.structure.reduction.reduced import ReducedModel
 
 
 def imagined_measurement(
@@ -86,6 +91,7 @@ class ImaginedMeasurement:
         self.hypotheses, self.found = hypotheses, fit_problem.at(fit.values)
         problem, measured = hypotheses.pair.problem, hypotheses.pair.problem.measured
         self.std = fit_problem.pair.std
+        self.acting = tuple(effect for name in fit.effects for effect in acting if effect.name == name)
         self.sensors = measured.sensors
         index = self.found.pairing.model_index
         self.paired = [int(i) for i in self.found.pairing.paired]
@@ -145,6 +151,36 @@ class ImaginedMeasurement:
             residual = ModalResidual(imagined, floors, factor_sensors=tuple(s.name for s in self.sensors))
             self._fit_problems[effects] = replace(real, pair=residual)
         return self._fit_problems[effects]
+
+    def excitation(self, mode: str) -> Excitation | None:
+        """Where and along which axis one of the further modes moves most; None without a place.
+
+        A mode that moves the added degrees of freedom of an effect most is excited where these hang.
+        """
+        j = self.columns[len(self.paired) + self.more.index(mode)]
+        shape, points = self.found.modes.shapes[:, [j]], self.hypotheses.variants.model.mesh.points
+        size = np.abs(self.found.model.displacement(shape)[:, :, 0])
+        size[~np.isfinite(points).all(axis=1)] = 0.0
+        if not size.any():
+            return None
+        hung, node = self._hung(shape), int(np.argmax(size.max(axis=1)))
+        at = points[node]
+        if hung is not None:
+            at = np.array(effect_places(self.hypotheses.variants.model, hung)[0])
+            node = int(np.nanargmin(np.linalg.norm(points - at, axis=1)))
+        x, y, z = (float(c) for c in at)
+        freq, damping = (float(of[j]) for of in (self.found.modes.natural_freq, self.found.modes.damping_ratio))
+        return Excitation((x, y, z), DIRECTIONS[int(np.argmax(size[node]))], freq, damping, hung.name if hung else "")
+
+    def _hung(self, shape: np.ndarray) -> Effect | None:
+        """The effect whose added degrees of freedom hold most of the kinetic energy of a mode."""
+        base, model = self.hypotheses.variants.model, self.found.model
+        if isinstance(model, ReducedModel):
+            shape, model = model.lift(shape), model.model
+        if not isinstance(base, StructuralModel) or not isinstance(model, StructuralModel):
+            return None
+        shares = added_shares(base, self.acting, model, self.found.values, shape)
+        return next((e for e in self.acting if shares[e.name][0] > RULES.own_mode and effect_places(base, e)), None)
 
     def forget(self) -> None:
         """Drop all cached points."""

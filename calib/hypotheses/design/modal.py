@@ -75,7 +75,11 @@ def modal_design(
     measurements = (
         _options(hypotheses, believed[0].fit, imagined, labels, linearisations, competing) if linearisations else []
     )
-    return ExperimentalDesign(tuple(e.name for e in effects), measured, tuple(measurements), linearisations, competing)
+    known_freq = hypotheses.pair.problem.measured.natural_freq
+    return ExperimentalDesign(
+        tuple(e.name for e in effects), measured, tuple(measurements), linearisations, competing,
+        hypotheses.pair.problem.measured.n_repeats, (float(np.min(known_freq)), float(np.max(known_freq))),
+    )  # fmt: skip
 
 
 def _options(
@@ -90,7 +94,8 @@ def _options(
     here = _rows_of(labels, imagined.modes, known)
     out = [CandidateMeasurement("twice the repeats", "repeats", scale=1 / math.sqrt(2))]
     for mode in imagined.more:
-        out.append(CandidateMeasurement(mode, "mode", rows=_rows_of(labels, {mode}, known)))
+        rows = _rows_of(labels, {mode}, known)
+        out.append(CandidateMeasurement(mode, "mode", rows=rows, excitation=imagined.excitation(mode)))
     for label, sensors in imagined.together.items():
         rows = np.array([row.sensor in sensors and row.mode in imagined.modes for row in labels])
         out.append(CandidateMeasurement(label, "sensor", rows=rows))

@@ -137,6 +137,10 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
     "next_measurement": _columns(
         "measurement kind", f"{_GAINS} chance", unbounded=_GAINS, blank="effect", flags="told", if_there="told"
     ),
+    "test_order": _columns(
+        "kind what how narrows", "step freq_low freq_high resolution repeats gain width_now width_then",
+        blank="excite sensors effect unit",
+    ),
     # verification
     "errors": _ERRORS,
     "added_errors": _ERRORS,

@@ -77,3 +77,8 @@ def worst_sensors(results: StudyResults) -> WorstSensors | None:
     worst = ", ".join(f"{s} {fixed(v, 3)}{' (hardly moves)' if s in still else ''}" for s, v in newest.head(3).items())
     words = f"Dots. The worst sensors, {results.in_words(stage)}: {worst}; the mean is {fixed(newest.mean(), 3)}."
     return WorstSensors(words, bool(still))
+
+
+def is_all(results: StudyResults) -> bool:
+    """Whether nothing was done but a comparison, which then is the answer."""
+    return results.table("parameters") is None and not results.explanation

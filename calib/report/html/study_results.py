@@ -48,11 +48,12 @@ SUMMARY = {"best_case": str, "method": str, **_FIGURES, "cases": {ANY: _FIGURES}
 EXPLANATION = {
     "verdict": str, "sentence": str, "sentences": [str], "notes": [str], "chosen": [str], "credible_set": [str],
     "alpha": float, "p_family": float, "p_fit": float, "adequacy_p_family": float, "adequacy_p_fit": float,
-    "evaluations": float, "errors": {ANY: {"before": float, "after": float}},
+    "evaluations": float, "doubts": [{"doubt": str, "check": str}], "errors": {ANY: {"before": float, "after": float}},
 }  # fmt: skip
 ADDED = {
-    "sentence": str, "conclusion": str, "own": str, "effects": [{"name": str}], "study": str, "mean_freq_error": float,
-    "mean_mac": float,
+    "sentence": str, "conclusion": str, "own": str, "effects": [{"name": str, "title": str}], "study": str,
+    "mean_freq_error": float, "mean_mac": float,
+    "own_modes": [{"effect": str, "natural_freq": float, "share": float, "paired": str}],
 }  # fmt: skip
 PROPOSALS = {"sentences": [str]}
 """Types of the named values that the page reads, by file."""

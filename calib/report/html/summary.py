@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from calib.report.html.answer import first_page, of_extended
 from calib.report.html.effects import ranked_effects
 from calib.report.html.study_results import STAGES, StudyResults
 from calib.report.numbers import fixed, flag, percent, significant, with_unit
@@ -39,6 +40,8 @@ class Summary:
     facts : tuple of (name, formatted number)
     origin : str
         Study, version and time of the last analysis.
+    first : str
+        Address of the page of the study that an extended one comes from; empty without it.
     """
 
     found: str
@@ -46,6 +49,7 @@ class Summary:
     then: str
     facts: tuple[tuple[str, str], ...]
     origin: str = ""
+    first: str = ""
 
 
 def page_summary(results: StudyResults) -> Summary:
@@ -55,7 +59,9 @@ def page_summary(results: StudyResults) -> Summary:
     answer = next(filter(None, map(results.answer, ANSWERING)), None) or _compared(results)
     sure = f"{answer.get('sure', '')} {results.added.get('conclusion', '')}".strip()
     found, sure, then = (w.replace(" -> ", " → ") for w in (answer["found"], sure, answer.get("then", "")))
-    return Summary(found, sure, then, tuple(facts), _origin(results))
+    if added := of_extended(results):
+        found = f"The model now has the {added}. {found}"
+    return Summary(found, sure, then, tuple(facts), _origin(results), first_page(results))
 
 
 def _compared(results: StudyResults) -> dict[str, str]:

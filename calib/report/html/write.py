@@ -18,6 +18,7 @@ from markupsafe import Markup
 from calib.errors.errors import InputError
 from calib.execution.stage import Progress, silent
 from calib.report.html import (
+    answer,
     calibrated,
     comparison,
     effects,
@@ -33,15 +34,17 @@ from calib.report.html.summary import Summary, page_summary
 from calib.results.written import replacing
 
 NAME = "report.html"
+ANSWER = ("stale", "place", "order", "afterwards", "doubts")
+"""The sections that stand first and open: the answer. All others are folded."""
 SECTIONS = (
-    *("stale", "measured", "compared", "fails", "sensitivity", "calibrated", "pulled", "effects", "verdict", "steps"),
+    *(*ANSWER, "measured", "compared", "fails", "sensitivity", "calibrated", "pulled", "effects", "verdict", "steps"),
     *("proposals", "suspect", "added", "next", "errors", "candidate_fits", "assumptions", "versions", "not_run"),
 )
 """The sections in their order on the page, each a template; one without content is omitted."""
 OF_TEST = "test"
 """The section of one of several tests."""
 OF_SEVERAL = (
-    *("stale", "calibrated", "evidence", "pulled", "effects", "verdict", "steps", "proposals", "suspect", "added"),
+    *(*ANSWER, "calibrated", "evidence", "pulled", "effects", "verdict", "steps", "proposals", "suspect", "added"),
     *("next", OF_TEST, "candidate_fits", "assumptions", "versions", "not_run"),
 )
 """Those of several tests together; each test has one."""
@@ -50,8 +53,8 @@ VIEWER = "viewer"
 LONGEST = 12
 """Rows of the longest table that is shown unfolded."""
 ASKED = {
-    "calibrated": calibrated, "comparison": comparison, "effects": effects, "explanation": explanation, "fails": fails,
-    "sensitivity": sensitivity, "space": space, "verified": verified,
+    "answer": answer, "calibrated": calibrated, "comparison": comparison, "effects": effects,
+    "explanation": explanation, "fails": fails, "sensitivity": sensitivity, "space": space, "verified": verified,
 }  # fmt: skip
 """Modules that templates ask for what is computed from the tables."""
 
@@ -66,11 +69,14 @@ class PageSection:
         Identifier in the page, and name of its template.
     title : str
     body : Markup
+    folded : bool
+        Whether it is unfolded on request only.
     """
 
     name: str
     title: str
     body: Markup
+    folded: bool = False
 
 
 @dataclass
@@ -118,7 +124,8 @@ def section(name: str, results: StudyResults, contents: Contents) -> PageSection
     }
     made = templates().get_template(f"section/{name}.html.j2").make_module(values)
     body = Markup(made).strip()
-    return PageSection(results.prefix + name, vars(made)["title"], body) if body else None
+    folded = name not in (*ANSWER, "not_run") and not (name == "compared" and comparison.is_all(results))
+    return PageSection(results.prefix + name, vars(made)["title"], body, folded) if body else None
 
 
 def outline(results: StudyResults) -> Iterator[tuple[StudyResults, str]]:

@@ -14,9 +14,10 @@ from calib.report.html.write import LONGEST, page, sections, write_report
 from tests.report.html.page_blocks import Picture, Table, Viewer, section_blocks
 
 TITLE = "A mast that may lack something"
+OPEN = ["place", "order", "afterwards", "doubts"]
 WHOLE = [
-    "measured", "compared", "fails", "sensitivity", "calibrated", "pulled", "effects", "verdict", "suspect", "added",
-    "next", "errors", "candidate_fits", "assumptions", "versions",
+    *OPEN, "measured", "compared", "fails", "sensitivity", "calibrated", "pulled", "effects", "verdict", "suspect",
+    "added", "next", "errors", "candidate_fits", "assumptions", "versions",
 ]  # fmt: skip
 
 
@@ -33,6 +34,14 @@ def test_the_verdict_and_what_is_synthetic_come_before_any_section(everything, t
     top = reader(text[: text.index("<section")]).text
     assert json.loads((everything / "explanation.json").read_text())["sentences"][0] in top
     assert "Synthetic measurement" in top
+
+
+def test_the_answer_stands_open_and_all_else_is_folded(read, text):
+    folded = [a["id"] for a in read.named("section") if a.get("class") == "folded"]
+    assert folded == [name for name in WHOLE if name not in OPEN]
+    for name in WHOLE:
+        body = text[text.index(f'<section id="{name}"') :]
+        assert body[body.index(">") + 1 :].lstrip().startswith("<details>") == (name in folded), name
 
 
 @pytest.mark.slow
@@ -66,7 +75,8 @@ def test_an_analysis_that_was_not_run_is_omitted_and_its_command_named(folder, g
         for suffix in ("csv", "json"):
             (folder / f"{name}.{suffix}").unlink(missing_ok=True)
     *shown, last = sections(StudyResults(folder, TITLE, True))
-    assert [s.name for s in shown] == [n for n in WHOLE if n != section] and last.name == "not_run"
+    also = ("place", "doubts") if section == "verdict" else ()
+    assert [s.name for s in shown] == [n for n in WHOLE if n not in (section, *also)] and last.name == "not_run"
     assert any(f"{command} mast" in words.text for words in section_blocks(last))
 
 
@@ -82,7 +92,8 @@ def test_a_study_without_a_library_is_not_advised_to_explain(folder):
     (folder / "explanation.json").unlink()
     record = json.loads((folder / "record.json").read_text())
     (folder / "record.json").write_text(json.dumps({**record, "effects_known": 0}))
-    assert [s.name for s in sections(StudyResults(folder, TITLE, True))] == [n for n in WHOLE if n != "verdict"]
+    left = [n for n in WHOLE if n not in ("verdict", "place", "doubts")]
+    assert [s.name for s in sections(StudyResults(folder, TITLE, True))] == left
 
 
 def test_results_without_a_record_are_shown_as_far_as_possible(folder):
@@ -201,7 +212,8 @@ def test_long_tables_and_further_matrices_are_folded_and_only_they(everything, r
     assert all(len(tables[caption].rows) > LONGEST for caption in long)
     folded = [name for name, picture in pictures.items() if picture.folded]
     assert long and folded == ["sensitivity", "variance_share"]
-    assert len(read.named("details")) == len(long) + len(folded)
+    sections = [a for a in read.named("section") if a.get("class") == "folded"]
+    assert len(read.named("details")) == len(long) + len(folded) + len(sections)
 
 
 # -- escaping ----------------------------------------------------------------------------------------------------------

@@ -15,3 +15,18 @@ window.addEventListener("beforeprint", () => {
   folded.forEach((part) => { part.open = true; });
 });
 window.addEventListener("afterprint", () => folded.forEach((part) => { part.open = false; }));
+
+// A link to a folded section unfolds it.
+function unfold() {
+  const part = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  const folded = part && part.querySelector(":scope > details");
+  if (folded) {
+    folded.open = true;
+    part.scrollIntoView();
+  }
+}
+window.addEventListener("hashchange", unfold);
+document.addEventListener("click", (event) => {
+  if (event.target.closest("nav a")) setTimeout(unfold);
+});
+unfold();

@@ -1,0 +1,93 @@
+"""Doubts that an explanation leaves, each with how to check it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import pandas as pd
+
+from calib.missing.explanation import Explanation
+from calib.missing.recommendation import as_ratio
+from calib.missing.rules import RULES
+from calib.missing.verdict_words import limits_sentence
+from calib.results.answer import names_in_words
+
+_LISTED = 6
+"""Largest number of effects that a doubt lists."""
+
+
+class Reservation(NamedTuple):
+    """A doubt about an answer.
+
+    Attributes
+    ----------
+    doubt : str
+    check : str
+        How to check it.
+    """
+
+    doubt: str
+    check: str
+
+
+def reservations(
+    found: Explanation, effects: pd.DataFrame, pointed: str = "", assumed: str = ""
+) -> tuple[Reservation, ...]:
+    """What speaks against an answer that names something, the most serious first; empty for other answers.
+
+    Parameters
+    ----------
+    found : Explanation
+    effects : DataFrame
+        From `calib.missing.tables.effects_table`.
+    pointed : str
+        Where the data point to, in words; see `calib.missing.verdict_words.elsewhere`.
+    assumed : str
+        Assumed standard deviations, in words.
+    """
+    return tuple(_reservations(found, effects, pointed, assumed)) if found.names_something else ()
+
+
+def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assumed: str) -> Iterator[Reservation]:
+    assert found.chosen is not None
+    if pointed:
+        yield Reservation(pointed, "Inspect both places and what is mounted between them.")
+    suspects = found.suspects[found.suspects["explains"].astype(bool)]
+    if found.verdict == "effect" and len(suspects):
+        what, p = suspects["what"].iloc[0], suspects["p_fit_without"].iloc[0]
+        check = "Measure it again with another excitation, and compare its repeats."
+        yield Reservation(
+            f"Without {what} the model would fit as it is (p = {p:.2g}), but {found.chosen.names[0]} explains the "
+            f"misfit better, by odds of more than {as_ratio(RULES.credible)}.",
+            "Check its mounting, cable and direction." if what.startswith("sensor") else check,
+        )
+    fits = found.chosen_adequacy
+    if fits is not None and found.alpha < fits.p_fit <= RULES.near_limit and len(fits.modes):
+        worst = fits.modes.sort_values("p", kind="stable").iloc[0]
+        what = f"{'frequency' if worst['kind'] == 'freq' else worst['kind']} of {worst['mode'] or 'the responses'}"
+        yield Reservation(
+            f"The data fit, but only just (p = {fits.p_fit:.2g}; {found.alpha:g} or less is rejected); the {what} fits "
+            "worst.",
+            f"Look at the {what} in the measurement, and measure it again.",
+        )
+    if limited := limits_sentence(found):
+        yield Reservation(limited, "Ask whether the limit is a physical one.")
+    if assumed:
+        yield Reservation(
+            f"The standard deviation is assumed: {assumed}.", "Repeat the test at least three times, or state accuracy."
+        )
+    count = sum(len(group.names) for group in found.groups)
+    yield Reservation(
+        f"A cause that is not among the {count} listed ones may look the same."
+        if count > 1
+        else "A cause that is not listed may look the same.",
+        "Look at the structure there before you change model or drawing. If nothing is found, list further causes.",
+    )
+    unseen = [name for name in effects.loc[~effects["visible"].astype(bool), "name"] if name not in found.chosen.names]
+    if unseen:
+        more = [] if len(unseen) <= _LISTED else [f"{len(unseen) - _LISTED} more"]
+        yield Reservation(
+            f"Not visible in these data, whether there or not: {names_in_words([*unseen[:_LISTED], *more])}.",
+            "Measure what shows them, as the recommended measurements say.",
+        )

@@ -1,0 +1,232 @@
+"""The answer of an explanation in one picture: the place, and an error without and with what is missing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from calib.report import scene
+from calib.report.numbers import fixed, places, significant
+from calib.report.style import AFTER, BLACK, GREY, MEASURED, REST, VERMILLION, WIDTH, WITH
+from calib.report.svg import hover
+
+_TOLD = ("held_out_sensors", "held_out_references", "left_out", "fit")
+"""Groups of data whose error may be drawn, the most telling first: those that no fit has seen."""
+_DATA = {
+    "held_out_sensors": "at sensors that\nno fit has seen",
+    "held_out_references": "at references that\nno fit has seen",
+    "left_out": "in data left out\nin turn",
+    "fit": "in the data used",
+}
+_STAR: dict[str, Any] = {"marker": "*", "color": VERMILLION, "markeredgecolor": BLACK, "markersize": 19}
+_DATA_ALONE: dict[str, Any] = {"marker": "D", "color": "none", "markeredgecolor": BLACK, "markersize": 9}
+_SHOWS_MOST: dict[str, Any] = {"marker": "o", "color": "none", "markeredgecolor": MEASURED, "markersize": 14}
+_SENSOR: dict[str, Any] = {"marker": "o", "color": GREY, "markersize": 4}
+_LINES = {"linestyle": "none", "clip_on": False}
+_PLACES = 2
+"""Places of effects that are written."""
+_PANEL = 0.72
+"""Width of the model's panel over that of the figure, beside the bars."""
+
+
+@dataclass(frozen=True, eq=False)
+class AnsweredPlace:
+    """Where an explanation points.
+
+    Attributes
+    ----------
+    acts : ndarray (n, 3)
+        Where the named effects act, m; empty where only the data point somewhere.
+    sensor : str
+        Sensor at which the shapes show it most; empty where that is not known.
+    sensor_at : ndarray (3,)
+    alone : str
+        Local change that fits best by itself; empty where none stands out.
+    alone_at : ndarray (3,)
+    away : float
+        Its distance from where the effects act, m; NaN where either is unknown, and for a change of a whole part.
+    """
+
+    acts: np.ndarray
+    sensor: str
+    sensor_at: np.ndarray
+    alone: str
+    alone_at: np.ndarray
+    away: float
+
+    def words(self, what: str) -> list[str]:
+        """The marks of the picture in words, ``what`` for the effects."""
+        out = []
+        if len(self.acts):
+            out.append(f"star: {what}, {places(self.acts.tolist(), _PLACES)} m by the list of causes")
+        if self.alone:
+            away = "" if np.isnan(self.away) else f", {significant(self.away, 2)} m away"
+            out.append(f"diamond: the data alone point to {self.alone}{away}")
+        if self.sensor:
+            out.append(f"ring: sensor {self.sensor} shows it most")
+        return out
+
+
+def answered_place(
+    sensors: pd.DataFrame | None,
+    acts: pd.DataFrame | None,
+    pattern: pd.DataFrame | None,
+    perturbations: pd.DataFrame | None,
+) -> AnsweredPlace | None:
+    """Where an explanation points; None where neither an effect with a place nor the data point anywhere.
+
+    Parameters
+    ----------
+    sensors : DataFrame, optional
+        Columns ``sensor, x, y, z`` (m).
+    acts : DataFrame, optional
+        Columns ``effect, x, y, z`` (m), of every effect of the list.
+    pattern : DataFrame, optional
+        Columns ``effect, sensor, signature``, of the named effects.
+    perturbations : DataFrame, optional
+        Columns ``perturbation, sensor`` (empty for a part), ``x, y, z`` (m), ``score, limit``.
+    """
+    nowhere: np.ndarray = np.full(3, np.nan)
+    names = [] if pattern is None else list(dict.fromkeys(pattern["effect"]))
+    own: np.ndarray = np.zeros((0, 3))
+    if acts is not None:
+        own = acts.loc[acts["effect"].isin(names), scene.PLACE].to_numpy(dtype=float)
+    sensor, sensor_at, alone, alone_at, away = "", nowhere, "", nowhere, math.nan
+    if sensors is not None and pattern is not None:
+        placed = sensors.dropna(subset=scene.PLACE).set_index("sensor")
+        size = (pattern["signature"] ** 2).groupby(pattern["sensor"].fillna("")).sum()
+        size = size[[name in placed.index for name in size.index]]
+        if len(size):
+            sensor = str(size.idxmax())
+            sensor_at = placed[scene.PLACE].to_numpy(dtype=float)[placed.index.get_loc(sensor)]
+    if perturbations is not None and perturbations["score"].notna().any():
+        best = perturbations.iloc[int(np.nanargmax(perturbations["score"].abs().to_numpy(dtype=float)))]
+        at = best[scene.PLACE].to_numpy(dtype=float)
+        if abs(best["score"]) > best["limit"] and np.isfinite(at).all():
+            alone, alone_at = str(best["perturbation"]), at
+            if best["sensor"] and len(own):
+                away = float(np.linalg.norm(own - at, axis=1).min())
+    if not len(own) and not alone:
+        return None
+    return AnsweredPlace(own, sensor, sensor_at, alone, alone_at, away)
+
+
+def told_error(errors: pd.DataFrame | None) -> pd.DataFrame | None:
+    """Rows of the group of data whose error is drawn, by stage: ``rms, expected``; None without an error after."""
+    if errors is None or not {"before", "after"} <= set(errors["stage"]):
+        return None
+    for group in _TOLD:
+        rows = errors[errors["group"] == group].set_index("stage")
+        if {"before", "after"} <= set(rows.index) and rows.loc[["before", "after"], "rms"].notna().all():
+            return rows.loc[["before", "after"]]
+    return None
+
+
+def answer_figure(
+    rest: np.ndarray,
+    found: AnsweredPlace,
+    what: str,
+    size: str = "",
+    sensors: pd.DataFrame | None = None,
+    errors: pd.DataFrame | None = None,
+) -> Figure:
+    """Draw the place on the model, and the error without and with what is missing.
+
+    Parameters
+    ----------
+    rest : ndarray (n, 2, 3)
+        Lines of the model, m.
+    found : AnsweredPlace
+    what : str
+        What is missing, as the labels name it.
+    size : str
+        Its magnitude in words.
+    sensors : DataFrame, optional
+        Columns ``sensor, x, y, z`` (m).
+    errors : DataFrame, optional
+        Columns ``group, stage, rms, expected``, in standard deviations.
+
+    Returns
+    -------
+    Figure
+        Marks with the gids ``acts``, ``alone``, ``shows`` and ``sensors``; bars with the gid of their stage.
+    """
+    bars = told_error(errors)
+    wide = _PANEL if bars is not None else 1.0
+    points = rest.reshape(-1, 3)
+    width, high = scene.seen_size(points, 0.1)
+    words = found.words(f"{what}, {size}" if size else what)
+    foot = 0.75 + 0.19 * len(words)
+    height = min(max(wide * WIDTH * high / width, 2.2), 4.6) + foot
+    figure = scene.new_scene(height, foot)
+    panels = figure.add_gridspec(1, 2, width_ratios=(wide, max(1.0 - wide, 1e-3)))
+    ax: Axes3D = scene.new_axes(figure.add_subplot(panels[0], projection="3d"))
+    scene.plot_lines(ax, rest, color=REST, linewidth=2.0, gid="model")
+    if sensors is not None:
+        placed = sensors.dropna(subset=scene.PLACE)
+        _mark(ax, placed[scene.PLACE].to_numpy(dtype=float), "sensors", _SENSOR, 3)
+        scene.hover_places(ax, placed[scene.PLACE].to_numpy(dtype=float), placed["sensor"].astype(str).tolist())
+    if found.sensor:
+        _mark(ax, found.sensor_at[None], "shows", {**_SHOWS_MOST, "markeredgewidth": 2.0}, 5)
+    if found.alone:
+        _mark(ax, found.alone_at[None], "alone", {**_DATA_ALONE, "markeredgewidth": 1.6}, 5)
+    if len(found.acts):
+        _mark(ax, found.acts, "acts", _STAR, 6)
+    known = np.concatenate([points, *(at[None] for at in (found.sensor_at, found.alone_at) if np.isfinite(at).all())])
+    scene.frame_panel(ax, np.concatenate([known, found.acts]), "")
+    if found.sensor:
+        scene.number_points(ax, known, {len(points): found.sensor})
+    looks = ([_STAR] if len(found.acts) else []) + ([_DATA_ALONE] if found.alone else [])
+    looks += [_SHOWS_MOST] if found.sensor else []
+    labels = [text.split(": ", 1)[1] for text in words]
+    handles = [
+        Line2D([], [], linestyle="none", label=text, **{**look, "markersize": min(look["markersize"], 11)})
+        for look, text in zip(looks, labels, strict=True)
+    ]
+    handles.append(Line2D([], [], linestyle="none", label="sensors", **_SENSOR))
+    figure.legend(
+        handles=handles, loc="lower left", bbox_to_anchor=(0.85 / WIDTH, 0.02), borderaxespad=0.0, labelspacing=0.35
+    )
+    scene.show_axes(figure)
+    if bars is not None:
+        above = 0.65  # inches of the title, which the panel of the model does not have
+        around = panels[1].subgridspec(
+            2, 3, width_ratios=(0.3, 1.0, 0.04), height_ratios=(above, height - foot - above)
+        )
+        _draw_pair(figure.add_subplot(around[1, 1]), bars, what)
+    return figure
+
+
+def _mark(ax: Axes3D, points: np.ndarray, gid: str, look: dict[str, Any], order: int) -> None:
+    ax.plot(*scene.plot_coordinates(points).T, gid=gid, zorder=order, **_LINES, **look)
+
+
+def _draw_pair(ax: Axes, bars: pd.DataFrame, what: str) -> None:
+    """One pair of bars, and lines at what a correct model would reach with this noise."""
+    values, expected = (bars[name].to_numpy(dtype=float) for name in ("rms", "expected"))
+    for k, (stage, colour, label) in enumerate((("before", AFTER, "without"), ("after", WITH, "with it"))):
+        (bar,) = ax.bar([k], [values[k]], 0.62, color=colour, gid=stage)
+        hover(bar, f"{label}: {fixed(values[k], 2)} σ")
+        ax.annotate(
+            fixed(values[k], 2),
+            (k, np.nanmax([values[k], expected[k]])),
+            xytext=(0, 3),
+            textcoords="offset points",
+            ha="center",
+        )
+        ax.hlines(expected[k], k - 0.42, k + 0.42, color=BLACK, linewidth=1.6, gid=f"expected {stage}")
+    ax.set_xticks([0, 1], [f"without\n{what}", "with it"])
+    ax.set_xlim(-0.6, 1.6)
+    ax.set_ylim(0.0, 1.15 * float(np.nanmax([*values, *expected])))
+    group = str(bars["group"].iloc[0]) if "group" in bars else "fit"
+    ax.set_title(f"error {_DATA[group]}\n(standard deviations)", fontsize=8.5)
+    ax.set_xlabel("lines: a correct model\nwith this noise", fontsize=8)
+    ax.grid(axis="y")

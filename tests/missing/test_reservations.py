@@ -1,0 +1,61 @@
+"""An answer that names something lists its doubts, each with a way to check it."""
+
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+
+from calib.missing.reservations import reservations
+from calib.missing.tables import effects_table
+from tests.missing.verdict_cases import dressed, first
+
+pytestmark = pytest.mark.usefixtures("fewer_samples")
+NO_SUSPECTS = pd.DataFrame({"what": [], "p_fit_without": [], "explains": []})
+
+
+@pytest.fixture(scope="module")
+def found(toy):
+    return replace(first(dressed(toy(effects=5)), {"E2": 1.5}, "effect"), suspects=NO_SUSPECTS)
+
+
+@pytest.fixture
+def effects(found):
+    return effects_table(found, {}, {}).assign(visible=True)
+
+
+def test_every_doubt_has_a_check_and_a_cause_outside_the_list_is_always_one(found, effects):
+    doubts = reservations(found, effects)
+    assert doubts and all(one.doubt.endswith(".") and one.check.endswith(".") for one in doubts)
+    assert any("5 listed ones" in one.doubt for one in doubts)
+
+
+def test_only_an_answer_that_names_something_has_doubts(found, effects):
+    assert reservations(replace(found, verdict="none_explains"), effects, "elsewhere") == ()
+
+
+def test_a_place_of_the_data_comes_first_and_an_assumed_std_is_told(found, effects):
+    usual = reservations(found, effects)
+    more = reservations(found, effects, "The data point elsewhere.", "0.5 % of every frequency")
+    assert more[0].doubt == "The data point elsewhere." and len(more) == len(usual) + 2
+    assert any("0.5 % of every frequency" in one.doubt for one in more)
+
+
+def test_a_datum_without_which_all_fits_is_told_as_what_it_is(found, effects):
+    usual = [one.doubt for one in reservations(found, effects)]
+    for what, word in (("mode 2B", "excitation"), ("sensor 12y", "mounting")):
+        table = pd.DataFrame({"what": [what, "mode 9B"], "p_fit_without": [0.02, 0.5], "explains": [True, False]})
+        (more,) = [one for one in reservations(replace(found, suspects=table), effects) if one.doubt not in usual]
+        assert what in more.doubt and "p = 0.02" in more.doubt and word in more.check and "9B" not in more.doubt
+
+
+@pytest.mark.parametrize(("p", "told"), [(0.009, False), (0.05, True), (0.2, False)])
+def test_a_fit_that_was_nearly_rejected_names_what_fits_worst(found, effects, p, told):
+    modes = pd.DataFrame({"mode": ["1B", "2B"], "kind": ["freq", "shape"], "p": [0.3, 0.004]})
+    doubts = reservations(replace(found, chosen_adequacy=replace(found.chosen_adequacy, p_fit=p, modes=modes)), effects)
+    assert any("shape of 2B" in one.check for one in doubts) == told
+
+
+def test_invisible_effects_are_counted_beyond_six(found, effects):
+    many = pd.concat([effects, *(effects.iloc[-1:].assign(name=f"F{k}", visible=False) for k in range(8))])
+    (doubt,) = [one.doubt for one in reservations(found, many) if "Not visible" in one.doubt]
+    assert "F0" in doubt and "F6" not in doubt and "2 more" in doubt

@@ -1,0 +1,100 @@
+"""The picture of an answer shows the place of the effect, that of the data alone, and the error without and with it."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from calib.report.answer import answer_figure, answered_place, told_error
+from calib.report.style import style
+
+PLACE = ["x", "y", "z"]
+REST = np.array([[[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]], [[0.0, 0.0, 2.0], [4.0, 0.0, 2.0]]])
+
+
+@pytest.fixture
+def sensors():
+    rows = [("1y", 0.0, 0.0, 0.0), ("2y", 4.0, 0.0, 0.0), ("3y", 4.0, 0.0, 2.0), ("4y", np.nan, np.nan, np.nan)]
+    return pd.DataFrame(rows, columns=["sensor", *PLACE])
+
+
+@pytest.fixture
+def acts():
+    rows = [("unit", 3.0, 0.0, 0.0), ("unit", 3.0, 0.0, 2.0), ("other", 1.0, 0.0, 0.0)]
+    return pd.DataFrame(rows, columns=["effect", *PLACE])
+
+
+@pytest.fixture
+def pattern():
+    """Sensor 2y has the largest single value, 3y the largest sum; 4y has no place and a frequency no sensor."""
+    rows = [("unit", "", 90.0), ("unit", "2y", 4.0), ("unit", "3y", 3.0), ("unit", "3y", -3.0), ("unit", "4y", 50.0)]
+    return pd.DataFrame(rows, columns=["effect", "sensor", "signature"])
+
+
+@pytest.fixture
+def local():
+    rows = [
+        ("added mass at sensor 2y", "2y", 4.0, 0.0, 0.0, -9.0, 4.0),
+        ("mass of the beam", "", 2.0, 0.0, 0.0, 6.0, 4.0),
+        ("added mass at sensor 1y", "1y", 0.0, 0.0, 0.0, np.nan, 4.0),
+    ]
+    return pd.DataFrame(rows, columns=["perturbation", "sensor", *PLACE, "score", "limit"])
+
+
+@pytest.fixture
+def errors():
+    rows = [
+        ("fit", "before", 2.0, 1.0), ("fit", "after", 1.0, 0.9), ("held_out_sensors", "before", 3.0, 1.1),
+        ("held_out_sensors", "after", 1.2, 1.05), ("held_out_modes", "before", 9.0, 1.0),
+    ]  # fmt: skip
+    return pd.DataFrame(rows, columns=["group", "stage", "rms", "expected"])
+
+
+def marks(figure, gid):
+    """Places (n, 3) of the marks of a gid."""
+    (line,) = [line for line in figure.axes[0].lines if line.get_gid() == gid]
+    x, y, z = (np.asarray(v, dtype=float) for v in line.get_data_3d())
+    return np.column_stack([x, z, -y])
+
+
+def test_stars_stand_where_the_named_effect_acts_and_only_there(sensors, acts, pattern, local, errors):
+    found = answered_place(sensors, acts, pattern, local)
+    with style():
+        figure = answer_figure(REST, found, "unit", "64 kg", sensors, errors)
+    np.testing.assert_allclose(marks(figure, "acts"), [[3, 0, 0], [3, 0, 2]])
+    np.testing.assert_allclose(marks(figure, "alone"), [[4, 0, 0]])
+    np.testing.assert_allclose(marks(figure, "shows"), [[4, 0, 2]])
+    np.testing.assert_allclose(marks(figure, "sensors"), sensors[PLACE].dropna())
+    assert "3y" in [text.get_text() for text in figure.axes[0].texts]
+    words = " ".join(text.get_text() for text in figure.legends[0].get_texts())
+    assert "unit, 64 kg" in words and "sensor 2y, 1 m away" in words and "sensor 3y" in words
+
+
+def test_the_bars_are_the_error_in_data_that_no_fit_has_seen(sensors, acts, pattern, local, errors):
+    with style():
+        figure = answer_figure(REST, answered_place(sensors, acts, pattern, local), "unit", "", sensors, errors)
+    bars = {bar.get_gid(): bar.get_height() for bar in figure.axes[-1].patches}
+    assert bars == {"before": 3.0, "after": 1.2}
+    used = told_error(errors[errors["group"] != "held_out_sensors"])
+    assert used["rms"].tolist() == [2.0, 1.0]
+    assert told_error(errors[errors["stage"] == "before"]) is None and told_error(None) is None
+
+
+def test_without_a_named_effect_the_picture_shows_where_the_data_point(sensors, acts, local):
+    found = answered_place(sensors, acts, None, local)
+    assert not len(found.acts) and found.alone == "added mass at sensor 2y" and np.isnan(found.away)
+    with style():
+        figure = answer_figure(REST, found, "", "", sensors)
+    assert len(figure.axes) == 2  # the model and its axes
+    assert {line.get_gid() for line in figure.axes[0].lines} >= {"alone", "sensors", "model"}
+
+
+def test_a_score_within_its_limit_points_nowhere(sensors, acts, local):
+    assert answered_place(sensors, acts, None, local.assign(limit=9.5)) is None
+    assert answered_place(sensors, acts, None, None) is None
+
+
+def test_of_a_change_of_a_whole_part_no_distance_is_told(sensors, acts, pattern, local):
+    part = local.assign(score=[3.0, 6.0, np.nan])
+    found = answered_place(sensors, acts, pattern, part)
+    assert found.alone == "mass of the beam" and np.isnan(found.away)
+    assert not any("away" in words for words in found.words("unit"))
