@@ -82,7 +82,7 @@ def _parameters(
     known = _without_whole(pd.concat(each), space)
     columns = ["case", "parameter", "on_limit", "std", "low", "high", "identified", "std_from"]
     table = table.drop(columns="on_limit").merge(known[columns], on=columns[:2], how="left")
-    order = ["value", "unit", "lower", "upper", "ratio", "on_limit", "spread", "stable", *columns[3:7]]
+    order = ["value", "unit", "lower", "upper", "scale", "ratio", "on_limit", "spread", "stable", *columns[3:7]]
     return table[["case", "parameter", *order, "search_value", "search_on_limit", "std_from"]]
 
 

@@ -311,7 +311,7 @@ def statistics_of(
     names = tuple(p.name for p in space.free if not p.integer)
     ended = None if fit is None or fit.names != names else (fit.residual, fit.jacobian)
     vector, slope = ended or (problem.residual(values), problem.jacobian(values, names))
-    prior_sd = np.array([space[n].prior_width for n in names])
+    prior_sd = Prior.of(space).widths(values, names)
     constraints = constraint_rows(space, names, posterior(names, slope, prior_sd).covariance, held_sd)
     misfit, shift = float(vector @ vector), Prior.of(space).residual(values, names)
     converged = fit is not None and fit.converged
@@ -346,7 +346,7 @@ def statistics_of(
     suspected = suspects_table(at, problem, terms.alpha)
     by_test, parts = pd.DataFrame(columns=list(COLUMNS)), dict[str, JointPart]()
     if isinstance(problem, JointProblem):
-        by_test = std_by_test(space, names, slope, [row.test for row in problem.rows], held, birge, constraints)
+        by_test = std_by_test(space, names, values, slope, [row.test for row in problem.rows], held, birge, constraints)
     if isinstance(problem, JointProblem) or len(constraints.slope):
         parts = joint_parts(problem, names, vector, slope, prior_sd, shift, own_held, held_sd, own_constraints)
     return FitStatistics(

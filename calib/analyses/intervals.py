@@ -143,7 +143,7 @@ def intervals_at(study: AnyStudy, values: Mapping[str, float], run: IntervalsRun
     # The optimum of the problem that is scanned: a reduced one ends elsewhere by its tolerance.
     whole = {p.name: values[p.name] for p in space.free if p.integer}
     best = fit(scaled, space.freeze(whole), values, Prior.of(space))
-    known = posterior(names, best.jacobian, np.array([space[name].prior_width for name in names]))
+    known = posterior(names, best.jacobian, Prior.of(space).widths(best.values, names))
     profiles = []
     for k, name in enumerate(chosen):
         told = _Counted(run.progress, f"profile of {name}", k, len(chosen))

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.analyses.joint_responses import own_values
 from calib.errors.errors import EvaluationError, InputError
-from calib.problem.space import Parameter
+from calib.problem.space import Parameter, replace_parameters
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 
@@ -24,8 +24,8 @@ def with_uncertain(study: LoadedStudy) -> LoadedStudy:
     """
     space = study.search_space
     for p in uncertain(study):
-        own = {"lower": p.lower, "upper": p.upper, "prior_sd": p.prior_width}
-        space = space.replace(p.name, distribution="uniform", **own)
+        freed = p.within(p.lower, p.upper, value=space[p.name].value, distribution="uniform")
+        space = replace_parameters(space, tuple(freed if q.name == p.name else q for q in space.parameters))
     return study if space is study.search_space else replace(study, search_space=space)
 
 

@@ -169,12 +169,13 @@ def draw_designs(
     drawings = [(f"anthill_{plain(x)}_{plain(y)}", partial(draw_anthill, found.table, x, y)) for x, y in clouds]
     if parallel:
         drawings.append(("designs_parallel", partial(draw_parallel, found.table, axes, "objective", parallel)))
-    figures = [(name, partial(_owner, drawing, labels)) for name, drawing in drawings]
+    log = [p.name for p in found.space.parameters if p.is_log]
+    figures = [(name, partial(_owner, drawing, labels, log)) for name, drawing in drawings]
     return write_named(figures, f"{study.settings.title}: designs", study.synthetic, folder)
 
 
-def _owner(draw: Callable[..., Axes], labels: Mapping[str, str]) -> Figure:
-    return owner_of(draw(labels=labels))
+def _owner(draw: Callable[..., Axes], labels: Mapping[str, str], log: Sequence[str]) -> Figure:
+    return owner_of(draw(labels=labels, log=log))
 
 
 def write_named(

@@ -70,10 +70,9 @@ def _figure(one: Metamodel, designs: pd.DataFrame, inputs: tuple[str, str] | Non
         what = f"{unknown[0]!r} is no input" if unknown else f"{inputs[0]!r} is named twice"
         remedy = f"choose two of {', '.join(names)}"
         raise InputError(what, place=f"surface of {one.response}", remedy=remedy)
-    ends = {p.name: (p.lower, p.upper) for p in one.space.free}
-    x, y = (np.linspace(*ends[name], CELLS) for name in inputs)
+    x, y = (np.array([one.space[name].at(place) for place in np.linspace(0.0, 1.0, CELLS)]) for name in inputs)
     points = np.tile([p.value for p in one.space.free], (CELLS**2, 1)).astype(float)
     points[:, names.index(inputs[0])], points[:, names.index(inputs[1])] = (a.ravel() for a in np.meshgrid(x, y))
     grid = pd.DataFrame({name: points[:, names.index(name)] for name in inputs}).assign(**{one.response: one(points)})
     labels = {p.name: f"{p.name}, {p.unit}" for p in one.space.free if p.unit not in ("", "-")}
-    return surface_figure(grid, designs, *inputs, one.response, labels)
+    return surface_figure(grid, designs, *inputs, one.response, labels, [p.name for p in one.space.free if p.is_log])

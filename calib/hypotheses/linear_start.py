@@ -17,6 +17,7 @@ from calib.correlation.frf.residual import FRFResidual
 from calib.errors.errors import EvaluationError, InputError
 from calib.inference.cmcf import cmcf
 from calib.inference.cmcf_equations import Change, CmcfSettings, InitialModel, Kind, MeasuredReceptance
+from calib.inference.gauss_newton import Prior
 from calib.measurement.frf import MeasuredFRFs
 from calib.problem.joint import JointProblem
 from calib.problem.problem import PairProblem
@@ -65,21 +66,27 @@ def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[s
     if equations is None:
         return None
     at_sensors, receptance = equations
-    sd = np.array([space[name].prior_width for name in names])
     lower, upper = (np.array([getattr(space[name], end) for name in names]) for end in ("lower", "upper"))
     point = {name: value for name, value in values.items() if name in model.space}
     start = np.clip([point[name] for name in names], lower, upper)  # a predicted step may lead beyond the limits
     point.update(zip(names, start.tolist(), strict=True))
-    centre = np.array([space[name].value for name in names])
     for _ in range(ROUNDS):
         here = np.array([point[name] for name in names])
+        sd = Prior.of(space).widths(point, names)
         initial = _initial(model, point, names, sd, at_sensors, receptance)
         settings = CmcfSettings(orders=min(len(receptance.freq), len(initial.masters) // 2 + 1))
         try:
-            found = cmcf(initial, receptance, settings, np.full(len(names), 1 / EQUATION_ERROR), (centre - here) / sd)
+            found = cmcf(
+                initial,
+                receptance,
+                settings,
+                np.full(len(names), 1 / EQUATION_ERROR),
+                -Prior.of(space).residual(point, names),
+            )
         except (EvaluationError, InputError):
             break
-        moved = np.clip(here + found.changes[-1] * sd, lower, upper)
+        steps = zip(names, here.tolist(), (found.changes[-1] * sd).tolist(), strict=True)
+        moved = np.clip([space[name].moved(value, step) for name, value, step in steps], lower, upper)
         point.update(zip(names, moved.tolist(), strict=True))
     return {**values, **point}
 

@@ -18,6 +18,7 @@ from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.standard_deviations import Floors
 from calib.experiment.held_out import HeldOutGroups
 from calib.experiment.test import Residual
+from calib.inference.gauss_newton import Prior
 from calib.inference.identify import posterior, with_held
 from calib.inference.joint_part import JointPart
 from calib.inference.leave_one_out import leave_one_out
@@ -65,7 +66,7 @@ def errors_of(
         Parameters with an active limit.
     """
     names = tuple(p.name for p in space.free if not p.integer)
-    prior_sd = np.array([space[n].prior_width for n in names])
+    prior_sd = Prior.of(space).widths(values, names)
     others: OtherRows | None = None
     if joint is not None:
         names, prior_sd, others, held_sd = joint

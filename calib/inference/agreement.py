@@ -65,7 +65,7 @@ def agreement(results: Sequence[CaseResult], space: ParameterSpace, level: float
     good = [k for k in order if results[k].misfit <= limit]
     worse = tuple(results[k].name for k in order if k not in good)
     position = ratios(results, space)
-    needed = np.array([needed_std(p) for p in space.free]) / (space.upper - space.lower)
+    needed = np.array([needed_std(p) / p.span_at(p.value) for p in space.free])
     groups = _solutions(position, good, needed)
     solutions = tuple(tuple(results[k].name for k in group) for group in groups)
     spread = np.ptp(position[good], axis=0)

@@ -244,7 +244,7 @@ def scaled_violation(space: ParameterSpace, points: np.ndarray) -> np.ndarray:
 def ratios(results: Sequence[CaseResult], space: ParameterSpace) -> np.ndarray:
     """Position between the limits, 0 to 1, shape (n_cases, n_free)."""
     values = np.array([[r.values[name] for name in space.free_names] for r in results]).reshape(len(results), -1)
-    return (values - space.lower) / (space.upper - space.lower)
+    return space.position(values)
 
 
 def parameters_table(results: Sequence[CaseResult], space: ParameterSpace) -> pd.DataFrame:
@@ -253,9 +253,9 @@ def parameters_table(results: Sequence[CaseResult], space: ParameterSpace) -> pd
     Returns
     -------
     DataFrame
-        ``case, parameter, value, unit, lower, upper``; ``ratio`` (position between the limits, 0 to 1); ``on_limit``
-        (see `calib.problem.parameter.limit_at`); ``spread`` (largest minus smallest ratio over the cases) and
-        ``stable`` (spread of at most 0.10; Ribeiro et al. 2013). Both are missing when there is one case only.
+        ``case, parameter, value, unit, lower, upper, scale``; ``ratio`` (position between the limits, 0 to 1);
+        ``on_limit`` (see `calib.problem.parameter.limit_at`); ``spread`` (largest minus smallest ratio over the cases)
+        and ``stable`` (spread of at most 0.10; Ribeiro et al. 2013). Both are missing when there is one case only.
     """
     position = ratios(results, space)
     spread = np.ptp(position, axis=0) if len(results) > 1 else np.full(len(space.free), np.nan)
@@ -270,13 +270,14 @@ def parameters_table(results: Sequence[CaseResult], space: ParameterSpace) -> pd
                     "unit": parameter.unit,
                     "lower": parameter.lower,
                     "upper": parameter.upper,
+                    "scale": parameter.scale,
                     "ratio": ratio,
                     "on_limit": parameter.limit_at(result.values[parameter.name], searched=True) is not None,
                     "spread": width,
                     "stable": None if math.isnan(width) else width <= RULES.stable,
                 }
             )
-    columns = ["case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_limit", "spread", "stable"]
+    columns = ["case", "parameter", "value", "unit", "lower", "upper", "scale", "ratio", "on_limit", "spread", "stable"]
     return pd.DataFrame(rows, columns=columns)
 
 

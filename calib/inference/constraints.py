@@ -116,8 +116,8 @@ class Hold(NamedTuple):
     beyond: float
     part: float
 
-    def interval(self, value: float, std: float) -> tuple[float, float]:
-        """Interval of 95 % on the allowed side: that of a normal distribution about the optimum, truncated.
+    def interval(self, std: float) -> tuple[float, float]:
+        """Ends of the interval of 95 %, less the value, on the allowed side: of a normal distribution, truncated.
 
         What of the parameter does not depend on the sum has an interval of both sides.
         """
@@ -126,7 +126,7 @@ class Hold(NamedTuple):
         reach = self.part * std * (-float(special.ndtri_exp(tail)) - self.beyond)
         free = WIDE * std * math.sqrt(max(1 - self.part**2, 0.0))
         inward, outward = math.hypot(reach, free), free
-        return (value - inward, value + outward) if self.side > 0 else (value - outward, value + inward)
+        return (-inward, outward) if self.side > 0 else (-outward, inward)
 
 
 def holds(

@@ -58,7 +58,7 @@ def freed(
         return Freed(at.residual, slope, prior_sd)
     spread = {**held_sd, **{f"{MESH_ERROR} {k}": 1.0 for k in range(held.shape[1] - len(held_sd))}}
     values, names = {**dict.fromkeys(spread, 0.0), **at.values}, (*at.names, *spread)
-    wide = _widened(space, values, spread, names)
+    wide = _widened(_linear(space, at), values, spread, names)
     prior = Prior.of(wide)
     beside = np.hstack([constraints.slope, constraints.held])
     pull = np.concatenate([at.residual, np.zeros(len(beside)), prior.residual(values, at.names)])
@@ -66,12 +66,23 @@ def freed(
         own = np.vstack([at.slope, constraints.slope, np.diag(1.0 / at.prior_sd)])
         pull = pull - own @ np.linalg.lstsq(own, pull, rcond=None)[0]
         centre = np.array([values[name] for name in at.names]) - at.prior_sd * pull[-n:]
-        prior = Prior({**prior.centre, **dict(zip(at.names, centre.tolist(), strict=True))}, prior.sd)
+        moved = {name: replace(wide[name], value=c) for name, c in zip(at.names, centre.tolist(), strict=True)}
+        prior = Prior({**prior.of_parameter, **moved})
     unit = np.concatenate([np.ones(n), 1.0 / np.array(list(spread.values()))])
     start = pull[: rows + len(beside)]
     linear = _Linear(names, np.array([values[name] for name in names]), start, np.vstack([slope, beside]) * unit)
     end = fit(linear, wide, values, prior)
     return Freed(at.residual + (end.residual - start)[:rows], slope, prior_sd)
+
+
+def _linear(space: ParameterSpace, at: At) -> ParameterSpace:
+    """The space with the priors of fitted parameters as they are to first order, on linear scales."""
+    for name, sd in zip(at.names, at.prior_sd.tolist(), strict=True):
+        p = space[name]
+        if p.is_log or p.prior_kind != "normal":
+            centre = at.values[name] - sd * p.pull(at.values[name])
+            space = space.replace(name, value=centre, prior_sd=sd, scale="linear", prior=None)
+    return space
 
 
 _FAR = 10.0
@@ -86,7 +97,8 @@ def _widened(
     space = replace(space, parameters=(*space.parameters, *new))
     for name, sd in spread.items():
         ends = {"lower": values[name] - _FAR * sd, "upper": values[name] + _FAR * sd}
-        space = space.replace(name, value=values[name], prior_sd=sd, distribution="uniform", **ends)
+        own = {"prior_sd": sd, "prior": None, "scale": "linear"}
+        space = space.replace(name, value=values[name], distribution="uniform", **own, **ends)
     return space.freeze({p.name: values[p.name] for p in space.free if p.name not in names})
 
 

@@ -1,4 +1,4 @@
-"""Bounded Levenberg-Marquardt with Gaussian priors under linear constraints."""
+"""Bounded Levenberg-Marquardt with priors under linear constraints."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pandas as pd
 
 from calib.errors.errors import EvaluationError, again
 from calib.inference.region import Region
-from calib.problem.space import ParameterSpace
+from calib.problem.space import Parameter, ParameterSpace
 
 
 class LeastSquares(Protocol):
@@ -29,35 +29,40 @@ class LeastSquares(Protocol):
 
 @dataclass(frozen=True)
 class Prior:
-    """Independent Gaussian prior of the parameters.
+    """Independent priors of the parameters; see `calib.problem.parameter.Parameter`.
 
     Attributes
     ----------
-    centre, sd : mapping from str to float
-        Each in the parameter's own unit; a parameter without an entry in ``sd`` has no prior.
+    of_parameter : mapping from str to Parameter
+        A parameter without an entry has no prior.
     """
 
-    centre: Mapping[str, float]
-    sd: Mapping[str, float]
+    of_parameter: Mapping[str, Parameter]
 
     @classmethod
     def of(cls, space: ParameterSpace) -> Prior:
-        """Nominal values and prior widths of the free parameters that are not integers."""
-        chosen = [p for p in space.free if not p.integer]
-        return cls({p.name: p.value for p in chosen}, {p.name: p.prior_width for p in chosen})
+        """Priors of the free parameters that are not integers."""
+        return cls({p.name: p for p in space.free if not p.integer})
 
     @classmethod
     def none(cls) -> Prior:
         """No prior at all."""
-        return cls({}, {})
+        return cls({})
 
-    def widths(self, names: Sequence[str]) -> np.ndarray:
-        """Standard deviations (n_params,), infinite where there is no prior."""
-        return np.array([self.sd.get(name, math.inf) for name in names], dtype=float)
+    def widths(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        """Standard deviations (n_params,) to first order at a point, infinite where there is no prior."""
+        known = self.of_parameter
+        return np.array([known[n].prior_width_at(values[n]) if n in known else math.inf for n in names], dtype=float)
 
     def residual(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """``(value - centre)/sd``, (n_params,), 0 where there is no prior."""
-        return np.array([(values[n] - self.centre[n]) / self.sd[n] if n in self.sd else 0.0 for n in names])
+        """``(value - centre)/sd`` of normal priors, in general `Parameter.pull`, (n_params,); 0 without a prior."""
+        known = self.of_parameter
+        return np.array([known[n].pull(values[n]) if n in known else 0.0 for n in names], dtype=float)
+
+    def slopes(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        """Derivative of the residual by each parameter, (n_params,): 0 where a prior does not pull."""
+        free = [n not in self.of_parameter or not self.of_parameter[n].pulls for n in names]
+        return np.where(free, 0.0, 1.0 / self.widths(values, names))
 
 
 @dataclass(frozen=True)
@@ -175,7 +180,8 @@ def fit(
 ) -> FitResult:
     """Minimise ``|residual|^2 + sum ((theta - centre)/sd)^2`` within limits and linear constraints.
 
-    Levenberg-Marquardt in parameters scaled by their range; the damping follows the ratio of actual to predicted
+    Other priors than normal ones add the square of their pull. Levenberg-Marquardt in the position of each parameter
+    between its limits, along its scale; the damping follows the ratio of actual to predicted
     decrease (Nielsen 1999). Every step is the exact minimum of the damped quadratic model within all limits and
     constraints (least distance programming, Lawson and Hanson 1974, ch. 23), so every point tried is feasible.
     Integer parameters stay at their start.
@@ -345,7 +351,7 @@ class _Search:
 
     def system(self, point: _Point, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Matrix and right-hand side of the linearised problem over scaled parameters, prior included."""
-        names, span = self.region.names, self.region.span
-        prior = np.diag(span / self.prior.widths(names))
+        names, span = self.region.names, self.region.span_at(point.x)
+        prior = np.diag(span * self.prior.slopes(point.values, names))
         own = self.prior.residual(point.values, names)
         return np.vstack([slope * span, prior]), np.concatenate([point.residual, own])

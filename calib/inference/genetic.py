@@ -112,16 +112,18 @@ class GeneticSearch:
             raise InputError(f"the initial population is {start.shape}, not {expected}", place="genetic algorithm")
         if not np.all((start >= space.lower) & (start <= space.upper)):
             raise InputError("an initial individual is outside the limits", place="genetic algorithm")
+        self._space = space
         if np.any(start[:, space.integer] != np.round(start[:, space.integer])):
             raise InputError("an integer parameter starts at a fraction", place="genetic algorithm")
         self.settings = settings
-        # Limits only: pymoo evaluates nothing here.
-        self._problem = Problem(n_var=len(space.free), n_obj=1, n_ieq_constr=1, xl=space.lower, xu=space.upper)
+        # Limits only: pymoo evaluates nothing here. Its individuals are coordinates along the scales.
+        lower, upper = space.coordinates(space.lower), space.coordinates(space.upper)
+        self._problem = Problem(n_var=len(space.free), n_obj=1, n_ieq_constr=1, xl=lower, xu=upper)
         # A stream of its own: a sampler given the same seed would otherwise produce the same numbers.
         stream = np.random.SeedSequence(seed, spawn_key=(1,))
         self._algorithm = GA(
             pop_size=settings.population,
-            sampling=start,
+            sampling=space.coordinates(start),
             mating=_FilledMating(
                 TournamentSelection(func_comp=comp_by_cv_and_fitness),
                 UniformCrossover(prob=settings.crossover),
@@ -152,7 +154,7 @@ class GeneticSearch:
             raise RuntimeError("the search is done")
         if self._asked is None:
             self._asked = self._algorithm.ask()
-        return self._asked.get("X").astype(float)
+        return self._space.of_coordinates(self._asked.get("X").astype(float))
 
     def tell(self, misfit: np.ndarray, violation: np.ndarray) -> None:
         """Report misfit and violation of the individuals that `ask` returned.

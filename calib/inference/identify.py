@@ -197,10 +197,11 @@ _COORDINATES = ("m", "mm", "rad", "deg")
 """Units of positions and angles."""
 
 
-def needed_std(p: Parameter) -> float:
+def needed_std(p: Parameter, value: float | None = None) -> float:
     """Largest standard deviation with which a parameter counts as identified, in its unit.
 
-    It is what the study needs (``needed``), by default `Rules.needed` of the nominal value. That says nothing where it
+    It is what the study needs (``needed``), by default `Rules.needed` of the nominal value, on a logarithmic scale of
+    the fitted ``value``. That says nothing where it
     is 0 (or all but 0 beside a stated prior, as the magnitude of an effect that cannot begin at 0), nor of an integer,
     nor of a coordinate, which is a length or an angle of either sign: there it is the prior standard deviation, of an
     integer `Rules.whole` at most. The range between the limits has no part in it: limits say nothing of the data.
@@ -209,6 +210,8 @@ def needed_std(p: Parameter) -> float:
         return p.needed
     if p.integer:
         return min(p.prior_width, RULES.whole)
+    if p.is_log:
+        return RULES.needed * (p.value if value is None else value)
     coordinate = p.unit in _COORDINATES and p.lower < 0 < p.upper
     none = abs(p.value) <= RULES.none * (p.prior_sd or 0.0)
     return p.prior_width if none or coordinate else RULES.needed * abs(p.value)
@@ -236,7 +239,7 @@ def faults(
         See `Identifiability`.
     """
     found = {
-        "wide": not std <= needed_std(p),
+        "wide": not std <= needed_std(p, value),
         "prior": not data_share >= RULES.by_data,
         "limit": value is not None and p.limit_at(value, None if p.integer else std, searched) is not None,
     }
@@ -282,22 +285,23 @@ def identify(
         Constraints that count as data, whatever the misfit.
     """
     chosen = tuple(names)
-    s = np.array([space[n].prior_width for n in chosen]) if prior_sd is None else np.asarray(prior_sd, dtype=float)
+    at = dict(values or {})
+    own = (space[n].prior_width_at(at.get(n, space[n].value)) for n in chosen)
+    s = np.array(list(own) if prior_sd is None else prior_sd, dtype=float)
     g = np.atleast_2d(np.asarray(jacobian, dtype=float))
     beside = constraints or ConstraintRows.none(len(chosen), 0 if held is None else held.shape[1])
     moved = None if held is None else np.vstack([held / birge, beside.held])
     found = posterior(chosen, np.vstack([g / birge, beside.slope]), s, moved)
     g = np.vstack([g, beside.slope])
-    span = np.array([space[n].upper - space[n].lower for n in chosen])
+    span = np.array([space[n].span_at(at.get(n, space[n].value)) for n in chosen])
     known = zip(chosen, found.std.tolist(), found.data_share.tolist(), strict=True)
-    at = dict(values or {})
     bad = [faults(space[n], std, share, at.get(n), searched) for n, std, share in known]
     identified = np.array([not why for why in bad], dtype=bool)
     parameters = pd.DataFrame(
         {
             "parameter": chosen,
             "std": found.std,
-            "needed": [needed_std(space[n]) for n in chosen],
+            "needed": [needed_std(space[n], at.get(n)) for n in chosen],
             "identified": identified,
             "prior_sd": s,
             "data_share": found.data_share,

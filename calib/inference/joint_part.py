@@ -92,6 +92,7 @@ COLUMNS = ("parameter", "unit", "test", "std", "prior_sd")
 def std_by_test(
     space: ParameterSpace,
     names: Sequence[str],
+    values: Mapping[str, float],
     jacobian: np.ndarray,
     tests: Sequence[str],
     held: np.ndarray | None = None,
@@ -110,6 +111,8 @@ def std_by_test(
         For units and prior widths.
     names : sequence of str
         Parameters of the columns.
+    values : mapping from str to float
+        Of the joint fit.
     jacobian : ndarray (n_rows, n_params)
         Of the whitened residual, per unit of each parameter.
     tests : sequence of str
@@ -123,7 +126,7 @@ def std_by_test(
         ``parameter, unit, test, std, prior_sd``, in the parameters' own units; a parameter that a test does not see has
         its prior width there.
     """
-    prior_sd, own = np.array([space[n].prior_width for n in names]), np.array(tests)
+    prior_sd, own = np.array([space[n].prior_width_at(values[n]) for n in names]), np.array(tests)
     groups = {**{test: own == test for test in dict.fromkeys(tests)}, ALL_TESTS: np.ones(len(own), dtype=bool)}
     held = np.zeros((len(own), 0)) if held is None else held
     beside = constraints or ConstraintRows.none(len(names), held.shape[1])

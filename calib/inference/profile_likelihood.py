@@ -66,12 +66,12 @@ class Profile:
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval with the prior; NaN on a side where no value in the limits is excluded."""
-        return _crossings(self.at, self.total)
+        return _crossings(self.parameter, self.at, self.total)
 
     @property
     def data_interval(self) -> tuple[float, float]:
         """The same from the data alone, without the parameter's own prior."""
-        return _crossings(self.at, self.data)
+        return _crossings(self.parameter, self.at, self.data)
 
     @property
     def kind(self) -> ProfileClass:
@@ -142,8 +142,9 @@ def profile_likelihood(
     if there is None:
         raise InputError(f"the model cannot be solved at the fitted {name}", place="profile likelihood")
     points, reached = [there], set[str]()
+    first = (_AIM * std if math.isfinite(std) else 0.05 * p.span_at(centre)) / (centre if p.is_log else 1.0)
     for side, limit in (("lower", p.lower), ("upper", p.upper)):
-        more, at_limit = scan.side(there, limit, _AIM * std if math.isfinite(std) else 0.05 * (p.upper - p.lower))
+        more, at_limit = scan.side(there, limit, first)
         points += more
         reached |= {side} if at_limit else set()
     _sharpen(points, scan, p)
@@ -178,11 +179,11 @@ def profile_table(
         p, value = one.parameter, float(best[one.parameter.name])
         linear = tuple(
             end if p.lower < end < p.upper else math.nan
-            for end in (value + s * WIDE * std[p.name] for s in (-1.0, 1.0))
+            for end in (p.moved(value, s * WIDE * std[p.name]) for s in (-1.0, 1.0))
         )
         lowest = int(np.argmin(one.total))
         found = one.total[lowest] < misfit - RULES.equal
-        differs = _differs(value, one.interval, linear, std[p.name])
+        differs = _differs(p, one.interval, linear, std[p.name] / p.span_at(value))
         elsewhere = float(one.at[lowest]) if found else math.nan
         rows.append(
             {
@@ -242,18 +243,18 @@ class _Scan:
         return _Point(value, found.misfit, dict(found.values))
 
     def side(self, centre: _Point, limit: float, first: float) -> tuple[list[_Point], bool]:
-        """Points from the optimum to a limit, or until the data exclude what lies beyond."""
-        sign = math.copysign(1.0, limit - centre.value)
+        """Points from the optimum to a limit, or until the data exclude what lies beyond; steps along the scale."""
+        p, sign = self.space[self.name], math.copysign(1.0, limit - centre.value)
         found, here, size, lowest = list[_Point](), centre, first, centre.data
         while len(found) < _MOST:
-            left = abs(limit - here.value)
-            if left <= 1e-9 * max(abs(limit), abs(centre.value), 1e-300):
+            left = abs(p.coordinate(limit) - p.coordinate(here.value))
+            if abs(limit - here.value) <= 1e-9 * max(abs(limit), abs(centre.value), 1e-300):
                 return found, True
             # The last points go to the limit whatever the step: it is part of the answer.
             size = left if len(found) == _MOST - 1 else min(size, left)
-            value = limit if size >= 0.999 * left else here.value + sign * size
+            value = limit if size >= 0.999 * left else p.of_coordinate(p.coordinate(here.value) + sign * size)
             moved = value - here.value
-            start = {n: here.values[n] + self.follow[n] * moved for n in self.follow}
+            start = {n: self.space[n].moved(here.values[n], self.follow[n] * moved) for n in self.follow}
             there = self.at(value, {**here.values, **start})
             if there is None:
                 size /= 4
@@ -279,14 +280,14 @@ def _sums(points: list[_Point], p: Parameter) -> tuple[np.ndarray, np.ndarray, n
     points.sort(key=lambda point: point.value)
     at = np.array([one.value for one in points])
     data = np.array([one.data for one in points])
-    return at, data, data + ((at - p.value) / p.prior_width) ** 2
+    return at, data, data + np.array([p.pull(value) for value in at.tolist()]) ** 2
 
 
 def _sharpen(points: list[_Point], scan: _Scan, p: Parameter) -> None:
     """Add points at the ends of the intervals until one lies there: steps are coarse where a model is curved."""
     for which, end, _ in itertools.product((1, 2), (0, 1), range(_CORRECTIONS)):
         sums = _sums(points, p)
-        value = _crossings(sums[0], sums[which])[end]
+        value = _crossings(p, sums[0], sums[which])[end]
         if math.isnan(value):
             continue
         nearest = int(np.argmin(np.abs(sums[0] - value)))
@@ -297,28 +298,33 @@ def _sharpen(points: list[_Point], scan: _Scan, p: Parameter) -> None:
         points += [] if there is None else [there]
 
 
-def _crossings(at: np.ndarray, misfit: np.ndarray) -> tuple[float, float]:
+def _crossings(p: Parameter, at: np.ndarray, misfit: np.ndarray) -> tuple[float, float]:
     """Where the root of the rise passes `WIDE` on either side of the lowest point; NaN where it does not."""
     lowest = int(np.argmin(misfit))
     root = np.sqrt(np.maximum(misfit - misfit[lowest], 0.0))
-    ends = []
+    ends, along = [], np.array([p.coordinate(value) for value in at.tolist()])
     for part in (slice(lowest, None, -1), slice(lowest, None, 1)):
-        x, r = at[part], root[part]
+        x, r = along[part], root[part]
         beyond = np.flatnonzero(r >= WIDE)
         if not len(beyond):
             ends.append(math.nan)
             continue
         k = int(beyond[0])  # linear in the root between two points: exact where the model is linear
-        ends.append(float(x[k - 1] + (x[k] - x[k - 1]) * (WIDE - r[k - 1]) / (r[k] - r[k - 1])))
+        end = x[k - 1] + (x[k] - x[k - 1]) * (WIDE - r[k - 1]) / (r[k] - r[k - 1])
+        ends.append(p.of_coordinate(float(end)))
     return ends[0], ends[1]
 
 
-def _differs(value: float, found: tuple[float, float], linear: Sequence[float], std: float) -> bool:
-    """Whether an end of the interval is elsewhere by more than `Rules.profile_differs` of the half-width."""
+def _differs(p: Parameter, found: tuple[float, float], linear: Sequence[float], std: float) -> bool:
+    """Whether an end of the interval is elsewhere by more than `Rules.profile_differs` of the half-width.
+
+    ``std`` is a share of the way between the limits.
+    """
     for end, straight in zip(found, linear, strict=True):
         if math.isfinite(end) != math.isfinite(straight):
             return True
-        if math.isfinite(end) and abs(end - straight) > RULES.profile_differs * WIDE * std:
+        far = RULES.profile_differs * WIDE * std
+        if math.isfinite(end) and abs(p.position(end) - p.position(straight)) > far:
             return True
     return False
 

@@ -25,7 +25,8 @@ class InfeasibleError(InputError):
 class Region:
     """Limits and constraints over parameters scaled to 0..1 between their limits: ``rows @ x >= least``.
 
-    Where all free parameters are integers there are no names, and the region is a point.
+    Of a parameter with a logarithmic scale (``log``) ``lower`` and ``span`` are those of its logarithm. Where all free
+    parameters are integers there are no names, and the region is a point.
     """
 
     space: ParameterSpace
@@ -34,6 +35,7 @@ class Region:
     start: np.ndarray
     lower: np.ndarray
     span: np.ndarray
+    log: np.ndarray
     rows: np.ndarray
     least: np.ndarray
     labels: tuple[str, ...]
@@ -45,8 +47,9 @@ class Region:
             raise InputError("no parameter is free to be fitted", place="fit", remedy="free one")
         chosen = [p for p in space.free if not p.integer]
         names = tuple(p.name for p in chosen)
-        lower = np.array([p.lower for p in chosen])
-        span = np.array([p.upper - p.lower for p in chosen])
+        log = np.array([p.is_log for p in chosen], dtype=bool)
+        lower = np.array([math.log(p.lower) if p.is_log else p.lower for p in chosen])
+        span = np.array([p.span_at(1.0) for p in chosen])
         rows, least, labels = [], [], []
         for con in space.constraints:
             weights = dict(con.coefficients)
@@ -67,9 +70,10 @@ class Region:
             space=space,
             names=names,
             fixed={n: v for n, v in start.items() if n not in names},
-            start=(np.array([start[n] for n in names]) - lower) / span,
+            start=np.array([p.position(start[p.name]) for p in chosen]),
             lower=lower,
             span=span,
+            log=log,
             rows=np.array(rows).reshape(len(rows), len(names)),
             least=np.array(least),
             labels=tuple(labels),
@@ -86,7 +90,17 @@ class Region:
 
     def values(self, x: np.ndarray) -> dict[str, float]:
         """All parameters at a point (n_params,) of the unit box, each in its own unit."""
-        return self.fixed | dict(zip(self.names, (self.lower + self.span * x).tolist(), strict=True))
+        point = self.lower + self.span * x
+        if self.log.any():
+            point = np.where(self.log, np.exp(np.where(self.log, point, 0.0)), point)
+            low, high = ([getattr(self.space[n], end) for n in self.names] for end in ("lower", "upper"))
+            point = np.where(self.log, np.clip(point, low, high), point)  # rounding of the exponential
+        return self.fixed | dict(zip(self.names, point.tolist(), strict=True))
+
+    def span_at(self, x: np.ndarray) -> np.ndarray:
+        """Derivative of the values by x at a point (n_params,)."""
+        point = self.lower + self.span * x
+        return self.span * np.exp(np.where(self.log, point, 0.0))
 
     def inside(self, x: np.ndarray) -> np.ndarray:
         """The point clipped to the limits (removes rounding)."""
@@ -150,7 +164,7 @@ def active_limits(
     held = []
     for name, down in zip(names, descent, strict=True):
         p = space[name]
-        near = ACTIVE * (p.upper - p.lower)
+        near = ACTIVE * p.span_at(values[name])
         if (down > 0 and values[name] > p.upper - near) or (down < 0 and values[name] < p.lower + near):
             held.append(name)
     return frozenset(held)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calib.errors.errors import EvaluationError, InputError
-from calib.inference.gauss_newton import LeastSquares, Prior
+from calib.inference.gauss_newton import LeastSquares
 from calib.inference.identify import Posterior
 from calib.inference.rules import RULES, WIDE
 from calib.problem.space import ParameterSpace
@@ -112,12 +112,16 @@ def sampled_posterior(
     names = list(known.names)
     if not names:
         raise InputError("no parameter is free", place="posterior", remedy="free at least one that is not an integer")
-    prior, chosen, failed = Prior.of(space), [space[name] for name in names], 0
-    lower, upper = np.array([p.lower for p in chosen]), np.array([p.upper for p in chosen])
+    chosen, failed = [space[name] for name in names], 0
+    # Walkers move along the scales of the parameters.
+    lower, upper = (np.array([p.coordinate(getattr(p, end)) for p in chosen]) for end in ("lower", "upper"))
+
+    def value_of(x: np.ndarray) -> dict[str, float]:
+        return {p.name: p.of_coordinate(at) for p, at in zip(chosen, x.tolist(), strict=True)}
 
     def log_density(x: np.ndarray) -> float:
         nonlocal failed
-        values = {**best, **dict(zip(names, x.tolist(), strict=True))}
+        values = {**best, **value_of(x)}
         if np.any(x < lower) or np.any(x > upper) or not space.feasible(_point(space, values))[0]:
             return -math.inf
         try:
@@ -125,12 +129,14 @@ def sampled_posterior(
         except EvaluationError:
             failed += 1
             return -math.inf
-        own = prior.residual(values, names)
-        return -0.5 * (float(vector @ vector) + float(own @ own))
+        return -0.5 * float(vector @ vector) + sum(p.log_prior(values[p.name]) for p in chosen)
 
     rng = np.random.default_rng(seed)
     walkers = max(WALKERS * len(names), 8)
-    start = _start(rng, walkers, np.array([best[name] for name in names]), known.covariance, lower, upper, log_density)
+    centre = np.array([p.coordinate(best[p.name]) for p in chosen])
+    stretch = np.array([best[p.name] if p.is_log else 1.0 for p in chosen])
+    covariance = known.covariance / np.outer(stretch, stretch)
+    start = _start(rng, walkers, centre, covariance, lower, upper, log_density)
     sampler = emcee.EnsembleSampler(walkers, len(names), log_density)
     sampler.random_state = np.random.RandomState(seed).get_state()
     for _ in sampler.sample(start, iterations=steps):
@@ -138,7 +144,7 @@ def sampled_posterior(
     time = float(np.max(emcee.autocorr.integrated_time(sampler.get_chain(discard=steps // 3), tol=0), initial=0.0))
     thin = max(int(time / 2), 1) if math.isfinite(time) else 1
     flat = sampler.get_chain(discard=steps // 3, thin=min(thin, max(steps // 10, 1)), flat=True)
-    samples = pd.DataFrame(flat, columns=names)
+    samples = pd.DataFrame([value_of(x) for x in flat], columns=names)
     table = _table(samples, space, best, known.std.tolist(), steps >= RULES.chain * time)
     return SampledPosterior(samples, table, float(np.mean(sampler.acceptance_fraction)), time, steps, failed)
 
@@ -190,10 +196,11 @@ def _table(
     for name, own in zip(samples.columns, std, strict=True):
         p, value, drawn = space[name], float(best[name]), samples[name].to_numpy()
         lower, median, upper = np.quantile(drawn, _TAILS)
-        linear = (max(value - WIDE * own, p.lower), min(value + WIDE * own, p.upper))
+        linear = (max(p.moved(value, -WIDE * own), p.lower), min(p.moved(value, WIDE * own), p.upper))
         # Whichever is narrower: a density that fills its limits has no normal scale.
-        scale = RULES.profile_differs * WIDE * min(float(own), (p.upper - p.lower) / 4)
-        differs = converged and bool(abs(lower - linear[0]) > scale or abs(upper - linear[1]) > scale)
+        scale = RULES.profile_differs * WIDE * min(float(own) / p.span_at(value), 1 / 4)
+        apart = [abs(p.position(a) - p.position(b)) for a, b in zip((lower, upper), linear, strict=True)]
+        differs = converged and max(apart) > scale
         unit = "" if p.unit == "-" else f" {p.unit}"
         words = f"95 % of the samples lie from {lower:.4g} to {upper:.4g}{unit}"
         words += f"; the linearised interval differs: {linear[0]:.4g} to {linear[1]:.4g}{unit}." if differs else "."

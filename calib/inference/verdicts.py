@@ -103,7 +103,7 @@ def parameter_verdicts(
     stds = dict(zip(found.posterior.names, known, strict=True))
     rows = []
     for p in space.free:
-        ratio = (values[p.name] - p.lower) / (p.upper - p.lower)
+        ratio = p.position(values[p.name])
         width = None if spread is None or not math.isfinite(spread.get(p.name, math.nan)) else spread[p.name]
         std, share, identified = math.nan, math.nan, None
         why: tuple[str, ...] = ()
@@ -113,7 +113,7 @@ def parameter_verdicts(
             std = whole[p.name]
             share = max(1.0 - (std / p.prior_width) ** 2, 0.0)
         side = p.limit_at(values[p.name], None if p.integer else std, found.searched)
-        limit = _suggested(p.lower, p.upper, side)
+        limit = _suggested(p, side)
         if p.integer and math.isfinite(limit):
             limit = float(math.floor(limit) if side == "lower" else math.ceil(limit))
         if not math.isnan(std):
@@ -147,7 +147,7 @@ def parameter_verdicts(
                 "std": std,
                 "low": low,
                 "high": high,
-                "needed": needed_std(p),
+                "needed": needed_std(p, values[p.name]),
                 "data_share": share,
                 "identified": identified,
                 "not_identified": ", ".join(why),
@@ -155,6 +155,7 @@ def parameter_verdicts(
                 "fits_within_std": fits,
                 "sentence": _sentence(
                     p,
+                    needed_std(p, values[p.name]),
                     side,
                     limit,
                     width,
@@ -187,7 +188,8 @@ def _interval(p: Parameter, value: float, std: float, hold: Hold | None) -> tupl
     """Interval of 95 % within the limits; NaN without a standard deviation."""
     if math.isnan(std):
         return math.nan, math.nan
-    low, high = (value - WIDE * std, value + WIDE * std) if hold is None else hold.interval(value, std)
+    low, high = (-WIDE * std, WIDE * std) if hold is None else hold.interval(std)
+    low, high = p.moved(value, low), p.moved(value, high)
     return max(low, min(p.lower, value)), min(high, max(p.upper, value))
 
 
@@ -200,9 +202,11 @@ def _of_one_side(hold: Hold | None, low: float, high: float, unit: str) -> str:
     return f"the constraint {hold.by!r} holds it {left}" if hold.by else f" {left}"
 
 
-def _suggested(lower: float, upper: float, side: str | None) -> float:
+def _suggested(p: Parameter, side: str | None) -> float:
     """A limit further out on the side of the active one, NaN where there is none."""
-    half = 0.5 * (upper - lower)
+    lower, upper, half = p.lower, p.upper, 0.5 * (p.upper - p.lower)
+    if p.is_log:
+        return {"upper": p.at(1.5), "lower": p.at(-0.5)}.get(side or "", math.nan)
     if side == "upper":
         return (0.0 if upper < 0 < upper + half else upper + half) if upper != 0 else math.nan
     if side == "lower" and lower != 0:
@@ -212,6 +216,7 @@ def _suggested(lower: float, upper: float, side: str | None) -> float:
 
 def _sentence(
     p: Parameter,
+    needed: float,
     side: str | None,
     limit: float,
     width: float | None,
@@ -236,14 +241,12 @@ def _sentence(
     elif not why and p.integer:
         words.append("Identified: its other values fit much worse.")
     elif not why:
-        part = f"{std:.3g}{scale} (needed: {needed_std(p):.3g}{scale}{wider})"
+        part = f"{std:.3g}{scale} (needed: {needed:.3g}{scale}{wider})"
         words.append(f"Identified, standard deviation {part}.")
     elif math.isinf(std):
         words.append("Not identified: neither data nor prior say anything on it.")
     else:
-        words.append(
-            f"Not identified: {'; '.join(_reasons(why, std, share, needed_std(p), scale, wider, apart, held))}."
-        )
+        words.append(f"Not identified: {'; '.join(_reasons(why, std, share, needed, scale, wider, apart, held))}.")
     if others:
         words.append(f"It is confounded with {', '.join(others)}.")
     if trade is not None:

@@ -157,7 +157,8 @@ class _Apart:
         for label, (name, _) in self.own.items():
             p = joint.space[name]
             reach = p.upper - p.lower
-            more.append(replace(p, name=label, value=0.0, lower=-reach, upper=reach, prior_sd=p.prior_width))
+            own = replace(p, scale="linear", prior=None, prior_sd=p.prior_width)
+            more.append(replace(own, name=label, value=0.0, lower=-reach, upper=reach))
         self.space = ParameterSpace((*joint.space.parameters, *more), joint.space.constraints)
 
     def _values(self, test: str, values: Mapping[str, float]) -> dict[str, float]:

@@ -195,12 +195,18 @@ def parameter_intervals(fit: LinearisedFit, wide: Discrepancy | None) -> pd.Data
     alone, together = (np.sqrt(np.diag(c)) for c in (fit.covariance, wide.covariance))
     for k, name in enumerate(fit.names):
         p, value = fit.fit_problem.space[name], fit.values[name]
-        moved = min(max(value + float(wide.change[k]), p.lower), p.upper)
-        ends = [
-            min(max(at + sign * WIDE * float(std[k]), p.lower), p.upper)
-            for at, std in ((value, alone), (value + float(wide.change[k]), together))
-            for sign in (-1, 1)
-        ]
+        change = float(wide.change[k])
+        moved, *ends = (
+            min(max(p.moved(value, step), p.lower), p.upper)
+            for step in (
+                change,
+                *(
+                    middle + sign * WIDE * float(std[k])
+                    for middle, std in ((0.0, alone), (change, together))
+                    for sign in (-1, 1)
+                ),
+            )
+        )
         rows.append((name, p.unit, value, *ends[:2], moved, *ends[2:]))
     return pd.DataFrame(rows, columns=list(COLUMNS))
 

@@ -170,7 +170,7 @@ class LinearisedFit:
         if not self.active:
             return self._projected(rest[:, None])[:, 0]
         region = Region.of(self.fit_problem.space, dict(self.values))
-        matrix = -np.vstack([self.data_slope, np.diag(1.0 / self.prior_sd)]) * region.span
+        matrix = -np.vstack([self.data_slope, np.diag(1.0 / self.prior_sd)]) * region.span_at(region.start)
         return np.asarray(rest + matrix @ region.step(matrix, rest, 0.0, region.start))
 
     def granting(self, names: Collection[str]) -> LinearisedFit:
@@ -265,7 +265,7 @@ def linearised(fit_problem: FitProblem, effects: tuple[str, ...], values: Mappin
         values=complete,
         residual=fit_problem.residual(complete),
         slope=-fit_problem.jacobian(complete, names),
-        prior_sd=prior.widths(names),
+        prior_sd=prior.widths(complete, names),
         shift=prior.residual(complete, names),
     )
 
@@ -289,7 +289,7 @@ def grown(fit: LinearisedFit, fit_problem: FitProblem, effects: tuple[str, ...])
         names=(*fit.names, *further),
         values=values,
         slope=np.hstack([fit.slope, slope]),
-        prior_sd=np.concatenate([fit.prior_sd, Prior.of(space).widths(further)]),
+        prior_sd=np.concatenate([fit.prior_sd, Prior.of(space).widths(values, further)]),
         shift=np.concatenate([fit.shift, np.zeros(len(further))]),
         converged=False,
     )
@@ -303,7 +303,7 @@ def _fitted(
     inside = {n: min(max(v, space[n].lower), space[n].upper) for n, v in start.items() if n in space.free_names}
     prior = Prior.of(space)
     result = gauss_newton(fit_problem, space, {**start, **inside}, prior, settings, step)
-    sd, shift = prior.widths(result.names), prior.residual(result.values, result.names)
+    sd, shift = prior.widths(result.values, result.names), prior.residual(result.values, result.names)
     descent = -result.jacobian.T @ result.residual - shift / sd
     fit = LinearisedFit(
         effects=effects,

@@ -29,7 +29,7 @@ def nearest_whole(fit_problem: FitProblem, start: Mapping[str, float]) -> dict[s
     complete = space.complete(dict(start))
     names = [p.name for p in space.free if not p.integer]
     prior = Prior.of(space)
-    sd, shift = prior.widths(names), prior.residual(complete, names)
+    sd, shift = prior.widths(complete, names), prior.residual(complete, names)
     predicted: dict[tuple[int, ...], float] = {}
 
     def prediction(numbers: tuple[int, ...]) -> float:

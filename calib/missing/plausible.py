@@ -64,7 +64,7 @@ def implausible(fit: LinearisedFit, added: Sequence[Candidate]) -> str:
             here, side = fit.values[q.name], limit_of(fit, q)
             if side is not None:
                 reasons.append(f"{q.name} is on its limit of {_with_unit(getattr(q, side), q)}")
-            elif abs(here - q.value) > RULES.nuisance * q.prior_width:
+            elif abs(q.pull(here)) > RULES.nuisance:
                 reasons.append(f"{q.name} = {_with_unit(here, q)} is far from {q.value:.4g}")
     return "; ".join(reasons)
 

@@ -61,7 +61,7 @@ def _rise(fit: LinearisedFit, k: int, value: float) -> float:
     step = column * (value - fit.values[name])
     start = {**fit.values, **{n: fit.values[n] + d for n, d in zip(fit.names, step, strict=True)}, name: value}
     p = fit.fit_problem.space[name]
-    own = ((value - p.value) / p.prior_width) ** 2
+    own = p.pull(value) ** 2
     try:
         there = least_squares_fit(Altered(fit.fit_problem, held={name: value}), fit.effects, start)
     except EvaluationError:

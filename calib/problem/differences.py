@@ -32,7 +32,7 @@ def central_jacobian(
     values : mapping
     names : sequence of str
     step : float
-        Half the distance between the two points, as a share of the range between the limits.
+        Half the distance between the two points, as a share of the range between the limits along the scale.
     """
     complete = space.complete(dict(values))
     if not names:
@@ -54,9 +54,10 @@ def ask_ahead(
 
 def _ends(values: Mapping[str, float], p: Parameter, step: float) -> list[float]:
     """Ends of a difference within the limits of a parameter; none for an integer and for one that is held."""
-    middle, half = values[p.name], step * (p.upper - p.lower)
-    if p.integer or half == 0:
+    if p.integer or p.lower == p.upper:
         return []
+    middle = values[p.name]
+    half = step * p.span_at(middle)
     return [end for end in (min(middle + half, p.upper), max(middle - half, p.lower)) if end != middle]
 
 
@@ -74,7 +75,7 @@ def difference(
         When the vector cannot be evaluated on either side.
     """
     middle = values[p.name]
-    if p.integer or step * (p.upper - p.lower) == 0:
+    if p.integer or p.lower == p.upper:
         return np.zeros_like(np.asarray(residual(values), dtype=float))
     ends, fault = [], EvaluationError(f"no difference along {p.name!r} lies within its limits")
     for at in _ends(values, p, step):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
@@ -206,6 +206,7 @@ def _one(shared: Mapping[str, Parameter]) -> Parameter:
         for attribute, one, other in (
             ("unit", kept.unit, p.unit),
             ("integer", kept.integer, p.integer),
+            ("scale", kept.scale, p.scale),
             ("fixed value", *((None, None) if free else (kept.value, p.value))),
         ):
             if one != other:
@@ -223,7 +224,7 @@ def _one(shared: Mapping[str, Parameter]) -> Parameter:
             remedy="widen one of them",
         )  # fmt: skip
     value = min(max(chosen.value, lower), upper)
-    return replace(chosen, lower=lower, upper=upper, value=value, prior_sd=chosen.prior_width)
+    return chosen.within(lower, upper, value=value)
 
 
 def expand_columns(slope: np.ndarray, own: Sequence[str], names: Sequence[str]) -> np.ndarray:

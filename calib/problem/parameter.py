@@ -1,14 +1,15 @@
-"""Parameter: one named number of a model with its limits, unit, distribution and prior."""
+"""Parameter: one named number of a model with its limits, unit, scale, distribution and prior."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 from calib.errors.arguments import number
 from calib.errors.errors import InputError
+from calib.problem.density import Density
 
 SI_FACTORS: Mapping[str, float] = {
     "-": 1.0,
@@ -61,6 +62,11 @@ SI_FACTORS: Mapping[str, float] = {
 
 
 Distribution = Literal["uniform", "fixed"]
+Scale = Literal["linear", "log"]
+PriorKind = Literal["normal", "log-normal", "uniform"]
+_KINDS = ("normal", "log-normal", "uniform")
+_MOST_EXPONENT = 230.0
+"""Largest natural logarithm of a value, about that of `MOST`."""
 MOST = 1e100
 """Largest absolute value of a value or limit; squares of larger ones overflow."""
 FINEST_PRIOR = 1e-9
@@ -87,7 +93,15 @@ class Parameter:
     integer : bool
         Takes integers only.
     prior_sd : float or None
-        Prior standard deviation in ``unit``; default ``(upper - lower)/sqrt(12)``, that of the uniform distribution.
+        Prior standard deviation in ``unit``; of a log-normal prior ``value`` times that of the logarithm. Default is
+        that of the uniform distribution between the limits, ``(upper - lower)/sqrt(12)``, of logarithms on a log scale.
+    scale : {"linear", "log"}
+        With ``"log"`` samples, searches, steps of fits, intervals and figures take the logarithm of the value.
+    prior : {"normal", "log-normal", "uniform"} or sequence of (value, density) or None
+        What is known before the test: a normal distribution about ``value``; a log-normal one with the median
+        ``value``; every value within the limits alike along the scale, which pulls to none; or a density tabulated
+        over values in ``unit``, straight between them, whatever the factor. Default is ``"normal"`` on a linear and
+        ``"log-normal"`` on a logarithmic scale.
     needed : float or None
         Largest standard deviation in ``unit`` with which the parameter counts as identified; see
         `calib.inference.identify.needed_std` for the default.
@@ -104,6 +118,9 @@ class Parameter:
     30000.0
     >>> stiffness.limit_at(99.95)
     'upper'
+    >>> soil = calib.Parameter("k_soil", 1e6, 1e3, 1e9, "N/m", scale="log")
+    >>> round(soil.at(0.5)), round(soil.position(1e8), 3)
+    (1000000, 0.833)
     """
 
     name: str
@@ -119,6 +136,8 @@ class Parameter:
     source: str = ""
     assumed: str = ""
     needed: float | None = None
+    scale: Scale = "linear"
+    prior: PriorKind | Density | tuple[tuple[float, float], ...] | None = None
 
     def __post_init__(self) -> None:
         place = f"parameter {self.name}"
@@ -163,22 +182,147 @@ class Parameter:
             )
         if self.integer and any(v != round(v) for v in (self.value, self.lower, self.upper)):
             raise InputError("an integer parameter has a fractional value or limit", place=place)
+        self._check_scale(place)
+        self._check_prior(place)
+
+    def _check_scale(self, place: str) -> None:
+        if self.scale not in ("linear", "log"):
+            raise InputError(f"unknown scale {self.scale!r}", place=place, remedy="use 'linear' or 'log'")
+        if self.is_log and (self.integer or not min(self.lower, self.value) > 0):
+            what = "an integer" if self.integer else f"{min(self.lower, self.value):g} {self.unit}"
+            remedy = 'use scale = "linear", or give a value and limits above 0'
+            raise InputError(f"{what} has no place on a logarithmic scale", place=place, remedy=remedy)
+
+    def _check_prior(self, place: str) -> None:
+        if self.prior is None or self.prior == "normal":
+            return
+        if self.integer:
+            raise InputError("an integer has a prior other than a normal one", place=place, remedy="leave prior out")
+        if isinstance(self.prior, str):
+            if self.prior not in _KINDS:
+                remedy = f"use {', '.join(map(repr, _KINDS))}, or pairs of a value and its density"
+                raise InputError(f"unknown prior {self.prior!r}", place=place, remedy=remedy)
+            if self.prior == "log-normal" and not self.value > 0:
+                remedy = "give a value above 0, which is its median"
+                raise InputError(f"a log-normal prior has the value {self.value:g}", place=place, remedy=remedy)
+            if self.prior == "log-normal" and self.prior_sd is None and not self.lower > 0:
+                raise InputError("a log-normal prior has no standard deviation", place=place, remedy="give prior_sd")
+        elif not isinstance(self.prior, Density):
+            object.__setattr__(self, "prior", Density.of(self.prior, place))
+        if self.prior_sd is not None and self.prior != "log-normal":
+            remedy = "leave prior_sd out: it follows from the prior"
+            raise InputError("both a prior and its standard deviation are given", place=place, remedy=remedy)
+        if isinstance(self.prior, Density) and not self.distribution == "fixed":
+            self.prior.require(self.lower, self.upper, place)
 
     @property
     def si_factor(self) -> float:
         """Factor from ``unit`` to SI."""
         return SI_FACTORS[self.unit]
 
+    # -- scale -------------------------------------------------------------------------------------------------------
+
+    @property
+    def is_log(self) -> bool:
+        """Whether its scale is logarithmic."""
+        return self.scale == "log"
+
+    def coordinate(self, value: float) -> float:
+        """The value along the scale: its natural logarithm on a logarithmic one."""
+        return math.log(value) if self.is_log else value
+
+    def of_coordinate(self, coordinate: float) -> float:
+        """The value with this `coordinate`."""
+        return math.exp(min(coordinate, _MOST_EXPONENT)) if self.is_log else coordinate
+
+    def position(self, value: float) -> float:
+        """Place between the limits along the scale: 0 at the lower one, 1 at the upper one."""
+        low, high = self.coordinate(self.lower), self.coordinate(self.upper)
+        return (self.coordinate(value) - low) / (high - low)
+
+    def at(self, position: float) -> float:
+        """The value at a place between the limits; see `position`."""
+        low, high = self.coordinate(self.lower), self.coordinate(self.upper)
+        return self.of_coordinate(low + position * (high - low))
+
+    def span_at(self, value: float) -> float:
+        """Change of the value for the way from limit to limit, in ``unit``, to first order at a value."""
+        return value * math.log(self.upper / self.lower) if self.is_log else self.upper - self.lower
+
+    def moved(self, value: float, change: float) -> float:
+        """The value after a change that is known to first order there, in ``unit``: on a log scale by a factor."""
+        return self.of_coordinate(self.coordinate(value) + (change / value if self.is_log else change))
+
     def limit_at(
         self, value: float, std: float | None = None, searched: bool = False
     ) -> Literal["lower", "upper"] | None:
         """The limit that a value is on, see `calib.problem.parameter.limit_at`; None between the limits."""
+        if self.is_log and value > 0:
+            known = None if std is None else std / value
+            return limit_at(math.log(value), math.log(self.lower), math.log(self.upper), known, searched)
         return limit_at(value, self.lower, self.upper, std, searched)
+
+    # -- prior -------------------------------------------------------------------------------------------------------
+
+    @property
+    def prior_kind(self) -> PriorKind | Density:
+        """Its prior, or the one of its scale."""
+        if self.prior is None:
+            return "log-normal" if self.is_log else "normal"
+        assert isinstance(self.prior, str | Density)
+        return self.prior
 
     @property
     def prior_width(self) -> float:
-        """Prior standard deviation in ``unit``."""
-        return self.prior_sd if self.prior_sd is not None else (self.upper - self.lower) / math.sqrt(12.0)
+        """Prior standard deviation in ``unit``, to first order at the nominal value."""
+        kind = self.prior_kind
+        if self.prior_sd is not None:
+            return self.prior_sd
+        if isinstance(kind, Density):
+            return kind.std
+        if kind == "log-normal" and not self.is_log:
+            return self.value * math.log(self.upper / self.lower) / math.sqrt(12.0)
+        return self.span_at(self.value) / math.sqrt(12.0)
+
+    def prior_width_at(self, value: float) -> float:
+        """Prior standard deviation in ``unit`` to first order at a value: one over the slope of `pull` there.
+
+        That of a uniform prior, which does not pull, is `prior_width` along the scale: how little is known before.
+        """
+        kind = self.prior_kind
+        if isinstance(kind, Density):
+            return kind.width(value)
+        log = kind == "log-normal" or (kind == "uniform" and self.is_log)
+        return self.prior_width * (value / self.value) if log else self.prior_width
+
+    def pull(self, value: float) -> float:
+        """What the prior adds to a residual at a value: its distance from the median in standard deviations.
+
+        ``-pull^2/2`` is the logarithm of the prior's density over the value, of a log-normal one over its logarithm;
+        of a tabulated one the value is turned into a standard normal one. 0 for a uniform prior.
+        """
+        kind = self.prior_kind
+        if isinstance(kind, Density):
+            return kind.score(value)
+        if kind == "log-normal":
+            return math.log(value / self.value) * self.value / self.prior_width
+        return 0.0 if kind == "uniform" else (value - self.value) / self.prior_width
+
+    @property
+    def pulls(self) -> bool:
+        """Whether its prior draws a fit to some value."""
+        return self.prior_kind != "uniform"
+
+    def log_prior(self, value: float) -> float:
+        """Logarithm of the prior's density along the scale, but for a constant."""
+        own = -0.5 * self.pull(value) ** 2
+        return own if self.prior_kind == "normal" else own + math.log(self.span_at(value) / self.prior_width_at(value))
+
+    def within(self, lower: float, upper: float, **changes: Any) -> Parameter:
+        """The parameter with other limits and the same prior, whose width they do not change."""
+        follows = self.prior_kind == "uniform" or isinstance(self.prior_kind, Density)
+        width = None if follows else self.prior_width
+        return replace(self, lower=lower, upper=upper, prior_sd=width, **changes)
 
 
 @dataclass(frozen=True)

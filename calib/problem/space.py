@@ -12,49 +12,12 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import linprog
 
-from calib.errors.arguments import number, objects, values
+from calib.errors.arguments import number, objects
 from calib.errors.errors import InputError
+from calib.problem.constraint import LinearConstraint
 from calib.problem.parameter import Parameter
 
 __all__ = ["LinearConstraint", "Parameter", "ParameterSpace", "replace_parameters"]
-
-
-@dataclass(frozen=True)
-class LinearConstraint:
-    """``lower <= sum_k coefficients[k] * theta_k <= upper``, with every theta in its own unit.
-
-    Examples
-    --------
-    Two masses, together 10 kg within 1 kg:
-
-    >>> import numpy as np
-    >>> import calib
-    >>> masses = [calib.Parameter(name, 5.0, 1.0, 10.0, "kg") for name in ("m1", "m2")]
-    >>> total = calib.LinearConstraint("total mass", (("m1", 1.0), ("m2", 1.0)), 9.0, 11.0, "kg")
-    >>> space = calib.ParameterSpace(masses, (total,))
-    >>> space.feasible(np.array([[4.0, 6.0], [8.0, 6.0]])).tolist()
-    [True, False]
-    """
-
-    name: str
-    coefficients: tuple[tuple[str, float], ...]
-    lower: float
-    upper: float
-    unit: str = "-"
-
-    def __post_init__(self) -> None:
-        if not self.coefficients:
-            raise InputError("no coefficients", place=f"constraint {self.name}")
-        given = values(dict(self.coefficients), f"constraint {self.name}")
-        object.__setattr__(self, "coefficients", tuple(given.items()))
-        for label in ("lower", "upper"):
-            number(getattr(self, label), f"constraint {self.name}, {label}")
-        if math.isnan(self.lower) or math.isnan(self.upper) or self.lower > self.upper:
-            raise InputError(
-                f"lower limit {self.lower:g} is above upper limit {self.upper:g}", place=f"constraint {self.name}"
-            )
-        if not all(math.isfinite(c) for _, c in self.coefficients):
-            raise InputError("a coefficient is not finite", place=f"constraint {self.name}")
 
 
 DECADES = 2.0
@@ -103,7 +66,11 @@ class ParameterSpace:
         object.__setattr__(self, "_integers", tuple(p.name for p in self.parameters if p.integer))
         for constraint in self.constraints:
             for name, _ in constraint.coefficients:
-                self._require(name, f"constraint {constraint.name}")
+                if self._require(name, f"constraint {constraint.name}").is_log:
+                    raise InputError(
+                        f"{name} has a logarithmic scale and is in a sum", place=f"constraint {constraint.name}",
+                        remedy='give it scale = "linear", or leave it out of the constraint',
+                    )  # fmt: skip
 
     def __getitem__(self, name: str) -> Parameter:
         return self._require(name, "parameter space")
@@ -176,8 +143,13 @@ class ParameterSpace:
         """Which free parameters take integers only, shape (n_free,), bool."""
         return np.array([p.integer for p in self.free], dtype=bool)
 
+    @property
+    def log(self) -> np.ndarray:
+        """Which free parameters have a logarithmic scale, shape (n_free,), bool."""
+        return np.array([p.is_log for p in self.free], dtype=bool)
+
     def frame(self) -> pd.DataFrame:
-        """One row per parameter: value, limits, unit, distribution, prior width, description and source."""
+        """One row per parameter: value, limits, unit, distribution, scale, prior width, description and source."""
         return pd.DataFrame(
             [
                 {
@@ -188,6 +160,7 @@ class ParameterSpace:
                     "upper": p.upper,
                     "unit": p.unit,
                     "distribution": p.distribution,
+                    "scale": p.scale,
                     "integer": p.integer,
                     "prior_sd": p.prior_width,
                     "description": p.description,
@@ -202,14 +175,13 @@ class ParameterSpace:
     def wide_sentence(self) -> str:
         """Says which free parameters have limits that span more than `DECADES`; empty for none."""
         spans = [(p.name, math.log10(p.upper / p.lower)) for p in self.free if 0 < p.lower and not p.integer]
-        wide = [(name, decades) for name, decades in spans if decades > DECADES]
+        wide = [(name, decades) for name, decades in spans if decades > DECADES and not self[name].is_log]
         if not wide:
             return ""
         names = ", ".join(f"{name} span {decades:.2g} decades" for name, decades in wide)
-        them = "their logarithms parameters" if len(wide) > 1 else "its logarithm a parameter"
         return (
             f"The limits of {names}: samples and searches between them are uniform, so that nine tenths lie in the "
-            f"uppermost decade and the others are hardly seen. Narrow the limits, or make {them} of the model."
+            'uppermost decade and the others are hardly seen. State scale = "log" there, or narrow the limits.'
         )
 
     # -- changes -----------------------------------------------------------------------------------------------------
@@ -313,7 +285,28 @@ class ParameterSpace:
         """
         lower, upper = self.lower, self.upper
         integers = np.minimum(lower + np.floor(unit * (upper - lower + 1.0)), upper)
-        return np.where(self.integer, integers, lower + unit * (upper - lower))
+        return np.where(self.integer, integers, self.between(unit))
+
+    def between(self, position: np.ndarray) -> np.ndarray:
+        """Points at places (n, n_free) between the limits along the scales, integers like others, (n, n_free)."""
+        lower, upper = self.coordinates(self.lower), self.coordinates(self.upper)
+        return self.of_coordinates(lower + position * (upper - lower))
+
+    def position(self, points: np.ndarray) -> np.ndarray:
+        """Places of points (n, n_free) between the limits along the scales, 0 to 1; see `between`."""
+        lower, upper = self.coordinates(self.lower), self.coordinates(self.upper)
+        return np.asarray((self.coordinates(points) - lower) / (upper - lower))
+
+    def coordinates(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., n_free) along the scales: natural logarithms on logarithmic ones."""
+        return np.where(self.log, np.log(np.where(self.log, points, 1.0)), points) if self.log.any() else points
+
+    def of_coordinates(self, coordinates: np.ndarray) -> np.ndarray:
+        """Points (..., n_free) with these `coordinates`; those on logarithmic scales within the limits."""
+        if not (log := self.log).any():
+            return np.asarray(coordinates)
+        values = np.clip(np.exp(np.where(log, coordinates, 0.0)), self.lower, self.upper)
+        return np.where(log, values, coordinates)
 
     def si(self, values: Mapping[str, float]) -> dict[str, float]:
         """Values in SI; the only place where parameter units are converted."""

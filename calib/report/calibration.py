@@ -16,6 +16,7 @@ from matplotlib.patches import Patch
 
 from calib.report.comparison import LEAST_MAC_ERROR
 from calib.report.numbers import flag, short, significant, with_unit
+from calib.report.parameters import position
 from calib.report.style import CASES, GREY, VERMILLION, legend_above, new_figure, own_axes, plain
 from calib.report.svg import hover
 
@@ -114,8 +115,8 @@ def search_span(table: pd.DataFrame) -> pd.Series[float]:
     """Return the position between the limits (0 to 1) where the search ended; the final position without a search."""
     if "search_value" not in table:
         return table["ratio"].astype(float)
-    span = table["upper"].astype(float) - table["lower"].astype(float)
-    return ((table["search_value"].astype(float) - table["lower"].astype(float)) / span).fillna(table["ratio"])
+    found = pd.Series(position(table, table["search_value"]), index=table.index)
+    return found.fillna(table["ratio"].astype(float))
 
 
 def _at_limit(rows: pd.DataFrame) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -26,7 +26,12 @@ MOST_LINES = 2000
 
 
 def draw_anthill(
-    table: pd.DataFrame, x: str, y: str, ax: Axes | None = None, labels: Mapping[str, str] = MappingProxyType({})
+    table: pd.DataFrame,
+    x: str,
+    y: str,
+    ax: Axes | None = None,
+    labels: Mapping[str, str] = MappingProxyType({}),
+    log: Collection[str] = (),
 ) -> Axes:
     """Draw two columns of designs against each other: an anthill plot, coloured by the density of its points.
 
@@ -39,6 +44,8 @@ def draw_anthill(
     ax : Axes, optional
     labels : mapping from str to str
         Labels of columns, such as with their units.
+    log : collection of str
+        Columns with a logarithmic axis, of whose logarithms density and correlation are.
 
     Returns
     -------
@@ -52,10 +59,11 @@ def draw_anthill(
     """
     values = _numbers(table, [x, y]).to_numpy()
     known = values[np.isfinite(values).all(axis=1)]
+    along = np.log10(known, where=[x in log, y in log], out=known.copy())
     ax = style.own_axes(ax, 4.2)
     looks: dict[str, Any] = {"s": 12, "linewidths": 0, "rasterized": len(known) > _DENSE, "gid": "designs"}
     if len(known) > _DENSE:
-        density = _density(known)
+        density = _density(along)
         order = np.argsort(density, kind="stable")
         ax.scatter(known[order, 0], known[order, 1], c=density[order], cmap="viridis_r", **looks)
     else:
@@ -64,10 +72,11 @@ def draw_anthill(
     words = f"{len(known)} designs" + (f", {left} without a value" if left else "")
     if all(np.ptp(column) > 0 for column in known.T):
         rank = float(spearmanr(*known.T).statistic)
-        words += f"; correlation {np.corrcoef(known.T)[0, 1]:+.2f}, of ranks {rank:+.2f}"
+        words += f"; correlation {np.corrcoef(along.T)[0, 1]:+.2f}, of ranks {rank:+.2f}"
     ax.set_title(words, loc="left", fontsize=9)
     ax.set_xlabel(labels.get(x, x))
     ax.set_ylabel(labels.get(y, y))
+    ax.set(xscale="log" if x in log else "linear", yscale="log" if y in log else "linear")
     ax.grid(True)
     return ax
 
@@ -79,6 +88,7 @@ def draw_parallel(
     best: int,
     ax: Axes | None = None,
     labels: Mapping[str, str] = MappingProxyType({}),
+    log: Collection[str] = (),
 ) -> Axes:
     """Draw designs as lines over parallel axes, the best ones on top.
 
@@ -95,6 +105,8 @@ def draw_parallel(
     ax : Axes, optional
     labels : mapping from str to str
         As in `draw_anthill`.
+    log : collection of str
+        Columns with a logarithmic axis.
 
     Raises
     ------
@@ -107,8 +119,10 @@ def draw_parallel(
         shown = shown.iloc[np.unique(np.concatenate([np.arange(min(best, MOST_LINES)), others]))]
     ax = style.own_axes(ax, 4.4)
     values = shown[list(columns)].to_numpy(dtype=float)
+    along = np.log10(values, where=[name in log for name in columns], out=values.copy())
+    low, high = along.min(axis=0), along.max(axis=0)
+    heights = (along - low) / np.where(high > low, high - low, 1.0)
     low, high = values.min(axis=0), values.max(axis=0)
-    heights = (values - low) / np.where(high > low, high - low, 1.0)
     colours = _colours(shown[by].to_numpy(dtype=float))
     places = np.arange(len(columns))
     for k in range(len(shown) - 1, -1, -1):
@@ -120,7 +134,8 @@ def draw_parallel(
         ax.axvline(place, color=style.BLACK, linewidth=0.8)
         ax.annotate(f"{top:.4g}", (place, 1.0), (0, 3), textcoords="offset points", ha="center", fontsize=8)
         ax.annotate(f"{bottom:.4g}", (place, 0.0), (0, -11), textcoords="offset points", ha="center", fontsize=8)
-    ax.set_xticks(places, [labels.get(name, name) for name in columns], rotation=35, ha="right")
+    names = [labels.get(name, name) + (" (log)" if name in log else "") for name in columns]
+    ax.set_xticks(places, names, rotation=35, ha="right")
     ax.tick_params(axis="x", pad=12, length=0)
     ax.set_yticks([])
     ax.set_ylim(0.0, 1.0)

@@ -220,6 +220,7 @@ def _calibration(folder: Folder) -> Iterator[Drawing]:
             complete=["ratio"],
             flags=["on_limit", "stable", "identified", "search_on_limit"],
             if_there=["lower", "upper", "std", "low", "high", "search_value", "search_on_limit"],
+            blank=["scale"],
         )
         best = _best_case(folder / "summary.json", list(dict.fromkeys(found["case"])))
         space = folder / "parameter_space.csv"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -73,6 +73,7 @@ def surface_figure(
     y: str,
     response: str,
     labels: Mapping[str, str] = MappingProxyType({}),
+    log: Collection[str] = (),
 ) -> Figure:
     """Draw a response over two inputs, all others at their nominal values: as a slice with contours and in space.
 
@@ -86,6 +87,8 @@ def surface_figure(
         Columns.
     labels : mapping from str to str
         Labels of columns, such as with their units.
+    log : collection of str
+        Inputs with a logarithmic axis; in space their decimal logarithms are drawn.
     """
     table = grid.pivot(index=y, columns=x, values=response)
     across, up = np.meshgrid(table.columns.to_numpy(dtype=float), table.index.to_numpy(dtype=float))
@@ -95,12 +98,13 @@ def surface_figure(
     image = flat.contourf(across, up, height, levels=14, cmap="viridis")
     flat.scatter(designs[x], designs[y], s=4, color="white", linewidths=0, alpha=0.7, gid="designs")
     flat.set(xlabel=labels.get(x, x), ylabel=labels.get(y, y), xlim=(across.min(), across.max()))
-    flat.set_ylim(up.min(), up.max())
+    flat.set(ylim=(up.min(), up.max()), xscale="log" if x in log else "linear", yscale="log" if y in log else "linear")
     figure.colorbar(image, ax=flat, label=labels.get(response, response))
     space: Any = figure.add_subplot(1, 2, 2, projection="3d")
+    across, up = (np.log10(at) if name in log else at for name, at in ((x, across), (y, up)))
     space.plot_surface(across, up, height, cmap="viridis", linewidth=0.2, edgecolor=style.GREY)
-    space.set_xlabel(labels.get(x, x), labelpad=6)
-    space.set_ylabel(labels.get(y, y), labelpad=6)
+    for name, write in ((x, space.set_xlabel), (y, space.set_ylabel)):
+        write(("log10 of " if name in log else "") + labels.get(name, name), labelpad=6)
     space.set_title(labels.get(response, response), fontsize=9)
     space.tick_params(labelsize=7)
     return figure

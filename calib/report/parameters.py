@@ -35,8 +35,9 @@ def draw_parameters(
     ----------
     table : DataFrame
         Columns ``case, parameter, value, unit``, ``ratio`` (position between the limits, 0 to 1) and ``on_limit``.
-        Optional: ``lower, upper`` (the limits), ``std`` (posterior standard deviation, NaN if unknown), ``low, high``
-        (interval of 95 %; by default 1.96 of it to both sides) and ``identified`` (bool, or None).
+        Optional: ``lower, upper`` (the limits), ``scale`` (``log`` where positions are along logarithms), ``std``
+        (posterior standard deviation, NaN if unknown), ``low, high`` (interval of 95 %; by default 1.96 of it to both
+        sides) and ``identified`` (bool, or None).
     ax : Axes, optional
     best_case : str, optional
         The case that is reported; by default the first.
@@ -57,19 +58,17 @@ def draw_parameters(
     best = table[table["case"] == best_case].set_index("parameter").reindex(names)
     ax = own_axes(ax, 1.3 + 0.36 * len(names))
     rows, place = np.arange(len(names)), best["ratio"].to_numpy(dtype=float)
-    span = (best["upper"] - best["lower"]).to_numpy(dtype=float) if "upper" in best else np.full(len(names), np.nan)
     std = best["std"].to_numpy(dtype=float) if "std" in best else np.full(len(names), np.nan)
-    reach = _INTERVAL * std / span
+    reach = _INTERVAL * _share(best, best["value"], std)
     known = [_flag(value) for value in best["identified"]] if "identified" in best else [None] * len(names)
-    nominal = _draw_prior(ax, best, span, prior)
+    nominal = _draw_prior(ax, best, prior)
     has = np.isfinite(reach)
-    ends = [place - reach, place + reach]
+    low, high = place - reach, place + reach
     if "low" in best and "lower" in best:
-        ends = [((best[end] - best["lower"]) / span).to_numpy(dtype=float) for end in ("low", "high")]
-    ax.hlines(
-        rows[has], *(np.clip(end[has], 0.0, 1.0) for end in ends), color=BLUE, linewidth=2.6, gid="posterior", zorder=3
-    )
-    wide = _draw_with_misfit(ax, best, span, with_misfit)
+        low, high = (position(best, best[end]) for end in ("low", "high"))
+    low, high = (np.clip(end[has], 0.0, 1.0) for end in (low, high))
+    ax.hlines(rows[has], low, high, color=BLUE, linewidth=2.6, gid="posterior", zorder=3)
+    wide = _draw_with_misfit(ax, best, with_misfit)
     dot: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": BLUE, "markersize": 7.5, "markeredgewidth": 1.6}
     for flag, face in ((True, BLUE), (False, "white"), (None, BLUE)):
         some = [value is flag for value in known]
@@ -90,7 +89,7 @@ def draw_parameters(
         if row:
             ax.axhline(row - 0.5, color="#E3E3E3", linewidth=0.6)
     hover_points(ax, place, rows, words)
-    ax.set_yticks(rows, [str(name) for name in names])
+    ax.set_yticks(rows, [f"{name} (log)" if log else str(name) for name, log in zip(names, _logs(best), strict=True)])
     ax.tick_params(axis="y", length=0)
     ax.set(xlim=(-0.03, 1.03), ylim=(len(names) - 0.45, -0.55))
     ax.set_xticks(np.linspace(0.0, 1.0, 6))
@@ -122,14 +121,44 @@ def draw_parameters(
     return ax
 
 
-def _draw_prior(ax: Axes, best: pd.DataFrame, span: np.ndarray, prior: pd.DataFrame | None) -> bool:
+def position(limits: pd.DataFrame, values: pd.Series[float]) -> np.ndarray:
+    """Places of values between the limits along the scale, (n,).
+
+    Parameters
+    ----------
+    limits : DataFrame (n, ...)
+        Columns ``lower, upper``, and ``scale`` where one may be logarithmic.
+    values : Series (n,)
+    """
+    log = _logs(limits)
+    low, high, at = (column.to_numpy(dtype=float) for column in (limits["lower"], limits["upper"], values))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        low, high, at = (np.where(log, np.log(np.where(log, x, 1.0)), x) for x in (low, high, at))
+        return np.asarray((at - low) / (high - low))
+
+
+def _logs(limits: pd.DataFrame) -> np.ndarray:
+    """Which rows have a logarithmic scale, (n,)."""
+    return (limits["scale"] == "log").to_numpy() if "scale" in limits else np.zeros(len(limits), dtype=bool)
+
+
+def _share(limits: pd.DataFrame, values: pd.Series[float], change: np.ndarray) -> np.ndarray:
+    """Small changes at some values as a share of the way between the limits, (n,); NaN without limits."""
+    if "upper" not in limits:
+        return np.full(len(limits), np.nan)
+    lower, upper = (limits[end].to_numpy(dtype=float) for end in ("lower", "upper"))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        whole = np.where(_logs(limits), values.to_numpy(dtype=float) * np.log(upper / lower), upper - lower)
+    return np.asarray(change / whole)
+
+
+def _draw_prior(ax: Axes, best: pd.DataFrame, prior: pd.DataFrame | None) -> bool:
     """Draw band and nominal value of each row; whether there are any."""
     if prior is None:
         return False
     known = prior.set_index("parameter").reindex(best.index)
-    lower = best["lower"].to_numpy(dtype=float)
-    nominal = (known["value"].to_numpy(dtype=float) - lower) / span
-    reach = 2.0 * known["prior_sd"].to_numpy(dtype=float) / span
+    nominal = position(best, known["value"])
+    reach = 2.0 * _share(best, known["value"], known["prior_sd"].to_numpy(dtype=float))
     rows = np.arange(len(best))
     has = np.isfinite(nominal) & np.isfinite(reach)
     low, high = np.clip(nominal[has] - reach[has], 0.0, 1.0), np.clip(nominal[has] + reach[has], 0.0, 1.0)
@@ -141,14 +170,12 @@ def _draw_prior(ax: Axes, best: pd.DataFrame, span: np.ndarray, prior: pd.DataFr
     return bool(np.isfinite(nominal).any())
 
 
-def _draw_with_misfit(ax: Axes, best: pd.DataFrame, span: np.ndarray, table: pd.DataFrame | None) -> bool:
+def _draw_with_misfit(ax: Axes, best: pd.DataFrame, table: pd.DataFrame | None) -> bool:
     """Draw the interval with the misfit of each row; whether there are any."""
     if table is None or "lower" not in best:
         return False
     known, rows = table.set_index("parameter").reindex(best.index), np.arange(len(best))
-    low, high = (
-        ((known[f"{end}_unexplained"] - best["lower"]) / span).to_numpy(dtype=float) for end in ("low", "high")
-    )
+    low, high = (position(best, known[f"{end}_unexplained"]) for end in ("low", "high"))
     has = np.isfinite(low) & np.isfinite(high)
     ends = (np.clip(end[has], 0.0, 1.0) for end in (low, high))
     ax.hlines(rows[has] + 0.22, *ends, color=ORANGE, linewidth=1.4, gid="with the misfit", zorder=3)

@@ -192,8 +192,8 @@ def prognosis(space: ParameterSpace, points: pd.DataFrame, responses: pd.DataFra
 
 
 def _scaled(space: ParameterSpace, points: np.ndarray) -> np.ndarray:
-    span = space.upper - space.lower
-    return 2.0 * (points - space.lower) / np.where(span > 0, span, 1.0) - 1.0
+    lower, upper = space.coordinates(space.lower), space.coordinates(space.upper)
+    return 2.0 * (space.coordinates(points) - lower) / np.where(upper > lower, upper - lower, 1.0) - 1.0
 
 
 def _is_exact(space: ParameterSpace) -> bool:
@@ -343,6 +343,7 @@ class _Pairs:
         share = unit[:, p:]
         steps = np.ceil(low - 1e-9) + np.floor(share * (np.floor(high + 1e-9) - np.ceil(low - 1e-9) + 1.0))
         other = np.where(space.integer, np.minimum(steps, np.floor(high + 1e-9)), low + share * (high - low))
+        other = np.where(space.log, space.between(share), other)  # no constraint narrows them
         return cls(_scaled(space, base), _scaled(space, other))
 
 

@@ -70,7 +70,7 @@ def morris_design(
     unit = morris_sampling.sample(_problem(space), trajectories, num_levels=levels, seed=seed)
     span = np.where(space.integer, space.upper - space.lower, 1.0)
     unit = np.where(space.integer, np.round(unit * span) / span, unit)
-    return Design("morris", space.free_names, space.lower + unit * (space.upper - space.lower), unit, note)
+    return Design("morris", space.free_names, space.between(unit), unit, note)
 
 
 def morris_effects(design: Design, responses: pd.DataFrame) -> pd.DataFrame:
@@ -145,7 +145,7 @@ def sobol_design(space: ParameterSpace, base: int, seed: int, ignore_constraints
 
     unit = sobol_sampling.sample(_problem(space), base, calc_second_order=False, seed=seed)
     points = space.from_unit(unit)
-    return Design("sobol", space.free_names, points, (points - space.lower) / (space.upper - space.lower), note)
+    return Design("sobol", space.free_names, points, space.position(points), note)
 
 
 def sobol_shares(design: Design, responses: pd.DataFrame, seed: int = 0) -> pd.DataFrame:

@@ -38,8 +38,9 @@ def sensitivity_space(
             fields["lower"], fields["upper"] = change.limits
         if change.prior_sd is not None:
             fields["prior_sd"] = change.prior_sd
-        if change.needed is not None:
-            fields["needed"] = change.needed
+        for key in ("needed", "scale", "prior"):
+            if (stated := getattr(change, key)) is not None:
+                fields[key] = stated
         if change.fixed is not None:
             fields["distribution"] = "fixed" if change.fixed else "uniform"
         try:
@@ -77,9 +78,9 @@ def sensitivity_space(
 def _of_parameter(space: ParameterSpace, name: str, change: ParameterSettings, place: PlaceOf) -> Place:
     """Place of the key that is wrong by itself, else of the parameter's table."""
     what = f"[parameters.{name}]"
-    stated = {"value": change.value, "prior_sd": change.prior_sd, "needed": change.needed}
+    stated = {key: getattr(change, key) for key in ("value", "prior_sd", "needed", "scale", "prior")}
     limits = {"limits": change.limits, "search": change.search}
-    tried: list[tuple[str, dict[str, float]]]
+    tried: list[tuple[str, dict[str, object]]]
     tried = [(key, {key: value}) for key, value in stated.items() if value is not None]
     tried += [(key, {"lower": pair[0], "upper": pair[1]}) for key, pair in limits.items() if pair is not None]
     if name in space:

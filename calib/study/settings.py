@@ -51,7 +51,12 @@ class ParameterSettings(Section):
     """Lower and upper limit of the calibration; by default ``limits``."""
     prior_sd: float | None = Field(default=None, gt=0)
     """Standard deviation of the prior; by default that of a uniform distribution between the limits. A parameter that
-    is not selected is uncertain by it."""
+    is not selected is uncertain by it. Of a log-normal prior it is ``value`` times that of the logarithm."""
+    scale: Literal["linear", "log"] | None = None
+    """``"log"``: samples, searches, fits, intervals and figures take the logarithm; for limits over several decades."""
+    prior: Literal["normal", "log-normal", "uniform"] | tuple[Pair, ...] | None = None
+    """What is known before the test: ``"normal"`` about ``value``, ``"log-normal"`` with the median ``value`` (default
+    with ``scale = "log"``), ``"uniform"`` between the limits, or pairs ``[value, density]``."""
     needed: float | None = Field(default=None, gt=0)
     """Largest standard deviation with which it counts as identified; by default 10 % of the nominal value, or the prior
     standard deviation where that value is 0 or a position. Of an integer at most 0.2."""

@@ -19,7 +19,7 @@ def test_the_parameters_table(search):
         [result("A", k=1.0, m=0.5), result("B", k=1.3, m=0.995), result("C", k=1.31, m=0.5)], search.space
     )
     assert table.columns.tolist() == [
-        "case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_limit", "spread", "stable"
+        "case", "parameter", "value", "unit", "lower", "upper", "scale", "ratio", "on_limit", "spread", "stable"
     ]  # fmt: skip
     assert table["case"].tolist() == ["A"] * 3 + ["B"] * 3 + ["C"] * 3
     assert table["parameter"].tolist() == ["k", "m", "place"] * 3

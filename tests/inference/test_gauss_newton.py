@@ -67,7 +67,8 @@ def test_the_prior_can_be_switched_off_or_moved():
     exact = np.linalg.lstsq(problem.matrix, problem.data, rcond=None)[0]
     np.testing.assert_allclose([free.values[n] for n in problem.names], exact, atol=1e-5)
     assert free.prior_misfit == 0
-    moved = fit(problem, space, prior=Prior({"p0": 30.0}, {"p0": 1e-4}), settings=tight)
+    prior = Prior({"p0": Parameter("p0", 30.0, -50.0, 50.0, prior_sd=1e-4)})
+    moved = fit(problem, space, prior=prior, settings=tight)
     assert moved.values["p0"] == pytest.approx(30.0, abs=1e-3)
 
 
