@@ -141,6 +141,7 @@ SPEED = {  # memory, time, processes; results are the same
     "problem/problem.py": "REMEMBERED AHEAD",
     "analyses/provenance/recorded.py": "WORTH_SHARING SHARED_AFTER",
     "execution/ahead.py": "_ROUNDS",
+    "analyses/robustness.py": "QUANTILES _ROUNDS",
     "results/results.py": "_ABANDONED",
     "problem/sampling.py": "_BATCH_MAX",
     "structure/eigenproblem/deflation.py": "_BLOCK _STEPS_MIN _STEPS_MAX",

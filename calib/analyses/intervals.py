@@ -128,7 +128,7 @@ def intervals_at(study: AnyStudy, values: Mapping[str, float], run: IntervalsRun
     """
     started = time.perf_counter()
     study = study.each(lambda one: recorded(one, run.ledger, run.workers))
-    problem, notes = _problem(study, run)
+    problem, notes = scanned_problem(study, run.homes, run.ledger, run.workers, run.progress)
     space = problem.space
     names = tuple(p.name for p in space.free if not p.integer)
     chosen = run.parameters or names
@@ -161,15 +161,17 @@ def intervals_at(study: AnyStudy, values: Mapping[str, float], run: IntervalsRun
     return Intervals(table, tuple(profiles), sampled, tuple(notes), time.perf_counter() - started)
 
 
-def _problem(study: AnyStudy, run: IntervalsRun) -> tuple[FitProblem, list[str]]:
+def scanned_problem(
+    study: AnyStudy, homes: Mapping[str, Results], ledger: Ledger, workers: Workers, progress: Progress
+) -> tuple[FitProblem, list[str]]:
     """The problem to scan, on the reduced bases of large models, and what is to be said of them."""
     notes, instead = list[str](), {}
-    with tasks_shared(run.workers):
+    with tasks_shared(workers):
         for one in study.studies:
-            reduction = reduction_noted(one, run.homes.get(one.test), notes, run.progress)
+            reduction = reduction_noted(one, homes.get(one.test), notes, progress)
             if reduction is not None:
                 instead[one.test] = reduction.problem
-    return fit_problem(study, run.ledger, instead), notes
+    return fit_problem(study, ledger, instead), notes
 
 
 @dataclass(frozen=True, eq=False)

@@ -125,6 +125,21 @@ def explain_settings(
     return settings.model_copy(update={"explain": explain, "reduction": _reduction(settings, reduction, "explain")})
 
 
+class RobustnessKeys(TypedDict, total=False):
+    """Keys of ``[robustness]``."""
+
+    samples: int | None
+    seed: int | None
+    limits: Mapping[str, Sequence[float]]
+
+
+def robustness_settings(settings: StudySettings, keys: RobustnessKeys) -> StudySettings:
+    """Settings of a robustness analysis; limits of responses add to those of the settings, name by name."""
+    given = {name: tuple(pair) for name, pair in keys.get("limits", {}).items()}
+    every = {**keys, "limits": {**settings.robustness.limits, **given}}
+    return settings.model_copy(update={"robustness": with_keys(settings.robustness, "robustness", every)})
+
+
 def _reduction(settings: StudySettings, reduction: bool | Mapping[str, Any] | None, verb: str) -> Any:
     keys = {"use": reduction} if isinstance(reduction, bool) else reduction or {}
     return with_keys(settings.reduction, f"{verb}, reduction", keys)

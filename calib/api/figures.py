@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib.analyses.designs import Designs
 from calib.analyses.extend import found_among
 from calib.analyses.provenance import places
 from calib.analyses.provenance.stale import Stale, stale_answers
@@ -22,7 +21,7 @@ from calib.report.figures import FigureRequest
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import pictures, write_report
-from calib.report.style import FORMATS, Format, Width, add_heading, owner_of, save, style
+from calib.report.style import FORMATS, Format, Width, add_heading, save, style
 from calib.report.tables import CurrentFolder
 from calib.results.results import RESULTS, Results
 from calib.results.written import is_own
@@ -30,7 +29,6 @@ from calib.study.several import JointStudy
 from calib.study.study_file import StudyFile, shell_argument
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _NUMBERED = re.compile(r"_\d+$")
@@ -144,38 +142,6 @@ def _one(
         current, study.settings.title, study.synthetic, stale.sentences, stale.other_code, tests, study.test, prefix
     )
     return _Shown(study, folder, stale, results)
-
-
-def draw_designs(
-    found: Designs, study: StudyFile, folder: Path, clouds: Sequence[tuple[str, str]], parallel: int
-) -> tuple[Path, ...]:
-    """Draw clouds of two columns of designs, and their free parameters side by side with the best ones marked.
-
-    Parameters
-    ----------
-    found : Designs
-    study : StudyFile
-    folder : Path
-        Where ``anthill_*.png`` and ``designs_parallel.png`` go.
-    clouds : sequence of (str, str)
-        Columns.
-    parallel : int
-        Number of the best ones; 0 for no such picture.
-    """
-    from calib.report.designs import draw_anthill, draw_parallel
-
-    axes = [*found.space.free_names, "objective"]
-    labels = {p.name: f"{p.name}, {p.unit}" for p in found.space.parameters if p.unit not in ("", "-")}
-    drawings = [(f"anthill_{plain(x)}_{plain(y)}", partial(draw_anthill, found.table, x, y)) for x, y in clouds]
-    if parallel:
-        drawings.append(("designs_parallel", partial(draw_parallel, found.table, axes, "objective", parallel)))
-    log = [p.name for p in found.space.parameters if p.is_log]
-    figures = [(name, partial(_owner, drawing, labels, log)) for name, drawing in drawings]
-    return write_named(figures, f"{study.settings.title}: designs", study.synthetic, folder)
-
-
-def _owner(draw: Callable[..., Axes], labels: Mapping[str, str], log: Sequence[str]) -> Figure:
-    return owner_of(draw(labels=labels, log=log))
 
 
 def write_named(

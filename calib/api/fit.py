@@ -17,9 +17,10 @@ from calib.analyses.every_mode import errors_at
 from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.joint_responses import own_values
 from calib.analyses.provenance.places import tasks_shared
-from calib.api.arguments import ExplainKeys, calibration_settings
+from calib.api.arguments import ExplainKeys, RobustnessKeys, calibration_settings, robustness_settings
 from calib.api.display import Compared, Displayed, compared
 from calib.api.entries.entry import Entry
+from calib.api.intervals import FitIntervals, FitRobustness
 from calib.api.pairs import ledger_or_memory, reporting
 from calib.api.protocols import Candidates, Finer, P
 from calib.api.search import Searched
@@ -31,9 +32,7 @@ from calib.results.answer import Answer
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
-    from calib.analyses.intervals import Intervals
     from calib.api.explained import Explained
 
 
@@ -243,6 +242,41 @@ class Fit(Displayed, Generic[P]):
             run = IntervalsRun(ledger, parameters=tuple(parameters), samples=samples, seed=seed, progress=step)
             return FitIntervals(intervals_at(study, self.values, run))
 
+    def robustness(
+        self,
+        *,
+        posterior: pd.DataFrame | None = None,
+        reduction: bool | Mapping[str, Any] | None = None,
+        progress: bool = True,
+        **keys: Unpack[RobustnessKeys],
+    ) -> FitRobustness:
+        """Responses over what is known of the parameters: quantiles, and the share outside limits.
+
+        Parameters
+        ----------
+        posterior : DataFrame, optional
+            Samples of the fitted parameters, such as ``fit.intervals(samples=2000).of.sampled.samples``; by default
+            they are drawn from the linearised posterior.
+        reduction, progress
+            As in `intervals`.
+        **keys
+            ``samples`` of the posterior (500), their ``seed``, and ``limits``: least and largest allowed value of
+            responses by name, either may be infinite.
+
+        Raises
+        ------
+        InputError
+            For limits of an unknown response.
+        """
+        from calib.analyses.robustness import RobustnessRun, robustness_at
+
+        problem = self.problem
+        settings = calibration_settings(problem.settings, {}, None, None, reduction, "robustness")
+        study = problem.study(robustness_settings(settings, keys))
+        with reporting("robustness", progress) as step, ledger_or_memory(problem.ledger) as ledger:
+            run = RobustnessRun(ledger, study.settings.robustness, posterior, progress=step)
+            return FitRobustness(robustness_at(study, self.values, run))
+
     def figure(self, name: str, ax: Axes | None = None, *, test: str = "") -> Axes:
         """Draw one figure of the fit.
 
@@ -276,49 +310,6 @@ class Fit(Displayed, Generic[P]):
         from calib.api.page import write_page
 
         return (write_page(self, path_of(path, "report")),)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class FitIntervals(Displayed):
-    """Intervals of the parameters of a fit.
-
-    Attributes
-    ----------
-    of : Intervals
-        All results: ``profiles``, ``curves``, and ``sampled``, the samples of the posterior.
-    """
-
-    of: Intervals
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """One for each parameter, then on samples, and what all rests on."""
-        return self.of.sentences
-
-    @property
-    def lines(self) -> Mapping[str, str]:
-        """The answer by the labels of its lines, and where the rest is."""
-        return {**self.of.answer.labelled, "Evidence": ".sentences, .table, .of.curves, .of.sampled; .figure() draws"}
-
-    @property
-    def table(self) -> pd.DataFrame:
-        """A row for each parameter; see `calib.inference.profile_likelihood.profile_table`."""
-        return self.of.table
-
-    @property
-    def entries(self) -> Sequence[Entry]:
-        """What the command prints below the answer."""
-        from calib.api.entries.calibrated import interval_entries
-
-        return interval_entries(self.of)
-
-    def figure(self) -> Figure:
-        """Draw the profiles."""
-        from calib.report.profiles import profiles_figure
-        from calib.report.style import style
-
-        with style():
-            return profiles_figure(self.of.curves, self.of.table)
 
 
 def calibrated_fit(

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from calib.analyses.extend import Extension
     from calib.analyses.intervals import Intervals
     from calib.analyses.propose import ProposalResult
+    from calib.analyses.robustness import Robustness
     from calib.analyses.screening import Screening
     from calib.analyses.sensitivity import Sensitivity
     from calib.analyses.versions import Versions
@@ -72,6 +73,9 @@ class Listener:
 
     def bounded(self, answer: Intervals, folder: Results) -> None:
         """Intervals of the fitted parameters were computed."""
+
+    def pushed(self, answer: Robustness, folder: Results) -> None:
+        """Samples of the posterior were pushed through the model."""
 
     def explained(self, study: AnyStudy, answer: ExplanationResult, folder: Results) -> None:
         """An explanation is done."""

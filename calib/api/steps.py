@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from calib.analyses.provenance import places
 
@@ -16,8 +16,10 @@ if TYPE_CHECKING:
     from calib.analyses.compare import ComparisonResult
     from calib.analyses.designs import Designs
     from calib.analyses.intervals import Intervals
+    from calib.analyses.robustness import Robustness
     from calib.analyses.screening import Screening
     from calib.analyses.sensitivity import Sensitivity
+    from calib.api.arguments import RobustnessKeys
     from calib.missing.findings import ExplanationResult
     from calib.results.ledger import Ledger
     from calib.study.several import AnyStudy
@@ -136,6 +138,27 @@ def bounded(study: Any, parameters: tuple[str, ...], samples: int, seed: int) ->
         run = IntervalsRun(ledger, homes, study.workers, parameters, samples, seed, step)
         found = intervals(loaded, study.folder, run, study.quick)
     study.listener.bounded(found, study.folder)
+    return found
+
+
+def pushed(study: Any, **keys: Unpack[RobustnessKeys]) -> Robustness:
+    """Responses over the posterior of the parameters, about the stored calibration."""
+    from calib.analyses.robustness import RobustnessRun, posterior_samples, robustness
+    from calib.api.arguments import robustness_settings
+
+    loaded = _selecting(study)
+    study.listener.begins(loaded, "robustness")
+    homes = {one.test: places.results_of(one, study.results) for one in loaded.studies}
+    with (
+        opened_ledger(study, loaded) as ledger,
+        study.listener.progress() as step,
+        places.tasks_shared(study.workers),
+    ):
+        settings = robustness_settings(loaded.settings, keys).robustness
+        own = posterior_samples(study.folder)
+        run = RobustnessRun(ledger, settings, own, homes, study.workers, step)
+        found = robustness(loaded, study.folder, run, study.quick)
+    study.listener.pushed(found, study.folder)
     return found
 
 

@@ -7,10 +7,11 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from calib.analyses.provenance import places
 from calib.api import steps
+from calib.api.arguments import RobustnessKeys
 from calib.api.display import AnalysisResult, Compared, by_test
 from calib.api.listener import Listener, Showing
 from calib.api.problem import Problem
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from calib.analyses.again import Repeated
     from calib.analyses.calibrate import Method
     from calib.analyses.staged import Found
+    from calib.api.designs import DesignKeys
     from calib.problem.effect import Effect
     from calib.report.style import Format, Width
     from calib.study.several import AnyStudy
@@ -230,44 +232,30 @@ class Study:
         self.draw()
         return AnalysisResult(found.sentences, found.table, self.folder.path, found, tuple(interval_entries(found)))
 
-    def designs(
-        self,
-        best: int = 12,
-        *,
-        feasible: bool = False,
-        design: int | None = None,
-        csv: str | Path | None = None,
-        anthill: Sequence[tuple[str, str]] = (),
-        parallel: bool = False,
-    ) -> AnalysisResult:
+    def robustness(self, **keys: Unpack[RobustnessKeys]) -> AnalysisResult:
+        """Responses over what is known of the parameters; see `calib.api.fit.Fit.robustness`.
+
+        Samples of the posterior are those of `intervals`, where it has drawn some.
+        """
+        from calib.api.entries.calibrated import robustness_entries
+
+        found = steps.pushed(self, **keys)
+        self.draw()
+        return AnalysisResult(found.sentences, found.table, self.folder.path, found, tuple(robustness_entries(found)))
+
+    def designs(self, best: int = 12, **keys: Unpack[DesignKeys]) -> AnalysisResult:
         """Every design that searches and samples of the study as it is have evaluated, ranked by the objective.
 
         Parameters
         ----------
         best : int
             Designs that are printed.
-        feasible : bool
-            Leave out those that failed.
-        design : int, optional
-            Tell the values of this design alone, by its number in the table.
-        csv : path, optional
-            File of the whole table.
-        anthill : sequence of (str, str)
-            Pairs of columns, each drawn as a cloud coloured by density, into the folder of results.
-        parallel : bool
-            Draw the free parameters of all designs side by side, the best ones marked.
+        **keys
+            What else is told, written and drawn; see `calib.api.designs.DesignKeys`.
         """
-        from calib.api.entries.designed import designs_entries
-        from calib.api.entries.entry import Words
-        from calib.api.figures import draw_designs
+        from calib.api.designs import designs
 
-        found = steps.listed(self)
-        found = found.feasible if feasible else found
-        printed = tuple(designs_entries(found, integer(best, 1, "best"), design))
-        written = self.folder.path if csv is None else found.write(path_of(csv, "csv"))
-        drawn = draw_designs(found, self.loaded, self.folder.path, anthill, min(best, 20) if parallel else 0)
-        self.listener.listed(found, [*printed, *(Words(f"Drawn: {path}", "always") for path in drawn)], written)
-        return AnalysisResult(found.sentences, found.table, self.folder.path, found, printed)
+        return designs(self, integer(best, 1, "best"), keys)
 
     def again(self) -> Repeated:
         """Evaluate failed points once more, such as those without a licence; others stay. Analyses then use them."""

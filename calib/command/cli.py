@@ -38,6 +38,7 @@ from calib.command.options import (
     listed,
     possible,
 )  # fmt: skip
+from calib.command.robustness import robustness
 from calib.errors.errors import InputError
 from calib.execution import interrupt
 from calib.results.results import RESULTS
@@ -203,13 +204,13 @@ def intervals(
 ) -> None:
     """Intervals of the fitted parameters by the profile likelihood, beside those of their standard deviations.
 
-    One parameter is moved away from its fitted value while all others are fitted again, until the data exclude what
-    lies beyond. Needs a calibration.
+    One is moved from its fitted value while all others are fitted again, until the data exclude what lies beyond.
     """
     with _study("intervals", study, results, verbose, workers, quick, cache=cache) as loaded:
         loaded.intervals(parameter or (), samples=samples)
 
 
+app.command(short_help="Responses over what is known of the fitted parameters.")(robustness)
 app.command(short_help="List evaluated designs, the best first.")(designs)
 app.command(short_help="Write the solver's deck with the calibrated values.")(deck)
 

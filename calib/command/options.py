@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -35,6 +36,21 @@ def assigned(text: str | None) -> dict[str, str]:
             f"{wrong!r:.40} assigns nothing", place="--variables", remedy="give pairs as its help shows them"
         )
     return {name.strip(): value.strip() for name, _, value in pairs}
+
+
+def limits_of(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Limits such as ``natural_freq_1B=1.9:2.1`` by name, an empty end infinite; InputError for another form."""
+    out = {}
+    for text in texts:
+        name, _, ends = text.rpartition("=")
+        least, colon, most = ends.partition(":")
+        try:
+            out[name] = (float(least or "-inf"), float(most or "inf"))
+        except ValueError:
+            colon = ""
+        if not (name and colon):
+            raise InputError(f"{text!r:.40} names no limits", place="--limit", remedy="write RESPONSE=LEAST:MOST")
+    return out
 
 
 StudyPath = Annotated[Path, typer.Argument(metavar="STUDY", callback=possible, help="Folder with a study.toml.")]

@@ -16,6 +16,7 @@ from calib.analyses.designs import Designs
 from calib.analyses.extend import Extension
 from calib.analyses.intervals import Intervals
 from calib.analyses.propose import ProposalResult
+from calib.analyses.robustness import Robustness
 from calib.analyses.screening import Screening
 from calib.analyses.sensitivity import Sensitivity
 from calib.analyses.versions import Versions
@@ -142,6 +143,9 @@ class _Printing(Listener):
 
     def bounded(self, answer: Intervals, folder: Results) -> None:
         self._answered(answer.answer, folder.path / "intervals.csv", calibrated.interval_entries(answer))
+
+    def pushed(self, answer: Robustness, folder: Results) -> None:
+        self._answered(answer.answer, folder.path / "robustness.csv", calibrated.robustness_entries(answer))
 
     def explained(self, study: AnyStudy, answer: ExplanationResult, folder: Results) -> None:
         self._answered(

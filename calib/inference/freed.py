@@ -58,7 +58,7 @@ def freed(
         return Freed(at.residual, slope, prior_sd)
     spread = {**held_sd, **{f"{MESH_ERROR} {k}": 1.0 for k in range(held.shape[1] - len(held_sd))}}
     values, names = {**dict.fromkeys(spread, 0.0), **at.values}, (*at.names, *spread)
-    wide = _widened(_linear(space, at), values, spread, names)
+    wide = _widened(_with_linear_priors(space, at), values, spread, names)
     prior = Prior.of(wide)
     beside = np.hstack([constraints.slope, constraints.held])
     pull = np.concatenate([at.residual, np.zeros(len(beside)), prior.residual(values, at.names)])
@@ -75,7 +75,7 @@ def freed(
     return Freed(at.residual + (end.residual - start)[:rows], slope, prior_sd)
 
 
-def _linear(space: ParameterSpace, at: At) -> ParameterSpace:
+def _with_linear_priors(space: ParameterSpace, at: At) -> ParameterSpace:
     """The space with the priors of fitted parameters as they are to first order, on linear scales."""
     for name, sd in zip(at.names, at.prior_sd.tolist(), strict=True):
         p = space[name]

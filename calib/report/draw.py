@@ -26,6 +26,7 @@ from calib.report.parameters import draw_parameters
 from calib.report.places import places_figure
 from calib.report.profiles import profiles_figure
 from calib.report.responses import draw_responses
+from calib.report.robustness import BOUNDS, NUMBERS, robustness_figure
 from calib.report.scene import PLACE
 from calib.report.sensitivity import MEASURES, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
@@ -246,6 +247,12 @@ def _calibration(folder: Folder) -> Iterator[Drawing]:
         found = read_results(folder / "intervals.csv", ["parameter", "unit"], ends, unique="parameter")
         draw = bound(profiles_figure, curves, found)
         yield Drawing("profiles", "profile likelihood of the parameters", draw, ("profiles", "intervals"))
+    path = folder / "robustness.csv"
+    if path.exists() and (folder / "robustness_samples.csv").exists():
+        known = read_results(path, ["response"], list(NUMBERS), unique="response", blank=["unit"], unbounded=BOUNDS)
+        drawn = read_results(folder / "robustness_samples.csv", [], others_are_numbers=True)
+        caption = "robustness of the responses"
+        yield Drawing("robustness", caption, bound(robustness_figure, known, drawn), ("robustness",))
     path = folder / "posterior_correlation.csv"
     if path.exists() and len(posterior := read_square(path, may_be_empty=True)) > 1:
         draw = bound(draw_correlation, posterior, threshold=STRONG, label=POSTERIOR, most_in_matrix=MOST_IN_MATRIX)

@@ -95,6 +95,28 @@ class SensitivitySettings(Section):
     """Seed of the samples."""
 
 
+_Bound = Annotated[float, Field(allow_inf_nan=True)]
+
+
+class RobustnessSettings(Section):
+    """``[robustness]``: samples of the fitted parameters that are pushed through the model."""
+
+    samples: int = Field(default=500, ge=10, le=1_000_000)
+    """Samples of the posterior."""
+    seed: Seed = 1
+    """Seed of the samples."""
+    limits: dict[str, tuple[_Bound, _Bound]] = {}
+    """Least and largest allowed value of responses, in their units: ``{ natural_freq_1B = [1.9, inf] }``."""
+
+    @field_validator("limits")
+    @classmethod
+    def _ordered(cls, limits: dict[str, tuple[_Bound, _Bound]]) -> dict[str, tuple[_Bound, _Bound]]:
+        for name, (least, most) in limits.items():
+            if not least < most:
+                raise WrongBelow(f"limits of {name!r} are not [least, most]", name)
+        return limits
+
+
 class CaseSettings(Section):
     """``[[calibration.cases]]``: one run of the search from its own initial population."""
 
@@ -257,6 +279,8 @@ class StudySettings(Section):
     """Sensitivity analysis."""
     calibration: CalibrationSettings = CalibrationSettings()
     """Calibration."""
+    robustness: RobustnessSettings = RobustnessSettings()
+    """Responses over what is known of the fitted parameters."""
     explain: ExplainSettings = ExplainSettings()
     """Search for a missing effect."""
 

@@ -19,7 +19,7 @@ COMPARISON = [
     "freq_error", "damping_ratio_measured", "damping_ratio_model", "mac", "emac", "margin",
 ]  # fmt: skip
 PARAMETERS = [
-    "case", "parameter", "value", "unit", "lower", "upper", "ratio", "on_limit", "spread", "stable", "std",
+    "case", "parameter", "value", "unit", "lower", "upper", "scale", "ratio", "on_limit", "spread", "stable", "std",
     "low", "high", "identified", "search_value", "search_on_limit", "std_from",
 ]  # fmt: skip
 SUMMARY = {

@@ -12,6 +12,7 @@ from calib.missing.discrepancy import discrepancy, discrepancy_of, parameter_int
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.missing.score import scored
+from calib.problem.space import Parameter
 
 P, N, M = 3, 60, 25
 
@@ -26,7 +27,7 @@ def world(seed, size, sparse=False):
     wide = np.vstack([slope, np.eye(P)])
     values = la.lstsq(wide, np.concatenate([data, np.zeros(P)]))[0]
     names = tuple(f"p{k}" for k in range(P))
-    space = {name: SimpleNamespace(lower=-50.0, upper=50.0, unit="-") for name in names}
+    space = {name: Parameter(name, 0.0, -50.0, 50.0) for name in names}
     fit = LinearisedFit(
         (), SimpleNamespace(space=space), names, dict(zip(names, values.tolist(), strict=True)),
         data - slope @ values, slope, sd, values, True,

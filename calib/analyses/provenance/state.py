@@ -52,6 +52,8 @@ ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.
 """Files of `calib.analyses.added`, removed with the calibration or the explanation that they rest on."""
 INTERVALS = ("intervals.csv", "profiles.csv", "posterior_intervals.csv", "posterior_samples.csv")
 """Files of `calib.analyses.intervals`, removed with the calibration that they rest on."""
+ROBUSTNESS = ("robustness.csv", "robustness_samples.csv")
+"""Files of `calib.analyses.robustness`, removed with the calibration that they rest on."""
 PROPOSED = ("proposals.csv", "proposal_places.csv", "proposals.json")
 """Files of `calib.analyses.propose`, removed with the explanation that they rest on."""
 _MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivity_samples", "input_correlation",
@@ -78,6 +80,7 @@ WRITES: Mapping[str, tuple[str, ...]] = {
         *RECORDED, *GEOMETRY, *(f"{name}.csv" for name in EXPLAINED), "explanation.json", "added.json",
     ),
     "intervals": (*RECORDED, *INTERVALS),
+    "robustness": (*RECORDED, *ROBUSTNESS),
     "propose": (*RECORDED, *PROPOSED),
     "extend": (*RECORDED, *ADDED),
 }  # fmt: skip
@@ -155,7 +158,7 @@ def _measured(study: StudyFile, analysis: str) -> str:
     return _digest(own, measurement_digest(whole), tests)
 
 
-_TOGETHER = ("calibrate", "intervals", "explain", "extend")
+_TOGETHER = ("calibrate", "intervals", "robustness", "explain", "extend")
 """Analyses of all tests together."""
 
 
@@ -198,6 +201,7 @@ _STATED: Mapping[str, tuple[str, ...]] = {
     "sensitivity": ("pairing", "sensitivity"),
     "calibrate": _OF_CALIBRATION,
     "intervals": _OF_CALIBRATION,
+    "robustness": (*_OF_CALIBRATION, "robustness"),
     "explain": _OF_EXPLANATION,
     "propose": _OF_EXPLANATION,
     "extend": _OF_EXPLANATION,
@@ -235,6 +239,7 @@ _USED: Mapping[str, tuple[str, ...]] = {
     "sensitivity": (*_COMPARED, "sensitivity", "prognosis"),
     "calibrate": _FITTED,
     "intervals": _FITTED,
+    "robustness": _FITTED,
     "explain": _FITTED,
     "propose": _FITTED,
     "extend": _FITTED,
@@ -276,6 +281,7 @@ _MODULES: Mapping[str, tuple[str, ...]] = {
     "sensitivity": ("calib.analyses.sensitivity", "calib.analyses.screening"),
     "calibrate": ("calib.analyses.calibrate",),
     "intervals": ("calib.analyses.intervals",),
+    "robustness": ("calib.analyses.robustness",),
     "explain": ("calib.analyses.explain",),
     "propose": ("calib.analyses.propose",),
     "extend": ("calib.analyses.extend", "calib.analyses.added"),

@@ -11,6 +11,7 @@ from calib.analyses.added import WORDS
 from calib.analyses.calibration import Calibration, Fitted, JointCalibration
 from calib.analyses.case_found import FITTED, SEARCH
 from calib.analyses.intervals import Intervals
+from calib.analyses.robustness import Robustness
 from calib.api.entries.compared import failed_entries, held_out, more_on_pairs, pair_entries
 from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
 from calib.missing.local import unit_words
@@ -48,6 +49,29 @@ def interval_entries(result: Intervals) -> list[Entry]:
 def _ends(row: Mapping[Any, Any], which: str) -> str:
     ends = (row[f"{which}lower"], row[f"{which}upper"])
     return " to ".join("limit" if end != end else f"{end:.4g}" for end in ends)
+
+
+def robustness_entries(result: Robustness) -> list[Entry]:
+    """Quantiles of every response, those with limits first, then what the samples rest on."""
+    heads = ("response", "fitted", "measured", "std", "95 % of the samples", "allowed", "outside")
+    table = result.table.to_dict("records")
+    rows = [
+        (
+            r["response"], f"{r['fitted']:.5g}{unit_words(r['unit'])}", _known(r["measured"], "{:.5g}"),
+            _known(r["std"], "{:.2g}"), f"{r['q025']:.5g} to {r['q975']:.5g}",
+            f"{r['least']:.5g} to {r['most']:.5g}" if r["least"] == r["least"] else "",
+            _known(100 * r["outside"], "{:.3g} %"),
+        )
+        for r in table
+    ]  # fmt: skip
+    title = "Responses over what is known of the parameters:"
+    each = [Words(words, when="verbose") for words in result.sentences[: -len(result.notes)]]
+    rest = [Words(words, when="always") for words in result.notes]
+    return [Rows.of(title, heads, rows), *each, *rest]
+
+
+def _known(value: float, form: str) -> str:
+    return "" if value != value else form.format(value)
 
 
 def calibrated_entries(study: AnyStudy, result: Fitted) -> list[Entry]:

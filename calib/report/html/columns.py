@@ -84,6 +84,10 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
         "parameter unit sentence", "mean std lower median upper linear_lower linear_upper", flags="differs",
         unique="parameter",
     ),
+    "robustness": _columns(
+        "response", "fitted measured std q025 q975 least most outside", blank="unit sentence", unbounded="least most",
+        unique="response",
+    ),
     "points": _columns("case point", "objective sum_of_squares prior total", if_there="mean_error mean_mac"),
     "errors_by_case": _columns("case point what", "measured model error mac"),
     "considered": _columns("parameter adds_to words", "value std std_without std_with", flags="matters", blank="unit"),
