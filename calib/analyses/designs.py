@@ -59,6 +59,13 @@ class Designs:
         good = self.table[self.table["status"] == "ok"].drop_duplicates("case")
         return good.sort_values("case", key=lambda case: case.where(case != OTHER, "\uffff"), kind="stable")
 
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Responses that are compared with the measurement: targets of the objective, then MAC."""
+        compared = [name.removeprefix("error ") for name in map(str, self.table) if name.startswith("error ")]
+        shapes = [str(name) for name in self.table if str(name).rpartition(": ")[2].startswith("mac_")]
+        return tuple(dict.fromkeys([*compared, *shapes]))
+
     def values(self, design: int) -> dict[str, float]:
         """The free parameters of a design; ``begin_at = "design NUMBER"`` begins least squares there.
 

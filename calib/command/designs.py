@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib.command.options import Quick, ResultsPath, StudyPath, Verbose, possible
+from calib.command.options import Picture, Quick, ResultsPath, StudyPath, Verbose, possible
 from calib.results.results import RESULTS
 
 
@@ -27,6 +27,9 @@ def designs(
         typer.Option("--anthill", metavar="X Y", help="Draw a cloud of two columns."),
     ] = None,
     parallel: Annotated[bool, typer.Option("--parallel", help="Draw all designs over parallel axes.")] = False,
+    draw: Annotated[
+        list[Picture] | None, typer.Option("--draw", help="Draw what designs have in common; may be repeated.")
+    ] = None,
     results: ResultsPath = RESULTS,
     quick: Quick = False,
     verbose: Verbose = False,
@@ -36,5 +39,6 @@ def designs(
 
     with _study("designs", study, results, verbose, quick=quick) as loaded:
         loaded.designs(
-            best, feasible=feasible, design=design, csv=csv, anthill=[anthill] if anthill else (), parallel=parallel
-        )
+            best, feasible=feasible, design=design, csv=csv, anthill=[anthill] if anthill else (), parallel=parallel,
+            draw=[one.value for one in draw or ()],
+        )  # fmt: skip

@@ -115,6 +115,15 @@ class Estimator(StrEnum):
     Hv = "Hv"
 
 
+class Picture(StrEnum):
+    """Pictures of designs."""
+
+    matrix = "matrix"
+    histograms = "histograms"
+    history = "history"
+    box = "box"
+
+
 class Format(StrEnum):
     """Format of a figure."""
 

@@ -99,11 +99,15 @@ def test_a_design_is_taken_as_a_start(study, table):
 
 
 def test_the_whole_table_and_pictures_are_written_on_request(study, table, tmp_path):
-    study.designs(csv=tmp_path / "all.csv", anthill=[("a", "z")], parallel=True)
+    study.designs(csv=tmp_path / "all.csv", anthill=[("a", "z")], parallel=True, draw=["history", "matrix"])
     written = pd.read_csv(tmp_path / "all.csv")
     assert list(written.columns) == list(table.columns)
     np.testing.assert_allclose(written["objective"], table["objective"], rtol=1e-9)
-    assert {"anthill_a_z.png", "designs_parallel.png"} <= {path.name for path in study.folder.path.iterdir()}
+    drawn = {path.name for path in study.folder.path.glob("*.png")}
+    assert {"anthill_a_z.png", "designs_parallel.png", "designs_history.png", "designs_matrix_rank.png"} <= drawn
+    assert study.designs().of.outputs == ("y", "z")
+    with pytest.raises(InputError, match="unknown picture 'cloud'"):
+        study.designs(draw=["cloud"])
     with pytest.raises(InputError, match="cannot be written"):
         study.designs(csv=tmp_path / "no" / "all.csv")
 

@@ -3,6 +3,7 @@ import pandas as pd
 import pytest
 
 from calib.errors.errors import InputError
+from calib.report.design_statistics import correlations, draw_box, draw_history, histograms_figure, nearest_density
 from calib.report.designs import MOST_LINES, draw_anthill, draw_parallel
 
 
@@ -63,3 +64,63 @@ def test_of_many_designs_the_best_and_evenly_chosen_ones_are_lines():
 def test_a_column_that_is_not_there_is_named():
     with pytest.raises(InputError, match="column nix"):
         draw_anthill(designs(5), "k", "nix")
+
+
+def test_correlations_are_linear_of_ranks_and_of_a_parabola():
+    rng = np.random.default_rng(3)
+    x = rng.uniform(-1.0, 1.0, 4000)
+    table = pd.DataFrame({"x": x, "line": 3 * x + 1, "cube": x**3, "square": x**2, "still": 1.0, "k": 10 ** (x + 4)})
+    table.loc[:9, "line"] = np.nan
+    found = correlations(table, ["x", "k"], ["line", "cube", "square", "still"], log=["k"])
+    linear, rank, quadratic = (found[kind].set_index("parameter") for kind in ("linear", "rank", "quadratic"))
+    # of a uniform x: cor(x, x^3) = (1/5)/sqrt(1/3 1/7)
+    np.testing.assert_allclose(linear.loc["x"], [1.0, np.sqrt(21) / 5, 0.0, np.nan], atol=0.04)
+    np.testing.assert_allclose(rank.loc["x"], [1.0, 1.0, 0.0, np.nan], atol=0.04)
+    np.testing.assert_allclose(quadratic.loc["x"], [1.0, np.sqrt(21) / 5, 1.0, np.nan], atol=0.04)
+    np.testing.assert_allclose(linear.loc["k"], linear.loc["x"], atol=1e-9)
+
+
+@pytest.mark.parametrize(("kind", "power"), [("normal", 0), ("log-normal", 1), ("uniform", 2)])
+def test_the_nearest_density_is_that_of_the_samples(kind, power):
+    rng = np.random.default_rng(1)
+    drawn = [rng.normal(50.0, 2.0, 3000), rng.lognormal(0.0, 0.8, 3000), rng.uniform(2.0, 5.0, 3000)][power]
+    name, density = nearest_density(drawn)
+    assert name == kind and density.cdf(np.median(drawn)) == pytest.approx(0.5, abs=0.03)
+
+
+def test_histograms_leave_out_what_never_changes():
+    table = designs(400).assign(still=2.0)
+    figure = histograms_figure(table, ["k", "f", "still"], {"k": "k, N/m"})
+    shown = [ax for ax in figure.axes if ax.get_visible()]
+    assert [ax.get_title(loc="left").splitlines()[0] for ax in shown] == ["k, N/m", "f"]
+    for ax, name in zip(shown, ["k", "f"], strict=True):
+        bars = [patch for patch in ax.patches if patch.get_gid() == "designs"]
+        assert sum(bar.get_height() * bar.get_width() for bar in bars) == pytest.approx(1.0)
+        assert bars[0].get_x() == pytest.approx(table[name].min())
+
+
+def test_the_history_has_the_best_so_far_and_the_middle_half():
+    rng = np.random.default_rng(2)
+    table = pd.DataFrame({
+        "case": np.repeat(["A", "B", "other"], 40), "generation": [*np.tile(np.arange(1, 5), 20), *[np.nan] * 40],
+        "objective": rng.uniform(1.0, 2.0, 120),
+    })  # fmt: skip
+    ax = draw_history(table)
+    lines = {line.get_gid(): line for line in ax.lines}
+    assert set(lines) == {"best A", "best B"}
+    own = table[table["case"] == "A"].groupby("generation")["objective"]
+    np.testing.assert_allclose(lines["best A"].get_ydata(), own.min().cummin())
+    (band,) = (one for one in ax.collections if one.get_gid() == "spread A")
+    assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(own.quantile(0.75).max())
+
+
+def test_boxes_are_places_between_the_limits():
+    table = pd.DataFrame({"a": np.linspace(1.0, 3.0, 21), "k": np.geomspace(10.0, 1000.0, 21)})
+    limits = pd.DataFrame(
+        {"parameter": ["a", "k"], "lower": [0.0, 1.0], "upper": [4.0, 1e4], "scale": ["linear", "log"]}
+    )
+    ax = draw_box(table, limits, 3)
+    whole, best = (np.array(one.get_segments())[:, :, 0] for one in ax.collections)
+    np.testing.assert_allclose(whole, [[0.25, 0.75], [0.25, 0.75]])
+    np.testing.assert_allclose(best, [[0.25, 0.3], [0.25, 0.3]])
+    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["a", "k (log)"]
