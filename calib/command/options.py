@@ -49,7 +49,7 @@ def limits_of(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
         except ValueError:
             colon = ""
         if not (name and colon):
-            raise InputError(f"{text!r:.40} names no limits", place="--limit", remedy="write RESPONSE=LEAST:MOST")
+            raise InputError(f"{text!r:.40} names no limits", place="--limit", remedy="write them as its help shows")
     return out
 
 
