@@ -115,7 +115,10 @@ def compare_files(
         Also where a study is named beside the files, or one of the two kinds of files is missing.
     """
     if study is not None:
-        raise InputError("it is named beside files", place=f"study {study}", remedy="name the study, or the files")
+        remedy = f"name it with an option of its own, --measured {study}, or all by a pattern in quotes"
+        if study.is_dir() or not study.exists():
+            raise InputError("it is named beside files", place=f"study {study}", remedy="name the study, or the files")
+        raise InputError("no option names it", place=study, remedy=remedy)
     if modes is None or not measured:
         name = "modes" if modes is None else "measured"
         raise InputError("no file is named", place=f"--{name}", remedy="give computed and measured modes")

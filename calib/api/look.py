@@ -17,12 +17,13 @@ from calib.errors.errors import InputError
 from calib.measurement.doubts import doubts_of
 from calib.measurement.files.csv_frf import read_frfs_csv
 from calib.measurement.files.csv_record import TIME, header_of
+from calib.measurement.files.frf_columns import MATLAB
 from calib.measurement.files.read import UFF_SUFFIXES, Named, found_files, read_modes
 from calib.measurement.files.read_frf import read_frfs
-from calib.measurement.files.read_records import read_records
+from calib.measurement.files.read_records import has_force, read_records
 from calib.measurement.files.uff_blocks import read_blocks
 from calib.measurement.files.uff_frf import read_uff_frfs
-from calib.measurement.files.uff_record import TIME_RESPONSE, function_types
+from calib.measurement.files.uff_record import FORCE, TIME_RESPONSE, function_types
 from calib.measurement.frf import MeasuredFRFs, Quantity
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.measurement.places import Doubt
@@ -142,6 +143,8 @@ def look(
     quantity: Quantity | None = None,
     unit: str | None = None,
     averages: int | None = None,
+    channels: Sequence[str] = (),
+    variables: Mapping[str, str] | None = None,
     length_unit: str | None = None,
     synthetic: bool = False,
 ) -> Look:
@@ -151,9 +154,10 @@ def look(
     ----------
     files : path, pattern or sequence of them
         Universal files and tables of modes (with their shapes), FRFs, records, and places of nodes, in any order; what
-        each holds is told by its content. Files of one kind are repeats.
-    sensors, quantity, unit, averages, length_unit, synthetic
-        As in `calib.read_modes`, `calib.read_frfs` and `calib.read_records`.
+        each holds is told by its content. Files of one kind are repeats. Hammer records are seen as their FRFs.
+    sensors, quantity, unit, averages, channels, variables, length_unit, synthetic
+        As in `calib.read_modes`, `calib.read_frfs` and `calib.read_records`. The names in ``variables`` tell whether a
+        MATLAB file or a workbook holds modes or FRFs.
 
     Returns
     -------
@@ -181,7 +185,7 @@ def look(
     """
     by_kind: dict[str, list[Path]] = {}
     for path in found_files(files):
-        for kind in _kinds(path):
+        for kind in _kinds(path, variables or {}):
             by_kind.setdefault(kind, []).append(path)
     places = [*([] if sensors is None else [path_of(sensors, "sensors")]), *by_kind.get(_SENSORS, ())]
     if len(places) > 1:
@@ -196,21 +200,27 @@ def look(
     tables: dict[str, pd.DataFrame] = {}
     if paths := by_kind.get(_MODES):
         shapes = by_kind.get(_SHAPES, [])
-        modes = read_modes(paths, shapes=shapes, sensors=table, length_unit=length_unit, synthetic=synthetic)
+        modes = read_modes(
+            paths, shapes=shapes, sensors=table, length_unit=length_unit, channels=channels, variables=variables,
+            synthetic=synthetic,
+        )  # fmt: skip
         tables["modes"] = seen.modes_seen(modes)
         if modes.has_shapes:
             tables["auto_mac"] = seen.auto_mac(modes)
         if len(paths) > 1 and modes.has_shapes and len(shapes) in (0, len(paths)):
             alone = [
-                read_modes(path, shapes=shapes[k : k + 1], length_unit=length_unit) for k, path in enumerate(paths)
+                read_modes(
+                    path, shapes=shapes[k : k + 1], length_unit=length_unit, channels=channels, variables=variables
+                )
+                for k, path in enumerate(paths)
             ]
             tables["comac_repeats"] = seen.repeats_comac(alone)
     if paths := by_kind.get(_FRFS):
         frfs = read_frfs(
-            paths, quantity=quantity, unit=unit, sensors=table, averages=averages, length_unit=length_unit,
-            synthetic=synthetic,
+            paths, quantity=quantity, unit=unit, sensors=table, averages=averages, channels=channels,
+            variables=variables, length_unit=length_unit, synthetic=synthetic,
         )  # fmt: skip
-        coherence = _coherence(paths, frfs, quantity, unit) if len(paths) == 1 else seen.coherences(frfs)
+        coherence = seen.coherences(frfs) if frfs.n_repeats > 1 else _coherence(paths, frfs, quantity, unit, channels)
         tables["functions"] = seen.functions_seen(frfs, coherence)
         tables["indicators"] = seen.indicators(frfs)
         if coherence:
@@ -228,41 +238,47 @@ def look(
 
 
 def _coherence(
-    paths: Sequence[Path], frfs: MeasuredFRFs, quantity: Quantity | None, unit: str | None
+    paths: Sequence[Path], frfs: MeasuredFRFs, quantity: Quantity | None, unit: str | None, channels: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Coherence of every function of a single file that has it, by its name, on the lines of the FRFs."""
-    path, out = paths[0], {}
-    if path.suffix.lower() not in (*UFF_SUFFIXES, ".csv"):
-        return {}
-    is_uff = path.suffix.lower() in UFF_SUFFIXES
-    repeat = read_uff_frfs(path, quantity, unit) if is_uff else read_frfs_csv(path, quantity, unit)
-    for ((node, direction), (other, towards)), own in repeat.coherence.items():
-        known = np.interp(frfs.freq, repeat.freq, own, left=np.nan, right=np.nan)
-        out[f"{node}{direction}/{other}{towards}"] = known
+    """Coherence of every function of single files that have it, by its name, on the lines of the FRFs."""
+    out: dict[str, np.ndarray] = {}
+    for path in paths:
+        is_uff = path.suffix.lower() in UFF_SUFFIXES
+        if not (is_uff or path.suffix.lower() == ".csv") or has_force(path):
+            continue
+        read = read_uff_frfs(path, quantity, unit, None, channels) if is_uff else None
+        repeat = read or read_frfs_csv(path, quantity, unit, channels)
+        for ((node, direction), (other, towards)), own in repeat.coherence.items():
+            known = np.interp(frfs.freq, repeat.freq, own, left=np.nan, right=np.nan)
+            name = f"{node}{direction}/{other}{towards}"
+            out[name] = np.fmin(known, out.get(name, np.inf))  # of a function in several set-ups the lowest
     return out
 
 
-def _kinds(path: Path) -> list[str]:
-    """What a file holds; a universal file may hold several things."""
+def _kinds(path: Path, variables: Mapping[str, str]) -> list[str]:
+    """What a file holds; a universal file may hold several things. FRFs stand for hammer records too."""
     if not path.is_file():
         raise InputError("there is no such file", place=path, remedy="check the path")
     if path.suffix.lower() in UFF_SUFFIXES:
         kinds = {block.kind for block in read_blocks(path)}
         types = function_types(path) if 58 in kinds else set()
-        held = [_MODES] * bool(kinds & {55, 2414}) + [_RECORDS] * (TIME_RESPONSE in types)
+        held = [_MODES] * bool(kinds & {55, 2414}) + [_RECORDS] * (TIME_RESPONSE in types and FORCE not in types)
         held += [_FRFS] * bool(types - {TIME_RESPONSE})
         if not held:
             words = f"it holds no modes, FRFs or records, only datasets {', '.join(map(str, sorted(kinds)))}"
             raise InputError(words, place=path, remedy="export what was measured")
         return held
+    if path.suffix.lower() in MATLAB and not variables:
+        remedy = "name them: --variables freq=f,damping=zeta,shapes=Phi of modes, --variables freq=f,frf=H of FRFs"
+        raise InputError("its variables are not named", place=path, remedy=remedy)
     if path.suffix.lower() != ".csv":
-        return [_FRFS]
+        return [_MODES if set(variables) - {"sheet", "freq", "frf", "coherence"} else _FRFS]
     header = set(header_of(path)[0])
     if {"node", "x", "y", "z"} <= header:
         return [_SENSORS]
     if "mode" in header:
         return [_SHAPES if "node" in header else _MODES]
-    return [_RECORDS if TIME in header else _FRFS]
+    return [_RECORDS if TIME in header and not has_force(path) else _FRFS]
 
 
 def _of_modes(one: Look) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from calib.command import terminal
-from calib.command.options import Quantity, Verbose, possible
+from calib.command.options import Quantity, Verbose, assigned, listed, possible
 
 
 def look(
@@ -19,6 +19,12 @@ def look(
     quantity: Annotated[Quantity | None, typer.Option("--quantity", help="Where the files do not state it.")] = None,
     unit: Annotated[str | None, typer.Option("--unit", help="Such as g/N; where not stated.")] = None,
     averages: Annotated[int | None, typer.Option("--averages", help="Averages behind a single file.")] = None,
+    channels: Annotated[
+        str | None, typer.Option("--channels", metavar="12z/3z,...", help="Functions or sensors, where not named.")
+    ] = None,
+    variables: Annotated[
+        str | None, typer.Option("--variables", metavar="freq=f,frf=H", help="Names in .mat files and workbooks.")
+    ] = None,
     length_unit: Annotated[str | None, typer.Option("--length-unit", help="Such as mm; where not stated.")] = None,
     synthetic: Annotated[bool, typer.Option("--synthetic", help="No structure was measured.")] = False,
     verbose: Verbose = False,
@@ -33,7 +39,7 @@ def look(
     with one_thread():
         found = look_at(
             files, quantity=None if quantity is None else quantity.value, unit=unit, averages=averages,
-            length_unit=length_unit, synthetic=synthetic,
+            channels=listed(channels), variables=assigned(variables), length_unit=length_unit, synthetic=synthetic,
         )  # fmt: skip
         written = found.save(into)
     terminal.tell_entries(found.entries, verbose)

@@ -22,6 +22,7 @@ from calib.imports.nastran import is_dmig, read_dmig
 from calib.imports.op4 import is_op4, read_op4
 from calib.imports.stored import Stored, counted_from_one, named, numbers_of, spread
 from calib.imports.systems import analysis_set, axes_of, is_bulk, turned_into_global
+from calib.measurement.files.read import UFF_SUFFIXES
 from calib.measurement.places import Point
 
 Kind = Literal["stiffness", "mass", "damping"]
@@ -165,6 +166,9 @@ def _with_neighbours(files: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]
 
 def _stored(file: Path, raw: bytes, text: str, lines: list[str]) -> list[Stored]:
     """The matrices of one file that is neither DMIG nor a deck."""
+    if file.suffix.lower() in UFF_SUFFIXES:
+        remedy = f"name what was measured by an option of its own, --measured {file}, or all by a pattern in quotes"
+        raise InputError("it is a universal file, which holds no matrices", place=file, remedy=remedy)
     held = read_container(file, raw)
     if held is not None:
         return held

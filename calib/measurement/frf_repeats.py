@@ -173,6 +173,11 @@ def combine_frfs(repeats: Sequence[FRFRepeat], averages: int | None = None, synt
     if not repeats:
         raise InputError("there are none", place="FRFs", remedy="name at least one file")
     first, *others = repeats
+    if averages is not None and others:
+        raise InputError(
+            f"averages are given beside {len(repeats)} repeats", place=first.source,
+            remedy="leave them out: the repeats give the standard deviations",
+        )  # fmt: skip
     axis = common_axis([repeat.freq for repeat in repeats])
     for k, other in enumerate(others, start=1):
         _require_alike(first, other, axis is None)

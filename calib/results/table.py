@@ -350,8 +350,9 @@ def _check_header(
                 raise InputError(
                     f"the column {old!r} is called {name!r} now", place=place, remedy=remedy or "rename it"
                 )
-            others = ", ".join(own for own in header if own not in required)
-            rename = f"add it, or rename one of {others:.100}" if others else "add it"
+            others = [own[:60] for own in header if own not in required]
+            more = f" and {len(others) - 5} more" if len(others) > 5 else ""
+            rename = f"add it, or rename one of {', '.join(others[:5])}{more}" if others else "add it"
             raise InputError(f"column {name!r} is missing", place=place, remedy=remedy or rename)
 
 

@@ -89,6 +89,19 @@ def test_the_command_writes_a_study_that_compares_at_once(measured, tmp_path, ca
     assert cli.execute(arguments) == 2 and "not an empty folder" in capsys.readouterr().err
 
 
+def test_a_pattern_without_quotes_behind_an_option_is_told(tmp_path, capsys):
+    for name in ("one.unv", "two.unv"):
+        (tmp_path / name).write_text("    -1\n    -1\n")
+    one, two = str(tmp_path / "one.unv"), str(tmp_path / "two.unv")
+    for command in (
+        ["import", one, "--measured", two, "--to", str(tmp_path / "study")],
+        ["compare", one, "--measured", two],
+    ):
+        assert cli.execute(command) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert "one.unv" in said and "--measured" in said and "pattern in quotes" in said
+
+
 def test_without_a_measurement_the_study_says_what_to_add(tmp_path, capsys):
     found = calib.import_matrices(EXPORTS / "solid.sti", units="mm-t-N", to=tmp_path / "beam")
     assert "study.toml" in found.next_steps[1] and found.study == tmp_path / "beam"

@@ -8,13 +8,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.io import savemat
 
 import calib
+import calib.api.look
 from calib.command import cli
 from calib.command.example import write_example
 from calib.errors.errors import InputError
+from calib.study.loading import module_of
 
-STUDIES = Path(__file__).resolve().parents[2] / "studies"
+ROOT = Path(__file__).resolve().parents[2]
+STUDIES = ROOT / "studies"
+BEAM = module_of(ROOT / "tests/template/hammer_beam.py")
 
 
 @pytest.fixture(scope="module")
@@ -108,3 +113,42 @@ def test_what_cannot_be_looked_at_is_refused(mast, tmp_path, capsys):
         calib.look([mast / "modes.csv", mast / "sensors.csv"], sensors=mast / "sensors.csv")
     assert cli.execute(["look", str(tmp_path / "none.csv")]) == 2
     assert "no such file" in capsys.readouterr().err
+
+
+def test_hammer_records_are_seen_as_their_frfs_and_what_does_not_count_is_told(tmp_path):
+    files = BEAM.session(tmp_path, 3)
+    double = BEAM.write(tmp_path / "double.csv", BEAM.record([(0.05, 100.0), (0.11, 40.0)], 7))
+    found = calib.look([*files, double])
+    assert found.records == () and found.frfs.n_repeats == 3
+    assert found.tables["functions"]["coherence"].notna().all()
+    assert any("double.csv" in words and "double hit" in words for words in found.doubts)
+
+
+@pytest.mark.slow
+def test_matlab_files_are_seen_by_the_names_of_their_variables(tmp_path, capsys, monkeypatch):
+    shapes = np.array([[0.3, -0.7], [1.0, 1.0]])
+    savemat(tmp_path / "modes.mat", {"f": [1.7, 10.7], "zeta": [0.004, 0.005], "Phi": shapes})
+    freq = np.linspace(4.0, 8.0, 81)
+    savemat(tmp_path / "frfs.mat", {"f": freq, "H": 1 / (25.0 - freq**2 + 0.1j * freq)})
+    names = {"freq": "f", "damping": "zeta", "shapes": "Phi"}
+    found = calib.look(tmp_path / "modes.mat", variables=names, channels=["1x", "2x"])
+    assert found.tables["auto_mac"].shape[0] == 2 and found.frfs is None
+    seen = calib.look(tmp_path / "frfs.mat", variables={"freq": "f", "frf": "H"}, channels=["1z/1z"], unit="m/N")
+    assert seen.modes is None and seen.table["peak_freq"].item() == pytest.approx(5.0)
+    monkeypatch.setattr(calib.api.look.Look, "save", lambda *_: ())  # drawn above
+    command = ["look", str(tmp_path / "modes.mat")]
+    assert cli.execute([*command, "--variables", "freq=f,damping=zeta,shapes=Phi", "--channels", "1x,2x"]) == 0
+    assert "2 at 2 sensors" in capsys.readouterr().out
+    assert cli.execute(command) == 2
+    assert "--variables freq=f" in " ".join(capsys.readouterr().err.split())
+
+
+def test_set_ups_keep_the_coherence_of_their_files(tmp_path):
+    frf_table(tmp_path / "one.csv")
+    frf_table(tmp_path / "two.csv", gamma=0.9)
+    own = (tmp_path / "two.csv").read_text().replace(",2z,", ",3z,")
+    (tmp_path / "two.csv").write_text(own)
+    found = calib.look([tmp_path / "one.csv", tmp_path / "two.csv"], unit="m/N")
+    seen = found.tables["functions"].set_index("function")["coherence"]
+    assert seen["2z/1z"] == pytest.approx(0.99) and seen["3z/1z"] == pytest.approx(0.9)
+    assert seen["1z/1z"] == pytest.approx(0.9)  # of a shared function the lower one

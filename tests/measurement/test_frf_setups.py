@@ -61,6 +61,21 @@ def test_repeats_of_each_set_up_give_its_standard_deviation():
     assert shared == pytest.approx(alone / np.sqrt(2), rel=0.25)
 
 
+def test_averages_behind_each_set_up_and_its_coherence_give_its_standard_deviation():
+    one, two = setup("one", [(1, 1), (2, 1)]), setup("two", [(1, 1), (3, 1)])
+    one, two = (
+        replace(run, coherence={key: np.full(len(FREQ), gamma) for key in run.functions})
+        for run, gamma in ((one, 0.9), (two, 0.8))
+    )
+    merged = combine_setups([one, two], averages=5)
+    for column, gamma in ((1, 0.9), (2, 0.8)):
+        share = np.sqrt((1 - gamma) / (2 * 5 * gamma))
+        np.testing.assert_allclose(merged.std[:, column, 0], share * np.abs(TRUE[:, column, 0]))
+    again = setup("again", [(1, 1), (2, 1)], noise=0.01)
+    with pytest.raises(InputError, match="averages are given beside 2 repeats"):
+        combine_setups([one, again, two], averages=5)
+
+
 def test_set_ups_are_linked_in_any_order_and_by_a_common_reference():
     first, last = setup("a", [(1, 1), (1, 2)]), setup("c", [(3, 3), (2, 3)])
     link = setup("b", [(2, 2), (1, 2), (3, 3)])

@@ -173,6 +173,18 @@ def test_damaged_tables_are_refused_at_their_line(write, text, words, line):
     assert line is None or caught.value.at.line == line
 
 
+def test_columns_that_name_no_channels_are_refused_with_the_first_of_them(write):
+    names = ",".join(
+        f"FRF Point{k}:+Z / Hammer:-Z {part}" for k in range(1, 9) for part in ("Mag [g/N]", "Phase [deg]")
+    )
+    path = write(f"Frequency [Hz],{names}\n1,{','.join('12' * 8)}\n")
+    with pytest.raises(InputError, match=r"Point1.*--channels"):
+        read_frfs(path, unit="g/N")
+    lacking = write("freq,response,ref,re,im,one,two,three,four\n1,2z,1z,1,1,0,0,0,0\n")
+    with pytest.raises(InputError, match=r"'reference' is missing; .*one of ref, re, im, one, two and 2 more"):
+        read_frfs(lacking, unit="g/N")
+
+
 def test_contradictions_of_arguments_and_files_are_refused(write):
     path = write(table(head="# unit: mm/N"))
     for given, words in (({"unit": "m/N"}, "not m/N"), ({"quantity": "mobility"}, "receptance and mobility")):

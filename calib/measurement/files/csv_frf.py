@@ -89,8 +89,15 @@ def read_frfs_csv(
         With file, line and column, for anything that is not such a table: amplitudes alone, no quantity, an unknown
         unit, an entry given twice, frequencies that differ between functions, a dead channel.
     """
-    if channels or is_wide(header_of(path)[0]):
+    header = header_of(path)[0]
+    if channels or is_wide(header):
         return read_columns_frfs([path], channels, quantity, unit)
+    if len(header) > 2 and not {"response", "reference"} & set(header):
+        raise InputError(
+            f"its columns, such as {header[1]!r:.60}, name no response and reference", place=path,
+            remedy="call them '12z/3z re' and '12z/3z im', or give the functions in the order of the columns: "
+            "--channels 12z/3z,13z/3z (channels = in a study and in Python)",
+        )  # fmt: skip
     if (large := _large_table(path)) is not None:
         found, units, notes = _stated(path, quantity, unit)
         if (sorted_lines := _of_large(large, found)) is not None:
@@ -216,9 +223,9 @@ def _stated(path: Path, quantity: Quantity | None, unit: str | None) -> tuple[Qu
             )  # fmt: skip
         given.append(own)
     if not given:
-        raise InputError(
-            "neither quantity nor unit is stated", place=path, remedy="start it with a line '# unit: (m/s2)/N'"
-        )
+        state = "state the unit, --unit '(m/s2)/N' (unit = in a study and in Python)"
+        line = "" if path.suffix.lower() in (*MATLAB, *WORKBOOKS) else "start it with a line '# unit: (m/s2)/N', or "
+        raise InputError("neither quantity nor unit is stated", place=path, remedy=line + state)
     for other in given[1:]:
         if other != given[0]:
             place = where.get("quantity", where.get("unit", path))

@@ -75,7 +75,8 @@ def read_frfs(
         Table of node places in metres, of responses and references; it takes precedence over places in universal
         files.
     averages : int, optional
-        Averages behind each function of a single file, from 1; with them its coherence gives standard deviations.
+        Averages behind each function of a single file, or of each of several set-ups, from 1; with them its coherence
+        gives standard deviations.
     channels : sequence of str, optional
         Response and reference of each function, such as ``12z/3z`` or ``12-z/3z``, where the files do not name them: of
         a universal file in the order of its FRFs (its nodes and directions then do not count), of a table with the
@@ -146,11 +147,6 @@ def frfs_and_repeats(files: Named, how: FRFReading) -> tuple[MeasuredFRFs, tuple
     groups, hits = _repeats(paths, channels), hold_hits(paths)
     if averages is not None and hits:
         raise InputError("averages are given beside hammer records", place=paths[0], remedy="leave them out")
-    if averages is not None and len(groups) > 1:
-        raise InputError(
-            f"averages are given beside {len(groups)} repeats", place="measurement",
-            remedy="leave them out: the repeats give the standard deviations",
-        )  # fmt: skip
     require_no_copies(paths)
     table = read_sensor_table(table_path) if table_path is not None else {}
     metres = parse_length_unit(how.length_unit)
@@ -162,8 +158,8 @@ def frfs_and_repeats(files: Named, how: FRFReading) -> tuple[MeasuredFRFs, tuple
         for own in groups
     ]  # fmt: skip
     found = combine_setups(repeats, averages, how.synthetic)
-    if averages is not None and not repeats[0].coherence:
-        raise InputError("averages are given, but it holds no coherence", place=paths[0], remedy="leave them out")
+    if averages is not None and (bare := next((one for one in repeats if not one.coherence), None)):
+        raise InputError("averages are given, but it holds no coherence", place=bare.source, remedy="leave them out")
     points = common_points([(one.source, one.points) for one in repeats], table)
     ends = [(s.node, s.direction) for s in (*found.responses, *found.references)]
     placed = place_sensors(ends, points, table, paths[0], table_path)

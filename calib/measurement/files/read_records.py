@@ -25,14 +25,14 @@ def hold_records(paths: Sequence[Path]) -> bool:
 
     Raises InputError for files that cannot be read and where records and FRFs are given.
     """
-    return _hold_times(paths) and not any(map(_has_force, paths))
+    return _hold_times(paths) and not any(map(has_force, paths))
 
 
 def hold_hits(paths: Sequence[Path]) -> bool:
     """Whether files hold hammer records, time records with the force; raises as `hold_records`."""
     if not _hold_times(paths):
         return False
-    return _all_or_none(paths, list(map(_has_force, paths)), "force", "hammer records or records of responses alone")
+    return _all_or_none(paths, list(map(has_force, paths)), "force", "hammer records or records of responses alone")
 
 
 def _all_or_none(paths: Sequence[Path], found: Sequence[bool], what: str, kinds: str) -> bool:
@@ -45,7 +45,8 @@ def _all_or_none(paths: Sequence[Path], found: Sequence[bool], what: str, kinds:
     return found[0]
 
 
-def _has_force(path: Path) -> bool:
+def has_force(path: Path) -> bool:
+    """Whether a universal file or a table holds the force of a hammer."""
     if path.suffix.lower() == ".csv":
         return any(map(is_force, header_of(path)[0]))
     return FORCE in function_types(path)
