@@ -14,6 +14,7 @@ FOLDERS = {
     "report": "layout of figures and pages, which read tables; levels of verdicts are checked against the rules",
     "command": "how many lines are printed",
     "results/ledger": "format and access of the database",
+    "workbench": "patience of the live page and lengths of its lists; it decides nothing",
 }
 
 ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
@@ -176,6 +177,7 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
     "inference/rules.py": "WIDE",
     "inference/sampled_posterior.py": "_TAILS",
     "results/answer.py": "LABEL",
+    "results/running.py": "_LENGTH _LONGEST _INTERRUPTED _REFUSED _FAILED",
     "correlation/response/problem.py": "_LISTED",
     "errors/place.py": "WIDEST _LEAST TAB",
     "inference/agreement.py": "_NAMED",

@@ -36,7 +36,7 @@ _NUMBERED = re.compile(r"_\d+$")
 
 
 @dataclass(frozen=True)
-class _Shown:
+class Shown:
     """One folder of results as figures and pages show it."""
 
     study: StudyFile
@@ -117,31 +117,42 @@ def _replaced(folder: Path, figures: Sequence[Path], everything: bool) -> list[s
     return [file.name for file in (old if everything else gone)]
 
 
-def _shown(study: StudyFile, folder: Results, root: Path) -> list[_Shown]:
+def _shown(study: StudyFile, folder: Results, root: Path) -> list[Shown]:
     """The folders of several tests, the one shown first last, since what is drawn last leads; then that of all."""
     if not study.settings.several:
-        return [_one(study, folder, root)]
+        return [shown(study, folder, root)]
     part = folder.path.relative_to(root / study.name).as_posix()
     parts = study.studies if isinstance(study, JointStudy) else study.parts
-    found = list[_Shown]()
+    found = list[Shown]()
     for one in first_test_first(parts, folder):
         own = Results(root / one.name / part)
         if any(own.path.glob("*.csv")):
             own = places.opened(one, root, "" if part == "." else part)
             own.remove(REPORT)
-            found.append(_one(one, own, root, f"test{len(found) + 1}-"))
-    return [*reversed(found), _one(study, folder, root, tests=tuple(one.results for one in found))]
+            found.append(shown(one, own, root, f"test{len(found) + 1}-"))
+    return [*reversed(found), shown(study, folder, root, tests=tuple(one.results for one in found))]
 
 
-def _one(
+def shown(
     study: StudyFile, folder: Results, root: Path, prefix: str = "", tests: tuple[StudyResults, ...] = ()
-) -> _Shown:
+) -> Shown:
+    """A folder of results as the study is now; nothing is computed or written.
+
+    Parameters
+    ----------
+    study : StudyFile
+    folder : Results
+    root : Path
+        Parent of the study's results.
+    prefix, tests
+        See `calib.report.html.study_results.StudyResults`.
+    """
     stale = stale_answers(study, folder, None if root == RESULTS else root)
     current = CurrentFolder(folder.path, stale.files)
     results = StudyResults(
         current, study.settings.title, study.synthetic, stale.sentences, stale.other_code, tests, study.test, prefix
     )
-    return _Shown(study, folder, stale, results)
+    return Shown(study, folder, stale, results)
 
 
 def write_named(

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -15,6 +15,9 @@ from rich.table import Column
 
 from calib.execution.stage import Progress as Told
 from calib.execution.stage import silent
+
+if TYPE_CHECKING:
+    from calib.results.running import RunningNote
 
 ERR = Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
 """The error stream, on which progress stands."""
@@ -38,6 +41,19 @@ def bars(verb: str) -> Iterator[Told]:
     columns = (words, BarColumn(bar_width=_BAR), TimeElapsedColumn(), TextColumn("{task.fields[remaining]}"))
     with Progress(*columns, console=ERR, transient=True, expand=True) as bar:
         yield _Bars(bar, verb)
+
+
+def noted(told: Told, verb: str, note: RunningNote) -> Told:
+    """Tell each stage on, and to a note that other processes read, that one no more often than a cell changes."""
+    pace, written = _Pace(verb), [-math.inf]
+
+    def tell(stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
+        told(stage, done, total, best)
+        if pace.tell(stage, done, total, best) or pace.clock() - written[0] >= OFTEN:
+            written[0] = pace.clock()
+            note.tell(pace.words, pace.stage, done, total, best, pace.remaining)
+
+    return tell
 
 
 @contextmanager

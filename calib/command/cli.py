@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from calib.command import terminal
 from calib.command.compare import compare
 from calib.command.designs import designs
+from calib.command.loaded import loaded_study
 from calib.command.look import look
 from calib.command.matrices import deck, import_matrices
+from calib.command.open_page import open_page
 from calib.command.options import (
     CachePath,
     CalibrationMethod,
@@ -44,9 +44,6 @@ from calib.execution import interrupt
 from calib.results.results import RESULTS
 from calib.results.version import __version__
 from calib.results.written import noting_kept
-
-if TYPE_CHECKING:
-    from calib.api.study import Study
 
 app = typer.Typer(
     name="calib",
@@ -157,7 +154,7 @@ def sensitivity(
     verbose: Verbose = False,
 ) -> None:
     """Find which parameters matter: Latin hypercube, rank correlations, variance shares, selection, metamodels."""
-    with _study("sensitivity", study, results, verbose, workers, quick) as loaded:
+    with loaded_study("sensitivity", study, results, verbose, workers, quick, method=method.value) as loaded:
         loaded.sensitivity(
             method.value,
             ignore_constraints=ignore_constraints,
@@ -183,8 +180,9 @@ def calibrate(
 
     Interrupt it at any time: the same command resumes it and ends with the same result.
     """
-    with _study("calibrate", study, results, verbose, workers, quick, cache=cache) as loaded:
-        loaded.calibrate(case, method=method.value if method else None)
+    how = None if method is None else method.value
+    with loaded_study("calibrate", study, results, verbose, workers, quick, True, cache, case, how) as loaded:
+        loaded.calibrate(case, method=None if method is None else method.value)
 
 
 @app.command(short_help="Intervals of fitted parameters that assume no linear model.")
@@ -206,19 +204,20 @@ def intervals(
 
     One is moved from its fitted value while all others are fitted again, until the data exclude what lies beyond.
     """
-    with _study("intervals", study, results, verbose, workers, quick, cache=cache) as loaded:
+    with loaded_study("intervals", study, results, verbose, workers, quick, cache=cache) as loaded:
         loaded.intervals(parameter or (), samples=samples)
 
 
 app.command(short_help="Responses over what is known of the fitted parameters.")(robustness)
 app.command(short_help="List evaluated designs, the best first.")(designs)
 app.command(short_help="Write the solver's deck with the calibrated values.")(deck)
+app.command("open", short_help="Open the live page of a study.")(open_page)
 
 
 @app.command(short_help="Evaluate failed points once more.")
 def again(study: StudyPath, results: ResultsPath = RESULTS, workers: Workers = None, verbose: Verbose = False) -> None:
     """Evaluate failed points once more, such as those without a licence; others stay. Analyses then use them."""
-    with _study("again", study, results, verbose, workers) as loaded:
+    with loaded_study("again", study, results, verbose, workers) as loaded:
         loaded.again()
 
 
@@ -235,7 +234,7 @@ def explain(
     Calibrates by least squares, tests every effect of the study's library and every local perturbation of the model,
     fits the most promising ones, and tests the remaining misfit.
     """
-    with _study("explain", study, results, verbose, workers, cache=cache) as loaded:
+    with loaded_study("explain", study, results, verbose, workers, cache=cache) as loaded:
         loaded.explain()
 
 
@@ -252,7 +251,7 @@ def propose(
     Changed parts, masses, hung masses, springs, dampers and joints are composed from the local perturbations, fitted
     and ranked. The best are written as code, in a study among the results that has them in its library.
     """
-    with _study("propose", study, results, verbose, cache=cache) as loaded:
+    with loaded_study("propose", study, results, verbose, cache=cache) as loaded:
         loaded.propose(rank)
 
 
@@ -269,7 +268,7 @@ def extend(
     """Write a new study whose model also has the named effects; this study stays as it is."""
     from calib.study.study_file import shell_argument
 
-    with _study("extend", study, results, verbose) as loaded:
+    with loaded_study("extend", study, results, verbose) as loaded:
         written = loaded.extend(effects, into)
     place = "" if written.results == RESULTS else f" --results {shell_argument(written.results)}"
     terminal.say(f"Calibrate it with: calib calibrate {shell_argument(written.path)}{place}")
@@ -297,7 +296,7 @@ def report(
 
     Nothing is computed, and no code of the study is run.
     """
-    with _study("report", study, results, verbose, load=False) as known:
+    with loaded_study("report", study, results, verbose, load=False) as known:
         known.report(tuple(dict.fromkeys(one.value for one in formats)), width.value)
 
 
@@ -315,7 +314,7 @@ def run(
     'explain' runs where the study has a library of effects. Effects that it names are added: the extended study is
     written among the results and calibrated too, and the errors before and after are reported.
     """
-    with _study("run", study, results, verbose, workers, quick, cache=cache) as loaded:
+    with loaded_study("run", study, results, verbose, workers, quick, cache=cache) as loaded:
         loaded.run()
 
 
@@ -330,31 +329,6 @@ def _main(
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
 ) -> None:
     pass
-
-
-@contextmanager
-def _study(
-    verb: str,
-    path: Path,
-    results: Path,
-    verbose: bool,
-    workers: int | None = None,
-    quick: bool = False,
-    load: bool = True,
-    cache: Path | None = None,
-) -> Iterator[Study]:
-    """The study of a command, which prints its answer at the end; ``load`` reads its model and data at once."""
-    from calib.api.study import Study
-    from calib.command.printing import printing, tell_cache
-    from calib.execution.tasks import one_thread
-    from calib.structure.reduction.cache import using
-
-    # The matrices are small: several threads of one product wait for each other. Only loaded libraries are limited.
-    with using(cache) as notes, tell_cache(notes, verbose), one_thread(), printing(verb, verbose) as listener:
-        if load:
-            yield Study.load(path, results, workers=workers, quick=quick, listener=listener)
-        else:
-            yield Study(path, results, listener=listener)
 
 
 def main() -> None:

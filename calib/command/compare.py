@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from calib.command import terminal
+from calib.command.loaded import loaded_study
 from calib.command.options import ResultsPath, Verbose, possible
 from calib.errors.errors import InputError
 from calib.results.results import RESULTS
@@ -55,7 +56,5 @@ def compare(
         return
     if study is None:
         raise InputError("nothing is named", place="compare", remedy="name a study, or --modes and --measured")
-    from calib.command.cli import _study  # which registers this command
-
-    with _study("compare", possible(study), results, verbose) as loaded:
+    with loaded_study("compare", possible(study), results, verbose) as loaded:
         loaded.compare()

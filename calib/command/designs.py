@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from calib.command.loaded import loaded_study
 from calib.command.options import Picture, Quick, ResultsPath, StudyPath, Verbose, possible
 from calib.results.results import RESULTS
 
@@ -35,9 +36,7 @@ def designs(
     verbose: Verbose = False,
 ) -> None:
     """List the designs that searches and samples have evaluated: values, responses and errors, the best first."""
-    from calib.command.cli import _study  # which registers this command
-
-    with _study("designs", study, results, verbose, quick=quick) as loaded:
+    with loaded_study("designs", study, results, verbose, quick=quick) as loaded:
         loaded.designs(
             best, feasible=feasible, design=design, csv=csv, anthill=[anthill] if anthill else (), parallel=parallel,
             draw=[one.value for one in draw or ()],

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from calib.command import terminal
+from calib.command.loaded import loaded_study
 from calib.command.options import ResultsPath, StudyPath, Verbose, possible
 from calib.results.results import RESULTS
 
@@ -71,8 +72,6 @@ def deck(
     verbose: Verbose = False,
 ) -> None:
     """Write the templates of the study's solver, or those under 'decks', with the calibrated values. Run them there."""
-    from calib.command.cli import _study  # which registers this command
-
-    with _study("deck", study, results, verbose) as loaded:
+    with loaded_study("deck", study, results, verbose) as loaded:
         for written in loaded.decks(into):
             terminal.say(f"Written: {written}")

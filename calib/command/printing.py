@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
@@ -32,6 +32,7 @@ from calib.missing.findings import ExplanationResult
 from calib.report.html.write import Page
 from calib.results.answer import Answer
 from calib.results.results import Results
+from calib.results.running import RunningNote
 from calib.structure.reduction.cache import basis_cache
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
@@ -77,8 +78,8 @@ class _Printing(Listener):
         Whether to print secondary tables, assumptions and files too.
     """
 
-    def __init__(self, verb: str, verbose: bool = False) -> None:
-        self.verb, self.verbose = verb, verbose
+    def __init__(self, verb: str, verbose: bool = False, note: RunningNote | None = None) -> None:
+        self.verb, self.verbose, self.note = verb, verbose, note
         self._collected: list[AnalysisEntries] = []
         self._begun = False
         self._pages: list[tuple[str, Page]] = []
@@ -94,8 +95,11 @@ class _Printing(Listener):
 
     # -- while it computes ---------------------------------------------------------------------------------------------
 
-    def progress(self) -> AbstractContextManager[Progress]:
-        return progress.bars(self._collected[-1].verb if self._collected else self.verb)
+    @contextmanager
+    def progress(self) -> Iterator[Progress]:
+        verb = self._collected[-1].verb if self._collected else self.verb
+        with progress.bars(verb) as told:
+            yield told if self.note is None else progress.noted(told, verb, self.note)
 
     def first(self, earlier: StudyFile, path: Path) -> None:
         say(f"{earlier.settings.title} comes first: {path} takes over what it finds.")
@@ -242,9 +246,9 @@ class _Printing(Listener):
         self._collected[-1] = replace(self._collected[-1], answer=answer, place=place)
 
 
-def printing(verb: str, verbose: bool = False) -> _Printing:
-    """The listener of one command."""
-    return _Printing(verb, verbose)
+def printing(verb: str, verbose: bool = False, note: RunningNote | None = None) -> _Printing:
+    """The listener of one command, which also tells its progress to a note where there is one."""
+    return _Printing(verb, verbose, note)
 
 
 def _label(study: StudyFile) -> str:

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from calib.command.loaded import loaded_study
 from calib.command.options import CachePath, Quick, ResultsPath, StudyPath, Verbose, Workers
 from calib.results.results import RESULTS
 
@@ -30,9 +31,8 @@ def robustness(
 
     Uses the samples of 'calib intervals --samples' where there are some. Needs a calibration.
     """
-    from calib.command.cli import _study  # which registers this command
     from calib.command.options import limits_of
 
     limits = limits_of(limit or ())
-    with _study("robustness", study, results, verbose, workers, quick, cache=cache) as loaded:
+    with loaded_study("robustness", study, results, verbose, workers, quick, cache=cache) as loaded:
         loaded.robustness(samples=samples, seed=seed, limits=limits)

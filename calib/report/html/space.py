@@ -42,7 +42,7 @@ def scene(results: StudyResults) -> dict[str, Any] | None:
     mesh = read_mesh(results.folder)
     structure = _Structure(mesh)
     stages, sites, moved = _stages(results, mesh, structure)
-    found = (_sensors(results, structure), _misfit(results, structure), *_perturbations(results))
+    found = (_sensors(results, structure), _misfit(results, structure), _effects(results), *_perturbations(results))
     made = [layer for layer in found if layer is not None]
     layers, dots = [data for data, _ in made], [moved, *(points for _, points in made)]
     if not stages and not layers:
@@ -160,6 +160,26 @@ def _stages(
     return found, known.data(), np.concatenate(reached)
 
 
+def model_motions(results: StudyResults) -> dict[str, dict[str, dict[str, Any]]]:
+    """Motion of the points of `scene` in the modes of the model, by stage and number of the mode.
+
+    A mode that is paired moves in scale and phase of the measured shape.
+    """
+    mesh, found = read_mesh(results.folder), dict[str, dict[str, dict[str, Any]]]()
+    structure = _Structure(mesh)
+    for stage in STAGES:
+        moves, compared = results.table(f"deflection_{stage}"), results.compared(stage)
+        if mesh is None or moves is None:
+            continue
+        paired = {} if compared is None else dict(zip(compared["mode"], compared["model_mode"], strict=True))
+        for mode, own in moves.groupby("mode", sort=False):
+            number = paired.get(str(mode), float(str(mode)) if str(mode).isdigit() else np.nan)
+            if not np.isnan(number):
+                moved = packed_numbers(motions(mesh, own)[structure.seen])
+                found.setdefault(f"{stage} calibration", {})[f"{number:.0f}"] = moved
+    return found
+
+
 class _Sites:
     """Places with sensors, each once, in the order in which they are met."""
 
@@ -267,6 +287,23 @@ def _misfit(results: StudyResults, structure: _Structure) -> tuple[dict[str, Any
     tips = misfit_tips(found, np.concatenate([structure.points, feet]))
     colours = [to_hex(scale(v / largest)) for v in rms]
     return _layer("misfit", "Misfit at the sensors", words, tips, feet, rms / largest, colours, names, key)
+
+
+def _effects(results: StudyResults) -> tuple[dict[str, Any], np.ndarray] | None:
+    """Where each effect of the library acts, those of the credible set marked."""
+    acts, ranked = results.table("effect_places"), results.table("effects")
+    if acts is None or acts.empty or ranked is None:
+        return None
+    facts = {str(r["name"]): r for r in ranked.to_dict("records")}
+    acts = acts[acts["effect"].astype(str).isin(list(facts))]
+    credible = [flag(facts[str(name)]["credible"]) for name in acts["effect"]]
+    looks = {True: (VERMILLION, "credible"), False: (SKY, "other effects of the library")}
+    names = [f"{name}: {facts[str(name)]['title']}" for name in acts["effect"]]
+    words = f"{counted(acts['effect'].nunique(), 'effect')} of the library: places by the library, not by the data"
+    sizes = np.where(credible, 1.0, 0.3)
+    dots, key = acts[PLACE].to_numpy(dtype=float), [looks[k] for k in sorted(set(credible), reverse=True)]
+    colours = [looks[k][0] for k in credible]
+    return _layer("effects", "Where effects act", words, dots, None, sizes, colours, names, key)
 
 
 def _perturbations(results: StudyResults) -> list[tuple[dict[str, Any], np.ndarray]]:

@@ -137,12 +137,22 @@ def test_scores_beyond_the_limit_have_the_colour_of_their_key_in_a_layer_for_eac
     assert 0 < sum(found) < len(found)
 
 
+def test_effects_are_shown_where_they_act_the_credible_ones_marked(folder):
+    shown = next(layer for layer in scene(StudyResults(folder, "", False))["layers"] if layer["name"] == "effects")
+    acts = pd.read_csv(folder / "effect_places.csv")
+    credible = set(pd.read_csv(folder / "effects.csv").query("credible")["name"])
+    assert sorted(name.split(":")[0] for name in shown["names"]) == sorted(acts["effect"])
+    marked = {name.split(":")[0] for name, size in zip(shown["names"], shown["sizes"], strict=True) if size == 18.0}
+    assert marked == credible & set(acts["effect"]) != set()
+
+
 @pytest.mark.parametrize(
     ("gone", "left"),
     [
-        (["shapes_before", "shapes_after"], ["sensors", "misfit", *PERTURBATIONS]),
-        (["sensors"], ["misfit", *PERTURBATIONS]),
-        (["sensor_misfit", "perturbations"], ["sensors"]),
+        (["shapes_before", "shapes_after"], ["sensors", "misfit", "effects", *PERTURBATIONS]),
+        (["sensors"], ["misfit", "effects", *PERTURBATIONS]),
+        (["sensor_misfit", "perturbations"], ["sensors", "effects"]),
+        (["effect_places"], ["sensors", "misfit", *PERTURBATIONS]),
     ],
 )
 def test_only_what_has_data_is_offered(folder, gone, left):
@@ -161,7 +171,7 @@ def test_without_a_mesh_dots_are_shown_alone(folder):
 
 
 def test_without_any_data_there_is_no_viewer(folder):
-    for name in ("shapes_before", "shapes_after", "sensors", "sensor_misfit", "perturbations"):
+    for name in ("shapes_before", "shapes_after", "sensors", "sensor_misfit", "effect_places", "perturbations"):
         (folder / f"{name}.csv").unlink()
     assert scene(StudyResults(folder, "", False)) is None
 

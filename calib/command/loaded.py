@@ -1,0 +1,61 @@
+"""The study of a command: loaded, with a listener that prints its answer and tells other processes its progress."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calib.api.study import Study
+
+
+@contextmanager
+def loaded_study(
+    verb: str,
+    path: Path,
+    results: Path,
+    verbose: bool,
+    workers: int | None = None,
+    quick: bool = False,
+    load: bool = True,
+    cache: Path | None = None,
+    case: str | None = None,
+    method: str | None = None,
+) -> Iterator[Study]:
+    """The study of a command, which prints its answer at the end.
+
+    Parameters
+    ----------
+    verb : str
+        The subcommand.
+    path, results : Path
+        Of the study, and of the folder in which that of its results is.
+    verbose : bool
+    workers, quick, cache
+        See `calib.command.options`.
+    load : bool
+        Whether to read model and data at once.
+    case, method : str, optional
+        Further options with which the command is given again once it was interrupted.
+    """
+    from calib.api.study import Study
+    from calib.command.printing import printing, tell_cache
+    from calib.execution.tasks import one_thread
+    from calib.results.running import RunningNote
+    from calib.structure.reduction.cache import using
+    from calib.study.study_file import study_file
+
+    options = {"workers": workers, "quick": quick, "case": case, "method": method}
+    home = results / study_file(path).resolve().parent.name
+    note = RunningNote(home, verb, {name: value for name, value in options.items() if value})
+    # The matrices are small: several threads of one product wait for each other. Only loaded libraries are limited.
+    with (
+        using(cache) as notes, tell_cache(notes, verbose), one_thread(), note,
+        printing(verb, verbose, note) as listener,
+    ):  # fmt: skip
+        if load:
+            yield Study.load(path, results, workers=workers, quick=quick, listener=listener)
+        else:
+            yield Study(path, results, listener=listener)

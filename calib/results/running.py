@@ -1,0 +1,134 @@
+"""How far a running command is, told in a file beside its results, for whoever looks on from another process."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from calib.errors.errors import InputError
+from calib.results.written import LOG
+
+if sys.platform != "win32":  # there, an open file cannot be deleted: that is the lock
+    import fcntl
+
+_NAME = ".running-{}.json"
+_LENGTH, _LONGEST = 4096, 600
+"""Bytes of a note, and letters of a sentence that it holds."""
+_INTERRUPTED, _REFUSED, _FAILED = 130, 2, 1
+
+
+class RunningNote:
+    """The note of one command, from its first stage to its end.
+
+    It is written where the folder of results exists already; what cannot be written is left out without a word. It
+    vanishes when the command succeeds. One that failed or was killed leaves it until the next command begins.
+
+    Parameters
+    ----------
+    home : Path
+        Folder of the study's results.
+    verb : str
+        The subcommand.
+    options : mapping from str to value
+        Its options as they were typed.
+    """
+
+    def __init__(self, home: Path, verb: str, options: Mapping[str, Any]):
+        self._home = home
+        self._file: IO[bytes] | None = None
+        self._content: dict[str, Any] = {
+            "pid": os.getpid(), "verb": verb, "options": dict(options), "began": time.time(), "stage": "", "words": "",
+            "done": 0.0, "total": 0.0, "best": None, "left": "", "code": None, "sentence": "",
+        }  # fmt: skip
+
+    def __enter__(self) -> RunningNote:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._file is None:
+            return
+        sentence = fault.sentence if isinstance(fault, InputError) else ""
+        kinds = {KeyboardInterrupt: _INTERRUPTED, InputError: _REFUSED}
+        code = 0 if fault is None else next((n for one, n in kinds.items() if isinstance(fault, one)), _FAILED)
+        path = self._home / _NAME.format(os.getpid())
+        with contextlib.suppress(OSError):
+            if code and (self._home / LOG).exists():  # nothing is left in a folder without results
+                self._write(code=code, sentence=(sentence or str(fault))[:_LONGEST])
+            self._file.close()
+            if not code or not (self._home / LOG).exists():
+                path.unlink()
+
+    def tell(self, words: str, stage: str, done: float, total: float, best: float, left: str) -> None:
+        """Write the present stage.
+
+        Parameters
+        ----------
+        words, stage, left : str
+            All in words, the stage alone, and the time left.
+        done, total, best : float
+            As `calib.execution.stage.Progress` tells them.
+        """
+        with contextlib.suppress(OSError):
+            if self._file is None:
+                self._open()
+            known = best if math.isfinite(best) else None
+            self._write(words=words, stage=stage, done=done, total=total, best=known, left=left)
+
+    def _open(self) -> None:
+        if not self._home.is_dir():
+            raise FileNotFoundError(self._home)
+        for note in notes_in(self._home):
+            if not note["running"]:
+                note["path"].unlink(missing_ok=True)
+        self._file = (self._home / _NAME.format(os.getpid())).open("w+b")
+        if sys.platform != "win32":
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def _write(self, **changed: Any) -> None:
+        assert self._file is not None
+        self._content |= {**changed, "told": time.time()}
+        self._file.seek(0)
+        # Of one length, so that whoever reads meanwhile finds no rest of an older one.
+        self._file.write(json.dumps(self._content).encode().ljust(_LENGTH))
+        self._file.flush()
+
+
+def notes_in(home: Path) -> list[dict[str, Any]]:
+    """The notes in a folder of results, the earliest command first.
+
+    Each is what `RunningNote` wrote, its ``path``, and ``running``: whether its process still lives. One that is being
+    written at this moment is left out.
+    """
+    found = []
+    for path in home.glob(_NAME.format("*")):
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            content = json.loads(path.read_bytes())
+            if isinstance(content.get("pid"), int) and isinstance(content.get("verb"), str):
+                found.append({**content, "path": path, "running": content.get("code") is None and _is_held(path)})
+    return sorted(found, key=lambda note: note.get("began") or 0.0)
+
+
+def _is_held(path: Path) -> bool:
+    """Whether a living process keeps a note open."""
+    if sys.platform == "win32":
+        try:
+            path.rename(path)
+        except PermissionError:
+            return True
+        return False
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        return False

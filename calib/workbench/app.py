@@ -1,0 +1,268 @@
+"""What the page may ask: addresses of the server, each answered from the results as they are."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from importlib import resources
+from typing import Any, TypeVar
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route, WebSocketRoute
+
+from calib.errors.errors import InputError
+from calib.execution.outcome import words_of
+from calib.execution.tasks import one_thread
+from calib.report.html import space
+from calib.results.version import __version__
+from calib.study.study_file import StudyFile
+from calib.workbench.correlation import correlation
+from calib.workbench.edits import Edits
+from calib.workbench.live import Live
+from calib.workbench.missing import missing, versions
+from calib.workbench.overview import listed, overview
+from calib.workbench.runs import Commands, adding
+from calib.workbench.search import LedgerReader
+from calib.workbench.search_view import search_view
+from calib.workbench.studies import KnownStudy, Studies
+
+T = TypeVar("T")
+_KINDS = {
+    "html": "text/html; charset=utf-8", "css": "text/css; charset=utf-8", "js": "text/javascript; charset=utf-8",
+    "svg": "image/svg+xml",
+}  # fmt: skip
+_OF_REPORT = ("three.min.js", "viewer.js")
+"""Files of the report that the page uses as they are."""
+_REPORT_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "
+    "sandbox allow-scripts allow-downloads"
+)
+"""The report is one file with its scripts in it: it is shown in an origin of its own, which may ask for nothing."""
+
+
+class Workbench:
+    """The server's answers.
+
+    Parameters
+    ----------
+    studies : Studies
+    """
+
+    def __init__(self, studies: Studies):
+        self.studies = studies
+        self.commands = Commands()
+        self.edits = Edits()
+        self.live = Live(studies, self.commands)
+        self._ledgers: dict[str, LedgerReader] = {}
+        self._drawing = threading.Lock()
+        self._drawn: dict[tuple[str, str, str], tuple[str, str]] = {}
+        self._files = _files()
+
+    @property
+    def app(self) -> Starlette:
+        """The application, whose paths follow the token."""
+        read: dict[str, Callable[[Request], Any]] = {
+            "": self._overview, "search": self._search, "missing": self._missing, "versions": self._versions,
+            "scene": self._scene, "correlation": self._correlation,
+        }  # fmt: skip
+        change: dict[str, Callable[[Request, Mapping[str, Any]], Any]] = {
+            "run": self._run, "stop": self._stop, "add": self._add, "edit": self._edit,
+            "undo": self._undo,
+        }  # fmt: skip
+        asked = [Route(f"/study/{{key}}/{name}".rstrip("/"), partial(self._read, own)) for name, own in read.items()]
+        changed = [
+            Route(f"/study/{{key}}/{name}", partial(self._change, own), methods=["POST"])
+            for name, own in change.items()
+        ]
+        return Starlette(
+            routes=[
+                Route("/", self._file), Route("/page/{name}", self._file),
+                Route("/studies", partial(self._read, self._all)),
+                Route("/study/{key}/figure/{figure}", self._figure), Route("/study/{key}/report", self._report),
+                *asked, *changed, WebSocketRoute("/live", self.live.serve),
+            ],
+        )  # fmt: skip
+
+    # -- answers -------------------------------------------------------------------------------------------------------
+
+    def _study(self, request: Request) -> KnownStudy:
+        study = self.studies.one(request.path_params["key"])
+        if study is None:
+            raise LookupError("there is no such study below the folder")
+        return study
+
+    async def _read(self, ask: Callable[[Request], Any], request: Request) -> Response:
+        return await _answered(partial(ask, request))
+
+    async def _change(self, change: Callable[[Request, Mapping[str, Any]], Any], request: Request) -> Response:
+        try:
+            given = json.loads(await request.body() or b"{}")
+        except (ValueError, RecursionError):
+            given = None
+        if not isinstance(given, dict):
+            return _told({"fault": "the request is no JSON object"}, 400)
+        found = await _answered(partial(change, request, given))
+        self.live.look()
+        return found
+
+    def _all(self, request: Request) -> Any:
+        known = self.studies.all()
+        found = []
+        for one in known.values():
+            try:
+                found.append(listed(self.studies, one, known))
+            except InputError as fault:
+                found.append({"key": one.key, "name": one.name, "path": str(one.file.parent), "fault": fault.sentence})
+        return {"studies": found, "single": self.studies.is_study, "version": __version__}
+
+    def _asked(self, request: Request) -> tuple[KnownStudy, str, str]:
+        study, asked = self._study(request), request.query_params
+        return study, asked.get("part", ""), asked.get("test", "")
+
+    def _overview(self, request: Request) -> Any:
+        study, part, test = self._asked(request)
+        return {**overview(self.studies, study, part, test), "runs": self.commands.listing(study)}
+
+    def _search(self, request: Request) -> Any:
+        study, part, test = self._asked(request)
+        since = request.query_params.get("since", "0")
+        results = self.studies.results(study, part, test)
+        reader = self._ledgers.setdefault(study.key, LedgerReader(study.ledger))
+        return search_view(reader, results, int(since) if since.isdigit() else 0)
+
+    def _missing(self, request: Request) -> Any:
+        study, part, test = self._asked(request)
+        return {
+            "explanation": missing(self.studies.results(study, part, test)),
+            **overview(self.studies, study, part, test),
+        }
+
+    def _versions(self, request: Request) -> Any:
+        study, part, _ = self._asked(request)
+        return {"versions": versions(self.studies, study, part)}
+
+    def _scene(self, request: Request) -> Any:
+        return {"scene": space.scene(self.studies.results(*self._asked(request)))}
+
+    def _correlation(self, request: Request) -> Any:
+        study, part, test = self._asked(request)
+        found = correlation(self.studies.results(study, part, test))
+        return {"correlation": found, "undo": self.edits.last(StudyFile.read(study.file, test))}
+
+    # -- changes -------------------------------------------------------------------------------------------------------
+
+    def _run(self, request: Request, given: Mapping[str, Any]) -> Any:
+        study, options = self._study(request), given.get("options", {})
+        if not isinstance(options, dict):
+            raise InputError("options are named values", place="run")
+        self.commands.start(study, str(given.get("verb", "")), options)
+        return {"runs": self.commands.listing(study)}
+
+    def _stop(self, request: Request, given: Mapping[str, Any]) -> Any:
+        study, pid = self._study(request), given.get("pid")
+        if not isinstance(pid, int) or not self.commands.stop(study, pid):
+            raise LookupError("no such command runs on this study")
+        return {"runs": self.commands.listing(study)}
+
+    def _add(self, request: Request, given: Mapping[str, Any]) -> Any:
+        study, part, test = self._asked(request)
+        names, quick = given.get("effects"), bool(given.get("quick", False))
+        table = self.studies.results(study, part, test).table("effects")
+        known = set() if table is None else set(map(str, table["name"]))
+        if not isinstance(names, list) or not names or not set(map(str, names)) <= known:
+            raise InputError("these are no effects of the explanation", place="add", remedy="explain the study first")
+        self.commands.start_all(study, adding(study, list(map(str, names)), quick), {"effects": names, "quick": quick})
+        return {"runs": self.commands.listing(study)}
+
+    def _edit(self, request: Request, given: Mapping[str, Any]) -> Any:
+        study, _, test = self._asked(request)
+        own, edit = StudyFile.read(study.file, test), given.get("edit")
+        if not isinstance(edit, dict):
+            raise InputError("no edit is named", place="edit")
+        return (
+            self.edits.make(own, edit, str(given.get("digest"))) if given.get("make") else self.edits.shown(own, edit)
+        )
+
+    def _undo(self, request: Request, given: Mapping[str, Any]) -> Any:
+        study, _, test = self._asked(request)
+        return self.edits.undo(StudyFile.read(study.file, test))
+
+    # -- files ---------------------------------------------------------------------------------------------------------
+
+    async def _file(self, request: Request) -> Response:
+        name = request.path_params.get("name", "index.html")
+        content = self._files.get(name)
+        if content is None:
+            return _told({"fault": "there is no such file"}, 404)
+        return Response(content, media_type=_KINDS[name.rpartition(".")[2]])
+
+    async def _figure(self, request: Request) -> Response:
+        def drawn() -> str:
+            name = request.path_params["figure"]
+            study, part, test = self._asked(request)
+            with self._drawing, one_thread():
+                results = self.studies.results(study, part, test)
+                drawing = results.figures.plan.get(name)
+                if drawing is None:
+                    raise LookupError("the results have no such figure")
+                place = study.key, f"{part}/{test}", name
+                if self._drawn.get(place, ("", ""))[0] != drawing.key or not drawing.key:
+                    self._drawn[place] = drawing.key, results.figures.svg(name)
+                return self._drawn[place][1]
+
+        return await _answered(drawn, "svg")
+
+    async def _report(self, request: Request) -> Response:
+        def text() -> str:
+            study, part, _ = self._asked(request)
+            path = study.home / (part if part in study.parts else "") / "report.html"
+            if path.is_symlink() or not path.is_file():
+                raise LookupError("there is no report yet: calib report STUDY writes it")
+            return path.read_text("utf-8")
+
+        found = await _answered(text, "html")
+        found.headers["content-security-policy"] = _REPORT_POLICY
+        return found
+
+
+async def _answered(ask: Callable[[], Any], kind: str = "json") -> Response:
+    """What a function returns; a sentence where the study, its results or the request are at fault."""
+    try:
+        found = await run_in_threadpool(ask)
+    except InputError as fault:
+        return _told({"fault": fault.sentence}, 409)
+    except LookupError as fault:
+        return _told({"fault": str(fault.args[0]) if fault.args else "not found"}, 404)
+    except Exception as fault:  # the last resort: the page says what failed, and the server goes on
+        return _told({"fault": f"unexpected {words_of(fault)}"}, 500)
+    return _told(found) if kind == "json" else Response(found, media_type=_KINDS[kind])
+
+
+def _told(content: Any, status: int = 200) -> Response:
+    text = json.dumps(_finite(content), separators=(",", ":"), allow_nan=False, default=str)
+    return Response(text, status, media_type="application/json")
+
+
+def _finite(value: Any) -> Any:
+    """Plain values, with None for numbers that are not finite: JSON has none."""
+    if isinstance(value, Mapping):
+        return {str(key): _finite(own) for key, own in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_finite(own) for own in value]
+    if hasattr(value, "item"):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _files() -> dict[str, bytes]:
+    """The files of the page by name: no other name is ever looked up."""
+    page = resources.files("calib.workbench") / "page"
+    own = {file.name: file.read_bytes() for file in page.iterdir() if file.name.rpartition(".")[2] in _KINDS}
+    report = resources.files("calib.report.html") / "template"
+    return own | {name: (report / name).read_bytes() for name in _OF_REPORT}

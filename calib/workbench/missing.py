@@ -1,0 +1,137 @@
+"""What the page tells of the physics that a model lacks: effects with evidence, and versions with effects added."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pandas as pd
+
+from calib.errors.errors import InputError
+from calib.report.html import cells, effects, explanation
+from calib.report.html.study_results import StudyResults
+from calib.report.numbers import fixed, flag, p_in_words, probability
+from calib.report.verification import GROUPS
+from calib.workbench.studies import KnownStudy, Studies
+
+NAMED = ("effect", "two_effects", "several_effects")
+"""Verdicts that name what is missing."""
+_FIGURES = (
+    "why_this_effect",
+    "ranked_effects",
+    "where_it_fails_sigma",
+    "sensor_misfit",
+    "perturbation_map",
+    "confounding",
+)
+
+
+def missing(results: StudyResults) -> dict[str, Any] | None:
+    """The explanation of a study; None where there is none.
+
+    Returns
+    -------
+    dict
+        ``verdict``, ``named`` (whether it names effects), ``chosen``, ``answer``, ``sentences``, ``tests`` (p-values),
+        ``effects`` (ranked, numbers as the report words them), ``why`` (sentences), ``shown`` (effects of which the
+        figure shows the signature), ``faults``, ``places`` (local changes), ``figures``, ``axes``.
+    """
+    if not results.explanation:
+        return None
+    answer = {key: cells.arrows(words) for key, words in results.answer("explain").items()}
+    table, faults = effects.ranked_effects(results), results.table("faults")
+    has_why = results.table("why") is not None
+    verdict = str(results.explanation.get("verdict", ""))
+    return {
+        "verdict": verdict, "named": verdict in NAMED, "chosen": list(results.explanation.get("chosen", [])),
+        "answer": answer, "sentences": explanation.sentences(results),
+        "notes": [cells.arrows(str(words)) for words in results.explanation.get("notes", [])],
+        "tests": [{"what": what, "p": p_in_words(p)} for what, p in explanation.tests(results).items()],
+        "alpha": results.explanation.get("alpha"),
+        "effects": [] if table is None else _ranked(results, table),
+        "why": effects.why(results).words if has_why else [],
+        "shown": list(dict.fromkeys(results.table("why")["effect"])) if has_why else [],  # type: ignore[index]
+        "faults": [] if faults is None or faults.empty else _faults(faults),
+        "faults_words": "" if faults is None or faults.empty else explanation.named_faults(faults),
+        "places": _places(results), "axes": results.axes,
+        "figures": [name for name in _FIGURES if name in results.figures.plan],
+    }  # fmt: skip
+
+
+def _ranked(results: StudyResults, table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Every effect of the library, the strongest evidence first."""
+    magnitudes, least = effects.magnitudes(table), effects.smallest_visible_magnitudes(table)
+    remarks, unseen = effects.remarks(table), effects.unseen(table)
+    acts = effects.places_of_effects(results, table) or [""] * len(table)
+    return [
+        {
+            "name": str(r["name"]), "title": str(r["title"]), "z": fixed(r["z"], 1),
+            "evidence": fixed(r["ln_bayes"], 1),
+            "bar": float(r["ln_bayes"]) if math.isfinite(r["ln_bayes"]) else 0.0,
+            "probability": probability(float(r["model_probability"])), "absorbed": fixed(r["unabsorbed"], 2),
+            "magnitude": magnitudes[k], "least": least[k], "remark": remarks[k], "unseen": unseen[k],
+            "credible": flag(r["credible"]), "lacks": str(r["lacks"]), "look_for": str(r["look_for"]), "acts": acts[k],
+        }
+        for k, r in enumerate(table.to_dict("records"))
+    ]  # fmt: skip
+
+
+def _faults(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """The largest scores of errors of the measurement."""
+    return [
+        {"told": str(r["told"]) or str(r["fault"]), "score": fixed(r["score"], 1, sign=True),
+         "limit": fixed(r["limit"], 2), "beyond": abs(float(r["score"])) > float(r["limit"])}
+        for r in table.head(6).to_dict("records")
+    ]  # fmt: skip
+
+
+def _places(results: StudyResults) -> list[dict[str, Any]]:
+    """The local changes with the largest scores."""
+    table = effects.ranked_perturbations(results)
+    if table is None:
+        return []
+    first = table.head(8)
+    at = effects.places_of_perturbations(first)
+    return [
+        {"name": str(r["perturbation"]), "kind": str(r["kind"]), "score": fixed(r["score"], 1, sign=True), "at": at[k]}
+        for k, r in enumerate(first.to_dict("records"))
+    ]
+
+
+def versions(studies: Studies, study: KnownStudy, part: str) -> list[dict[str, Any]]:
+    """The study and all versions of it, the oldest first, with the errors of each after its calibration.
+
+    Each has ``key, name, title, parent, effects``, ``errors`` by group (``group, words, rms, expected, p``; none before
+    its calibration) and ``mean`` errors as its summary has them.
+    """
+    known = studies.all()
+    parents = {key: studies.parent(one, known) for key, one in known.items()}
+    first = study.key
+    while parents.get(first):
+        first = parents[first]
+    family, waiting = list[str](), [first]
+    while waiting:
+        own = waiting.pop(0)
+        family.append(own)
+        waiting += [key for key, parent in parents.items() if parent == own and key not in family]
+    return [_version(studies, known[key], parents.get(key, ""), part) for key in family if key in known]
+
+
+def _version(studies: Studies, study: KnownStudy, parent: str, part: str) -> dict[str, Any]:
+    own = part if part in study.parts else study.parts[0] if study.parts else ""
+    found: dict[str, Any] = {"key": study.key, "name": study.name, "parent": parent, "part": own, "fault": ""}
+    try:
+        results = studies.results(study, own)
+        table, summary = results.table("data_errors"), results.summary
+    except InputError as fault:
+        return {**found, "title": study.name, "effects": [], "errors": [], "mean": {}, "fault": fault.sentence}
+    named = {k: summary[k] for k in ("mean_freq_error_after", "mean_mac_after") if summary.get(k) is not None}
+    return {
+        **found, "title": results.title, "effects": list(results.record.get("effects_in_model", [])), "mean": named,
+        "errors": [] if table is None else [
+            {"group": str(r["group"]), "words": GROUPS.get(str(r["group"]), str(r["group"])), "rms": float(r["rms"]),
+             "expected": float(r["expected"]), "p": p_in_words(float(r["p"])), "text": fixed(r["rms"], 2),
+             "expected_text": fixed(r["expected"], 2)}
+            for r in table.to_dict("records") if math.isfinite(r["rms"])
+        ],
+    }  # fmt: skip

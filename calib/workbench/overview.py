@@ -1,0 +1,116 @@
+"""What the page tells of a study as a whole: what was run, what was found, and the command that comes next."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from calib.report.html.study_results import StudyResults
+from calib.report.html.summary import page_summary
+from calib.workbench.runs import OPTIONS
+from calib.workbench.studies import KnownStudy, Studies
+
+_ROWS = (
+    ("compare", "Model against measurement", "modes or responses side by side, nothing fitted"),
+    ("sensitivity", "Which parameters matter", "samples between the limits; metamodels"),
+    ("calibrate", "Fitted parameters", "search, least squares, and how well each parameter is identified"),
+    ("intervals", "Intervals of the parameters", "by the profile likelihood"),
+    ("explain", "What the model lacks", "effects of the library, local changes, errors of the measurement"),
+)
+"""The analyses in their order, in words."""
+_COMMAND = re.compile(r"\bcalib (\w+)\b")
+_EARLIER = {"sensitivity": "compare", "calibrate": "sensitivity", "explain": "calibrate"}
+
+
+def overview(studies: Studies, study: KnownStudy, part: str, test: str) -> dict[str, Any]:
+    """The state of a study, for its first view.
+
+    Returns
+    -------
+    dict
+        ``title, synthetic, summary`` (as the report's head says it), ``analyses`` (one each, with ``state``: ``done``,
+        ``stale`` or ``never``), ``next`` (a command and the sentence that names it), ``notes``, ``parts``, ``tests``,
+        ``kind`` of the data.
+    """
+    results = studies.results(study, part, test)
+    rows = [_analysis(results, *row) for row in _ROWS if row[0] != "explain" or _has_library(results)]
+    summary = page_summary(results)
+    ran = any(row["state"] != "never" for row in rows)
+    return {
+        "title": results.title, "name": study.name, "synthetic": results.synthetic, "path": str(study.file.parent),
+        "summary": {"found": summary.found, "sure": summary.sure, "then": summary.then, "facts": summary.facts,
+                    "origin": summary.origin} if ran else None,
+        "analyses": rows, "next": _next(results, rows), "notes": _notes(results), "parts": study.parts,
+        "quick": _is_quick(results), "tests": _tests(studies, study, test), "kind": results.kind if ran else "",
+        "report": (study.home / part / "report.html").is_file(), "added": results.added_effects,
+    }  # fmt: skip
+
+
+def _has_library(results: StudyResults) -> bool:
+    """Whether there may be effects to test: known to be none once an analysis has counted them."""
+    return not results.record or bool(results.record.get("effects_known")) or bool(results.explanation)
+
+
+def _is_quick(results: StudyResults) -> bool:
+    return any(bool(one.get("quick")) for one in results.analyses.values())
+
+
+def _tests(studies: Studies, study: KnownStudy, test: str) -> list[str]:
+    from calib.study.study_file import StudyFile
+
+    settings = StudyFile.read(study.file).settings
+    return [one.name for one in settings.tests] if settings.several else []
+
+
+def _analysis(results: StudyResults, verb: str, title: str, what: str) -> dict[str, Any]:
+    entry, stale = results.analyses.get(verb), results.stale.get(verb, "")
+    state = "stale" if stale else "never" if entry is None else "done"
+    answer = results.answer(verb)
+    return {
+        "verb": verb, "title": title, "what": what, "state": state, "stale": stale.replace(" -> ", " → "),
+        "when": str((entry or {}).get("when", "")), "quick": bool((entry or {}).get("quick")),
+        "found": answer.get("found", "").replace(" -> ", " → "), "then": answer.get("then", ""),
+    }  # fmt: skip
+
+
+def _next(results: StudyResults, rows: list[dict[str, Any]]) -> dict[str, str]:
+    """The command that the latest answer names; the first analysis that is missing or stale where it names none."""
+    by_verb = {row["verb"]: row for row in rows}
+    stale = next((row for row in rows if row["state"] == "stale"), None)
+    if stale is not None:
+        return {"verb": stale["verb"], "words": stale["stale"]}
+    for verb in ("explain", "calibrate", "compare"):
+        row = by_verb.get(verb)
+        if row is None or row["state"] != "done":
+            continue
+        for named in _COMMAND.findall(row["then"]):
+            known = by_verb.get(named)
+            if named == "extend" or (named == "run" and verb == "explain"):
+                return {"verb": "add", "words": row["then"]}
+            if named in OPTIONS and (known is None or known["state"] == "never"):
+                return {"verb": named, "words": row["then"]}
+        break
+    missing = next((row for row in rows if row["state"] == "never" and row["verb"] != "intervals"), None)
+    if missing is None or (missing["verb"] == "explain" and by_verb["calibrate"]["state"] == "done"):
+        return {"verb": "", "words": ""}
+    return {"verb": missing["verb"], "words": f"{missing['title']}: {missing['what']}."}
+
+
+def _notes(results: StudyResults) -> list[str]:
+    """What to know of these results before they are believed."""
+    own = [*results.record.get("notes", ()), results.other_code]
+    return [str(words) for words in own if words]
+
+
+def listed(studies: Studies, study: KnownStudy, known: dict[str, KnownStudy]) -> dict[str, Any]:
+    """One study in the list of all: title, state, last answer, and the one that it was extended from."""
+    part = study.parts[0] if study.parts else ""
+    results = studies.results(study, part)
+    summary = page_summary(results)
+    done = [verb for verb, *_ in _ROWS if verb in results.analyses and verb not in results.stale]
+    return {
+        "key": study.key, "name": study.name, "title": results.title, "path": str(study.file.parent),
+        "done": done, "stale": sorted(results.stale), "found": summary.found if done else "",
+        "parent": studies.parent(study, known), "effects": results.record.get("effects_in_model", []),
+        "part": part, "synthetic": results.synthetic,
+    }  # fmt: skip

@@ -1,0 +1,184 @@
+// Measured and model modes: MAC of all pairs, a pair's shapes beside and over each other, and edits of the pairing.
+import { afterFailure } from "./app.js";
+import { ask, change, h, panel, table, tell } from "./dom.js";
+import { Shapes } from "./shapes.js";
+
+export class Correlation {
+  constructor(page, place) {
+    Object.assign(this, { page, place, seen: "", results: null, stage: "", picked: null });
+    this.failed = h("div", {});
+    this.body = h("div", { class: "stack" });
+    place.replaceChildren(h("div", { class: "stack" }, this.failed, this.body));
+  }
+
+  close() {
+    this.shapes?.close();
+  }
+
+  async look(live) {
+    if (!this.known || live?.results !== this.results) {
+      const [known, found] = await Promise.all([ask(this.page.of("")), ask(this.page.of("correlation"))]);
+      if (this.page.view !== this) return;
+      this.results = live?.results ?? null;
+      Object.assign(this, { known, found: found.correlation, undoing: found.undo });
+      this.page.knows(known);
+    }
+    this.failed.replaceChildren(afterFailure(this.page) ?? "");
+    const now = JSON.stringify([this.found, this.undoing, known_state(this.known), Boolean(this.page.running)]);
+    if (now === this.seen) return;
+    this.seen = now;
+    if (this.found) this.fill(); else this.empty();
+  }
+
+  // -- the view ------------------------------------------------------------------------------------------------------
+
+  fill() {
+    const { found, page } = this, stages = found.stages;
+    this.stage = stages.some((one) => one.name === this.stage) ? this.stage : stages.at(-1).name;
+    const stage = stages.find((one) => one.name === this.stage);
+    const choice = h("select", { "aria-label": "stage of the model", onchange: (event) => { this.stage = event.target.value; this.picked = null; this.fill(); } },
+      stages.map((one) => h("option", { value: one.name, selected: one.name === this.stage }, one.words)));
+    const pair = stage.pairs.find((one) => one.model_mode !== null);
+    this.picked ??= pair ? [pair.mode, pair.model_mode] : null;
+    this.detail = h("div", { class: "stack", id: "pair" });
+    this.shapes?.close();
+    this.shapes = found.scene ? new Shapes(found.scene) : null;
+    const stale = this.known.analyses.find((one) => one.verb === "compare" && one.state === "stale");
+    this.body.replaceChildren(
+      stale ? h("div", { class: "note" }, h("p", {}, stale.stale), h("div", { class: "act" }, page.button("compare", "Compare again", "main"))) : "",
+      h("div", { class: "grid search" },
+        h("div", { class: "stack" },
+          h("section", { class: "panel" }, h("div", { class: "head" }, h("h2", {}, "MAC of all pairs"), h("span", { class: "grow" }), choice), this.matrix(stage)),
+          panel("Pairs", this.pairs(stage))),
+        h("div", { class: "stack" }, this.detail, this.edits())));
+    this.show(stage);
+  }
+
+  matrix(stage) {
+    if (!stage.mac.length) return h("p", { class: "soft" }, "No shapes were measured: there is no MAC.");
+    const pairs = new Map(stage.pairs.map((one) => [one.mode, one.model_mode]));
+    const cell = (value, row, column) => {
+      const mode = stage.measured[row].name, number = stage.model[column].number, is = pairs.get(mode) === number;
+      return h("td", {}, h("button", { type: "button", class: `cell${is ? " paired" : ""}${value > 0.5 ? " dark" : ""}`, "data-row": row, "data-column": column,
+        tabIndex: row === 0 && column === 0 ? 0 : -1,
+        style: { "--mac": value ?? 0 }, "aria-pressed": String(this.picked?.[0] === mode && this.picked?.[1] === number),
+        "aria-label": `${mode} with model mode ${number}: MAC ${value === null ? "unknown" : value.toFixed(3)}${is ? ", paired" : ""}`,
+        title: `${mode} (${stage.measured[row].freq} Hz) with model mode ${number} (${stage.model[column].freq} Hz): MAC ${value === null ? "unknown" : value.toFixed(3)}`,
+        onclick: () => this.pick(stage, mode, number) },
+      value !== null && value >= 0.095 ? value.toFixed(2).replace(/^0/, "") : ""));
+    };
+    const grid = h("table", { class: "mac" },
+      h("caption", {}, "Rows: measured modes; columns: modes of the model. A frame marks a pair. Click a cell, or move with the arrow keys."),
+      h("thead", {}, h("tr", {}, h("th", {}), stage.model.map((one) => h("th", { scope: "col" }, String(one.number), h("span", { class: "at" }, one.freq))))),
+      h("tbody", {}, stage.mac.map((row, k) => h("tr", {}, h("th", { scope: "row" }, stage.measured[k].name, h("span", { class: "at" }, stage.measured[k].freq)), row.map((value, j) => cell(value, k, j))))));
+    grid.addEventListener("keydown", (event) => {
+      const step = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [-1, 0], ArrowDown: [1, 0] }[event.key], own = event.target.dataset;
+      if (!step || own.row === undefined) return;
+      event.preventDefault();
+      const next = grid.querySelector(`[data-row="${Number(own.row) + step[0]}"][data-column="${Number(own.column) + step[1]}"]`);
+      if (!next) return;
+      event.target.tabIndex = -1;
+      next.tabIndex = 0;
+      next.focus();
+    });
+    return h("div", { class: "wide" }, grid);
+  }
+
+  pairs(stage) {
+    return table([{ title: "measured", words: true }, "Hz", "model mode", "Hz", "error, %", "MAC", "damping, %", "model, %"], stage.pairs.map((one) =>
+      h("tr", { class: "pick", "aria-selected": String(this.picked?.[0] === one.mode), onclick: () => one.model_mode !== null && this.pick(stage, one.mode, one.model_mode) },
+        h("th", { scope: "row" }, one.mode), h("td", {}, one.measured), h("td", {}, one.model_mode === null ? h("span", { class: "warn" }, "not paired") : String(one.model_mode)),
+        ...[one.model, one.error, one.mac, one.damping, one.damping_model].map((value) => h("td", {}, value)))));
+  }
+
+  pick(stage, mode, number) {
+    this.picked = [mode, number];
+    for (const own of this.body.querySelectorAll(".cell")) {
+      own.setAttribute("aria-pressed", String(stage.measured[own.dataset.row].name === mode && stage.model[own.dataset.column].number === number));
+    }
+    for (const own of this.body.querySelectorAll("tr.pick")) own.setAttribute("aria-selected", String(own.firstChild.textContent === mode));
+    this.show(stage);
+  }
+
+  // A measured mode beside a mode of the model, and what can be done with them.
+  show(stage) {
+    if (!this.picked) { this.detail.replaceChildren(); return; }
+    const [mode, number] = this.picked, pair = stage.pairs.find((one) => one.mode === mode), is = pair?.model_mode === number;
+    const known = this.found.modes.find((one) => one.name === mode), row = stage.measured.findIndex((one) => one.name === mode), column = stage.model.findIndex((one) => one.number === number);
+    const mac = stage.mac[row]?.[column];
+    const motion = this.found.motions[`${stage.name} calibration`]?.[number];
+    const drawn = this.shapes?.show(stage.name, mode, motion);
+    this.detail.replaceChildren(h("section", { class: "panel" },
+      h("div", { class: "head" }, h("h2", {}, `${mode} and model mode ${number}`), is ? h("span", { class: "chip good" }, "paired") : h("span", { class: "chip" }, "not a pair"), h("span", { class: "grow" }),
+        mac === undefined || mac === null ? null : h("span", { class: "num" }, `MAC ${mac.toFixed(3)}`)),
+      drawn ?? h("p", { class: "soft" }, "There is no geometry to draw the shapes on."),
+      drawn && !motion ? h("p", { class: "soft" }, "The motion of this model mode is not stored: only modes that a measured one is paired with are.") : null,
+      h("div", { class: "act" },
+        is ? null : h("button", { type: "button", onclick: () => this.propose({ what: "pair", name: mode, value: number }) }, `Pair ${mode} with ${number}`),
+        h("button", { type: "button", onclick: () => this.propose({ what: "unpair", name: mode }) }, "Pair automatically"),
+        h("button", { type: "button", onclick: () => this.propose({ what: "mode", name: mode }) }, known?.held_out ? `Use ${mode} again` : `Hold out ${mode}`))));
+  }
+
+  edits() {
+    const { found } = this;
+    const sensor = h("select", { "aria-label": "sensor" }, found.sensors.map((one) => h("option", { value: one.name }, one.held_out ? `${one.name} (held out)` : one.name)));
+    this.diff = h("div", { id: "diff" });
+    return panel("Sensors and edits",
+      h("p", { class: "soft" }, "An edit goes into study.toml, with its comments kept. It is shown first and can be undone; what it makes out of date is marked."),
+      h("div", { class: "act" }, sensor,
+        h("button", { type: "button", onclick: () => this.propose({ what: "flip", name: sensor.value }) }, "Flip its sign"),
+        h("button", { type: "button", onclick: () => this.propose({ what: "sensor", name: sensor.value }) }, "Hold out or use"),
+        this.undoing ? h("button", { type: "button", id: "undo", onclick: () => this.undo() }, `Undo: ${this.undoing}`) : null),
+      this.diff);
+  }
+
+  // -- edits ---------------------------------------------------------------------------------------------------------
+
+  async propose(edit) {
+    try {
+      const shown = await change(this.page.of("edit"), { edit });
+      const make = h("button", { type: "button", class: "main", id: "make", onclick: () => this.make(edit, shown.digest) }, shown.words);
+      this.diff.replaceChildren(h("pre", { "aria-label": "what changes in study.toml" }, shown.diff.map((line) =>
+        h("span", { class: line.startsWith("+") ? "plus" : line.startsWith("-") ? "minus" : "soft" }, `${line}\n`))),
+      h("div", { class: "act" }, make, h("button", { type: "button", onclick: () => this.diff.replaceChildren() }, "Leave it")));
+      make.scrollIntoView({ block: "nearest" });
+      make.focus();
+    } catch (fault) {
+      tell(fault.message, "bad");
+    }
+  }
+
+  async make(edit, digest) {
+    try {
+      tell((await change(this.page.of("edit"), { edit, digest, make: true })).words);
+      this.known = null;
+      this.page.refresh();
+    } catch (fault) {
+      tell(fault.message, "bad");
+      this.diff.replaceChildren();
+    }
+  }
+
+  async undo() {
+    try {
+      tell((await change(this.page.of("undo"))).words);
+      this.known = null;
+      this.page.refresh();
+    } catch (fault) {
+      tell(fault.message, "bad");
+    }
+  }
+
+  empty() {
+    const { page } = this, other = this.known.kind && this.known.kind !== "modes", compare = this.known.analyses.find((one) => one.verb === "compare");
+    this.body.replaceChildren(h("section", { class: "panel empty" },
+      h("h2", {}, other ? "This study compares no modes" : compare.state === "stale" ? "The comparison is out of date" : "No comparison has been run"),
+      h("p", {}, other ? "MAC and shapes belong to measured modes." : compare.stale || "A comparison pairs measured modes with those of the model by MAC and strain energy; it takes seconds."),
+      h("div", { class: "act" }, other ? null : page.button("compare", "Compare", "main"),
+        this.undoing ? h("button", { type: "button", id: "undo", onclick: () => this.undo() }, `Undo: ${this.undoing}`) : null)));
+  }
+}
+
+function known_state(known) {
+  return known?.analyses.map((one) => one.state).join();
+}

@@ -1,0 +1,205 @@
+// What the model lacks, as a dialogue: ranked effects with their evidence, why, where, what to look for; add one.
+import { afterFailure, bar } from "./app.js";
+import { ask, figure, h, panel, table } from "./dom.js";
+import { space } from "./space.js";
+
+const LONGEST = 12;  // effects that are listed unfolded
+
+export class Missing {
+  constructor(page, place) {
+    Object.assign(this, { page, place, seen: "", results: null, picked: "" });
+    this.failed = h("div", {});
+    this.family = h("div", {});
+    this.body = h("div", { class: "stack" });
+    this.place.replaceChildren(h("div", { class: "stack" }, this.failed, this.body));
+  }
+
+  async look(live) {
+    const all = JSON.stringify(Object.entries(this.page.live.studies).map(([key, one]) => [key, one.results]));
+    if (!this.known || live?.results !== this.results) {
+      const known = await ask(this.page.of("missing"));
+      if (this.page.view !== this) return;
+      this.results = live?.results ?? null;
+      this.known = known;
+      this.page.knows(known);
+    }
+    if (this.all !== all) {
+      this.versions = (await ask(this.page.of("versions"))).versions;
+      this.all = all;
+    }
+    this.draw();
+  }
+
+  draw() {
+    const { known } = this, found = known.explanation;
+    this.failed.replaceChildren(afterFailure(this.page) ?? "");
+    const now = JSON.stringify([found, known.analyses, Boolean(this.page.running)]);
+    if (now !== this.seen) {
+      this.seen = now;
+      if (!found) this.body.replaceChildren(this.empty());
+      else this.fill(found);
+    }
+    if (found) this.growth();
+  }
+
+  fill(found) {
+    this.picked = found.effects.some((one) => one.name === this.picked) ? this.picked : found.chosen[0] ?? found.effects[0]?.name ?? "";
+    this.ranks = h("ol", { class: "rank", id: "effects" });
+    this.detail = h("div", { class: "stack", id: "detail" });
+    const kept = this.body.querySelector("#space");
+    this.body.replaceChildren(
+      h("div", { class: "grid even" }, this.verdict(found), this.family),
+      h("div", { class: "grid side" },
+        h("div", { class: "stack" }, panel(`Possible causes, ${found.effects.length} tested`, this.ranks), this.faults(found)),
+        h("div", { class: "stack" }, this.detail, kept ?? this.inSpace(), this.reason(found))));
+    this.list(found);
+    this.show(found);
+  }
+
+  verdict(found) {
+    const { page } = this, names = found.chosen, named = found.named && names.length;
+    const words = named ? `Add ${names.join(" and ")}` : "";
+    const have = this.has(names);
+    return h("section", { class: "panel", id: "verdict" }, h("div", { class: "answer" },
+      h("p", {}, h("span", { class: `chip ${named ? "good" : ""}` }, named ? "cause found" : "no cause given")),
+      h("p", { class: "found" }, found.answer.found ?? found.sentences[0]),
+      found.answer.sure ? h("p", { class: "soft" }, found.answer.sure) : null,
+      found.answer.then ? h("p", {}, h("strong", {}, "Next: "), found.answer.then) : null,
+      h("div", { class: "act" },
+        named && !have ? h("button", { type: "button", class: "main", id: "add", disabled: Boolean(page.running), onclick: () => page.add(names) }, words) : null,
+        named && have ? h("a", { class: "button", href: `#/${have.key}/overview` }, `Open the study with ${names.join(" and ")}`) : null,
+        named && !have ? h("span", { class: "soft small" }, "Writes an extended study among the results and calibrates it; this study stays as it is.") : null,
+        !named ? page.button("propose", "Compose effects that nobody listed") : null)));
+  }
+
+  // The version of this study that has these effects.
+  has(names) {
+    const own = (this.versions ?? []).find((one) => one.key === this.page.key);
+    const all = JSON.stringify([...(own?.effects ?? []), ...names].sort());
+    return (this.versions ?? []).find((one) => one.key !== this.page.key && JSON.stringify([...one.effects].sort()) === all && one.errors.length);
+  }
+
+  list(found) {
+    const most = Math.max(...found.effects.map((one) => one.bar), 1);
+    const entry = (one) => h("li", { class: one.unseen ? "unseen" : "" }, h("button", { type: "button", "aria-pressed": String(one.name === this.picked), onclick: () => {
+      this.picked = one.name;
+      for (const own of this.ranks.querySelectorAll("button")) own.setAttribute("aria-pressed", String(own.dataset.name === one.name));
+      this.show(found);
+    }, "data-name": one.name },
+    h("span", { class: "name" }, one.title),
+    one.credible ? h("span", { class: "chip good" }, one.probability) : h("span", { class: "soft num" }, one.unseen ? "not visible" : one.probability),
+    h("span", { class: "evidence num" }, h("span", { class: "meter", "aria-hidden": "true" }, h("i", { style: { width: `${Math.max(0, 100 * one.bar / most)}%` } })),
+      h("span", {}, `evidence ${one.evidence}`))));
+    const first = found.effects.slice(0, LONGEST), rest = found.effects.slice(LONGEST);
+    this.ranks.replaceChildren(...first.map(entry), rest.length ? h("li", {}, h("details", {}, h("summary", { class: "soft" }, `${rest.length} more`), h("ol", { class: "rank" }, rest.map(entry)))) : "");
+  }
+
+  show(found) {
+    const one = found.effects.find(({ name }) => name === this.picked), { page } = this;
+    if (!one) { this.detail.replaceChildren(); return; }
+    const chosen = found.chosen.includes(one.name);
+    const rows = [["evidence (log Bayes factor)", one.evidence], ["probability in the list", one.probability], ["score z", one.z], ["magnitude (95 %)", one.magnitude],
+      ["smallest visible", one.least], ["not explained by parameters", one.absorbed], ["the model without it", one.lacks], ["what to look for", one.look_for],
+      ["acts at", one.acts], ["remark", one.remark]];
+    this.detail.replaceChildren(h("section", { class: "panel" },
+      h("div", { class: "head" }, h("h2", {}, one.title), chosen ? h("span", { class: "chip good" }, "named") : null, h("span", { class: "grow" }),
+        !chosen || !found.named ? h("button", { type: "button", disabled: Boolean(page.running), onclick: () => page.add([one.name]) }, `Try it: add ${one.name}`) : null),
+      h("dl", { class: "pairs" }, rows.filter(([, value]) => value).flatMap(([what, value]) => [h("dt", {}, what), h("dd", { class: "num" }, value)])),
+      found.shown.includes(one.name) ? null : h("p", { class: "soft small" }, "Its change pattern is not drawn: only of effects that are named, or nearly, is it compared with the residual.")));
+  }
+
+  reason(found) {
+    if (!found.figures.includes("why_this_effect")) return null;
+    return panel("Why: the residual beside the change pattern", figure(this.page.of("figure/why_this_effect"), "why_this_effect",
+      `Residual and change pattern, mode by mode and sensor by sensor, in standard deviations. ${found.why.join(". ")}.`));
+  }
+
+  inSpace() {
+    const place = h("section", { class: "panel", id: "space" }, h("h2", {}, "Where it sits"), h("p", { class: "soft" }, "Reading …"));
+    space(this.page.of("scene"), "effects").then((drawn) => {
+      if (drawn) place.replaceChildren(h("h2", {}, "Where it sits"), drawn);
+      else place.remove();
+    }).catch((fault) => place.replaceChildren(h("h2", {}, "Where it sits"), h("p", { class: "soft" }, fault.message)));
+    return place;
+  }
+
+  faults(found) {
+    const parts = [];
+    if (found.faults.length) parts.push(panel("Errors of the measurement", h("p", { class: "soft" }, found.faults_words),
+      table([{ title: "what it would be", words: true }, "score", "limit"], found.faults.map((one) => h("tr", {}, h("th", { scope: "row", class: "words", style: { "white-space": "normal" } }, one.told),
+        h("td", { class: one.beyond ? "warn" : "" }, one.score), h("td", { class: "soft" }, one.limit))))));
+    if (found.places.length) parts.push(panel("Where else to look", h("p", { class: "soft" }, "Local changes of stiffness or mass with the largest scores: places to inspect, not causes."),
+      table([{ title: "local change", words: true }, "score"], found.places.map((one) => h("tr", {},
+        h("th", { scope: "row", class: "words", style: { "white-space": "normal" } }, one.name, h("span", { class: "at num" }, one.at)), h("td", {}, one.score))))));
+    return h("div", { class: "stack" }, parts);
+  }
+
+  // Versions of the model with their errors on used and held-out data, and one that is being added.
+  growth() {
+    const { page } = this, versions = this.versions ?? [];
+    const adding = Object.entries(page.live.studies).flatMap(([key, one]) => one.runs.map((run) => [key, run]))
+      .find(([key, run]) => run.state === "running" && (versions.some((one) => one.key === key && key !== page.key) || run.options?.effects));
+    const now = JSON.stringify([versions, adding?.[1]?.words, adding?.[1]?.left, page.key]);
+    if (now === this.grown) return;
+    this.grown = now;
+    const calibrated = versions.filter((one) => one.errors.length);
+    if (!calibrated.length || (calibrated.length < 2 && !adding)) { this.family.replaceChildren(); return; }
+    const run = adding?.[1];
+    this.family.replaceChildren(h("section", { class: "panel", id: "versions" },
+      h("div", { class: "head" }, h("h2", {}, "Errors over the versions of the model"), h("span", { class: "grow" }),
+        run ? h("span", { class: "soft num" }, run.words || run.verb) : null, run ? bar(run.done, run.total) : null),
+      errors(calibrated),
+      h("ul", { class: "tree" }, versions.map((one) => h("li", { style: { "padding-left": `${1.4 * depth(one, versions)}rem` } },
+        h("a", { href: `#/${one.key}/overview` }, one.name), h("span", { class: "soft" }, ` ${one.effects.length ? `with ${one.effects.join(" and ")}` : "without effects"}${one.errors.length ? "" : ", not calibrated"}`),
+        one.key === page.key ? h("span", { class: "chip" }, "shown") : null)))));
+  }
+
+  empty() {
+    const { page } = this, done = this.known.analyses.find((one) => one.verb === "calibrate")?.state === "done";
+    const knows = this.known.analyses.some((one) => one.verb === "explain");
+    return h("section", { class: "panel empty" },
+      h("h2", {}, knows ? "Nothing has been looked for yet" : "The study names no possible causes"),
+      h("p", {}, knows ? "“Find what is missing” tests every possible cause of the study's list, local changes of every part, and errors of the measurement, and says which of them the data support, or that none can be named."
+        : "A list of possible causes stands in study.toml as effects = \"FILE.py:FUNCTION\"; then what the model lacks can be named."),
+      h("div", { class: "act" }, page.button("explain", "Find what is missing", knows ? "main" : ""), done ? null : h("span", { class: "soft small" }, "A calibration first makes it faster: its fit is the start.")));
+  }
+}
+
+function depth(one, versions) {
+  let steps = 0;
+  for (let own = one; own?.parent && steps < 9; steps += 1) own = versions.find(({ key }) => key === own.parent);
+  return steps;
+}
+
+const SVG = "http://www.w3.org/2000/svg";
+function s(tag, attributes, words) {
+  const element = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  if (words !== undefined) element.textContent = words;
+  return element;
+}
+
+// A bar for each version in each group of data, in standard deviations, and a line where a correct model would be.
+function errors(versions) {
+  const groups = [...new Map(versions.flatMap((one) => one.errors.map((own) => [own.group, own.words]))).entries()];
+  const most = Math.max(...versions.flatMap((one) => one.errors.map((own) => Math.max(own.rms, own.expected ?? 0))));
+  const wide = 640, label = 202, row = 21, gap = 16, high = groups.length * (versions.length * row + gap) + 4;
+  const x = (value) => label + value / most * (wide - label - 190);
+  const words = groups.map(([group, name]) => `${name}: ${versions.map((one) => `${one.name} ${one.errors.find((own) => own.group === group)?.text ?? "unknown"}`).join(", ")}`).join("; ");
+  const drawn = s("svg", { class: "errors", viewBox: `0 0 ${wide} ${high}`, role: "img", "aria-label": `Rms errors in standard deviations. ${words}` });
+  groups.forEach(([group, name], g) => {
+    const top = g * (versions.length * row + gap) + 4;
+    drawn.append(s("text", { x: 0, y: top + row / 2 + 4 }, name));
+    versions.forEach((one, v) => {
+      const own = one.errors.find((error) => error.group === group), y = top + v * row;
+      if (!own) return;
+      const colour = one.effects.length ? "var(--c2)" : "var(--c0)";
+      drawn.append(s("rect", { x: label, y: y + 3, width: Math.max(1, x(own.rms) - label), height: row - 6, rx: 2, style: `fill: ${colour}` }));
+      if (own.expected !== null) drawn.append(s("line", { class: "expected", x1: x(own.expected), x2: x(own.expected), y1: y + 1, y2: y + row - 1 }));
+      const at = Math.max(x(own.rms), x(own.expected ?? 0)) + 8;
+      drawn.append(s("text", { class: "value", x: at, y: y + row / 2 + 4 }, `${own.text} σ`));
+      drawn.append(s("text", { x: at + 52, y: y + row / 2 + 4 }, one.effects.length ? `with ${one.effects.join(" and ")}` : "without effects"));
+    });
+  });
+  return h("div", {}, drawn, h("p", { class: "soft small" }, "Root mean square of the errors over their standard deviation. Dark line: what a correct model would show with this noise."));
+}

@@ -1,0 +1,103 @@
+// The state of a study: what was run, what was found, and the next command as a button.
+import { afterFailure } from "./app.js";
+import { ask, change, figure, h, panel, tell, when } from "./dom.js";
+
+const STATES = { done: ["●", "good", "done"], stale: ["◐", "warn", "out of date"], never: ["○", "soft", "not run"], running: ["▶", "", "running"] };
+
+export class Overview {
+  constructor(page, place) {
+    Object.assign(this, { page, place, seen: "", results: null });
+  }
+
+  async look(live) {
+    if (live && live.results === this.results && this.known) return this.draw(this.known);
+    const known = await ask(this.page.of(""));
+    if (this.page.view !== this) return;
+    this.results = live?.results ?? null;
+    this.known = known;
+    this.page.knows(known);
+    this.draw(known);
+  }
+
+  draw(known) {
+    const { page } = this;
+    const now = JSON.stringify([{ ...known, runs: 0 }, page.running?.verb, page.failed?.pid, page.failed?.state]);
+    if (now === this.seen) return;
+    this.seen = now;
+    this.place.replaceChildren(h("div", { class: "stack" },
+      afterFailure(page),
+      h("div", { class: "grid two" },
+        h("div", { class: "stack" }, this.answer(known), this.steps(known)),
+        h("div", { class: "stack" }, this.figures(known), this.notes(known)))));
+  }
+
+  answer(known) {
+    const { page } = this, { summary } = known, next = known.next.verb;
+    if (!summary) {
+      return h("section", { class: "panel" }, h("div", { class: "answer" },
+        h("p", { class: "found" }, "Nothing has been run yet."),
+        h("p", {}, "Begin with the comparison: it tells in seconds how far the model is from the measurement, and whether the data contradict themselves. ",
+          "“Run everything” compares, finds the parameters that matter, fits them, and looks for what the model lacks."),
+        h("div", { class: "act" }, page.button("compare", "Compare", "main"), page.button("run", "Run everything"), page.quickly())));
+    }
+    const named = { run: "Run everything", compare: "Compare", sensitivity: "Find what matters", calibrate: "Calibrate", explain: "Find what is missing",
+      propose: "Compose effects", intervals: "Intervals", again: "Failed points again", report: "Write the report" };
+    return h("section", { class: "panel", id: "answer" }, h("div", { class: "answer" },
+      h("p", { class: "found" }, summary.found),
+      summary.sure ? h("p", { class: "soft" }, summary.sure) : null,
+      summary.then ? h("p", {}, h("strong", {}, "Next: "), summary.then) : null,
+      h("div", { class: "act" },
+        next === "add" ? h("a", { class: "button", href: page.address("missing") }, "See and add what is missing") :
+          next ? page.button(next, named[next] ?? next, "main") : null,
+        next ? page.quickly() : null,
+        known.report ? h("a", { class: "button", href: page.of("report"), target: "_blank", rel: "noopener" }, "Report") : null)),
+      h("dl", { class: "facts" }, summary.facts.map(([what, number]) => h("div", {}, h("dt", {}, what), h("dd", {}, number)))),
+      summary.origin ? h("p", { class: "soft small" }, summary.origin) : null);
+  }
+
+  steps(known) {
+    const { page } = this, runs = page.running?.verb;
+    return panel("Analyses", known.analyses.map((one) => {
+      const [mark, kind, words] = STATES[runs === one.verb ? "running" : one.state];
+      return h("div", { class: "step" },
+        h("span", { class: `state ${kind}`, "aria-hidden": "true" }, mark),
+        h("h3", {}, one.title, " ", h("span", { class: "soft small" }, `${words}${one.when ? `, ${when(one.when)}` : ""}${one.quick ? ", quick run" : ""}`)),
+        h("p", { class: "clip soft", title: one.stale || one.found || one.what }, one.stale || one.found || one.what),
+        h("div", { class: "act" }, page.button(one.verb, one.state === "never" ? "Run" : "Again")));
+    }), h("div", { class: "act" }, page.button("run", "Run everything"), page.quickly(), h("code", { class: "soft small" }, `calib run ${known.path}`)));
+  }
+
+  figures(known) {
+    const name = { modes: "comparison", responses: "responses_after", frf: "frf_overlays" }[known.kind];
+    if (!known.analyses.some((one) => one.state === "done") || !name) return null;
+    const names = known.kind === "responses" && !known.analyses.some((one) => one.verb === "calibrate" && one.state === "done") ? "responses_before" : name;
+    return panel("Model against measurement", figure(this.page.of(`figure/${names}`), names, "Model against measurement, before and after calibration"));
+  }
+
+  notes(known) {
+    return known.notes.length ? panel("To know", h("div", { class: "stack" }, known.notes.map((words) => h("p", { class: "note" }, words)))) : null;
+  }
+}
+
+export class StudyList {
+  constructor(page, place) {
+    Object.assign(this, { page, place });
+  }
+
+  draw(studies) {
+    this.studies = studies;
+    const row = (one) => {
+      const run = (this.page.live.studies[one.key]?.runs ?? []).find((own) => own.state === "running");
+      return h("div", { class: "step", style: one.parent ? { "margin-left": "1.6rem" } : {} },
+        h("span", { class: "state", "aria-hidden": "true" }, one.fault ? "✕" : run ? "▶" : one.stale?.length ? "◐" : one.done?.length ? "●" : "○"),
+        h("h3", {}, h("a", { href: `#/${one.key}/overview` }, one.title ?? one.name), " ",
+          h("span", { class: "soft small" }, run ? run.words || `${run.verb} runs` : one.fault ? "cannot be read" : one.stale?.length ? "out of date" : one.done?.length ? one.done.join(", ") : "not run")),
+        h("p", { class: "soft clip" }, one.fault ?? (one.found || one.path)));
+    };
+    this.place.replaceChildren(panel("Studies", studies.map(row)));
+  }
+
+  runs() {
+    this.draw(this.studies);
+  }
+}

@@ -1,0 +1,185 @@
+"""The page in a real browser: as an engineer uses it, with the mouse and with the keyboard."""
+
+import contextlib
+import io
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from calib.command import cli
+from calib.command.example import write_example
+from calib.study.loading import module_of
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(BROWSER is None, reason="there is no Chromium")]
+MAST = module_of(Path(__file__).resolve().parents[1] / "template/mast_effects.py")
+OPTIONS = ["--no-sandbox", "--disable-quic", "--disable-background-networking", "--enable-unsafe-swiftshader"]
+PATIENT = 120_000
+"""Milliseconds for what another process computes."""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as driver:
+        opened = driver.chromium.launch(executable_path=BROWSER, args=OPTIONS)
+        yield opened
+        opened.close()
+
+
+@contextlib.contextmanager
+def served(folder, study="mast"):
+    """The address of the page of a study, from a server of its own."""
+    command = [sys.executable, "-m", "calib", "open", study, "--no-browser"]
+    server = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True)
+    try:
+        yield re.search(r"http://\S+", server.stdout.readline())[0]
+    finally:
+        server.terminate()
+        server.wait()
+
+
+@pytest.fixture(scope="module")
+def explained(tmp_path_factory, no_drawing):
+    """A mast that lacks a guy rope, after a comparison, a calibration and an explanation."""
+    folder = tmp_path_factory.mktemp("explained")
+    MAST.write_study(folder / "mast", {"guy": 12000.0})
+    with contextlib.chdir(folder), no_drawing(), contextlib.redirect_stdout(io.StringIO()):
+        for verb in ("compare", "calibrate", "explain"):
+            assert cli.execute([verb, "mast", "--workers", "1"][: 2 if verb == "compare" else 4]) == 0
+    with served(folder) as address:
+        yield address
+
+
+@pytest.fixture
+def tab(browser):
+    """Opens an address; the test fails where the page complains on its console."""
+    complaints, contexts = [], []
+
+    def opened(address, wide=1440, high=900, colours="light"):
+        context = browser.new_context(viewport={"width": wide, "height": high}, color_scheme=colours)
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(PATIENT)
+        page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda fault: complaints.append(str(fault)))
+        page.goto(address)
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    assert complaints == []
+
+
+def test_the_first_view_says_what_was_found(tab, explained):
+    page = tab(explained)
+    assert "Guy rope" in page.locator("#answer .found").inner_text()
+    assert page.locator(".step").count() >= 4
+    page.locator("figure[data-drawn=comparison] svg").wait_for()
+    assert page.title().endswith("calib")
+
+
+def test_views_are_reached_by_the_keyboard(tab, explained):
+    page = tab(explained)
+    page.locator("#answer").wait_for()
+    for _ in range(20):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.textContent") == "Missing physics":
+            break
+    page.keyboard.press("Enter")
+    page.locator("#verdict").wait_for()
+    assert page.locator("#side a[aria-current=page]").inner_text() == "Missing physics"
+
+
+@pytest.mark.parametrize("wide", [1280, 2560])
+@pytest.mark.parametrize("colours", ["light", "dark"])
+def test_nothing_is_wider_than_the_window(tab, explained, wide, colours):
+    page = tab(explained, wide, 900, colours)
+    page.locator("#answer").wait_for()
+    for view in ("Overview", "Search", "Missing physics", "Correlation"):
+        page.get_by_role("link", name=view, exact=True).click()
+        page.wait_for_timeout(1500)
+        assert page.evaluate(
+            "document.getElementById('view').scrollWidth <= document.getElementById('view').clientWidth"
+        ), view
+    assert page.evaluate("document.documentElement.dataset.theme") == colours
+
+
+def test_what_is_missing_is_found_looked_at_and_added(tab, explained):
+    page, other = tab(explained), tab(explained)
+    page.get_by_role("link", name="Missing physics", exact=True).click()
+    other.get_by_role("link", name="Missing physics", exact=True).click()
+    page.locator("figure[data-drawn=why_this_effect] svg").wait_for()
+    page.locator("#space canvas").wait_for()
+    first = page.locator("#effects button").first
+    assert first.get_attribute("data-name") == "guy" and first.get_attribute("aria-pressed") == "true"
+    page.locator("#effects button").nth(1).click()
+    assert page.locator("#effects button").nth(1).get_attribute("aria-pressed") == "true"
+    page.locator("#add").click()
+    page.get_by_role("link", name="Open the study with guy").wait_for()
+    words = page.locator("#versions .errors").get_attribute("aria-label")
+    before, after = (float(value) for value in re.findall(r"mast(?:_with_guy)? ([\d.]+)", words)[:2])
+    assert after < 0.5 * before  # of the data that were used
+    other.get_by_role("link", name="Open the study with guy").click()
+    other.locator("#answer .found").wait_for()
+    assert "fits" in other.locator("#answer .found").inner_text()
+
+
+def test_a_pair_is_changed_and_taken_back(tab, explained):
+    page = tab(explained)
+    page.get_by_role("link", name="Correlation", exact=True).click()
+    page.locator(".shapes[data-drawn]").wait_for()
+    assert page.locator("#pair canvas").count() == 3
+    page.locator(".cell").first.focus()
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("document.activeElement.dataset.column") == "1"
+    page.locator(".cell:not(.paired)").first.click()
+    chosen = page.locator(".cell[aria-pressed=true]").get_attribute("aria-label")
+    mode, number = re.match(r"(\S+) with model mode (\d+)", chosen).groups()
+    page.get_by_role("button", name=f"Pair {mode} with {number}").click()
+    page.locator("#make").wait_for()
+    assert f"{mode} = {number}" in page.locator("#diff .plus").last.inner_text()
+    page.locator("#make").click()
+    page.locator("#undo").click()
+    page.locator("#undo").wait_for(state="detached")
+    page.locator(".cell").first.wait_for()
+
+
+def test_a_search_is_started_stopped_and_resumed(tab, tmp_path):
+    write_example(tmp_path / "mast")
+    file = tmp_path / "mast/study.toml"
+    text = (
+        file.read_text()
+        .replace('method = "auto"', 'method = "genetic"')
+        .replace("generations = 60", "generations = 400")
+    )
+    file.write_text(text)
+    with served(tmp_path) as address:
+        page = tab(address)
+        assert "Nothing has been run yet" in page.locator("#view .found").inner_text()
+        page.get_by_role("link", name="Search", exact=True).click()
+        page.get_by_role("button", name="Calibrate").click()
+        generation = page.locator("tbody td").first
+        reached(page, lambda: int(generation.inner_text()) >= 3)
+        page.get_by_role("button", name="Stop").first.click()
+        page.get_by_role("button", name="Resume").wait_for()
+        stopped = int(generation.inner_text())
+        page.get_by_role("button", name="Resume").click()
+        reached(page, lambda: int(generation.inner_text()) > stopped + 2)
+        page.get_by_role("button", name="Stop").first.click()
+        page.get_by_role("button", name="Resume").wait_for()
+        page.close()
+
+
+def reached(page, holds):
+    """Wait until something holds; the page's policy lets no condition of a driver in."""
+    for _ in range(1000):
+        if holds():
+            return
+        page.wait_for_timeout(100)
+    pytest.fail("it did not come to that")

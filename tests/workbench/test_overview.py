@@ -1,0 +1,96 @@
+"""The state of a study on its page: as the tables, the report and the commands tell it."""
+
+import json
+import math
+import shutil
+from pathlib import Path
+
+import pytest
+
+from calib.report.html.study_results import StudyResults
+from calib.report.html.summary import page_summary
+from calib.results.results import Results
+from calib.workbench.studies import Studies
+
+
+def test_a_study_tells_what_was_run_and_what_comes_next(page, key, here):
+    found = page.get(f"study/{key}").json()
+    states = {one["verb"]: one["state"] for one in found["analyses"]}
+    assert states["compare"] == "done" and states["calibrate"] == "never"
+    assert found["next"]["verb"] == "sensitivity"  # the first command that the comparison names
+    record = json.loads((here / "results/mast/record.json").read_text())
+    assert record["analyses"]["compare"]["answer"]["found"].replace(" -> ", " → ") == found["summary"]["found"]
+
+
+def test_its_summary_is_that_of_the_report(page, key, here):
+    found = page.get(f"study/{key}").json()["summary"]
+    summary = page_summary(StudyResults(here / "results/mast", "", True))
+    assert [tuple(fact) for fact in found["facts"]] == list(summary.facts) and found["sure"] == summary.sure
+
+
+def test_what_a_change_makes_out_of_date_is_marked_at_once(page, key, here):
+    file = here / "mast/study.toml"
+    file.write_text(file.read_text().replace("threshold = 0.3", "threshold = 0.4"))
+    found = page.get(f"study/{key}").json()
+    stale = next(one for one in found["analyses"] if one["verb"] == "compare")
+    assert stale["state"] == "stale" and "calib compare mast" in stale["stale"] and found["next"]["verb"] == "compare"
+    assert page.get(f"study/{key}/figure/comparison").status_code == 404  # and is not shown
+
+
+def test_a_study_that_cannot_be_read_says_why(page, key, here):
+    (here / "mast/study.toml").write_text("title = 3\n")
+    found = page.get(f"study/{key}")
+    assert found.status_code == 409 and "title" in found.json()["fault"]
+    (listed,) = page.get("studies").json()["studies"]
+    assert "title" in listed["fault"]
+
+
+def test_a_study_without_results_says_what_to_run(here, page_of):
+    shutil.rmtree(here / "results")
+    page = page_of(Path("mast"))
+    (one,) = page.get("studies").json()["studies"]
+    found = page.get(f"study/{one['key']}").json()
+    assert found["summary"] is None and found["next"]["verb"] == "compare" and found["parts"] == []
+    assert page.get(f"study/{one['key']}/missing").json()["explanation"] is None
+    assert page.get(f"study/{one['key']}/search").json()["cases"] == []
+
+
+def test_results_of_another_study_are_not_shown(here, page_of):
+    owner = here / "results/mast/owner.json"
+    owner.write_text(json.dumps({"study": "/elsewhere/mast/study.toml", "from_here": ""}))
+    page = page_of(Path("mast"))
+    (one,) = page.get("studies").json()["studies"]
+    assert page.get(f"study/{one['key']}").json()["summary"] is None
+
+
+def test_a_folder_lists_its_studies_and_their_versions(here, page_of):
+    shutil.copytree(here / "mast", here / "more/deeper/other")
+    version = here / "results/mast/mast_with_guy"
+    version.mkdir()
+    (version / "study.toml").write_text('title = "With a guy"\nbase = "../../../mast"\n')
+    found = {one["name"]: one for one in page_of(Path(".")).get("studies").json()["studies"]}
+    assert list(found) == ["mast", "mast_with_guy", "other"]
+    assert found["mast_with_guy"]["parent"] == found["mast"]["key"] and found["other"]["parent"] == ""
+    assert found["mast"]["done"] == ["compare"] and found["other"]["done"] == []
+
+
+def test_results_are_read_once_until_they_change(here):
+    studies = Studies(Path("mast"), Path("results"))
+    (study,) = studies.all().values()
+    first = studies.results(study)
+    assert studies.results(study) is first and first.record["analyses"]
+    Results(here / "results/mast").write_json("record", {"analyses": {}})
+    assert studies.results(study).record == {"analyses": {}}
+
+
+@pytest.mark.parametrize("part", ["quick", "..", "/", "../mast"])
+def test_a_part_that_is_not_there_is_the_full_run(here, part):
+    studies = Studies(Path("mast"), Path("results"))
+    (study,) = studies.all().values()
+    assert studies.results(study, part).folder.folder == Path("results/mast")
+
+
+def test_numbers_that_are_not_finite_are_told_as_unknown():
+    from calib.workbench.app import _finite
+
+    assert _finite({"a": (math.nan, 1.0, [math.inf])}) == {"a": [None, 1.0, [None]]}

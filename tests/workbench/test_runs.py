@@ -1,0 +1,145 @@
+"""Commands that the page starts, stops and tells, and those that were started elsewhere."""
+
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from calib.errors.errors import InputError
+from calib.results.running import RunningNote
+from calib.workbench import runs
+from calib.workbench.runs import Commands, adding
+from calib.workbench.studies import Studies
+
+WAITS = "import time; print('begun', flush=True); time.sleep(60)"
+REFUSES = "import sys; print('GB1'); print('Error: study.toml, line 3: no such key.', file=sys.stderr); sys.exit(2)"
+
+
+@pytest.fixture
+def study(here):
+    (found,) = Studies(Path("mast"), Path("results")).all().values()
+    return found
+
+
+@pytest.fixture
+def commands(monkeypatch):
+    """Commands that run a piece of Python instead of calib."""
+
+    def of(code):
+        monkeypatch.setattr(runs, "_CALIB", (sys.executable, "-c", code))
+        return Commands()
+
+    yield of
+    for process in started:
+        process.kill()
+    started.clear()
+
+
+started = []
+
+
+@pytest.fixture(autouse=True)
+def noted_processes(monkeypatch):
+    popen = runs.subprocess.Popen
+
+    def kept(*given, **more):
+        process = popen(*given, **more)
+        started.append(process)
+        return process
+
+    monkeypatch.setattr(runs.subprocess, "Popen", kept)
+
+
+def until(holds):
+    """Wait for another process."""
+    for _ in range(3000):
+        if holds():
+            return
+        time.sleep(0.01)
+    pytest.fail("it did not come to that")
+
+
+def ended(commands, study):
+    until(lambda: all(one["state"] != "running" for one in commands.listing(study)))
+    return commands.listing(study)[-1]
+
+
+def test_a_command_has_the_arguments_of_its_options(study, commands):
+    own = commands("import sys; print(sys.argv[1:])")
+    own.start(study, "calibrate", {"quick": True, "case": "C1", "workers": 2})
+    found = ended(own, study)
+    assert found["state"] == "done"
+    assert found["command"] == "calib calibrate mast --results results --quick --case C1 --workers 2"
+
+
+def test_one_that_fails_says_what_it_said(study, commands):
+    own = commands(REFUSES)
+    own.start(study, "calibrate", {})
+    found = ended(own, study)
+    assert (found["state"], found["sentence"]) == ("failed", "study.toml, line 3: no such key.")
+    assert "GB1" in found["tail"]
+
+
+def test_only_one_runs_at_a_time_and_it_can_be_stopped(study, commands):
+    own = commands(WAITS)
+    own.start(study, "run", {})
+    with pytest.raises(InputError, match="stop it"):
+        own.start(study, "compare", {})
+    (running,) = own.listing(study)
+    assert running["state"] == "running" and running["words"] == "run: reading the study"
+    assert own.stop(study, running["pid"]) and not own.stop(study, 1)
+    assert ended(own, study)["state"] == "stopped"
+
+
+def test_what_follows_begins_when_the_first_has_succeeded(study, commands, here):
+    own = commands("import pathlib, sys; pathlib.Path(sys.argv[1]).touch()")
+    own.start_all(study, [("extend", ("first",)), ("calibrate", ("second",))], {})
+    until((here / "second").exists)
+    assert [one["verb"] for one in own.listing(study)] == ["extend", "calibrate"]
+    own = commands(REFUSES)
+    own.start_all(study, [("extend", ("first",)), ("calibrate", ("third",))], {})
+    assert ended(own, study)["verb"] == "extend" and len(own.listing(study)) == 1
+
+
+def test_a_command_of_a_terminal_is_listed_and_stopped_by_the_page(study, here, commands):
+    own = commands(WAITS)
+    with RunningNote(study.home, "explain", {}) as note:
+        note.tell("explain: testing 3/7", "testing", 3.0, 7.0, float("nan"), "2 min")
+        (seen,) = own.listing(study)
+        assert (seen["verb"], seen["state"], seen["here"], seen["left"]) == ("explain", "running", False, "2 min")
+        with pytest.raises(InputError, match="a command runs"):
+            own.start(study, "compare", {})
+    assert own.listing(study) == []
+
+
+def test_the_note_of_an_own_command_tells_how_far_it_is(study, commands):
+    code = (
+        "import pathlib, time; from calib.results.running import RunningNote\n"
+        "with RunningNote(pathlib.Path('results/mast'), 'run', {}) as note:\n"
+        "    note.tell('run: sampling 3/9', 'sampling', 3.0, 9.0, 0.5, '5 s'); time.sleep(60)"
+    )
+    own = commands(code)
+    own.start(study, "run", {})
+    until(lambda: own.listing(study)[0]["words"] == "run: sampling 3/9")
+    (seen,) = own.listing(study)
+    assert (seen["done"], seen["total"], seen["best"], seen["here"]) == (3.0, 9.0, 0.5, True)
+
+
+def test_an_extended_study_has_a_place_of_its_own(study, here):
+    (_, first), (_, second) = adding(study, ["guy", "a b"], quick=True)
+    place = here / "results/mast/mast_with_guy_a_b"
+    assert first == ("extend", "mast", "guy", "a b", "--into", str(place.relative_to(here)), "--results", "results")
+    assert second[-1] == "--quick" and Path(second[1]) == place.relative_to(here)
+    place.mkdir()
+    assert Path(adding(study, ["guy", "a b"], quick=True)[1][1][1]).name == "mast_with_guy_a_b_2"
+
+
+def test_the_page_starts_and_stops_a_command(page, key, here, monkeypatch):
+    monkeypatch.setattr(runs, "_CALIB", (sys.executable, "-c", WAITS))
+    (run,) = page.post(f"study/{key}/run", json={"verb": "compare"}).json()["runs"]
+    assert run["state"] == "running"
+    refused = page.post(f"study/{key}/run", json={"verb": "compare"})
+    assert refused.status_code == 409 and "a command runs on this study" in refused.json()["fault"]
+    assert page.post(f"study/{key}/stop", json={"pid": run["pid"]}).status_code == 200
+    until(lambda: page.get(f"study/{key}").json()["runs"][0]["state"] == "stopped")
