@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from calib.command.example import write_example
 from calib.errors.errors import InputError
-from calib.study.settings import schema
+from calib.study.schema import schema
 from calib.study.study import LoadedStudy
 from calib.study.study_text import read_settings
 

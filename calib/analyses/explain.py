@@ -15,7 +15,7 @@ import pandas as pd
 from calib.analyses.compare import comparison_at
 from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.failures import SHOWN, reasons
-from calib.analyses.hypotheses_of_study import adapter_of, perturbations_of
+from calib.analyses.hypotheses_of_study import adapter_of, generic_note, perturbations_of
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.state import ADDED, EXPLAINED, PROPOSED
 from calib.analyses.staged import stored_calibration
@@ -33,7 +33,7 @@ from calib.missing.between_tests import BETWEEN
 from calib.missing.candidate_fit import CandidateFit, WrongDatum
 from calib.missing.data_words import GROUPS as UNSEEN_GROUPS
 from calib.missing.discrepancy import COLUMNS, discrepancy, parameter_intervals
-from calib.missing.explanation import OPEN, Explanation
+from calib.missing.explanation import Explanation
 from calib.missing.findings import ExplanationResult, findings
 from calib.missing.linearised_fit import least_squares_fit
 from calib.missing.local import local_perturbation
@@ -46,9 +46,7 @@ from calib.problem.candidate import Candidate
 from calib.problem.effect import Effect
 from calib.problem.joint import TEST, JointRows, of_test
 from calib.results.results import Results
-from calib.structure.model import StructuralModel
 from calib.study.loading import Model, with_effects
-from calib.study.measurement_settings import GENERIC
 from calib.study.settings import ExplainSettings
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
@@ -124,19 +122,6 @@ def explanation_of(
     fits = explained_fits(study, answer.explanation, answer.richer)
     tables, notes = answer.tables | {TABLE: fits}, (*answer.notes, *taken)
     return adapter, replace(answer, tables=tables, notes=notes, figures=figures)
-
-
-def generic_note(study: LoadedStudy, verdict: str) -> tuple[str, ...]:
-    """That effects were composed and how many, in words; where a misfit is left without a library, that they can be."""
-    libraries, of = study.settings.libraries, "generic effects of the model's own parts, joints, supports and points"
-    if libraries == (GENERIC,):
-        tested = f"No library was given: {len(study.candidates)} {of} were tested"
-        return (f"{tested}. Names and plausible sizes are calib's.",)
-    if GENERIC in libraries:
-        return (f"Beside the library, {of} were tested.",)
-    if study.library or verdict not in OPEN or not isinstance(study.model, StructuralModel):
-        return ()
-    return (f'No library was given: effects = "{GENERIC}" tests {of}.',)
 
 
 _MESH_OF_NUMBERS = "The error of the mesh does not count here: an explanation knows it in modes and FRFs alone."

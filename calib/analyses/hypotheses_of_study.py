@@ -24,11 +24,13 @@ from calib.hypotheses.library import effects_basis, local_perturbations
 from calib.hypotheses.modal import ModalAdapter
 from calib.hypotheses.scalar import FRFAdapter, ScalarAdapter
 from calib.missing.adapter import Adapter
+from calib.missing.explanation import OPEN
 from calib.missing.facts import MeasurementFacts
 from calib.results.results import Results
 from calib.structure.effects.perturbations import Perturbation
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.basis import Basis
+from calib.study.measurement_settings import GENERIC
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 
@@ -175,3 +177,16 @@ def corrections(study: LoadedStudy) -> tuple[str, ...]:
     """Notes on the faults that are taken out of the measurement on reading."""
     faults = study.settings.measurement.corrected
     return tuple(f"The measurement is corrected for {name} = {by:g}." for name, by in faults.items())
+
+
+def generic_note(study: LoadedStudy, verdict: str) -> tuple[str, ...]:
+    """That effects were composed and how many, in words; where a misfit is left without a library, that they can be."""
+    libraries, of = study.settings.libraries, "generic effects of the model's own parts, joints, supports and points"
+    if libraries == (GENERIC,):
+        tested = f"No library was given: {len(study.candidates)} {of} were tested"
+        return (f"{tested}. Names and plausible sizes are calib's.",)
+    if GENERIC in libraries:
+        return (f"Beside the library, {of} were tested.",)
+    if study.library or verdict not in OPEN or not isinstance(study.model, StructuralModel):
+        return ()
+    return (f'No library was given: effects = "{GENERIC}" tests {of}.',)

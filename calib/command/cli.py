@@ -73,7 +73,7 @@ def new(folder: NewFolder, verbose: Verbose = False) -> None:
 @app.command(short_help="Print the JSON schema of study.toml.")
 def schema() -> None:
     """Print the JSON schema of study.toml, with which editors complete and check its keys."""
-    from calib.study.settings import schema as settings_schema
+    from calib.study.schema import schema as settings_schema
 
     typer.echo(json.dumps(settings_schema(), indent=1))
 

@@ -6,7 +6,6 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
-from calib.imports.deck import deck_name
 from calib.study.measurement_settings import Pair, PathText, Section, WrongBelow
 
 
@@ -76,6 +75,8 @@ class SolverSettings(Section):
     @field_validator("template")
     @classmethod
     def _distinct(cls, template: tuple[str, ...]) -> tuple[str, ...]:
+        from calib.imports.deck import deck_name  # few studies have decks
+
         for k, name in enumerate(template):
             if deck_name(name) in map(deck_name, template[:k]):
                 raise WrongBelow(f"two decks are named {deck_name(name)!r}", k)

@@ -25,7 +25,7 @@ import calib
 from calib.analyses.provenance.state import every_rule
 from calib.command.cli import app as command
 from calib.modal_analysis import rules as identification
-from calib.study.settings import schema
+from calib.study.schema import schema
 
 DOCS = Path(__file__).resolve().parents[1]
 MARK = re.compile(r"^<!-- made: (.+?) -->$", re.MULTILINE)

@@ -14,7 +14,7 @@ import calib
 import calib.structure
 from calib.analyses.provenance.state import every_rule
 from calib.results.version import FALLBACK
-from calib.study.settings import schema
+from calib.study.schema import schema
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
