@@ -14,6 +14,7 @@ import scipy.sparse.linalg as spla
 
 from calib.execution.tasks import each
 from calib.structure.eigenproblem.solve import solve_modes
+from calib.structure.elongations import few_motions
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduction.basis import Basis
@@ -25,6 +26,10 @@ POD = 0.5
 """Squared projection error of every snapshot, as a fraction of the tolerance."""
 _STATIC = 1e-3
 """Static vectors closer than this to the span of the others, in the energy norm, are dropped."""
+_DAMPERS = 120
+"""Largest number of motions that the dampers of a term resist."""
+_LOCAL, _STRAINED = 0.1, 20
+"""Degrees of freedom of a small part, over those of the model, and modes whose damping forces on it count."""
 _COLUMNS = 64
 """Columns that are multiplied at a time: copies of all would take several times their memory."""
 VERIFIED = 6
@@ -118,6 +123,13 @@ class Growth:
         """See `reference_modes`."""
         return reference_modes(self.model, self.reference) if self._modes is None else self._modes
 
+    @cached_property
+    def _strained(self) -> np.ndarray:
+        """The lowest undamped shapes at the reference, (n_dof, m): what strains a damped part."""
+        mass = self.model.mass(self.model.space.si(self.model.space.complete(self.reference)))
+        stiffness = reference_matrix(self.model, self.reference, 0.0)
+        return solve_modes(stiffness, None, mass, min(_STRAINED, self.model.n_dof)).shapes
+
     def _inertia_forces(self) -> np.ndarray:
         """Forces whose responses are the rigid-body motions and mechanisms of the reference model."""
         mass = self.model.mass(self.model.space.si(self.model.space.complete(self.reference)))
@@ -153,7 +165,9 @@ class Growth:
     def statics(self, loads: np.ndarray) -> np.ndarray:
         """Static responses of the reference model to selected vectors and forces; and its rigid-body motions.
 
-        The forces are those of the dampers and ``loads`` (n_dof, n_loads).
+        The forces are those of the dampers and ``loads`` (n_dof, n_loads). A term of more motions than a set of
+        dampers has is material damping: of a small part the forces that the lowest modes cause there count, and that of
+        a large one is left to the modes that the basis is trained on.
         """
         chosen = [b for term in self.model.stiffness.selected for b in term.vectors.values()]
         forces = [np.column_stack(chosen)] if chosen else []
@@ -161,14 +175,15 @@ class Growth:
             forces.append(loads)
         if self.rigid:
             forces.append(self._inertia_forces())
-        if self.model.is_damped:
-            for term in self.model.damping.terms:
-                active = np.unique(term.matrix.indices[term.matrix.data != 0])
-                if len(active) <= 0.1 * self.model.n_dof:  # discrete dampers, not material damping
-                    sizes, turn = la.eigh(term.matrix[active][:, active].toarray())
-                    columns = np.zeros((self.model.n_dof, np.count_nonzero(sizes > 1e-10 * sizes[-1])))
-                    columns[active] = turn[:, sizes > 1e-10 * sizes[-1]]
-                    forces.append(columns)
+        for term in self.model.damping.terms:
+            found = few_motions(term.matrix, _DAMPERS, 1e-10)
+            if found is not None:
+                seen, _, motions = found
+                columns = np.zeros((self.model.n_dof, motions.shape[1]))
+                columns[seen] = motions
+                forces.append(columns)
+            elif np.count_nonzero(np.diff(term.matrix.indptr)) <= _LOCAL * self.model.n_dof:
+                forces.append(term.matrix @ self._strained)
         if not forces:
             return np.zeros((self.model.n_dof, 0))
         responses = self.factor.solve(np.hstack(forces))
