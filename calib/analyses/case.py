@@ -26,7 +26,8 @@ from calib.analyses.joint_responses import Responses, own_values
 from calib.analyses.least_squares import FitProgress, Shared, criteria, ended, fitted_at_full_order
 from calib.analyses.provenance.places import QUICK_GENERATIONS, QUICK_POPULATION, Workers, open_evaluator, tasks_shared
 from calib.analyses.provenance.stored import confirm
-from calib.analyses.reduction import Reduction, reduction_of
+from calib.analyses.reduction import Reduction, reduction_near, reduction_of
+from calib.correlation.modal.problem import ModalProblem
 from calib.errors.errors import EvaluationError, InputError, ToleranceError
 from calib.execution.evaluate import BatchEvaluator
 from calib.execution.outcome import Outcome, named_responses, point_key
@@ -145,6 +146,20 @@ class CaseFinder:
                     out[one.test] = found
         return out
 
+    def _followed(self) -> dict[str, Reduction]:
+        """Bases that grow where least squares lead; of FRFs those of a search."""
+        out = {}
+        with tasks_shared(self.workers):
+            for one in self.study.studies:
+                if isinstance(one.problem, ModalProblem):
+                    found = reduction_near(one)
+                else:
+                    notes = self.reduction_notes.setdefault(one.test, [])
+                    found = reduction_noted(one, self.homes.get(one.test), notes, self.progress)
+                if found is not None:
+                    out[one.test] = found
+        return out
+
     def by_agreement(self, cases: Sequence[Case]) -> Iterator[tuple[CaseFound, ...]]:
         """Least squares from sampled points until the starts agree; where they do not, a genetic search from there too.
 
@@ -158,7 +173,7 @@ class CaseFinder:
         if stated or combinations(self.study.search_space) > RULES.refits:
             yield from self.by_search(cases)
             return
-        reductions = self._reductions()
+        reductions = self._followed()
         for case in cases:
             until, found = UntilAgreed(len(self.known) + 1), None
             fit = partial(self.refined, reductions, told=with_prefix(self.progress, case.name), enough=until)
@@ -244,7 +259,7 @@ class CaseFinder:
 
     def by_least_squares(self, cases: Sequence[Case]) -> Iterator[tuple[CaseFound, ...]]:
         """Least squares from several starting points of each case."""
-        reductions = self._reductions()
+        reductions = self._followed()
         for case in cases:
             fit = partial(self.refined, reductions, told=with_prefix(self.progress, case.name))
             found = least_squares(case, self.study, self.known, self.quick, fit)
@@ -292,13 +307,25 @@ class CaseFinder:
         tells after every start whether the others may be left out.
         """
         study, counts = self.study, counts or Counts()
-        exact = fit_problem(study, self.ledger, counts=counts)
-        reduced: dict[str, ForwardProblem] = {test: one.problem for test, one in reductions.items()}
-        on_basis = fit_problem(study, self.ledger, reduced, counts) if reduced else None
-        common = self._in_common(exact if on_basis is None else on_basis, refits, told) if shared else None
+        exact, grown = fit_problem(study, self.ledger, counts=counts), dict(reductions)
+
+        def on_basis() -> FitProblem:
+            reduced: dict[str, ForwardProblem] = {test: one.problem for test, one in grown.items()}
+            kept = study.in_memory or all(one.path for one in grown.values())  # else nobody could name its points
+            return fit_problem(study, self.ledger if kept else None, reduced, counts)
+
+        def widened(points: Starts) -> FitProblem | None:
+            before = dict(grown)
+            for one in study.studies:
+                if one.test in grown:
+                    grown[one.test] = grown[one.test].covering(_own(one, study, points))
+            return None if all(grown[test] is before[test] for test in grown) else on_basis()
+
+        reduced = on_basis() if reductions else None
+        common = self._in_common(exact if reduced is None else reduced, refits, told) if shared else None
         return fitted_at_full_order(
-            exact, on_basis, Terms.of(study), starts, refits, progress, self.known, common, told, enough,
-            near_of(study, reductions),
+            exact, reduced, Terms.of(study), starts, refits, progress, self.known, common, told, enough,
+            lambda: near_of(study, grown), widened,
         )  # fmt: skip
 
     def _in_common(self, problem: FitProblem, refits: int, told: Progress) -> Shared:
@@ -347,11 +374,15 @@ def near_of(study: AnyStudy, reductions: Mapping[str, Reduction]) -> Near | None
         instead: dict[str, ForwardProblem] = {}
         for one in study.studies:
             if one.test in reductions:
-                own = [own_values(one, point) if len(study.studies) > 1 else point for point in points]
-                instead[one.test] = reductions[one.test].covering(own).problem
+                instead[one.test] = reductions[one.test].covering(_own(one, study, points)).problem
         return fit_problem(study, None, instead)
 
     return Near(at(()), at)
+
+
+def _own(one: LoadedStudy, study: AnyStudy, points: Starts) -> Starts:
+    """The values of one of several tests at some points."""
+    return [own_values(one, point) for point in points] if len(study.studies) > 1 else points
 
 
 def reduction_noted(

@@ -7,11 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 from calib.analyses.fit_statistics import FitProblem, FitStatistics, Near, Terms, statistics_of
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import Progress, silent
-from calib.inference.gauss_newton import Prior
+from calib.inference.gauss_newton import DEFAULT, FitSettings, Prior
 from calib.inference.integers import MixedResult, fit_mixed
 from calib.inference.region import InfeasibleError
 from calib.inference.rules import RULES
@@ -21,6 +22,12 @@ FitProgress = Callable[[int, int, float], None]
 
 LEAST_SQUARES = "least squares"
 """Name of the stage of a fit."""
+_POLISHED = FitSettings(gain=1e-4)
+"""Of the fit at full order: a hundredth of a posterior standard deviation is not worth another solution."""
+_WIDENED = 6
+"""Times that a basis may grow where fits end; the fit at full order goes on from there."""
+_OPTIMA = 2
+"""Optima at which it must be accurate."""
 
 
 def criteria(problem: FitProblem, values: Mapping[str, float]) -> tuple[float, float]:
@@ -72,6 +79,7 @@ def fitted(
     stage: str = LEAST_SQUARES,
     enough: Enough = never,
     near: Near | None = None,
+    settings: FitSettings = DEFAULT,
 ) -> FitStatistics:
     """The best least-squares fit from several starts, with the limits, constraints and priors of the problem's space.
 
@@ -84,8 +92,9 @@ def fitted(
     """
     space = problem.space
     found: MixedResult = fit_mixed(
-        problem, space, starts, refits=refits, progress=progress, step=partial(told, stage, total=1), enough=enough
-    )
+        problem, space, starts, settings=settings, refits=refits, progress=progress,
+        step=partial(told, stage, total=1), enough=enough,
+    )  # fmt: skip
     told("identifiability")
     if shared is not None and shared.nominal is not None:
         found = found.joined(shared.nominal, RULES.equal)
@@ -109,16 +118,33 @@ def fitted_at_full_order(
     shared: Shared | None = None,
     told: Progress = silent,
     enough: Enough = never,
-    near: Near | None = None,
+    near: Callable[[], Near | None] = lambda: None,
+    widened: Callable[[Sequence[Mapping[str, float]]], FitProblem | None] = lambda points: None,
 ) -> FitStatistics:
     """Least squares as in `fitted`, first on a reduced problem if there is one, then at full order.
 
-    The full-order fit starts from the best of the reduced fit and ``known``, so that it never ends above them.
+    Where the reduced problem is not accurate at the lowest ends of its fits, one that is goes on from there:
+    ``widened`` makes it, and gives None where it is accurate. The full-order fit starts from the best of the reduced
+    fit and ``known``, so that it never ends above them. ``near`` is asked at the end.
     """
     if reduced is None:
-        return fitted(exact, terms, starts, refits, progress, shared=shared, told=told, enough=enough, near=near)
+        return fitted(exact, terms, starts, refits, progress, shared=shared, told=told, enough=enough, near=near())
     exactly = replace(terms, held_sd={}, mesh_sd=None)  # whose statistics nobody asks for
     found = fitted(reduced, exactly, starts, refits, progress, shared=shared, told=told, enough=enough)
+    for _ in range(_WIDENED):
+        lowest = _lowest(found)
+        wider = widened(lowest)
+        if wider is None:
+            break
+        found = fitted(wider, exactly, lowest, 1, before=found, told=told)
     begin = min((found.values, *known), key=lambda values: sum(criteria(exact, values)))
     stage = f"{LEAST_SQUARES} at full order"
-    return fitted(exact, terms, [begin], 1, before=found, told=told, stage=stage, near=near)
+    return fitted(exact, terms, [begin], 1, before=found, told=told, stage=stage, near=near(), settings=_POLISHED)
+
+
+def _lowest(found: FitStatistics) -> list[Mapping[str, float]]:
+    """The values of a fit, and the other optima next to its lowest."""
+    ends = sorted((end for end in found.ends if end.converged), key=lambda end: end.misfit)
+    apart = [low for low, high in pairwise(ends) if high.misfit - low.misfit > RULES.equal] + ends[-1:]
+    others = [end.values for end in apart if abs(end.misfit - found.criterion) > RULES.equal]
+    return [found.values, *others[: _OPTIMA - 1]]

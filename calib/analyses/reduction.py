@@ -6,7 +6,7 @@ import contextlib
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from calib.structure.reduction.cache import kept_basis
 from calib.structure.reduction.growth import Target
 from calib.structure.reduction.reduced import ReducedModel
 from calib.structure.reduction.refinement import modes_near
-from calib.structure.reduction.training import enrich_basis
+from calib.structure.reduction.training import basis_at, enrich_basis
 from calib.study.study import LoadedStudy
 
 FIRST_ORDER = 10.0
@@ -210,6 +210,30 @@ def reduction_of(study: LoadedStudy, home: Results | None, progress: Progress = 
                 home.write_json(_UNREACHED, {"asked": key, "problem": fault.problem})
             raise
     return Reduction.on(problem, wanted.target, basis, path)
+
+
+def reduction_near(study: LoadedStudy) -> Reduction | None:
+    """A basis about the nominal values, for least squares; None where full order is fast enough.
+
+    A fit passes few points, and a trained basis serves all within the limits: this one is not trained, but grows where
+    fits end, see `Reduction.covering`.
+
+    Raises
+    ------
+    InputError
+        When the model cannot be solved there.
+    """
+    problem, settings, space = study.problem, study.settings.reduction, study.search_space
+    model = problem.reducible
+    if model is None or not isinstance(problem, ModalProblem) or not worthwhile(study):
+        return None
+    moved = {p.name: 0.5 * (p.upper - p.lower) for p in space.free if not p.integer and p.name in model.space}
+    moved |= {name: sd for name, sd in study.held_sd.items() if name in model.space}
+    target = replace(problem.basis_target(settings.tolerance), moved=tuple(moved.items()))
+    nominal = {name: value for name, value in space.values.items() if name not in study.condition}
+    with training(study):
+        basis = basis_at(model, space, target, model.space.complete(nominal))
+    return Reduction.on(problem, target, basis, None)
 
 
 _UNREACHED = "basis_unreached"

@@ -223,8 +223,8 @@ class Problem:
 
         By default least squares start from the nominal values and from sampled points until they agree. A genetic
         search follows where they do not, or comes first where integer parameters have many combinations. Models of many
-        degrees of freedom are searched on a reduced basis that represents their modes within the limits; what is
-        reported is solved at full order.
+        degrees of freedom are fitted on a reduced basis that grows where least squares lead, and searched on one that
+        represents their modes within the limits; what is reported is solved at full order.
 
         Parameters
         ----------

@@ -38,6 +38,9 @@ class Assumption:
     reason: str
 
 
+_REMEMBERED, _BYTES = 4, 200_000_000
+"""Latest solutions that a model keeps, and the bytes of all their shapes; it keeps at least one."""
+
 PartKind = Literal["stiffness", "damping", "mass"]
 
 
@@ -277,7 +280,7 @@ class StructuralModel(Analytic):
 
     def __getstate__(self) -> dict[str, Any]:
         # An effect may hold a function that cannot be pickled; it is built again where it is needed.
-        return {name: value for name, value in self.__dict__.items() if name != "additions"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("additions", "_latest")}
 
     @property
     def roots(self) -> frozenset[str]:
@@ -308,8 +311,22 @@ class StructuralModel(Analytic):
 
         Raises EvaluationError when the point cannot be solved.
         """
-        k, c, m = self.matrices(values)
-        return solve_modes(k, c if self.is_damped else None, m, count, rotational=self.dofs.direction >= 3)
+        complete = self.space.complete(values)
+        key, known = (count, tuple(sorted(complete.items()))), self._latest
+        if key not in known:
+            k, c, m = self.matrices(complete)
+            found = solve_modes(k, c if self.is_damped else None, m, count, rotational=self.dofs.direction >= 3)
+            while known and len(known) >= min(_REMEMBERED, _BYTES // found.shapes.nbytes):
+                del known[next(iter(known))]
+            known[key] = found
+        latest = known[key]
+        own = ("natural_freq", "damped_freq", "damping_ratio", "shapes")
+        return replace(latest, **{name: getattr(latest, name).copy() for name in own})  # the caller may change them
+
+    @cached_property
+    def _latest(self) -> dict[tuple[int, tuple[tuple[str, float], ...]], Modes]:
+        """The latest solutions: several steps of an analysis ask for the nominal and for the fitted values."""
+        return {}
 
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
         """Motion at the sensors over the free degrees of freedom, (n_sensors, n_dof); see `calib.structure.located`."""

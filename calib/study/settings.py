@@ -143,7 +143,7 @@ class RetrySettings(Section):
 
 
 class ReductionSettings(Section):
-    """``[reduction]``: search on a reduced basis of the model; reported results are always solved at full order."""
+    """``[reduction]``: fits and searches on a reduced basis; reported results are always solved at full order."""
 
     use: bool = True
     """Whether searches of large models use a reduced basis."""

@@ -1,6 +1,6 @@
 """Measures of the table of speeds, taken in a process of its own with the code of one checkout.
 
-    PYTHONPATH=CHECKOUT python tests/benchmarks/measures.py vehicle|effects|modes|opensees|calculix|auto
+    PYTHONPATH=CHECKOUT python tests/benchmarks/measures.py GROUP
     PYTHONPATH=CHECKOUT python tests/benchmarks/measures.py commands "explain studies/hidden_bogie" [...]
     PYTHONPATH=CHECKOUT python tests/benchmarks/measures.py finer studies/hidden_effect refine=1 [refine=4 ...]
 
@@ -22,8 +22,8 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +53,8 @@ def main() -> None:
     group, *more = sys.argv[1:]
     groups: dict[str, Callable[..., Taken]] = {
         "vehicle": of_vehicle, "effects": of_effects, "modes": of_modes, "opensees": of_opensees,
-        "calculix": of_calculix, "commands": ran, "finer": of_finer, "auto": by_auto,
+        "calculix": of_calculix, "commands": ran, "finer": of_finer, "auto": by_auto, "matrices": of_matrices,
+        "sensors": of_sensors,
     }  # fmt: skip
     report(**groups[group](*more))
 
@@ -137,6 +138,87 @@ def of_calculix() -> Taken:
             for name, text in (("anew", deck.text(MODES)), ("one", deck.text(1)))
         }
     return {**taken}
+
+
+SIDE, ZONES, FEW_SENSORS, FEW_MODES = 58, 8, 30, 10
+"""Nodes along a side of the grillage, of three degrees of freedom each, its free parameters, sensors and modes."""
+STRIP = 295
+"""Nodes of its damped strip."""
+
+
+def of_matrices() -> Taken:
+    """A model of 10,092 degrees of freedom given as matrices: one solution, derivatives, a fit of 8 parameters.
+
+    And the static vectors of a basis where a strip of 885 degrees of freedom has material damping.
+    """
+    import many_sensors
+    import scipy.stats  # noqa: F401  # its import is no part of a fit
+
+    import calib
+    from calib.structure.eigenproblem.derivatives import mode_derivatives
+
+    model = many_sensors.grillage(SIDE)
+    names = [f"zone_{k + 1}" for k in range(ZONES)]
+    test = calib.ModalTest(many_sensors.measured(model, FEW_SENSORS, FEW_MODES))
+    rows = model.sensor_rows(test.modes.sensors)
+    one = usual(lambda v: model.modes(v, 2 * FEW_MODES), [{names[0]: 1.1 + 0.01 * k} for k in range(REPEATS)])
+    modes = model.modes({}, 2 * FEW_MODES)
+    slopes = usual(lambda _: mode_derivatives(model, {}, modes, names, range(FEW_MODES), rows), [{}] * REPEATS)
+    with nothing_kept():
+        fitted = spent(lambda: calib.Problem(model, test).keep(names).calibrate(progress=False))
+    taken, vectors = of_strip(model)
+    return {
+        "one": one, "slopes": slopes, "calibrate": fitted, "solutions": Spent(*(fitted[k] / one[k] for k in (0, 1))),
+        "strip": taken, "strip_vectors": vectors,
+    }  # fmt: skip
+
+
+def of_strip(model) -> tuple[Spent, float]:
+    """The static vectors of a basis whose model has material damping on a strip: what they take, and their number."""
+    import calib
+    from calib.structure.reduction.growth import Growth, reference_modes
+
+    stiffness = {term.name: term.matrix for term in model.stiffness.terms}
+    inside = sp.diags_array((np.arange(model.n_dof) // 3 < STRIP).astype(float))
+    whole = sum(stiffness.values(), sp.csr_array((model.n_dof, model.n_dof)))
+    damped = calib.StructuralModel.from_matrices(
+        stiffness=stiffness, mass=model.mass.terms[0].matrix, damping={"c": 1e-4 * (inside @ whole @ inside)},
+        dofs=list(zip(model.dofs.node + 1, model.dofs.direction + 1, strict=True)),
+        parameters=[*model.space.parameters, calib.Parameter("c", 1.0, 0.0, 2.0)], name="damped strip",
+    )  # fmt: skip
+    nominal = np.array(list(damped.space.values.values()))
+    basis = Basis(
+        np.zeros((damped.n_dof, 0)), damped.fingerprint, damped.space.names, nominal, nominal, nominal, 0.0,
+        2 * FEW_MODES, np.inf, 0.95, 1e-5, np.zeros((0, len(nominal))), np.zeros((0, 4)), 1,
+    )  # fmt: skip
+    growth = Growth(damped, basis, reference_modes(damped, damped.space.values))
+    found: list[int] = []
+    taken = spent(lambda: found.append(growth.statics(np.zeros((damped.n_dof, 0))).shape[1]))
+    return taken, float(found[0])
+
+
+def of_sensors() -> Taken:
+    """500 sensors and 100 modes of a model of 2,028 degrees of freedom given as matrices, 10 parameters."""
+    import many_sensors
+    import scipy.stats  # noqa: F401  # its import is no part of a fit
+
+    import calib
+
+    model = many_sensors.grillage(26)
+    problem = calib.Problem(model, calib.ModalTest(many_sensors.measured(model, 500, 100)))
+    with nothing_kept():
+        return {
+            "compare": spent(problem.compare),
+            "calibrate": spent(lambda: problem.calibrate(progress=False)),
+        }
+
+
+@contextmanager
+def nothing_kept() -> Iterator[None]:
+    """No trained basis of an earlier run is found."""
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["CALIB_CACHE"] = folder
+        yield
 
 
 def compared_vehicle():

@@ -9,6 +9,7 @@ import scipy.sparse as sp
 from calib.errors.errors import InputError
 from calib.measurement.modal import Sensor
 from calib.problem.space import Parameter
+from calib.structure import model
 from calib.structure.model import StructuralModel
 
 N = 5
@@ -43,6 +44,19 @@ def test_frequencies_are_those_of_the_matrices():
     stiffness = 5e3 * FIXED + 1.5e3 * SCALED + 1e11 * 0.004**3 * BENT
     wanted = np.sqrt(la.eigvalsh(stiffness, MASS)) / (2 * np.pi)
     assert chain().modes({"k": 1.5, "t": 4.0}, N).natural_freq == pytest.approx(wanted, rel=1e-9)
+
+
+def test_a_point_is_solved_once_and_what_a_caller_changes_stays_with_the_caller(monkeypatch):
+    solved, whole, built = [], model.solve_modes, chain()
+    monkeypatch.setattr(model, "solve_modes", lambda *more, **keys: solved.append(0) or whole(*more, **keys))
+    first = built.modes({"k": 1.5}, 2)
+    expected = first.shapes.copy()
+    first.shapes[:] = 0.0
+    np.testing.assert_array_equal(built.modes({"k": 1.5, "t": 3.0}, 2).shapes, expected)
+    assert len(solved) == 1
+    for value in (1.1, 1.2, 1.3, 1.4, 1.5):
+        built.modes({"k": value}, 2)
+    assert len(solved) == 6  # only the latest are remembered
 
 
 def test_matrices_of_half_precision_are_taken_as_their_numbers():

@@ -27,7 +27,7 @@ from calib.structure.modes import Modes
 _LEAST_RATIO = 1e-6
 """Lower bound of model damping ratios, which keeps their logarithm finite."""
 
-_DEFINITION = "modal residual 2"
+_DEFINITION = "modal residual 3"
 """Part of the fingerprint; increment it whenever the same modes would give another residual or derivative."""
 
 
@@ -91,7 +91,7 @@ class ModalResidual:
     def fingerprint(self) -> str:
         """Hash that changes whenever the residual or its derivatives at the same named values could."""
         std = (self.std.freq, self.std.damping, self.std.shape)
-        layout = (self.rows, self._damped, self._parts, self.factor_sensors)
+        layout = (len(self.rows), self._damped, self._parts, self.factor_sensors)  # the measurement has their names
         mesh = [] if self.problem.mesh is None else [self.problem.mesh.fingerprint]
         faults = [(f.name, f.shares, f.damping, f.mixed) for f in self.faults]
         return digest_of(_DEFINITION, self.problem.fingerprint, std, layout, *([faults] if faults else []), *mesh)[:16]

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy.linalg as la
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from calib.structure.bordered import bordered
+from calib.errors.errors import EvaluationError
 from calib.structure.eigenproblem.damped_problem import real_times
 from calib.structure.eigenproblem.inertia import symmetric_factor
-from calib.structure.eigenproblem.known_modes import bands, iterated, rigid_motions
 from calib.structure.modes import Modes
 
 Matrix = Any
@@ -24,6 +25,9 @@ NEIGHBOUR = 0.1
 
 REPEATED = 1e-7
 """Eigenvalues closer than this fraction of their modulus count as repeated; single shapes have no derivative."""
+
+_RESIDUAL = 1e-6
+"""Largest relative residual of a bordered solve; beyond it an unsolved close mode makes the matrix singular."""
 
 _FREE = 1e-4
 """Shift of the factor that finds rigid-body motions, over the first squared frequency."""
@@ -90,6 +94,8 @@ class Damped(_Modes):
 
     def bands(self, chosen: Sequence[int], n_params: int) -> list[tuple[float, list[int]]]:
         """See `calib.structure.eigenproblem.known_modes.bands`; a shifted factor would be complex."""
+        from calib.structure.eigenproblem.known_modes import bands
+
         known = np.abs(self.eigenvalues[: len(self.eigenvalues) // 2]) ** 2
         order = np.argsort(known)
         place = np.argsort(order)
@@ -134,6 +140,8 @@ class Damped(_Modes):
         The inverse of ``Z(lambda)`` is approximated by that of ``K = Z(0)``, with what all known modes add to the
         difference.
         """
+        from calib.structure.eigenproblem.known_modes import iterated
+
         factor = self._factor(shift)
         shapes, known = self.all, self.eigenvalues
         columns = np.repeat(np.arange(len(posed)), len(self.slopes))
@@ -187,6 +195,8 @@ class Undamped(_Modes):
 
     def bands(self, chosen: Sequence[int], n_params: int) -> list[tuple[float, list[int]]]:
         """See `calib.structure.eigenproblem.known_modes.bands`."""
+        from calib.structure.eigenproblem.known_modes import bands
+
         order = np.argsort(self.omega)
         place = np.argsort(order)
         found = bands(self.omega[order] ** 2, place[list(chosen)].tolist(), n_params, not self.rigid)
@@ -227,6 +237,8 @@ class Undamped(_Modes):
 
         What the known modes leave has higher frequencies, where ``K - shift M`` is nearly ``K - omega^2 M``.
         """
+        from calib.structure.eigenproblem.known_modes import iterated, rigid_motions
+
         known, shapes = self.omega**2, self.all
         if self.rigid:
             motions = rigid_motions(self._factor(-_FREE * float(known[0])).solve, self.m, self.rigid)
@@ -321,3 +333,61 @@ def _coupled(part: np.ndarray, group: np.ndarray, force: np.ndarray) -> bool:
 def has_entries(matrix: Matrix) -> bool:
     """Whether a matrix differs from 0."""
     return bool(abs(matrix).max() > 0)
+
+
+def bordered(matrix: Any, border: np.ndarray, top: np.ndarray, bottom: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Solution x of ``[Z, B; B^T, 0] [x; mu] = [top; bottom]`` and whether it is accurate.
+
+    Parameters
+    ----------
+    matrix : sparse or dense (n, n)
+        Z, symmetric.
+    border : ndarray (n, m)
+        B.
+    top, bottom : ndarray (n, p), (m, p)
+
+    Returns
+    -------
+    solution : ndarray (n, p)
+    accurate : bool
+
+    Raises
+    ------
+    EvaluationError
+        When the bordered matrix cannot be factorised.
+    """
+    n, g = border.shape
+    # The border is scaled to the size of the matrix, or pivoting would prefer one of them.
+    largest = abs(matrix).max()
+    scale = largest / np.abs(border).max(axis=0)
+    edge = border * scale
+    right = np.vstack([top, bottom * scale[:, None]])
+    whole: Any
+    solve: Callable[[np.ndarray], np.ndarray]
+    if sp.issparse(matrix):
+        blocks: list[list[Any]] = [[matrix, sp.csc_array(edge)], [sp.csc_array(edge.T), None]]
+        whole = sp.csc_matrix(sp.block_array(blocks, format="csc"))
+        try:
+            lu = symmetric_factor(whole, 0.01)
+        except RuntimeError as fault:
+            raise EvaluationError(f"the derivative of a mode shape could not be solved ({fault})") from fault
+        solve = partial(_sparse_solve, lu, whole.dtype)
+    else:
+        whole = np.block([[matrix, edge], [edge.T, np.zeros((g, g))]])
+        solve = partial(la.lu_solve, la.lu_factor(whole, check_finite=False), check_finite=False)
+
+    def solved(b: np.ndarray) -> np.ndarray:
+        if np.iscomplexobj(b) and not np.iscomplexobj(whole):
+            return solve(b.real) + 1j * solve(b.imag)
+        return solve(b)
+
+    x = solved(right)
+    x = x + solved(right - whole @ x)  # one iterative refinement makes up for the relaxed pivoting
+    miss = np.linalg.norm(right - whole @ x, axis=0)
+    size = np.linalg.norm(right, axis=0)
+    good = bool(np.all(np.isfinite(x))) and bool(np.all(miss <= _RESIDUAL * np.maximum(size, 1e-300)))
+    return x[:n], good
+
+
+def _sparse_solve(lu: spla.SuperLU, dtype: np.dtype, b: np.ndarray) -> np.ndarray:
+    return lu.solve(np.ascontiguousarray(b, dtype=dtype))

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg as la
 import scipy.sparse as sp
 
+from calib.structure.eigenproblem.derivatives import beside_roots
+from calib.structure.eigenproblem.mode_systems import eigenvalues
 from calib.structure.model import StructuralModel
+from calib.structure.modes import Modes
 from calib.structure.reduction.certificate import mode_errors
 from calib.structure.reduction.reduced import ReducedModel
 from calib.structure.reduction.refinement import modes_near, refined_modes, undamped_count_agrees
@@ -17,6 +21,8 @@ _NEAR = 1.15
 """Modes up to this multiple of the highest wanted frequency are included: they may be lower at other points."""
 _REFINED = 0.01
 """Accuracy of refined modes, over the tolerance."""
+_DIRECTIONS = 2
+"""Most directions in which parameters move modes, for each mode and each parameter."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +37,16 @@ class ModeTarget:
         Only modes below this natural frequency (Hz) and damping ratio must meet it.
     tolerance : float
         Largest relative error of an eigenvalue, and largest 1 - MAC.
+    moved : tuple of (name, change)
+        Parameters whose influence on the modes at a point counts as missing there too, each with the change that
+        matters, in its own unit; none of a basis that is trained over limits, which has points all over.
     """
 
     count: int
     freq_max: float
     damping_max: float
     tolerance: float
+    moved: tuple[tuple[str, float], ...] = ()
 
     @property
     def request(self) -> str:
@@ -55,10 +65,16 @@ class ModeTarget:
         known: ReducedModel | None = None,
     ) -> np.ndarray:
         """Real columns that span the modes at named values, each mode of unit energy; see `Target.snapshots`."""
+        return self.columns(self._solved(model, values, known), energy)
+
+    def _solved(self, model: StructuralModel, values: Mapping[str, float], known: ReducedModel | None) -> Modes:
+        """Modes of the full model, refined from a reduced one where it is known."""
         if known is None:
-            modes = model.modes(values, self.count)
-        else:
-            modes = modes_near(known, values, self.count, _REFINED * self.tolerance)
+            return model.modes(values, self.count)
+        return modes_near(known, values, self.count, _REFINED * self.tolerance)
+
+    def columns(self, modes: Modes, energy: sp.csc_array) -> np.ndarray:
+        """Real columns that span modes, each mode of unit energy."""
         shapes = modes.shapes[:, modes.natural_freq <= _NEAR * self.freq_max]
         size = np.einsum("ij,ij->j", shapes.conj(), energy @ shapes).real
         if not modes.is_complex:
@@ -68,6 +84,38 @@ class ModeTarget:
         shapes = shapes * (turn / np.sqrt(size))
         return np.hstack([shapes.real, shapes.imag])
 
+    def directions(
+        self,
+        model: StructuralModel,
+        energy: sp.csc_array,
+        values: Mapping[str, float],
+        modes: Modes,
+        static: Callable[[np.ndarray], np.ndarray],
+    ) -> np.ndarray:
+        """Principal directions (n_dof, m) in which the parameters of `moved` move modes at named values.
+
+        The derivative of a shape is sought among the other modes and the static responses to the forces that the
+        parameters exert on the modes, ``static`` of them: their part in higher modes is nearly static.
+        """
+        names = [name for name, _ in self.moved]
+        point = beside_roots(model.space, model.roots, values, names)
+        kept = modes.subset(np.flatnonzero(modes.natural_freq <= _NEAR * self.freq_max))
+        lam, shapes = eigenvalues(kept), kept.shapes
+        size = np.sqrt(np.einsum("ij,ij->j", shapes.conj(), energy @ shapes).real)
+        forces = [np.zeros((model.n_dof, 0))]
+        for name, change in self.moved:
+            dk, dc, dm = model.matrix_derivatives(point, name)
+            force = dk @ shapes + (lam**2).real * (dm @ shapes)
+            if kept.is_complex:
+                force = force + lam * (dc @ shapes) + 1j * (lam**2).imag * (dm @ shapes)
+            forces.append(force * (change / size))
+        moves = static(np.hstack(forces))
+        moves = np.hstack([moves.real, moves.imag]) if np.iscomplexobj(moves) else moves
+        energies, turn = la.eigh(moves.T @ (energy @ moves)) if moves.shape[1] else (np.zeros(0), np.zeros((0, 0)))
+        most = _DIRECTIONS * (kept.n_modes + len(names))
+        first = max(len(energies) - most, int(np.count_nonzero(energies < self.tolerance)))
+        return np.asarray(moves @ turn[:, first:])
+
     def posed(self, reduced: ReducedModel) -> ReducedModel:
         """The reduced model itself."""
         return reduced
@@ -75,8 +123,12 @@ class ModeTarget:
     def missing(
         self, reduced: ReducedModel, energy: sp.csc_array, values: Mapping[str, float], unseen: bool = False
     ) -> np.ndarray:
-        """What a reduced model lacks at named values: the modes there."""
-        return self.snapshots(reduced.model, energy, values, None if unseen else reduced)
+        """What a reduced model lacks at named values: the modes there, and how parameters move them."""
+        modes = self._solved(reduced.model, values, None if unseen or self.moved else reduced)
+        found = self.columns(modes, energy)
+        if not self.moved:
+            return found
+        return np.hstack([found, self.directions(reduced.model, energy, values, modes, reduced.static_response)])
 
     def estimate(self, reduced: ReducedModel, values: Mapping[str, float]) -> float:
         """Largest error indicator of the modes that must meet the tolerance."""

@@ -14,6 +14,7 @@ from calib.execution.tasks import each
 from calib.problem.sampling import sample
 from calib.problem.space import ParameterSpace
 from calib.structure.model import StructuralModel
+from calib.structure.modes import Modes
 from calib.structure.reduction.basis import CHECK_COLUMNS, Basis
 from calib.structure.reduction.growth import (
     POD,
@@ -149,23 +150,7 @@ def train(
     lower, upper = (end[: len(model.space.names)] for end in box(several))
     reference = mid_point(lower, upper)
     modes = reference_modes(model, dict(zip(model.space.names, reference.tolist(), strict=True)))
-    basis = Basis(
-        vectors=np.zeros((model.n_dof, 0)),
-        model_fingerprint=model.fingerprint,
-        names=model.space.names,
-        reference=reference,
-        lower=lower,
-        upper=upper,
-        offset=offset_of(modes),
-        count=target.count,
-        freq_max=target.freq_max,
-        damping_max=target.damping_max,
-        tolerance=target.tolerance,
-        request=target.request,
-        samples=np.zeros((0, len(reference))),
-        checks=np.zeros((0, len(CHECK_COLUMNS))),
-        seed=seed,
-    )
+    basis = _empty(model, target, (lower, reference, upper), modes, seed)
     growth = Growth(model, basis, modes)
     vectors = growth.statics(target.forces(model))
     points = [p for space in several for p in space_filling_points(space, samples or _sample_count(space), rng)]
@@ -193,6 +178,72 @@ def train(
         f"a basis of {basis.size} vectors misses its tolerance of {target.tolerance:g} {_missed(basis)}",
         place=_place(model),
         remedy="raise the tolerance, narrow the limits, or work with the full model",
+    )
+
+
+def basis_at(model: StructuralModel, space: ParameterSpace, target: ModeTarget, values: Mapping[str, float]) -> Basis:
+    """A basis of what a model does at one point, without training: its modes, and how parameters move them.
+
+    It serves near that point. What it lacks elsewhere its error indicator tells, and `enrich_basis` adds.
+
+    Parameters
+    ----------
+    model : StructuralModel
+    space : ParameterSpace
+        Its limits are those of the basis.
+    target : ModeTarget
+        With the parameters that are going to move in ``moved``.
+    values : mapping
+        The point, also the reference of the inner product.
+
+    Raises
+    ------
+    EvaluationError
+        When the model cannot be solved there.
+    """
+    _check(model, (space,), target.tolerance)
+    point = model.space.complete({name: v for name, v in values.items() if name in model.space})
+    lower, upper = (end[: len(model.space.names)] for end in box((space,)))
+    modes = model.modes(point, target.count)
+    plain = not (modes.is_complex or model.stiffness.selected)
+    reference = modes if plain else reference_modes(model, point)
+    row = np.array([point[name] for name in model.space.names])
+    basis = _empty(model, target, (np.minimum(lower, row), row, np.maximum(upper, row)), reference, 0)
+    growth = Growth(model, basis, reference)
+    vectors = growth.widened(
+        growth.statics(target.forces(model)), target.columns(modes, growth.matrix), POD * target.tolerance
+    )
+    basis = replace(basis, vectors=vectors, samples=sampled_rows(basis, [point]))
+    static = ReducedModel(model, basis, factor=growth.factor).static_response
+    moves = target.directions(model, growth.matrix, point, modes, static)
+    return replace(basis, vectors=growth.added(vectors, moves, POD * target.tolerance))
+
+
+def _empty(
+    model: StructuralModel,
+    target: Target,
+    limits: tuple[np.ndarray, np.ndarray, np.ndarray],
+    modes: Modes,
+    seed: int,
+) -> Basis:
+    """A basis without vectors; of the limits lower, reference and upper values, ``modes`` are `reference_modes`."""
+    lower, reference, upper = limits
+    return Basis(
+        vectors=np.zeros((model.n_dof, 0)),
+        model_fingerprint=model.fingerprint,
+        names=model.space.names,
+        reference=reference,
+        lower=lower,
+        upper=upper,
+        offset=offset_of(modes),
+        count=target.count,
+        freq_max=target.freq_max,
+        damping_max=target.damping_max,
+        tolerance=target.tolerance,
+        request=target.request,
+        samples=np.zeros((0, len(reference))),
+        checks=np.zeros((0, len(CHECK_COLUMNS))),
+        seed=seed,
     )
 
 
