@@ -155,7 +155,7 @@ def test_held_out_modes_are_told_before_and_after_but_enter_no_fit(study, before
     # A standard deviation of 7 % in a damping ratio of 0.5 is one of 2 % in the damped frequency.
     assert stages["error_after"].abs().max() < 0.06 and stages["mac_after"].min() > 0.95
     used = before.comparison_table().set_index("mode")["damped_freq_model"]
-    pd.testing.assert_series_equal(stages.loc[list(FITTED), "damped_freq_before"], used, check_names=False)
+    pd.testing.assert_series_equal(stages.loc[list(FITTED), "freq_before"], used, check_names=False)
 
 
 @pytest.mark.slow
@@ -163,11 +163,11 @@ def test_the_initial_model_stands_on_bogies_that_nothing_has_calibrated(study, c
     table, own = stages, study.model.modes({p.name: p.value for p in CAR + BOGIE}, 18)
     paired = compared["initial"].pairing.model_index
     pair = [paired[study.whole.names.index(mode)] for mode in FITTED]
-    np.testing.assert_allclose(table.loc[list(FITTED), "damped_freq_initial"], own.damped_freq[pair], rtol=1e-9)
+    np.testing.assert_allclose(table.loc[list(FITTED), "freq_initial"], own.damped_freq[pair], rtol=1e-9)
     # Softer primary springs lower the bogies' modes and the car's on them, as in the case study.
     bogies = [mode for mode in table.index if mode[1] == "B"]
-    assert (table.loc[[*bogies, "1C", "2C", "3C"], "damped_freq_initial"] < table.loc[[*bogies, "1C", "2C", "3C"],
-            "damped_freq_before"]).all()  # fmt: skip
+    assert (table.loc[[*bogies, "1C", "2C", "3C"], "freq_initial"] < table.loc[[*bogies, "1C", "2C", "3C"],
+            "freq_before"]).all()  # fmt: skip
     assert table.loc[list(FITTED), "error_initial"].abs().mean() > table.loc[list(FITTED), "error_before"].abs().mean()
 
 
@@ -178,7 +178,7 @@ def test_the_table_of_every_mode_can_be_a_study_without_held_out_modes(study, be
     assert stages["before"] is before
     table = every_mode(none, stages)
     assert table["mode"].tolist() == list(FITTED) and not table["held_out"].any()
-    np.testing.assert_array_equal(table["damped_freq_before"], table["damped_freq_after"])
+    np.testing.assert_array_equal(table["freq_before"], table["freq_after"])
 
 
 @pytest.mark.slow
@@ -264,7 +264,7 @@ def quick(tmp_path_factory):
 @pytest.mark.whole
 def test_the_study_runs_whole_in_quick_mode_after_its_first_phase(quick):
     root, said = quick
-    assert "comes first" in said and "Damped frequencies of every measured mode" in said
+    assert "comes first" in said and "Damped frequencies (Im lambda/2pi) of every measured mode" in said
     first = json.loads((root / "bogie/quick/summary.json").read_text("utf-8"))
     taken = pd.read_csv(root / "bogie/quick/parameters.csv")
     taken = taken[taken["case"] == first["best_case"]].set_index("parameter")["value"]

@@ -52,7 +52,7 @@ class Added:
     own : str
         Modes of the effects' own that no measured mode pairs with, in words; empty without any.
     modes : DataFrame
-        ``added_modes.csv``: ``mode, held_out, damped_freq_measured`` and ``damped_freq_, error_, mac_`` of the stages
+        ``added_modes.csv``: ``mode, held_out, freq_kind, freq_measured`` and ``freq_, error_, mac_`` of the stages
         ``initial`` (nominal values), ``before`` (calibrated) and ``after`` (calibrated with the added effects).
     test : str
         Name of the test, where there are several.
@@ -220,10 +220,10 @@ def _modes(before: Calibration, after: Calibration) -> pd.DataFrame:
     """All measured modes: nominal, calibrated, and calibrated with the added effects; empty for scalar responses."""
     if before.modes is None or after.modes is None:
         return pd.DataFrame()
-    table = before.modes[["mode", "held_out", "damped_freq_measured"]].copy()
+    table = before.modes[["mode", "held_out", "freq_kind", "freq_measured"]].copy()
     stages = {"initial": (before.modes, "before"), "before": (before.modes, "after"), "after": (after.modes, "after")}
     for stage, (modes, own) in stages.items():
-        for kind in ("damped_freq", "error", "mac"):
+        for kind in ("freq", "error", "mac"):
             table[f"{kind}_{stage}"] = modes[f"{kind}_{own}"]
     return table
 

@@ -48,9 +48,10 @@ def all_stages(study: LoadedStudy, before: Comparison, after: Comparison) -> dic
 
 
 def every_mode(study: LoadedStudy, stages: Mapping[str, Comparison]) -> pd.DataFrame:
-    """Damped frequencies (``Im lambda/2pi``) of all measured modes at every stage, and their errors.
+    """Frequencies of all measured modes at every stage, and their errors.
 
-    The mean frequency error of a calibration is of natural frequencies (``|lambda|/2pi``).
+    Natural ones, or damped ones where the study asks for them (``freq_kind``). The mean frequency error of a
+    calibration is of natural frequencies.
 
     Parameters
     ----------
@@ -61,18 +62,20 @@ def every_mode(study: LoadedStudy, stages: Mapping[str, Comparison]) -> pd.DataF
     Returns
     -------
     DataFrame
-        ``mode, held_out, damped_freq_measured`` and, for each stage, ``damped_freq_``, ``error_`` and ``mac_``. Hz;
-        errors are signed fractions of the damped frequency; NaN where a mode found no partner.
+        ``mode, held_out, freq_kind, freq_measured`` and, for each stage, ``freq_``, ``error_`` and ``mac_``. Hz; errors
+        are signed fractions of the frequency; NaN where a mode found no partner.
     """
-    columns: dict[str, pd.Series] = {}
+    columns: dict[str, Any] = {}
+    kind = study.settings.calibration.freq_kind
     for stage, found in stages.items():
         table = found.comparison_table()
         columns |= {
             "mode": table["mode"],
             "held_out": table["mode"].isin(study.settings.held_out.modes),
-            "damped_freq_measured": table["damped_freq_measured"],
-            f"damped_freq_{stage}": table["damped_freq_model"],
-            f"error_{stage}": table["damped_freq_model"] / table["damped_freq_measured"] - 1.0,
+            "freq_kind": kind,
+            "freq_measured": table[f"{kind}_freq_measured"],
+            f"freq_{stage}": table[f"{kind}_freq_model"],
+            f"error_{stage}": table[f"{kind}_freq_model"] / table[f"{kind}_freq_measured"] - 1.0,
             f"mac_{stage}": table["mac"],
         }
     return pd.DataFrame(columns)

@@ -41,6 +41,7 @@ class CalibrationKeys(SearchKeys, total=False):
 
     method: str
     starts: int
+    freq_kind: str
     alpha: float
     mesh_sd: float
 

@@ -169,11 +169,12 @@ def _shapes_on_mesh(folder: Folder, compared: Mapping[str, pd.DataFrame | None],
 
 
 def _every_mode(folder: Folder, effects: str) -> Iterator[Drawing]:
-    """Damped frequencies of all measured modes, held-out ones too."""
+    """Frequencies of all measured modes, held-out ones too."""
     if (every := _all_modes(folder / "modes.csv")) is not None:
-        yield Drawing("modes", "damped frequencies of all measured modes", bound(draw_frequencies, every), ("modes",))
+        caption = f"{every['freq_kind'].iloc[0]} frequencies of all measured modes"
+        yield Drawing("modes", caption, bound(draw_frequencies, every), ("modes",))
     if effects and (every := _all_modes(folder / "added_modes.csv")) is not None:
-        caption = f"damped frequencies of all measured modes, without and with {effects}"
+        caption = f"{every['freq_kind'].iloc[0]} frequencies of all measured modes, without and with {effects}"
         draw = bound(draw_frequencies, every, looks=stages_of_added(effects))
         yield Drawing("added_modes", caption, draw, ("added_modes",))
 
@@ -272,10 +273,10 @@ def _all_modes(path: Path) -> pd.DataFrame | None:
     """Table of all measured modes; None without the file or without rows in it."""
     if not path.exists():
         return None
-    kinds = ("damped_freq", "error", "mac")
+    kinds = ("freq", "error", "mac")
     wanted = [f"{kind}_{stage}" for kind in kinds for stage in _STAGES]
     table = read_results(
-        path, ["mode"], ["damped_freq_measured", *wanted], flags=["held_out"], may_be_empty=True,
+        path, ["mode", "freq_kind"], ["freq_measured", *wanted], flags=["held_out"], may_be_empty=True,
         if_there=[f"{kind}_initial" for kind in kinds],
     )  # fmt: skip
     return table if len(table) else None

@@ -1,4 +1,4 @@
-"""Damped frequencies of every measured mode at each stage of a calibration."""
+"""Frequencies of every measured mode at each stage of a calibration."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ _WIDE, _NARROW, _GAP = 42.0, 36.0, 12.0
 
 
 def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapping[str, Look] = STAGE_LOOKS) -> Axes:
-    """Draw the error of every damped frequency at every stage, with frequencies and MAC written beside it.
+    """Draw the error of every frequency at every stage, with frequencies and MAC written beside it.
 
     Parameters
     ----------
     table : DataFrame
-        Columns ``mode``, ``held_out`` (bool), ``damped_freq_measured`` (Hz) and, for ``before``, ``after`` and
-        optionally ``initial``, ``damped_freq_`` (Hz), ``error_`` (signed fraction) and ``mac_``; NaN where a mode is
-        not paired.
+        Columns ``mode``, ``held_out`` (bool), ``freq_kind`` (``natural`` or ``damped``), ``freq_measured`` (Hz) and,
+        for ``before``, ``after`` and optionally ``initial``, ``freq_`` (Hz), ``error_`` (signed fraction) and ``mac_``;
+        NaN where a mode is not paired.
     ax : Axes, optional
     looks : mapping from stage to Look
         The stages that the table may have.
@@ -76,7 +76,7 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapp
         look = looks[stage]
         dot: dict[str, Any] = {"linestyle": "none", "marker": look.marker, "color": look.colour, "markersize": 6}
         ax.plot(of_stage, np.arange(count), gid=stage, zorder=3, **dot)
-        points = zip(table["mode"], table[f"damped_freq_{stage}"], of_stage, strict=True)
+        points = zip(table["mode"], table[f"freq_{stage}"], of_stage, strict=True)
         words = [
             f"{mode}, {look.words}: {fixed(freq, 3)} Hz, {fixed(error, 2, sign=True)} %" for mode, freq, error in points
         ]
@@ -88,7 +88,8 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapp
     for label, held in zip(ax.get_yticklabels(), held_out, strict=True):
         label.set_color(GREY if held else BLACK)
     heads = {stage: looks[stage].heading for stage in stages}
-    edge = _columns(ax, table, "damped_freq", {"measured": "measured"} | heads, "damped frequency (Hz)", _GAP, _WIDE)
+    kind = f"{table['freq_kind'].iloc[0]} frequency"
+    edge = _columns(ax, table, "freq", {"measured": "measured"} | heads, f"{kind} (Hz)", _GAP, _WIDE)
     if table[[f"mac_{stage}" for stage in stages]].notna().to_numpy().any():
         _columns(ax, table, "mac", heads, "MAC (–)", edge + _GAP, _NARROW)
     for line in range(1, count):
@@ -97,7 +98,7 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapp
     ax.margins(x=0.08)
     ax.grid(axis="x")
     ax.tick_params(axis="y", length=0)
-    ax.set_xlabel("error of the damped frequency, model − measured (%)")
+    ax.set_xlabel(f"error of the {kind}, model − measured (%)")
     # In one column, so that it stays clear of the headings at the right.
     ax.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2)
     return ax

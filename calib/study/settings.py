@@ -183,6 +183,9 @@ class CalibrationSettings(Section):
     """Standard deviation of a mutation in the first generation, over the range of the parameter."""
     sigma_end: float = Field(default=0.01, gt=0, le=1)
     """The same in the last generation."""
+    freq_kind: Literal["natural", "damped"] = "natural"
+    """Which frequencies the table and the figure of all measured modes hold: ``|lambda|/2pi``, as the mean errors and
+    the fit, or ``Im lambda/2pi``."""
     begin_at: dict[str, float] | DesignName = Field(default_factory=dict)
     """A further start of least squares, besides the end of each search: parameters in their own units, or an evaluated
     design by its number, ``"design 4711"``."""

@@ -11,6 +11,7 @@ from calib.analyses.every_mode import all_stages, every_mode
 from calib.api.entries.calibrated import calibrated_entries
 from calib.api.entries.entry import Rows
 from calib.study.loading import module_of
+from tests.api.test_modal_responses import chain
 
 WORLD = module_of(Path(__file__).parents[1] / "template/frf_chain.py")
 HELD = ["m4", "2x"]
@@ -42,5 +43,26 @@ def test_the_mac_of_a_used_mode_is_that_of_the_comparison(fitted):
     (title,) = [
         e.title for e in calibrated_entries(study, printed) if isinstance(e, Rows) and "measured mode" in e.title
     ]
-    assert "Im lambda/2pi" in title and "over the sensors used" in title
+    assert "(|lambda|/2pi)" in title and "over the sensors used" in title
     assert "(|lambda|/2pi)" in fit.lines["Found"]
+
+
+@pytest.mark.parametrize(("keys", "kind"), [({}, "natural"), ({"freq_kind": "damped"}, "damped")])
+def test_the_table_of_all_modes_holds_the_frequencies_that_are_asked_for(keys, kind):
+    """Two masses with up to 6 % of critical damping, stiffer than assumed."""
+    model = chain()
+    truth, start = model.modes({"k1": 36.0, "k2": 60.0, "b": 0.05}, 2), model.modes(model.space.values, 2)
+    sensors = (calib.Sensor(1, "x"), calib.Sensor(2, "x"))
+    shapes = model.sensor_rows(sensors) @ truth.shapes
+    modes = calib.MeasuredModes(
+        ("A", "B"), truth.natural_freq, truth.damped_freq, 2e-3 * truth.natural_freq, truth.damping_ratio,
+        0.02 * truth.damping_ratio, sensors, shapes, np.full(shapes.shape, 0.01),
+    )  # fmt: skip
+    fit = calib.Problem(model, calib.ModalTest(modes)).calibrate(starts=1, progress=False, **keys)
+    table, name = fit.calibration.modes, f"{kind}_freq"
+    assert set(table["freq_kind"]) == {kind}
+    np.testing.assert_allclose(table["freq_measured"], getattr(truth, name))
+    np.testing.assert_allclose(table["error_before"], getattr(start, name) / getattr(truth, name) - 1.0)
+    assert np.abs(truth.damped_freq / truth.natural_freq - 1).max() > 1e-3
+    (title,) = [e.title for e in fit.entries if isinstance(e, Rows) and "measured mode" in e.title]
+    assert title.startswith(kind.capitalize()) and "lambda" in title

@@ -56,7 +56,7 @@ def test_a_column_that_is_not_documented_is_found(tmp_path):
     folder.mkdir()
     (folder / "convergence.csv").write_text("case,generation,best,worst\nC1,1,0.5,0.7\n", "utf-8")
     (folder / "spare.csv").write_text("a\n1\n", "utf-8")
-    (folder / "modes.csv").write_text("mode,damped_freq_before,damped\nA,1.0,2.0\n", "utf-8")
+    (folder / "modes.csv").write_text("mode,freq_before,damped\nA,1.0,2.0\n", "utf-8")
     assert missing(folder) == {
         "convergence.csv": ["worst"], "spare.csv": ["not documented at all"], "modes.csv": ["damped"],
     }  # fmt: skip

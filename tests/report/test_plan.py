@@ -18,9 +18,9 @@ from calib.report.tables import CurrentFolder
 def test_modes_with_an_added_effect_are_drawn_beside_a_sensitivity_analysis(tmp_path, others):
     stages = ("initial", "before", "after")
     errors = dict(zip(stages, (0.06, 0.01, -0.002), strict=True))
-    columns = {"mode": ["m1", "m2"], "held_out": [False, True], "damped_freq_measured": [10.0, 20.0]}
+    columns = {"mode": ["m1", "m2"], "held_out": [False, True], "freq_kind": "damped", "freq_measured": [10.0, 20.0]}
     for stage, error in errors.items():
-        columns |= {f"damped_freq_{stage}": [10.0 * (1 + error), 20.0 * (1 - error)]}
+        columns |= {f"freq_{stage}": [10.0 * (1 + error), 20.0 * (1 - error)]}
         columns |= {f"error_{stage}": [error, -error], f"mac_{stage}": [0.9, 0.95]}
     pd.DataFrame(columns).to_csv(tmp_path / "added_modes.csv", index=False)
     (tmp_path / "added.json").write_text(json.dumps({"effects": [{"name": "prop"}]}))

@@ -187,14 +187,15 @@ def _changes(result: Calibration) -> Iterator[Rows]:
         rows = [
             (
                 _named(r, "mode"),
-                *(decimals(r[f"damped_freq_{stage}"], 3) for stage in ("measured", *stages)),
+                *(decimals(r[f"freq_{stage}"], 3) for stage in ("measured", *stages)),
                 *("" if pd.isna(r[f"error_{s}"]) else f"{100 * r[f'error_{s}']:+.2f} %" for s in stages),
                 *(decimals(r[f"mac_{stage}"], 3) for stage in stages),
             )
             for r in result.modes.to_dict("records")
         ]
         heads = [f"{kind} {stage}" for kind in ("error", "MAC") for stage in stages]
-        title = "Damped frequencies (Im lambda/2pi) of every measured mode, and their errors:"
+        of = _FREQUENCIES[str(result.modes["freq_kind"].iloc[0])]
+        title = f"{of} of every measured mode, and their errors:"
         if result.modes["held_out"].any():
             title = title[:-1] + "; MAC over the sensors used, of held-out modes over all:"
         yield Rows.of(title, ("mode", "measured Hz", *stages, *heads), rows)
@@ -211,6 +212,9 @@ def _changes(result: Calibration) -> Iterator[Rows]:
         yield Rows.of("Every measured response:", heads, rows)
     else:
         yield pair_entries(result.best.answer, "After calibration:")
+
+
+_FREQUENCIES = {"natural": "Natural frequencies (|lambda|/2pi)", "damped": "Damped frequencies (Im lambda/2pi)"}
 
 
 def _named(row: Mapping[Any, Any], what: str) -> str:

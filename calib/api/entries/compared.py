@@ -79,7 +79,8 @@ def pair_entries(result: ComparisonResult, title: str = "", when: When = "always
             )
         )
     heads = ("mode", "model mode", "measured Hz", "model Hz", "error", "damping %", "model %", "MAC")
-    return Rows.of(title or "Natural frequencies (|lambda|/2pi):", heads, rows, when=when)
+    of = f"{title.removesuffix(':')}, natural" if title else "Natural"
+    return Rows.of(f"{of} frequencies (|lambda|/2pi):", heads, rows, when=when)
 
 
 def _functions(table: Iterable[Mapping[Hashable, Any]], title: str, when: When) -> Rows:

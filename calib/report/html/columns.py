@@ -7,7 +7,7 @@ from typing import Any
 
 _GAINS = "gain gain_low gain_high ln_bayes ln_bayes_low ln_bayes_high"
 _INTERVALS = "value predicted low high low_unexplained high_unexplained"
-_MODES = "damped_freq_{0} error_{0} mac_{0}"
+_MODES = "freq_{0} error_{0} mac_{0}"
 
 
 def _columns(text: str, numbers: str = "", **more: str) -> dict[str, Any]:
@@ -21,8 +21,8 @@ def _matrix(key: str) -> dict[str, Any]:
 
 
 _EVERY_MODE = _columns(
-    "mode",
-    f"damped_freq_measured {_MODES.format('before')} {_MODES.format('after')}",
+    "mode freq_kind",
+    f"freq_measured {_MODES.format('before')} {_MODES.format('after')}",
     flags="held_out",
     if_there=_MODES.format("initial"),
 )

@@ -76,10 +76,10 @@ def inside(errors: pd.DataFrame, predictions: pd.DataFrame, column: str) -> list
 
 
 def columns_of_stages(table: pd.DataFrame, labels: Mapping[str, str]) -> list[tuple[str, list[str]]]:
-    """Columns of the damped frequencies, errors and MAC of all modes at each stage that ``labels`` names."""
+    """Columns of the frequencies, errors and MAC of all modes at each stage that ``labels`` names."""
     stages = {stage: words for stage, words in labels.items() if f"error_{stage}" in table}
     return [
-        *((f"{w}, Hz", [fixed(value, 3) for value in table[f"damped_freq_{s}"]]) for s, w in stages.items()),
+        *((f"{w}, Hz", [fixed(value, 3) for value in table[f"freq_{s}"]]) for s, w in stages.items()),
         *((f"error {w}, %", [percent(value, sign=True) for value in table[f"error_{s}"]]) for s, w in stages.items()),
         *((f"MAC {w}", [fixed(value, 3) for value in table[f"mac_{s}"]]) for s, w in stages.items()),
     ]
