@@ -205,8 +205,7 @@ def _assembled(
             modes = every_mode(study, stages)
     values = own_values(study, best.statistics.values)
     with suppress(EvaluationError):  # errors are unknown where the model fails near the optimum
-        ended = best.statistics
-        errors = errors_at(study, values, ended.part(study.test), ended.active)
+        errors = errors_at(study, values, best.statistics)
         responses = every_response(study, study.model.space.values, values)
     why = why_failed()
     told = (*notes, *filter(None, [study.search_space.wide_sentence, why]))

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
+from calib.analyses.fit_statistics import FitStatistics
 from calib.correlation.modal.comparison import Comparison
 from calib.execution.outcome import named_responses
-from calib.hypotheses.verify import errors_of
-from calib.inference.joint_part import JointPart
+from calib.hypotheses.verify import errors_of, std_behind
 from calib.missing.adequacy import contradicting
 from calib.missing.data_words import GROUPS
+from calib.problem.degrees_of_freedom import p_value
 from calib.study.study import LoadedStudy
 
 
@@ -104,12 +106,21 @@ def _partners(used: Comparison) -> Mapping[str, int]:
     return {used.measured.names[i]: int(index[i]) + 1 for i in used.pairing.paired}
 
 
-def errors_at(
-    study: LoadedStudy, values: Mapping[str, float], joint: JointPart | None = None, active: Collection[str] = ()
-) -> pd.DataFrame:
-    """Errors of a study's model by group of data, at fitted values of the selected parameters; see `errors_of`."""
-    space, held_sd = study.search_space, study.held_sd
-    return errors_of(study.pair, study.whole_problem(), study.unseen, space, values, held_sd, joint, active)
+def errors_at(study: LoadedStudy, values: Mapping[str, float], ended: FitStatistics | None = None) -> pd.DataFrame:
+    """Errors of a study's model by group of data, at fitted values of the selected parameters; see `errors_of`.
+
+    ``ended`` is the fit, of this test or of several. The used data of one test are tested as the fit is: with the
+    errors of held parameters.
+    """
+    joint, active = (None, frozenset[str]()) if ended is None else (ended.part(study.test), ended.active)
+    pair, whole, space = study.pair, study.whole_problem(), study.search_space
+    table = errors_of(pair, whole, study.unseen, space, values, study.held_sd, joint, active)
+    used = table["group"] == "fit"
+    if ended is None or not ended.held_squares or len(ended.by_test):
+        return table
+    expected = np.sqrt(table.loc[used, "expected"] ** 2 + ended.held_squares / table.loc[used, "rows"])
+    p = p_value(ended.considered_misfit, ended.dof, std_behind(pair))
+    return table.assign(expected=table["expected"].where(~used, expected), p=table["p"].where(~used, float(p)))
 
 
 _NAMED = {"held_out_modes": "mode", "held_out_responses": "response"}

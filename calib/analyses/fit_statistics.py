@@ -10,7 +10,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
-import scipy.linalg as la
 
 from calib.analyses.uncertain import mesh_changes
 from calib.analyses.uncertainty import assumed_words, in_one
@@ -19,8 +18,8 @@ from calib.experiment.test import ForwardProblem
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import CaseResult
 from calib.inference.considered import At, Fittable, Nearby, changes_by_held, considered_table
-from calib.inference.constraints import ConstraintRows, Hold, constraint_rows, holds, multipliers
-from calib.inference.freed import Freed, freed
+from calib.inference.constraints import Hold, constraint_rows, holds, multipliers
+from calib.inference.freed import freed, unabsorbed
 from calib.inference.gauss_newton import FitResult, Prior
 from calib.inference.identify import Identifiability, identify, posterior, prediction_interval, with_held
 from calib.inference.joint_part import COLUMNS, JointPart, joint_parts, std_by_test
@@ -158,6 +157,8 @@ class FitStatistics:
         What held parameters whose values are uncertain add, see `calib.inference.considered.considered_table`.
     considered_misfit : float
         Sum of squares of the data that is left with these parameters free under their priors; it is tested.
+    held_squares : float
+        Sum of squares that errors of held parameters are expected to add to the residual.
     mesh : str
         What an error of the mesh may change that nobody stated, in words; see `mesh_doubt`.
     """
@@ -184,6 +185,7 @@ class FitStatistics:
     held_by: Mapping[str, Hold]
     considered: pd.DataFrame
     considered_misfit: float
+    held_squares: float = 0.0
     mesh: str = ""
 
     def verdicts(
@@ -322,8 +324,8 @@ def statistics_of(
     mesh = terms.mesh_at(values, len(vector))
     own_held, own_constraints = held, constraints
     held, constraints = np.hstack([held, mesh]), constraints.beside(mesh.shape[1])
-    free = freed(space, end, np.hstack([own_rows, mesh]), held_sd, constraints)
-    at = _Fitted.of(free, constraints, converged)
+    uncertain = np.hstack([own_rows, mesh])
+    at, added = freed(space, end, uncertain, held_sd, constraints), unabsorbed(end, uncertain, constraints)
     dof = effective_dof(at.slope, at.prior_sd, sum(problem.fitted_factors.values()))
     kinds, modes = goodness(at, problem)
     p_fit, birge = overall(kinds, modes), misfit_factor(kinds, modes, terms.alpha)
@@ -355,7 +357,8 @@ def statistics_of(
         predictions=predictions, fit=fit, ends=ends, suspects=suspected,
         assumed=terms.assumed, by_test=by_test, parts=parts, active=active, held_by=held_by,
         considered=considered_table(space, end, held, held_sd, constraints, birge, terms.mesh_sd, errors.shape[1]),
-        considered_misfit=float(free.residual @ free.residual),
+        considered_misfit=float(at.residual @ at.residual),
+        held_squares=float(np.sum(added**2)),
     )  # fmt: skip
 
 
@@ -379,22 +382,3 @@ def mesh_doubt(problem: FitProblem, terms: Terms, found: FitStatistics) -> str:
         f"A finer mesh would move estimates, in their standard deviations: {', '.join(moved)}. Refine the mesh, or "
         "state how far off it may be (mesh_sd)."
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Fitted:
-    residual: np.ndarray
-    slope: np.ndarray
-    prior_sd: np.ndarray
-    converged: bool
-
-    @classmethod
-    def of(cls, free: Freed, constraints: ConstraintRows, converged: bool) -> _Fitted:
-        """The fit in parameters whose priors are independent where constraints count as data beside them."""
-        residual, slope, prior_sd = free
-        if not len(constraints.slope):
-            return cls(residual, slope, prior_sd, converged)
-        beside = np.hstack([constraints.slope, constraints.held]) * prior_sd
-        root = la.qr(np.vstack([beside, np.eye(len(prior_sd))]), mode="r")[0][: len(prior_sd)]
-        own = la.solve_triangular(root, (slope * prior_sd).T, trans="T").T
-        return cls(residual, own, np.ones(len(prior_sd)), converged)

@@ -176,7 +176,7 @@ class Fit(Displayed, Generic[P]):
         for one in self.problem.study().studies:
             found = None if self.calibration is None else self.calibration.seen(one.test).errors
             if found is None:
-                found = errors_at(one, own_values(one, self.values), statistics.part(one.test), statistics.active)
+                found = errors_at(one, own_values(one, self.values), statistics)
             parts.append(found.assign(test=one.experiment.name))
         return pd.concat(parts, ignore_index=True)[["test", "group", "rows", "rms", "expected", "p", "unpaired"]]
 

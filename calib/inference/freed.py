@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg as la
 
 from calib.inference.considered import MESH_ERROR, At
 from calib.inference.constraints import ConstraintRows
 from calib.inference.gauss_newton import Prior, fit
+from calib.inference.identify import posterior
 from calib.problem.space import Parameter, ParameterSpace
 
 
@@ -23,13 +25,26 @@ class Freed(NamedTuple):
         Whitened. Its sum of squares tests the model with the covariance ``H H^T`` added to that of the data.
     slope : ndarray (n_rows, n_params + n_held)
         Per unit of each fitted parameter, and per standard deviation of each held one.
+        Where constraints count as data, of combinations whose priors are independent with these constraints.
     prior_sd : ndarray (n_params + n_held,)
         In the same units.
+    converged : bool
+        Whether a fit ended here.
     """
 
     residual: np.ndarray
     slope: np.ndarray
     prior_sd: np.ndarray
+    converged: bool
+
+    def with_data(self, constraints: ConstraintRows) -> Freed:
+        """The same in parameters whose priors are independent where constraints count as data beside them."""
+        if not len(constraints.slope):
+            return self
+        beside = np.hstack([constraints.slope, constraints.held]) * self.prior_sd
+        root = la.qr(np.vstack([beside, np.eye(len(self.prior_sd))]), mode="r")[0][: len(self.prior_sd)]
+        own = la.solve_triangular(root, (self.slope * self.prior_sd).T, trans="T").T
+        return self._replace(slope=own, prior_sd=np.ones(len(self.prior_sd)))
 
 
 def freed(
@@ -55,7 +70,7 @@ def freed(
     n, rows = len(at.names), len(at.residual)
     slope, prior_sd = np.hstack([at.slope, held]), np.concatenate([at.prior_sd, np.ones(held.shape[1])])
     if not held.shape[1]:
-        return Freed(at.residual, slope, prior_sd)
+        return Freed(at.residual, slope, prior_sd, at.fitted).with_data(constraints)
     spread = {**held_sd, **{f"{MESH_ERROR} {k}": 1.0 for k in range(held.shape[1] - len(held_sd))}}
     values, names = {**dict.fromkeys(spread, 0.0), **at.values}, (*at.names, *spread)
     wide = _widened(_with_linear_priors(space, at), values, spread, names)
@@ -72,7 +87,17 @@ def freed(
     start = pull[: rows + len(beside)]
     linear = _Linear(names, np.array([values[name] for name in names]), start, np.vstack([slope, beside]) * unit)
     end = fit(linear, wide, values, prior)
-    return Freed(at.residual + (end.residual - start)[:rows], slope, prior_sd)
+    residual = at.residual + (end.residual - start)[:rows]
+    return Freed(residual, slope, prior_sd, at.fitted).with_data(constraints)
+
+
+def unabsorbed(at: At, held: np.ndarray, constraints: ConstraintRows) -> np.ndarray:
+    """What one standard deviation of each held quantity leaves in the residual of a fit, (n_rows, n_held)."""
+    if not held.shape[1]:
+        return held
+    rows, changes = np.vstack([at.slope, constraints.slope]), np.vstack([held, constraints.held])
+    covariance = posterior(at.names, rows, at.prior_sd).covariance
+    return np.asarray(held - at.slope @ (covariance @ (rows.T @ changes)))
 
 
 def _with_linear_priors(space: ParameterSpace, at: At) -> ParameterSpace:

@@ -169,6 +169,11 @@ def test_the_test_of_the_fit_counts_held_parameters():
     unsure = found["unsure"].statistics
     assert unsure.fits is True and unsure.considered_misfit < 20 < unsure.misfit
     assert unsure.dof == pytest.approx(6.0, abs=0.02)  # as with both fitted
+    errors = {told: one.errors.set_index("group").loc["fit"] for told, one in found.items()}
+    assert errors["exact"]["p"] < 1e-9 and errors["unsure"]["p"] > 0.05
+    # What 2 of the offset leave of the line: its part beside the slope, over the standard deviation.
+    left = 2.0 / 0.1 * (np.ones(8) - x * (x.sum() / (x @ x + (0.1 / 2.0) ** 2)))
+    assert errors["unsure"]["expected"] == pytest.approx(np.sqrt((7.0 + left @ left) / 8), rel=1e-3)
     assert abs(found["unsure"].values["a"] - 2.0) < 2 * found["unsure"].parameters.loc["a", "std"]
 
 
@@ -259,6 +264,8 @@ def test_a_held_parameter_takes_part_in_a_constraint(least, shift):
     assert found.statistics.misfit > 200 and found.statistics.fits is True
     both = problem(sd=3.0).calibrate(["a", "c"], progress=False)
     assert found.statistics.considered_misfit == pytest.approx(both.statistics.misfit, rel=1e-3)
+    used = found.errors.set_index("group").loc["fit"]
+    assert 2 * used["p"] == pytest.approx(found.statistics.p_fit) and used["rms"] > 4.0  # one of two tests of the fit
     row = found.parameters.loc["a"]
     assert row["std"] == pytest.approx(shift, rel=0.1) and row["low"] < 1.0 < row["high"]
     assert "constraint" not in row["not_identified"]
