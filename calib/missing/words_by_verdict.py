@@ -88,7 +88,7 @@ def _effect(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     tested = sum(len(g.names) for g in found.groups)
     chance = 100 * float(row_of(effects, e.name)["model_probability"])
     probable = f"{chance:.0f} % probable" if chance <= MOST else f"more than {MOST:g} % probable"
-    among = f" among the {tested} listed causes" if tested > 1 else " among those listed"
+    among = f" among the {tested} causes tested" if tested > 1 else " among those listed"
     return VerdictWords(
         f"The model lacks {effect_words(effects, e)}.",
         f"{e.name} is {probable}{among}. {misfit_in_short(found)} {with_in_short(found)}",

@@ -37,11 +37,11 @@ def test_the_answer_says_that_no_library_was_given_and_how_many_were_tested(heav
 
 
 def test_the_same_change_of_a_matrix_is_one_candidate():
-    """A spring between two floors is the storey, a mass at a floor is the floor."""
+    """A spring between two floors is the storey, a mass at a floor is the floor, the support is the first storey."""
     every = compositions(chain(), [measured()], {}).plain
     found = {effect.name for effect in generic_effects(chain(), [measured()])}
     left = [c for c in every if c.effect.name not in found]
-    assert {"spring between", "damper between", "added mass"} <= {c.kind for c in left}
+    assert {"spring between", "damper between", "added mass", "soft support"} <= {c.kind for c in left}
     assert not any(c.kind in ("stiffness", "mass") for c in left)
     between = [c for c in every if c.kind == "spring between" and c.count == 1]
     assert {c.at for c in between if c in left} == {f"sensors {k}x and {k + 1}x" for k in range(1, FLOORS)}

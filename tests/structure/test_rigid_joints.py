@@ -10,7 +10,7 @@ import pytest
 import calib
 from calib.errors.errors import InputError
 from calib.measurement.modal import DIRECTIONS
-from calib.structure import softened_joint
+from calib.structure import hung_masses, softened_joint
 from calib.structure.effects.composition import Names
 from calib.structure.effects.extend import extend
 from calib.structure.effects.part_compositions import of_rigid_joints
@@ -147,6 +147,23 @@ def test_a_soft_joint_is_a_spring_between_a_beam_s_end_and_its_node(direction):
     changed = model.stiffness(si).toarray() + term.coefficient(si) * term.matrix.toarray()
     np.testing.assert_allclose(changed, exact, atol=1e-7 * np.abs(exact).max())
     assert np.abs(changed - STIFFNESS[np.ix_(free, free)]).max() > 1e-4 * np.abs(exact).max()
+
+
+def test_a_mass_on_a_spring_hides_neither_supports_nor_ends_of_beams():
+    _, model = held(range(12))
+    row = np.zeros(model.n_dof)
+    row[0] = 1.0
+    hung = calib.Effect(
+        "hung", "a hung mass", "None.", "There.", calib.Parameter("hung", 0.01, 0.01, 9.0, "kg", prior_sd=2.0),
+        lambda model: hung_masses([row], "hung", "f", 0.03), (calib.Parameter("f", 5.0, 1.0, 9.0, "Hz", prior_sd=2.0),),
+        ({"hung": 2.0, "f": 5.0},),
+    )  # fmt: skip
+    wider = extend(model, [hung])
+    assert wider.n_dof == model.n_dof + 1
+    for of in (supports, member_ends):
+        one, other = ([(j.nodes, j.directions) for j in of(m, {})] for m in (model, wider))
+        assert one == other and one
+    extend(wider, [c.effect for c in of_rigid_joints(model, [], {"stiffness": 1.0}, Names(()), 20.0)])
 
 
 def test_nodes_that_plates_join_have_no_ends_of_beams():

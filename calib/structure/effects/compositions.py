@@ -144,20 +144,23 @@ def generic_effects(model: Model, measured: Sequence[Measured], taken: Collectio
 
 
 def _different(model: StructuralModel, found: Sequence[Composition]) -> list[Composition]:
-    """Those that are not the same change of the model as one before."""
-    known, out = set[tuple[str, bytes]](), []
+    """Those that are not the same change of the model as one before, of either sign or of the same one."""
+    known, out = dict[tuple[str, bytes], set[str]](), []
     for one in found:
         addition = addition_of(model, one.effect)
         terms = [(kind, t) for kind in ("stiffness", "damping", "mass") for t in getattr(addition, kind)]
-        key = (one.effect.name, b"")
-        if len(terms) == 1 and isinstance(terms[0][1].coefficient, Monomial) and not addition.selected:
+        if len(terms) == 1 and not addition.selected:
             matrix = sp.csr_array(terms[0][1].matrix)
             matrix.eliminate_zeros()
             matrix.sort_indices()
             ratio = (matrix.data / np.abs(matrix.data).max(initial=1e-300)).round(_DIGITS) + 0.0
             key = (terms[0][0], b"".join(a.tobytes() for a in (matrix.indptr, matrix.indices, ratio)))
-        out += [] if key in known else [one]
-        known.add(key)
+            more = "more" if isinstance(terms[0][1].coefficient, Monomial) else "less"
+            before = known.setdefault(key, set())
+            if before & {"both", more}:
+                continue
+            before.add("both" if one.effect.signed else more)
+        out.append(one)
     return out
 
 

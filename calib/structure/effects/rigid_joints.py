@@ -99,7 +99,7 @@ def supports(model: StructuralModel, values: Mapping[str, float]) -> Iterator[Ri
     incompatible modes of solids, stay at rest where the whole moves; where that meets forces at most nodes, they are
     rows of another kind, and no support is known.
     """
-    found = _stiffness(model, values, internal=True)
+    found = _stiffness(model, values)
     if found is None:
         return
     stiffness, terms, si = found
@@ -135,7 +135,8 @@ def member_ends(model: StructuralModel, values: Mapping[str, float], at: Point |
     rigid = _rigid(model, points.mean(axis=0))
     moving = np.abs(rigid).max(axis=0) > 0
     turning = tuple(d for d in (3, 4, 5) if (model.dofs.direction == d).any())
-    of_node = sp.csr_array((np.ones(len(node)), (node, np.arange(len(node)))), (len(points), len(node)))
+    placed = np.flatnonzero(node >= 0)
+    of_node = sp.csr_array((np.ones(len(placed)), (node[placed], placed)), (len(points), len(node)))
     joined = sp.csr_array(of_node @ abs(stiffness) @ of_node.T)
     joined.eliminate_zeros()
     chosen = range(len(points)) if at is None else [int(np.argmin(np.linalg.norm(points - np.array(at), axis=1)))]
@@ -250,17 +251,17 @@ def _support(
 
 
 def _stiffness(
-    model: StructuralModel, values: Mapping[str, float], internal: bool = False
+    model: StructuralModel, values: Mapping[str, float]
 ) -> tuple[sp.csr_array, list[Term], dict[str, float]] | None:
     """K at named values with its terms and the values in SI.
 
-    None where degrees of freedom are not the motions of placed nodes by which they are named, those of no node excepted
-    where `internal` ones are allowed, and where parameters place supports.
+    None where degrees of freedom are not the motions of placed nodes by which they are named, those of no node
+    excepted, and where parameters place supports.
     """
     expansion, si = sp.csr_array(model.dofs.expansion), model.space.si(model.space.complete(values))
     terms = [t for t in model.stiffness.terms if isinstance(t.coefficient, Monomial) and t.coefficient(si)]
     inside = int((model.dofs.node < 0).sum())
-    named = expansion.nnz == model.n_dof - inside and np.all(expansion.data == 1) and (internal or not inside)
+    named = expansion.nnz == model.n_dof - inside and np.all(expansion.data == 1)
     if not named or not model.mesh.placed.all() or not terms or model.stiffness.selected:
         return None
     first, *more = (t.coefficient(si) * sp.csr_array(t.matrix) for t in terms)
