@@ -185,7 +185,8 @@ def _made(hidden: str, coarse: Frame, fine: Frame, rng: np.random.Generator, par
         one, other = (fine.node(name, 0.5) for name in names)
         row = np.zeros(fine.size)
         row[3 * one], row[3 * other] = -1.0, 1.0
-        weight = 20.0 * (fine.lump(one) + fine.lump(other))
+        length = math.dist(fine.points[one], fine.points[other])
+        weight = k * length**2 * DENSITY / STEEL / 2 * (fine.lump(one) + fine.lump(other))
         tie = sp.csr_array(row[None])
         zs = coarse.points[coarse.node(names[0], 0.5)][2]
         xs = sorted(coarse.points[coarse.node(name, 0.5)][0] for name in names)
