@@ -27,6 +27,7 @@ from calib.workbench.edits import Edits
 from calib.workbench.live import Live
 from calib.workbench.missing import missing, versions
 from calib.workbench.overview import listed, overview
+from calib.workbench.parameters import parameters
 from calib.workbench.runs import Commands, adding
 from calib.workbench.search import LedgerReader
 from calib.workbench.search_view import search_view
@@ -69,7 +70,7 @@ class Workbench:
         """The application, whose paths follow the token."""
         read: dict[str, Callable[[Request], Any]] = {
             "": self._overview, "search": self._search, "missing": self._missing, "versions": self._versions,
-            "scene": self._scene, "correlation": self._correlation,
+            "scene": self._scene, "correlation": self._correlation, "parameters": self._parameters,
         }  # fmt: skip
         change: dict[str, Callable[[Request, Mapping[str, Any]], Any]] = {
             "run": self._run, "stop": self._stop, "add": self._add, "edit": self._edit,
@@ -154,6 +155,9 @@ class Workbench:
         study, part, test = self._asked(request)
         found = correlation(self.studies.results(study, part, test))
         return {"correlation": found, "undo": self.edits.last(StudyFile.read(study.file, test))}
+
+    def _parameters(self, request: Request) -> Any:
+        return {"parameters": parameters(self.studies.results(*self._asked(request)))}
 
     # -- changes -------------------------------------------------------------------------------------------------------
 

@@ -54,6 +54,7 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
     "comac": _columns("sensor", "comac", if_there="motion"),
     "expansion": _columns("mode reduction", "residual imaginary tam_error", blank="reason"),
     "shapes": _columns("mode sensor direction", "x y z measured_re"),
+    "model_places": _columns("name form", "x y z", blank="kind parameters"),
     "deflection": _columns("mode", "point u v w", complete="point u v w"),
     "where_it_fails": _columns("kind what verdict", "value in_std", if_there="limit"),
     # sensitivity
@@ -74,7 +75,9 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
         "parameter", "value lower upper prior_sd", if_there="search_lower search_upper", flags="integer",
         blank="unit description source distribution",
     ),
-    "verdicts": _columns("parameter unit sentence", "value lower upper ratio std spread", flags="identified"),
+    "verdicts": _columns("parameter unit sentence", "value lower upper ratio std spread", flags="identified",
+        if_there="low high",
+    ),
     "intervals": _columns(
         "parameter unit kind sentence", "value lower upper linear_lower linear_upper data_lower data_upper",
         flags="differs", unique="parameter",

@@ -306,6 +306,26 @@ def _effects(results: StudyResults) -> tuple[dict[str, Any], np.ndarray] | None:
     return _layer("effects", "Where effects act", words, dots, None, sizes, colours, names, key)
 
 
+def parameter_layers(results: StudyResults) -> list[dict[str, Any]]:
+    """A layer of dots for each parameter that scales or moves something of the model: what, and where it is."""
+    places = results.table("model_places")
+    if places is None:
+        return []
+    scaled = places.assign(parameter=places["parameters"].str.split(";")).explode("parameter")
+    scaled = scaled.assign(parameter=scaled["parameter"].str.strip()).dropna(subset=[*PLACE, "parameter"])
+    found = []
+    for parameter, own in scaled[scaled["parameter"] != ""].groupby("parameter", sort=False):
+        names = [f"{r['name']}, {r['form']}" for r in own.to_dict("records")]
+        dots, sizes = own[PLACE].to_numpy(dtype=float), np.full(len(own), 0.5)
+        words = f"{parameter} acts at {counted(len(own), 'place')}"
+        looks = [(VERMILLION, str(parameter))]
+        layer, _ = _layer(
+            str(parameter), str(parameter), words, dots, None, sizes, [VERMILLION] * len(own), names, looks
+        )
+        found.append(layer)
+    return found
+
+
 def _perturbations(results: StudyResults) -> list[tuple[dict[str, Any], np.ndarray]]:
     """A layer for each kind: perturbations of stiffness and of mass are often at one place."""
     table = results.table("perturbations")

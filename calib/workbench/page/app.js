@@ -3,11 +3,12 @@ import { ask, change, h, lasting, tell } from "./dom.js";
 import { Correlation } from "./correlation.js";
 import { Missing } from "./missing.js";
 import { Overview, StudyList } from "./overview.js";
+import { Parameters } from "./parameters.js";
 import { Search } from "./search.js";
 
 const VIEWS = [
   ["overview", "Overview", Overview], ["search", "Search", Search], ["missing", "Missing physics", Missing],
-  ["correlation", "Correlation", Correlation],
+  ["correlation", "Correlation", Correlation], ["parameters", "Parameters", Parameters],
 ];
 const SLOW = 250;  // milliseconds between two readings of the same view
 

@@ -3,7 +3,10 @@ import { ask, h } from "./dom.js";
 
 export async function space(path, layer = "") {
   const { scene } = await ask(path);
-  if (!scene) return null;
+  return scene ? viewer(scene, layer) : null;
+}
+
+export function viewer(scene, layer = "") {
   const label = (words, name) => h("label", {}, words, " ", h("select", { class: name }));
   const figure = h("figure", { class: "viewer" },
     h("div", { class: "controls" }, label("Show", "layer"), label("Mode", "mode"), label("Model", "stage"),
