@@ -12,13 +12,13 @@ import sys
 from pathlib import Path
 
 from PIL import Image
-from playwright.sync_api import sync_playwright
 
 VIEWS = {
     "overview": ("Overview", "figure[data-drawn] svg"),
     "search": ("Search", "figure[data-drawn=searches] svg"),
     "missing": ("Missing physics", "figure[data-drawn=why_this_effect] svg"),
     "correlation": ("Correlation", ".shapes[data-drawn]"),
+    "parameters": ("Parameters", "figure[data-drawn=parameters] svg"),
 }
 """Name of the picture: that of the view, and what is there once it is drawn."""
 COLOURS = 128
@@ -28,6 +28,8 @@ OPTIONS = ["--no-sandbox", "--enable-unsafe-swiftshader"]
 
 def take(address: str, into: Path) -> None:
     """Take one picture of each view."""
+    from playwright.sync_api import sync_playwright  # only who takes pictures needs it
+
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     with sync_playwright() as driver:
         opened = driver.chromium.launch(executable_path=browser, args=OPTIONS)

@@ -48,8 +48,9 @@ def loaded_study(
     from calib.study.study_file import study_file
 
     options = {"workers": workers, "quick": quick, "case": case, "method": method}
-    home = results / study_file(path).resolve().parent.name
-    note = RunningNote(home, verb, {name: value for name, value in options.items() if value})
+    file = study_file(path)
+    home, given = results / file.resolve().parent.name, {name: value for name, value in options.items() if value}
+    note = RunningNote(home, verb, given, file)
     # The matrices are small: several threads of one product wait for each other. Only loaded libraries are limited.
     with (
         using(cache) as notes, tell_cache(notes, verbose), one_thread(), note,

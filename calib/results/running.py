@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import IO, Any
 
 from calib.errors.errors import InputError
+from calib.results.results import Results
 from calib.results.written import LOG
 
 if sys.platform != "win32":  # there, an open file cannot be deleted: that is the lock
@@ -28,8 +29,9 @@ _INTERRUPTED, _REFUSED, _FAILED = 130, 2, 1
 class RunningNote:
     """The note of one command, from its first stage to its end.
 
-    It is written where the folder of results exists already; what cannot be written is left out without a word. It
-    vanishes when the command succeeds. One that failed or was killed leaves it until the next command begins.
+    It is written where the folder of results exists already and belongs to no other study; what cannot be written is
+    left out without a word. It vanishes when the command succeeds. One that failed or was killed leaves it until the next
+    command begins.
 
     Parameters
     ----------
@@ -39,10 +41,12 @@ class RunningNote:
         The subcommand.
     options : mapping from str to value
         Its options as they were typed.
+    study_file : Path, optional
+        File of the study.
     """
 
-    def __init__(self, home: Path, verb: str, options: Mapping[str, Any]):
-        self._home = home
+    def __init__(self, home: Path, verb: str, options: Mapping[str, Any], study_file: Path | None = None):
+        self._home, self._study = home, study_file
         self._file: IO[bytes] | None = None
         self._content: dict[str, Any] = {
             "pid": os.getpid(), "verb": verb, "options": dict(options), "began": time.time(), "stage": "", "words": "",
@@ -85,7 +89,7 @@ class RunningNote:
             self._write(words=words, stage=stage, done=done, total=total, best=known, left=left)
 
     def _open(self) -> None:
-        if not self._home.is_dir():
+        if not self._home.is_dir() or not self._is_own():
             raise FileNotFoundError(self._home)
         for note in notes_in(self._home):
             if not note["running"]:
@@ -93,6 +97,12 @@ class RunningNote:
         self._file = (self._home / _NAME.format(os.getpid())).open("w+b")
         if sys.platform != "win32":
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def _is_own(self) -> bool:
+        try:
+            return self._study is None or Results(self._home).belongs_to(self._study)
+        except InputError:  # nobody knows whose it is
+            return False
 
     def _write(self, **changed: Any) -> None:
         assert self._file is not None

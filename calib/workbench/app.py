@@ -20,6 +20,7 @@ from calib.errors.errors import InputError
 from calib.execution.outcome import words_of
 from calib.execution.tasks import one_thread
 from calib.report.html import space
+from calib.report.html.study_results import StudyResults
 from calib.results.version import __version__
 from calib.study.study_file import StudyFile
 from calib.workbench.correlation import correlation
@@ -149,12 +150,19 @@ class Workbench:
         return {"versions": versions(self.studies, study, part)}
 
     def _scene(self, request: Request) -> Any:
-        return {"scene": space.scene(self.studies.results(*self._asked(request)))}
+        return {"scene": space.scene(self._of_one(request))}
+
+    def _of_one(self, request: Request) -> StudyResults:
+        """Results of the test that is asked for, of several tests together those of the first."""
+        results = self.studies.results(*self._asked(request))
+        return results.tests[0] if results.tests else results
 
     def _correlation(self, request: Request) -> Any:
-        study, part, test = self._asked(request)
-        found = correlation(self.studies.results(study, part, test))
-        return {"correlation": found, "undo": self.edits.last(StudyFile.read(study.file, test))}
+        results, study = self._of_one(request), self._study(request)
+        own = StudyFile.read(study.file, results.test)
+        stated = sorted(own.settings.pairing.override)
+        found = {"undo": self.edits.last(own), "test": results.test, "stated": stated}
+        return {"correlation": correlation(results), **found}
 
     def _parameters(self, request: Request) -> Any:
         return {"parameters": parameters(self.studies.results(*self._asked(request)))}

@@ -71,7 +71,7 @@ class Live:
 
     async def _watch(self) -> None:
         """Look for changes while there are pages."""
-        looks, known = 0, None
+        looks, known, running = 0, None, set[int]()
         while self._pages:
             if looks % _STUDIES_EVERY == 0 or self._wake.is_set():
                 known = await run_in_threadpool(self._studies.all)
@@ -85,7 +85,9 @@ class Live:
                         with contextlib.suppress(asyncio.QueueEmpty):
                             page.get_nowait()
                     page.put_nowait(self._text)
-            running = any(run["state"] == "running" for one in found["studies"].values() for run in one["runs"])
+            before, running = running, _running(found)
+            if running != before:  # a command that ends may have written a study
+                looks = 0
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._wake.wait(), EVERY if running else _QUIET)
 
@@ -100,6 +102,11 @@ class Live:
                 for key, one in known.items()
             }
         }  # fmt: skip
+
+
+def _running(found: dict[str, Any]) -> set[int]:
+    """Processes of the commands that run."""
+    return {run["pid"] for one in found["studies"].values() for run in one["runs"] if run["state"] == "running"}
 
 
 def _ledger_stamp(study: Any) -> tuple[Any, ...]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import page_summary
+from calib.study.study_file import StudyFile
 from calib.workbench.runs import OPTIONS
 from calib.workbench.studies import KnownStudy, Studies
 
@@ -18,8 +19,11 @@ _ROWS = (
     ("explain", "What the model lacks", "effects of the library, local changes, errors of the measurement"),
 )
 """The analyses in their order, in words."""
+_OF_TEST = ("compare", "sensitivity")
+"""Analyses of each test by itself."""
+_FIGURES = ("comparison", "responses_after", "responses_before", "frf_overlays")
+"""Model against measurement, of each kind of data."""
 _COMMAND = re.compile(r"\bcalib (\w+)\b")
-_EARLIER = {"sensitivity": "compare", "calibrate": "sensitivity", "explain": "calibrate"}
 
 
 def overview(studies: Studies, study: KnownStudy, part: str, test: str) -> dict[str, Any]:
@@ -30,7 +34,7 @@ def overview(studies: Studies, study: KnownStudy, part: str, test: str) -> dict[
     dict
         ``title, synthetic, summary`` (as the report's head says it), ``analyses`` (one each, with ``state``: ``done``,
         ``stale`` or ``never``), ``next`` (a command and the sentence that names it), ``notes``, ``parts``, ``tests``,
-        ``kind`` of the data.
+        ``kind`` of the data, ``figure``.
     """
     results = studies.results(study, part, test)
     rows = [_analysis(results, *row) for row in _ROWS if row[0] != "explain" or _has_library(results)]
@@ -41,35 +45,48 @@ def overview(studies: Studies, study: KnownStudy, part: str, test: str) -> dict[
         "summary": {"found": summary.found, "sure": summary.sure, "then": summary.then, "facts": summary.facts,
                     "origin": summary.origin} if ran else None,
         "analyses": rows, "next": _next(results, rows), "notes": _notes(results), "parts": study.parts,
-        "quick": _is_quick(results), "tests": _tests(studies, study, test), "kind": results.kind if ran else "",
+        "tests": _tests(study), "kind": results.kind if ran else "", "figure": _figure(results) if ran else None,
         "report": (study.home / part / "report.html").is_file(), "added": results.added_effects,
     }  # fmt: skip
 
 
 def _has_library(results: StudyResults) -> bool:
     """Whether there may be effects to test: known to be none once an analysis has counted them."""
-    return not results.record or bool(results.record.get("effects_known")) or bool(results.explanation)
+    return (
+        not results.record
+        or bool(results.tests)
+        or bool(results.record.get("effects_known"))
+        or bool(results.explanation)
+    )
 
 
-def _is_quick(results: StudyResults) -> bool:
-    return any(bool(one.get("quick")) for one in results.analyses.values())
+def _figure(results: StudyResults) -> dict[str, str] | None:
+    """The figure of model and measurement, of several tests that of the first."""
+    for one in (results, *results.tests):
+        name = next((name for name in _FIGURES if name in one.figures.plan), None)
+        if name is not None:
+            return {"name": name, "test": one.test, "words": one.figures.plan[name].caption}
+    return None
 
 
-def _tests(studies: Studies, study: KnownStudy, test: str) -> list[str]:
-    from calib.study.study_file import StudyFile
-
+def _tests(study: KnownStudy) -> list[str]:
     settings = StudyFile.read(study.file).settings
     return [one.name for one in settings.tests] if settings.several else []
 
 
 def _analysis(results: StudyResults, verb: str, title: str, what: str) -> dict[str, Any]:
-    entry, stale = results.analyses.get(verb), results.stale.get(verb, "")
-    state = "stale" if stale else "never" if entry is None else "done"
-    answer = results.answer(verb)
+    """One analysis; of several tests a comparison and a sensitivity are those of each."""
+    each = results.tests if results.tests and verb in _OF_TEST else (results,)
+    entries = [one.analyses.get(verb) for one in each]
+    stale = next((words for one in each if (words := one.stale.get(verb, ""))), "")
+    state = "stale" if stale else "never" if None in entries else "done"
+    answers = [(one.test, answer) for one in each if (answer := one.answer(verb))]
+    found = " ".join(f"{test}: {answer['found']}" if test else answer["found"] for test, answer in answers)
     return {
         "verb": verb, "title": title, "what": what, "state": state, "stale": stale.replace(" -> ", " → "),
-        "when": str((entry or {}).get("when", "")), "quick": bool((entry or {}).get("quick")),
-        "found": answer.get("found", "").replace(" -> ", " → "), "then": answer.get("then", ""),
+        "when": max((str(entry.get("when", "")) for entry in entries if entry), default=""),
+        "quick": any(bool(entry.get("quick")) for entry in entries if entry), "found": found.replace(" -> ", " → "),
+        "then": answers[0][1].get("then", "") if answers else "",
     }  # fmt: skip
 
 
@@ -107,7 +124,7 @@ def listed(studies: Studies, study: KnownStudy, known: dict[str, KnownStudy]) ->
     part = study.parts[0] if study.parts else ""
     results = studies.results(study, part)
     summary = page_summary(results)
-    done = [verb for verb, *_ in _ROWS if verb in results.analyses and verb not in results.stale]
+    done = [row["verb"] for row in (_analysis(results, *one) for one in _ROWS) if row["state"] == "done"]
     return {
         "key": study.key, "name": study.name, "title": results.title, "path": str(study.file.parent),
         "done": done, "stale": sorted(results.stale), "found": summary.found if done else "",

@@ -7,6 +7,7 @@ import os
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ _DEEPEST = 4
 """Folders below which no study is looked for."""
 _MOST = 400
 """Studies that are listed."""
+_KEPT = 24
+"""Results that are kept in memory until they change."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +75,9 @@ class KnownStudy:
 
     def stamp(self) -> tuple[Any, ...]:
         """What changes when its file or its results do."""
-        files = [self.file, *(self.home / part / name for part in ("", *self.parts) for name in (LOG, "record.json"))]
-        return tuple(map(_stamp, files))
+        of_tests = [log.parent for log in self.root.glob(f"{escape(self.name)}.*/{LOG}")]
+        homes = [home / part for home in (self.home, *of_tests) for part in ("", *self.parts)]
+        return tuple(map(_stamp, (self.file, *(home / name for home in homes for name in (LOG, "record.json")))))
 
 
 def _stamp(path: Path) -> tuple[int, int]:
@@ -143,18 +147,28 @@ class Studies:
         """
         with self._lock:
             own = StudyFile.read(study.file, test)
-            folder = Results(study.root / own.name / (part if part in study.parts else ""))
-            stamp = (study.stamp(), *map(_stamp, own.inputs), *map(_stamp, own.code_files), _stamp(folder.path / LOG))
+            chosen = part if part in study.parts else ""
+            stamp = (study.stamp(), *map(_stamp, own.inputs), *map(_stamp, own.code_files))
             known = self._read.get((study.key, part, test))
             if known is not None and known[0] == stamp:
                 return known[1]
-            if not folder.belongs_to(study.file):
-                folder = Results(folder.path / "of another study")
-            found = shown(own, folder, study.root).results
-            hidden = found.folder.hidden if isinstance(found.folder, CurrentFolder) else frozenset()
-            found = replace(found, folder=CurrentFolder(folder.path, hidden | _leading_out(folder.path)))
+            several = own.settings.several and not own.test
+            tests = tuple(_stored(study, one, chosen) for one in own.parts) if several else ()
+            found = _stored(study, own, chosen, tests)
+            while len(self._read) >= _KEPT:
+                del self._read[next(iter(self._read))]
             self._read[study.key, part, test] = stamp, found
             return found
+
+
+def _stored(study: KnownStudy, own: StudyFile, part: str, tests: tuple[StudyResults, ...] = ()) -> StudyResults:
+    """One folder of results; an empty one where it belongs to another study."""
+    folder = Results(study.root / own.name / part)
+    if not folder.belongs_to(study.file):
+        folder = Results(folder.path / "of another study")
+    found = shown(own, folder, study.root, tests=tests).results
+    hidden = found.folder.hidden if isinstance(found.folder, CurrentFolder) else frozenset()
+    return replace(found, folder=CurrentFolder(folder.path, hidden | _leading_out(folder.path)))
 
 
 def _below(folder: Path, root: Path) -> Iterator[Path]:

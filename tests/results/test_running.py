@@ -72,6 +72,15 @@ def test_nothing_is_left_where_no_results_were(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("owner", ['{"study": "/elsewhere/mast/study.toml", "from_here": ""}', "{"])
+def test_nothing_is_written_where_the_results_are_of_another_study(home, owner):
+    (home / "owner.json").write_text(owner)
+    with pytest.raises(InputError), RunningNote(home, "compare", {}, home / "mast/study.toml") as note:
+        told(note)
+        raise InputError("refused")
+    assert {path.name for path in home.iterdir()} == {LOG, "owner.json"}
+
+
 def test_a_damaged_note_is_left_out(home):
     (home / ".running-7.json").write_text("{")
     (home / ".running-8.json").write_text("[1]")

@@ -1,5 +1,7 @@
 """The state of a study on its page: as the tables, the report and the commands tell it."""
 
+import contextlib
+import io
 import json
 import math
 import shutil
@@ -7,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from calib.command import cli
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import page_summary
 from calib.results.results import Results
@@ -81,6 +84,29 @@ def test_results_are_read_once_until_they_change(here):
     assert studies.results(study) is first and first.record["analyses"]
     Results(here / "results/mast").write_json("record", {"analyses": {}})
     assert studies.results(study).record == {"analyses": {}}
+
+
+@pytest.mark.slow
+def test_of_several_tests_each_is_compared_and_the_first_is_shown(here, page_of, no_drawing):
+    file = here / "mast/study.toml"
+    text = file.read_text()
+    start, end = text.index("[measurement]"), text.index("[parameters.K_base]")
+    data = 'files = ["modes.csv"]\nshapes = ["shapes.csv"]\nsensors = "sensors.csv"\nstd_of = "mean"\n\n'
+    file.write_text(f'{text[:start]}[[tests]]\nname = "one"\n{data}[[tests]]\nname = "two"\n{data}{text[end:]}')
+    shutil.rmtree(here / "results")
+    with no_drawing(), contextlib.redirect_stdout(io.StringIO()):
+        assert cli.execute(["compare", "mast"]) == 0
+    page = page_of(Path("mast"))
+    (one,) = page.get("studies").json()["studies"]
+    found = page.get(f"study/{one['key']}").json()
+    assert found["tests"] == ["one", "two"] and one["done"] == ["compare"]
+    compare = next(row for row in found["analyses"] if row["verb"] == "compare")
+    assert compare["state"] == "done" and compare["found"].startswith("one: ") and " two: " in compare["found"]
+    assert found["figure"] == {"name": "comparison", "test": "one", "words": "model against measurement"}
+    for test in ("one", "two"):
+        of_test = page.get(f"study/{one['key']}/correlation?test={test}").json()
+        assert of_test["test"] == test and of_test["correlation"]["stages"][0]["pairs"]
+    assert page.get(f"study/{one['key']}/correlation").json()["test"] == "one"
 
 
 @pytest.mark.parametrize("part", ["quick", "..", "/", "../mast"])

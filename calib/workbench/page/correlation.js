@@ -20,7 +20,7 @@ export class Correlation {
       const [known, found] = await Promise.all([ask(this.page.of("")), ask(this.page.of("correlation"))]);
       if (this.page.view !== this) return;
       this.results = live?.results ?? null;
-      Object.assign(this, { known, found: found.correlation, undoing: found.undo });
+      Object.assign(this, { known, found: found.correlation, undoing: found.undo, test: found.test, stated: found.stated });
       this.page.knows(known);
     }
     this.failed.replaceChildren(afterFailure(this.page) ?? "");
@@ -48,7 +48,7 @@ export class Correlation {
       stale ? h("div", { class: "note" }, h("p", {}, stale.stale), h("div", { class: "act" }, page.button("compare", "Compare again", "main"))) : "",
       h("div", { class: "grid search" },
         h("div", { class: "stack" },
-          h("section", { class: "panel" }, h("div", { class: "head" }, h("h2", {}, "MAC of all pairs"), h("span", { class: "grow" }), choice), this.matrix(stage)),
+          h("section", { class: "panel" }, h("div", { class: "head" }, h("h2", {}, `MAC of all pairs${this.test ? `, ${this.test}` : ""}`), h("span", { class: "grow" }), choice), this.matrix(stage)),
           panel("Pairs", this.pairs(stage))),
         h("div", { class: "stack" }, this.detail, this.edits())));
     this.show(stage);
@@ -115,7 +115,7 @@ export class Correlation {
       drawn && !motion ? h("p", { class: "soft" }, "The motion of this model mode is not stored: only modes that a measured one is paired with are.") : null,
       h("div", { class: "act" },
         is ? null : h("button", { type: "button", onclick: () => this.propose({ what: "pair", name: mode, value: number }) }, `Pair ${mode} with ${number}`),
-        h("button", { type: "button", onclick: () => this.propose({ what: "unpair", name: mode }) }, "Pair automatically"),
+        this.stated.includes(mode) ? h("button", { type: "button", onclick: () => this.propose({ what: "unpair", name: mode }) }, `Pair ${mode} automatically`) : null,
         h("button", { type: "button", onclick: () => this.propose({ what: "mode", name: mode }) }, known?.held_out ? `Use ${mode} again` : `Hold out ${mode}`))));
   }
 
@@ -136,7 +136,7 @@ export class Correlation {
 
   async propose(edit) {
     try {
-      const shown = await change(this.page.of("edit"), { edit });
+      const shown = await change(this.page.of("edit", { test: this.test }), { edit });
       const make = h("button", { type: "button", class: "main", id: "make", onclick: () => this.make(edit, shown.digest) }, shown.words);
       this.diff.replaceChildren(h("pre", { "aria-label": "what changes in study.toml" }, shown.diff.map((line) =>
         h("span", { class: line.startsWith("+") ? "plus" : line.startsWith("-") ? "minus" : "soft" }, `${line}\n`))),
@@ -150,7 +150,7 @@ export class Correlation {
 
   async make(edit, digest) {
     try {
-      tell((await change(this.page.of("edit"), { edit, digest, make: true })).words);
+      tell((await change(this.page.of("edit", { test: this.test }), { edit, digest, make: true })).words);
       this.known = null;
       this.page.refresh();
     } catch (fault) {
@@ -161,7 +161,7 @@ export class Correlation {
 
   async undo() {
     try {
-      tell((await change(this.page.of("undo"))).words);
+      tell((await change(this.page.of("undo", { test: this.test }))).words);
       this.known = null;
       this.page.refresh();
     } catch (fault) {

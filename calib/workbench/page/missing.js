@@ -33,7 +33,7 @@ export class Missing {
   draw() {
     const { known } = this, found = known.explanation;
     this.failed.replaceChildren(afterFailure(this.page) ?? "");
-    const now = JSON.stringify([found, known.analyses, Boolean(this.page.running)]);
+    const now = JSON.stringify([found, known.analyses, Boolean(this.page.running), found && this.has(found.chosen)?.key]);
     if (now !== this.seen) {
       this.seen = now;
       if (!found) this.body.replaceChildren(this.empty());

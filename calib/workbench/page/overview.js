@@ -68,10 +68,10 @@ export class Overview {
   }
 
   figures(known) {
-    const name = { modes: "comparison", responses: "responses_after", frf: "frf_overlays" }[known.kind];
-    if (!known.analyses.some((one) => one.state === "done") || !name) return null;
-    const names = known.kind === "responses" && !known.analyses.some((one) => one.verb === "calibrate" && one.state === "done") ? "responses_before" : name;
-    return panel("Model against measurement", figure(this.page.of(`figure/${names}`), names, "Model against measurement, before and after calibration"));
+    const own = known.figure;
+    if (!own) return null;
+    const path = this.page.of(`figure/${own.name}`, own.test ? { test: own.test } : {});
+    return panel(own.test ? `Model against measurement, ${own.test}` : "Model against measurement", figure(path, own.name, own.words));
   }
 
   notes(known) {
