@@ -30,8 +30,8 @@ class RunningNote:
     """The note of one command, from its first stage to its end.
 
     It is written where the folder of results exists already and belongs to no other study; what cannot be written is
-    left out without a word. It vanishes when the command succeeds. One that failed or was killed leaves it until the next
-    command begins.
+    left out without a word. It vanishes when the command succeeds. One that failed or was killed leaves it until the
+    next command begins.
 
     Parameters
     ----------
