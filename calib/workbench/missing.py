@@ -16,14 +16,17 @@ from calib.workbench.studies import KnownStudy, Studies
 
 NAMED = ("effect", "two_effects", "several_effects")
 """Verdicts that name what is missing."""
-_FIGURES = (
-    "why_this_effect",
-    "ranked_effects",
-    "where_it_fails_sigma",
-    "sensor_misfit",
-    "perturbation_map",
-    "confounding",
-)
+_IN_WORDS = {
+    **dict.fromkeys(NAMED, "cause found"), "indistinguishable": "several causes possible",
+    "measurement": "error of the measurement", "nothing_detectable": "nothing is missing",
+    "unconfirmed": "a guess, not confirmed", "partial": "a cause of a part",
+    "noise_underestimated": "standard deviations too small",
+}  # fmt: skip
+"""Verdicts in short; the others name no cause."""
+_COMPOSED = ("unconfirmed", "partial", "none_explains", "misfit_unlocated")
+"""Verdicts after which effects may be composed that nobody listed."""
+_SHOWN = 6
+"""Measurements that are listed."""
 
 
 def missing(results: StudyResults) -> dict[str, Any] | None:
@@ -32,9 +35,11 @@ def missing(results: StudyResults) -> dict[str, Any] | None:
     Returns
     -------
     dict
-        ``verdict``, ``named`` (whether it names effects), ``chosen``, ``answer``, ``sentences``, ``tests`` (p-values),
-        ``effects`` (ranked, numbers as the report words them), ``why`` (sentences), ``shown`` (effects of which the
-        figure shows the signature), ``faults``, ``places`` (local changes), ``figures``, ``axes``.
+        ``verdict``, ``words`` (in short), ``named`` (whether it names effects that may be added: none before faults of
+        the measurement are corrected), ``composed`` (whether others may be composed), ``chosen``, ``answer``,
+        ``sentences`` and ``notes``, ``effects`` (ranked, numbers as the report words them), ``why`` (sentences),
+        ``shown`` (effects of which the figure shows the signature), ``faults``, ``places`` (local changes),
+        ``measurements`` (what to measure next), ``axes``.
     """
     if not results.explanation:
         return None
@@ -43,18 +48,16 @@ def missing(results: StudyResults) -> dict[str, Any] | None:
     has_why = results.table("why") is not None
     verdict = str(results.explanation.get("verdict", ""))
     return {
-        "verdict": verdict, "named": verdict in NAMED, "chosen": list(results.explanation.get("chosen", [])),
+        "verdict": verdict, "named": verdict in NAMED and not _blamed(faults), "composed": verdict in _COMPOSED,
+        "words": _IN_WORDS.get(verdict, "no cause given"), "chosen": list(results.explanation.get("chosen", [])),
         "answer": answer, "sentences": explanation.sentences(results),
         "notes": [cells.arrows(str(words)) for words in results.explanation.get("notes", [])],
-        "tests": [{"what": what, "p": p_in_words(p)} for what, p in explanation.tests(results).items()],
-        "alpha": results.explanation.get("alpha"),
         "effects": [] if table is None else _ranked(results, table),
         "why": effects.why(results).words if has_why else [],
         "shown": list(dict.fromkeys(results.table("why")["effect"])) if has_why else [],  # type: ignore[index]
         "faults": [] if faults is None or faults.empty else _faults(faults),
         "faults_words": "" if faults is None or faults.empty else explanation.named_faults(faults),
-        "places": _places(results), "axes": results.axes,
-        "figures": [name for name in _FIGURES if name in results.figures.plan],
+        "places": _places(results), "axes": results.axes, "measurements": _measurements(results),
     }  # fmt: skip
 
 
@@ -74,6 +77,11 @@ def _ranked(results: StudyResults, table: pd.DataFrame) -> list[dict[str, Any]]:
         }
         for k, r in enumerate(table.to_dict("records"))
     ]  # fmt: skip
+
+
+def _blamed(faults: pd.DataFrame | None) -> bool:
+    """Whether the verdict tells a fault of the measurement."""
+    return faults is not None and any(map(flag, faults["blamed"]))
 
 
 def _faults(table: pd.DataFrame) -> list[dict[str, Any]]:
@@ -96,6 +104,19 @@ def _places(results: StudyResults) -> list[dict[str, Any]]:
         {"name": str(r["perturbation"]), "kind": str(r["kind"]), "score": fixed(r["score"], 1, sign=True), "at": at[k]}
         for k, r in enumerate(first.to_dict("records"))
     ]
+
+
+def _measurements(results: StudyResults) -> list[dict[str, str]]:
+    """The recommended measurements, the best first."""
+    found = explanation.candidate_measurements(results)
+    if found is None:
+        return []
+    rows = found.of_named if len(found.of_named) else found.best
+    return [
+        {"what": str(r["measurement"]), "effect": str(r["effect"]), "gain": f"× {fixed(r['gain'], 2)}",
+         "range": f"{fixed(r['gain_low'], 2)} to {fixed(r['gain_high'], 2)}"}
+        for r in rows.head(_SHOWN).to_dict("records")
+    ]  # fmt: skip
 
 
 def versions(studies: Studies, study: KnownStudy, part: str) -> list[dict[str, Any]]:

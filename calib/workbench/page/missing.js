@@ -51,7 +51,7 @@ export class Missing {
       h("div", { class: "grid even" }, this.verdict(found), this.family),
       h("div", { class: "grid side" },
         h("div", { class: "stack" }, panel(`Possible causes, ${found.effects.length} tested`, this.ranks), this.faults(found)),
-        h("div", { class: "stack" }, this.detail, kept ?? this.inSpace(), this.reason(found))));
+        h("div", { class: "stack" }, this.detail, kept ?? this.inSpace(), this.reason(found), this.further(found))));
     this.list(found);
     this.show(found);
   }
@@ -61,7 +61,7 @@ export class Missing {
     const words = named ? `Add ${names.join(" and ")}` : "";
     const have = this.has(names);
     return h("section", { class: "panel", id: "verdict" }, h("div", { class: "answer" },
-      h("p", {}, h("span", { class: `chip ${named ? "good" : ""}` }, named ? "cause found" : "no cause given")),
+      h("p", {}, h("span", { class: `chip ${named ? "good" : ""}` }, found.words)),
       h("p", { class: "found" }, found.answer.found ?? found.sentences[0]),
       found.answer.sure ? h("p", { class: "soft" }, found.answer.sure) : null,
       found.answer.then ? h("p", {}, h("strong", {}, "Next: "), found.answer.then) : null,
@@ -69,7 +69,9 @@ export class Missing {
         named && !have ? h("button", { type: "button", class: "main", id: "add", disabled: Boolean(page.running), onclick: () => page.add(names) }, words) : null,
         named && have ? h("a", { class: "button", href: `#/${have.key}/overview` }, `Open the study with ${names.join(" and ")}`) : null,
         named && !have ? h("span", { class: "soft small" }, "Writes an extended study among the results and calibrates it; this study stays as it is.") : null,
-        !named ? page.button("propose", "Compose effects that nobody listed") : null)));
+        found.composed ? page.button("propose", "Compose effects that nobody listed") : null),
+      h("details", {}, h("summary", { class: "soft" }, "Every sentence of the explanation"), h("div", { class: "stack" },
+        [...found.sentences, ...found.notes].map((words) => h("p", { class: "small" }, words))))));
   }
 
   // The version of this study that has these effects.
@@ -100,7 +102,7 @@ export class Missing {
     const chosen = found.chosen.includes(one.name);
     const rows = [["evidence (log Bayes factor)", one.evidence], ["probability in the list", one.probability], ["score z", one.z], ["magnitude (95 %)", one.magnitude],
       ["smallest visible", one.least], ["not explained by parameters", one.absorbed], ["the model without it", one.lacks], ["what to look for", one.look_for],
-      ["acts at", one.acts], ["remark", one.remark]];
+      ["acts at", one.acts && `${one.acts}. ${found.axes}`], ["remark", one.remark]];
     this.detail.replaceChildren(h("section", { class: "panel" },
       h("div", { class: "head" }, h("h2", {}, one.title), chosen ? h("span", { class: "chip good" }, "named") : null, h("span", { class: "grow" }),
         !chosen || !found.named ? h("button", { type: "button", disabled: Boolean(page.running), onclick: () => page.add([one.name]) }, `Try it: add ${one.name}`) : null),
@@ -109,9 +111,17 @@ export class Missing {
   }
 
   reason(found) {
-    if (!found.figures.includes("why_this_effect")) return null;
+    if (!found.shown.length) return null;
     return panel("Why: the residual beside the change pattern", figure(this.page.of("figure/why_this_effect"), "why_this_effect",
       `Residual and change pattern, mode by mode and sensor by sensor, in standard deviations. ${found.why.join(". ")}.`));
+  }
+
+  // What would narrow the answer most.
+  further(found) {
+    if (!found.measurements.length) return null;
+    return panel("What to measure next", h("p", { class: "soft" }, "Computed with the model, averaged over what is not known of parameters and magnitudes; the ranges hold in 8 of 10 cases."),
+      table([{ title: "measurement", words: true }, { title: "for", words: true }, "score", "range"], found.measurements.map((one) => h("tr", {},
+        h("th", { scope: "row", class: "words", style: { "white-space": "normal" } }, one.what), h("td", { class: "words" }, one.effect), h("td", {}, one.gain), h("td", { class: "soft" }, one.range)))));
   }
 
   inSpace() {

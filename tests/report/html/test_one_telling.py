@@ -12,9 +12,12 @@ from calib.report.calibration import draw_searches
 from calib.report.comparison import draw_frequency_error
 from calib.report.frequencies import draw_frequencies
 from calib.report.html.space import scene
+from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import page_summary
 from calib.report.numbers import fixed, percent
 from calib.report.parameters import draw_parameters
+from calib.workbench.missing import missing, versions
+from calib.workbench.studies import Studies
 from tests.report.html.page_blocks import Picture, Viewer
 
 
@@ -84,3 +87,44 @@ def test_the_sentence_of_a_comparison_has_the_rounding_of_the_page(everything):
         if "frequency error" in words
     ]
     assert f"{percent(stored['mean_freq_error_before'])} %" in sentence
+
+
+def test_the_live_page_tells_the_effects_of_the_tables(everything, results):
+    told = missing(results)
+    table = pd.read_csv(everything / "effects.csv").sort_values("ln_bayes", ascending=False, kind="stable")
+    assert [one["evidence"] for one in told["effects"]] == [fixed(value, 1) for value in table["ln_bayes"]]
+    assert {one["name"] for one in told["effects"] if one["credible"]} == set(table.loc[table["credible"], "name"])
+    explanation = json.loads((everything / "explanation.json").read_text())
+    assert told["named"] and told["chosen"] == explanation["chosen"] == ["guy"]
+    assert told["answer"]["found"] == page_summary(results).found
+    why = pd.read_csv(everything / "why.csv")
+    assert told["shown"] == list(dict.fromkeys(why["effect"]))
+    largest = pd.read_csv(everything / "perturbations.csv").sort_values("score", key=lambda z: -z.abs(), kind="stable")
+    assert [one["name"] for one in told["places"]] == largest["perturbation"].head(8).tolist()
+    gains = set(pd.read_csv(everything / "next_measurement.csv")["gain"].map(lambda gain: f"× {fixed(gain, 2)}"))
+    assert told["measurements"] and {one["gain"] for one in told["measurements"]} <= gains
+
+
+@pytest.mark.parametrize(
+    ("verdict", "blamed", "named", "composed"),
+    [("effect", False, True, False), ("effect", True, False, False), ("partial", False, False, True),
+     ("nothing_detectable", False, False, False), ("measurement", True, False, False)],
+)  # fmt: skip
+def test_the_live_page_adds_what_is_named_and_no_fault_hides(folder, verdict, blamed, named, composed):
+    stored = json.loads((folder / "explanation.json").read_text())
+    (folder / "explanation.json").write_text(json.dumps({**stored, "verdict": verdict}))
+    faults = pd.read_csv(folder / "faults.csv")
+    faults.assign(blamed=[blamed, *[False] * (len(faults) - 1)]).to_csv(folder / "faults.csv", index=False)
+    told = missing(StudyResults(folder, "", True))
+    assert (told["named"], told["composed"]) == (named, composed)
+
+
+def test_the_live_page_tells_the_errors_of_every_version(everything):
+    studies = Studies(everything.parents[1] / "mast", everything.parent)
+    first, second = versions(studies, next(iter(studies.all().values())), "")
+    assert (first["effects"], second["effects"], second["parent"]) == ([], ["guy"], first["key"])
+    added = pd.read_csv(everything / "added_errors.csv").set_index(["group", "stage"])["rms"]
+    for one, stage in ((first, "before"), (second, "after")):
+        assert {own["group"]: own["text"] for own in one["errors"]} == {
+            group: fixed(rms, 2) for (group, of), rms in added.items() if of == stage
+        }
