@@ -266,7 +266,7 @@ def _sentence(magnitudes: Sequence[Mapping[str, Any]], errors: pd.DataFrame, sum
     )
     return (
         f"Added: {named}. {summary} Rms error in standard deviations, before -> after "
-        f"(what a correctly specified model would show): {listed}."
+        f"(what a correct model would show): {listed}."
     )
 
 

@@ -15,6 +15,7 @@ import typer
 from calib.command import terminal
 from calib.command.compare import compare
 from calib.command.designs import designs
+from calib.command.example import new
 from calib.command.loaded import loaded_study
 from calib.command.look import look
 from calib.command.matrices import deck, import_matrices
@@ -25,7 +26,6 @@ from calib.command.options import (
     CaseName,
     Estimator,
     Format,
-    NewFolder,
     Quantity,
     Quick,
     ResultsPath,
@@ -56,18 +56,7 @@ app = typer.Typer(
 )
 
 
-@app.command(short_help="Write an annotated example study.")
-def new(folder: NewFolder, verbose: Verbose = False) -> None:
-    """Write an annotated example study with its own model and data."""
-    from calib.api.entries.entry import count
-    from calib.command.example import write_example
-    from calib.study.study_file import shell_argument
-
-    written = write_example(folder)
-    terminal.say(f"Written: {folder}, an example study of {count(len(written), 'file')}.")
-    for path in written if verbose else ():
-        terminal.say(f"  {path}")
-    terminal.say(f"Run it with: calib run {shell_argument(folder)}")
+app.command(short_help="Write an annotated example study.")(new)
 
 
 @app.command(short_help="Print the JSON schema of study.toml.")

@@ -193,7 +193,7 @@ def suspect_sentence(table: pd.DataFrame, named: str = "") -> str:
         )
     return (
         f"One measurement may be what does not fit: without {first['what']} everything does (p = "
-        f"{first['p_fit_without']:.2g}, to first order; the chance of such a value in a correctly specified model is "
+        f"{first['p_fit_without']:.2g}, to first order; the chance of such a value in a correct model is "
         f"{first['p']:.1g}, over all that were left out in turn){others}. Check it before the model."
     )
 

@@ -252,7 +252,7 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     ax.set_yticks(range(count), words, fontsize=7.5)
     note = f"outlined: |ρ| > {COLLINEAR:g}, collinear"
     ax.set_xlabel(note + ("; γ: unabsorbed fraction" if known else ""))
-    label = "correlation ρ of the signatures (–)"
+    label = "correlation ρ of the change patterns (–)"
     ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)
     return ax
 

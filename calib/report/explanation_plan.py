@@ -125,19 +125,16 @@ def _misfits(folder: Folder, kinds: pd.DataFrame | None, rest: np.ndarray | None
         yield Drawing("perturbation_map", caption, draw, ("perturbations",))
 
 
-_SIZES = ["magnitude", "magnitude_low", "magnitude_high"]
-
-
-def sizes(effects: pd.DataFrame, names: Sequence[str]) -> dict[str, str]:
-    """Fitted magnitude of each of these effects with its 95 % interval, in words, by name."""
+def sizes(effects: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    """Fitted magnitude of each of these effects with its 95 % interval, in words; empty where ends are not known."""
+    if not {"magnitude_low", "magnitude_high"} <= set(effects.columns):
+        return []
     rows = effects[effects["name"].isin(list(names)) & effects["magnitude"].notna()]
-    return {
-        str(
-            r["name"]
-        ): f"{with_unit(r['magnitude'], str(r['unit']), 2)} (95 %: {significant(r['magnitude_low'], 2)} to "
-        f"{significant(r['magnitude_high'], 2)})"
-        for r in rows.to_dict("records")
-    }
+    out = []
+    for r in rows.to_dict("records"):
+        low, high = (significant(r[f"magnitude_{end}"], 2) for end in ("low", "high"))
+        out.append(f"{with_unit(r['magnitude'], str(r['unit']), 2)} (95 %: {low} to {high})")
+    return out
 
 
 def read_place(folder: Folder, attempt: bool) -> AnsweredPlace | None:
@@ -158,8 +155,9 @@ def _answer(folder: Folder, rest: np.ndarray, errors: pd.DataFrame | None, attem
     both = _read(folder, "added_errors", ["group", "stage"], ["rms", "expected"])
     why = None if attempt else _read(folder, "why", ["effect"], [])
     what = "" if why is None else " and ".join(dict.fromkeys(why["effect"])).replace("_", " ")
-    effects = _read(folder, "effects", ["name"], _SIZES, blank=["unit"])
-    size = "" if effects is None or why is None else "; ".join(sizes(effects, list(why["effect"].unique())).values())
+    ends = ["magnitude_low", "magnitude_high"]
+    effects = _read(folder, "effects", ["name"], ["magnitude"], blank=["unit"], if_there=ends)
+    size = "" if effects is None or why is None else "; ".join(sizes(effects, list(why["effect"].unique())))
     shown = None if attempt else errors if both is None else both
     draw = bound(answer_figure, rest, found, what, size, sensors, shown)
     named = ["sensors", "effect_places", "why", "perturbations", "effects", "errors", "added_errors"]
@@ -199,14 +197,16 @@ def _effects(folder: Folder, rest: np.ndarray | None, attempt: bool) -> Iterator
             attempt=attempt,
         )  # fmt: skip
         tables = existing(folder, ["why", "why_parameters", "why_places", BY_TEST, "effect_places"])
-        yield Drawing("why_this_effect", "residual of the base model and signature of the effect", draw, tables)
+        yield Drawing(
+            "why_this_effect", "residual of the model as it is, and change pattern of the effect", draw, tables
+        )
     if effects is not None:
         yield Drawing("ranked_effects", "evidence for each effect", bound(ranked_effects_figure, effects), ("effects",))
     if (path := folder / "confounding.csv").exists():
         signatures = read_square(path, "effect", may_be_empty=True)
         if not signatures.empty:
             draw = bound(draw_confounding, signatures, effects=effects)
-            yield Drawing("confounding", "correlation of the effects' signatures", draw, ("confounding",))
+            yield Drawing("confounding", "correlation of the effects' change patterns", draw, ("confounding",))
 
 
 def _read(folder: Folder, name: str, text: list[str], numbers: list[str], **more: Any) -> pd.DataFrame | None:

@@ -211,9 +211,7 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
     ax.set(ylim=(len(names) - 0.4, -0.6), xlim=(-reach, reach))
     ax.grid(axis="x")
     left = f"; {len(every) - len(names)} parameters with smaller pulls are left out" if len(names) < len(every) else ""
-    ax.set_xlabel(
-        f"pull: shift from the nominal value over its standard deviation\nin a correctly specified model (–){left}"
-    )
+    ax.set_xlabel(f"pull: shift from the nominal value over its standard deviation\nin a correct model (–){left}")
     words = " → ".join(["nominal", *("base" if model == "base" else f"with {model}" for model in models)])
     words = textwrap.fill(words, 40, break_long_words=False)
     ax.text(1.02, -0.02, words, transform=ax.transAxes, va="top", fontsize=8, color=style.GREY)

@@ -103,7 +103,7 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
     if len(ends) == 2:
         (x_first, first), (x_last, last) = ends
         ax.plot([x_first, x_last], [first, last], color=style.REST, linewidth=1.2, zorder=2)
-    handles.append(Line2D([], [], color=style.BLACK, linewidth=1.6, label="expected for a correctly specified model"))
+    handles.append(Line2D([], [], color=style.BLACK, linewidth=1.6, label="expected for a correct model"))
     _scale(ax, table, 1.2)
     ax.set_xticks(range(len(groups)), [textwrap.fill(GROUPS.get(g, g), 18) for g in groups])
     ax.set_xlim(-0.6, len(groups) - 0.4)
@@ -184,9 +184,7 @@ def draw_error_versions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.set_ylabel("rms error (σ)")
     handles: list[Artist] = list(ax.get_legend_handles_labels()[0])
     handles.append(
-        Line2D(
-            [], [], color=style.GREY, linestyle="--", linewidth=1.1, label="expected for a correctly specified model"
-        )
+        Line2D([], [], color=style.GREY, linestyle="--", linewidth=1.1, label="expected for a correct model")
     )
     style.legend_above(ax, handles)
     return ax

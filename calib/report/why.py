@@ -159,13 +159,15 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
         face = colour if gid == "re" else "white"
         ax.plot(x[some], y[some], "o", color=colour, markerfacecolor=face, markersize=3.6, alpha=0.8, gid=gid,
                 zorder=3, rasterized=len(x) > DENSE)  # fmt: skip
-    words = [f"{n}: signature {fixed(a, 1)} σ, residual {fixed(b, 1)} σ" for n, a, b in zip(names, x, y, strict=True)]
+    words = [
+        f"{n}: change pattern {fixed(a, 1)} σ, residual {fixed(b, 1)} σ" for n, a, b in zip(names, x, y, strict=True)
+    ]
     large = np.maximum(np.abs(x), np.abs(y)) >= (_WORTH_WORDS if len(x) > DENSE else 0.0)
     hover_points(ax, x[large], y[large], [text for text, shown in zip(words, large, strict=True) if shown])
     _name_largest(ax, x, y, names)
     for line in (ax.axhline, ax.axvline):
         line(0.0, color=GREY, linewidth=0.6)
-    ax.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="signature (σ)", ylabel="residual (σ)")
+    ax.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="change pattern (σ)", ylabel="residual (σ)")
     ax.set_aspect("equal", adjustable="box", anchor="N")
     return ax
 

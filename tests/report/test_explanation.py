@@ -18,6 +18,7 @@ from calib.report.style import BLUE, GREY, ORANGE, REST, SYNTHETIC, new_figure
 
 nan = np.nan
 FIGURES = [
+    "answer",
     "where_it_fails_sigma",
     "sensor_misfit",
     "perturbation_map",
@@ -294,7 +295,7 @@ def test_an_empty_cell_written_as_nan_is_empty(folder, saved, effects):
 @pytest.mark.parametrize(
     ("gone", "figures"),
     [
-        ("mesh_elements", {"sensor_misfit", "perturbation_map"}),
+        ("mesh_elements", {"answer", "sensor_misfit", "perturbation_map"}),
         ("versions", {"errors_over_versions"}),
         ("effects", {"ranked_effects"}),
         ("confounding", {"confounding"}),

@@ -17,7 +17,7 @@ from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
 from calib.missing.local import unit_words
 from calib.study.several import AnyStudy
 
-ERRORS = ("rows", "rms", "of a correctly specified model", "p")
+ERRORS = ("rows", "rms", "of a correct model", "p")
 ERRORS_TITLE = "Errors in standard deviations:"
 _WHY = {
     "misfit": "the model does not fit",

@@ -120,7 +120,7 @@ def _errors(result: ExplanationResult, followed: bool) -> list[Rows]:
         )
         for group in dict.fromkeys(result.errors["group"])
     ]
-    heads = ("data", *stages, "of a correctly specified model", *(f"p {stage}" for stage in stages))
+    heads = ("data", *stages, "of a correct model", *(f"p {stage}" for stage in stages))
     return [
         *([] if followed else [Rows.of(title, heads, short, when="brief")]),
         Rows.of(title, ("data", "stage", *ERRORS), rows, ("stage",), when="verbose"),
@@ -246,7 +246,7 @@ def of_added(result: Added, written: Extension, folder: Results) -> list[Entry]:
          decimals(r["expected_after"], 2), *(f"{r[f'p_{stage}']:.2g}" for stage in ("before", "after")))
         for r in by_group(result.errors).to_dict("records")
     ]  # fmt: skip
-    heads = ("data", "rows", "before", "after", "of a correctly specified model", "p before", "p after")
+    heads = ("data", "rows", "before", "after", "of a correct model", "p before", "p after")
     own = f"Test {result.test}: both" if result.test else "Both"
     title = f"{own} models calibrated in the same way; rms errors in standard deviations:"
     return [
@@ -268,6 +268,6 @@ def of_versions(found: Versions) -> list[Entry]:
         )
         for r in found.table.to_dict("records")
     ]
-    heads = ("study", "effects", "data", "rms", "of a correctly specified model")
+    heads = ("study", "effects", "data", "rms", "of a correct model")
     title = "Errors in standard deviations over the versions of the model:"
     return [*map(Warned, found.notes), Rows.of(title, heads, rows, left=("effects", "data"))]

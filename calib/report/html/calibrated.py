@@ -12,6 +12,9 @@ from calib.report.numbers import UNKNOWN, fixed, significant, with_unit
 _NUMBERS = ("search_misfit", "misfit", "mean_freq_error_after", "mean_mac_after", "seconds")
 _COUNTS = ("evaluations", "solved", "infeasible", "failed")
 
+_STILL = 1e-6
+"""Standard deviation over the frequency below which no fitted parameter moves a mode."""
+
 
 def best_case(results: StudyResults) -> str:
     """The case whose values are reported."""
@@ -72,3 +75,8 @@ def correlation_words(table: pd.DataFrame) -> str:
     strong = strongest(table, STRONG).to_dict("records")
     words = [f"{r['parameter_a']}, {r['parameter_b']} {fixed(r['value'], 2)}" for r in strong]
     return "; ".join(filter(None, [*words, others(table, STRONG)]))
+
+
+def moved(predictions: pd.DataFrame, column: str) -> pd.Series:
+    """A column of the predicted frequencies; NaN for a mode that no fitted parameter moves, which has none."""
+    return predictions[column].where(predictions["std"] > _STILL * predictions["natural_freq"])

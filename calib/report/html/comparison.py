@@ -10,8 +10,12 @@ import pandas as pd
 
 from calib.report.comparison import STILL
 from calib.report.frf import OVERLAID
+from calib.report.html.cells import TextCells
 from calib.report.html.study_results import STAGES, StudyResults
 from calib.report.numbers import fixed, percent
+
+_REDUCED = 0.1
+"""Error of the reduction from which an orthogonality says nothing."""
 
 
 def have_shapes(stages: Mapping[str, pd.DataFrame]) -> bool:
@@ -82,3 +86,10 @@ def worst_sensors(results: StudyResults) -> WorstSensors | None:
 def is_all(results: StudyResults) -> bool:
     """Whether nothing was done but a comparison, which then is the answer."""
     return results.table("parameters") is None and not results.explanation
+
+
+def expansion_remarks(expansion: pd.DataFrame) -> list[str]:
+    """Why a row of the expansion is to be read with care; empty where it is not."""
+    few = "the sensors do not tell this shape from others: its orthogonality says nothing"
+    known = zip(expansion["reason"].fillna(""), expansion["tam_error"], strict=True)
+    return TextCells(str(reason) or (few if error > _REDUCED else "") for reason, error in known)

@@ -8,13 +8,15 @@ from typing import Any
 
 import pandas as pd
 
-from calib.report.html.cells import arrows, flagged
+from calib.report.html.cells import TextCells, arrows, flagged
 from calib.report.html.fails import TESTS
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, significant, with_unit
 from calib.report.proposals import placed_proposals
 from calib.report.verification import GROUPS, best_candidates
 
+_HEAVIEST = 0.5
+"""Mass in kg that no accelerometer with its mount and cable exceeds."""
 _OF_NAMED = 5
 """Rows of the table for the named effects: the recommended measurement and what else was looked at."""
 
@@ -50,6 +52,13 @@ def named_faults(table: pd.DataFrame) -> str:
         scores = f"{beyond} of {len(table)} scores lie beyond their limit"
         return f"No fault is named; {scores}: what the model lacks takes some of them along."
     return "No fault is named, and none stands out."
+
+
+def faults_in_words(table: pd.DataFrame) -> list[str]:
+    """What the fit of each fault means, and which magnitudes no measurement can have."""
+    heavy = f"impossible: an accelerometer with its mount weighs less than {with_unit(_HEAVIEST, 'kg')}"
+    known = zip(table["kind"], table["magnitude"], table["told"].fillna(""), strict=True)
+    return TextCells(heavy if kind == "mass" and size > _HEAVIEST else str(told) for kind, size, told in known)
 
 
 def places_of_proposals(results: StudyResults) -> str:

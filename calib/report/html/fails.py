@@ -55,7 +55,7 @@ def _p(results: StudyResults) -> Limit | None:
     known = {words: results.explanation.get(name) for name, words in TESTS.items()}
     below = [words for words, p in known.items() if p is not None and float(p) <= float(alpha)]
     meaning = (
-        "p is the probability that noise alone takes data of a correctly specified model at least this far off; at or "
+        "p is the probability that noise alone takes data of a correct model at least this far off; at or "
         "below the limit the model is rejected. Of the worst kind of data or mode shape it is corrected for their "
         "number (Bonferroni); of a group of data, in the table of errors, it is that of the whole sum of squares, in "
         f"which one bad kind may not show. Held-out data contradict the model below {CONTRADICTED:g}"
@@ -72,7 +72,7 @@ def _limit_of_comparisons(results: StudyResults) -> Limit | None:
         for stage, table in tables.items()
     ]
     meaning = (
-        f"{100 * WITHIN:g} % of the comparisons of a correctly specified model lie within it. It is about 2 for a "
+        f"{100 * WITHIN:g} % of the comparisons of a correct model lie within it. It is about 2 for a "
         "single number, and nearer to 1 for a shape or a sensor, of which the rms of many numbers counts; the table of "
         "every comparison tells the limit of each"
     )

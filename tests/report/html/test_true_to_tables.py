@@ -58,7 +58,7 @@ def test_the_place_of_every_local_perturbation_stands_beside_it(everything, read
 
 def test_effects_errors_and_candidate_fits_are_those_of_the_tables(everything, read, reader):
     effects = pd.read_csv(everything / "effects.csv").set_index("name")
-    head, *rows = read.tables["Every effect of the library, ranked"]
+    head, *rows = read.tables["Every listed effect, ranked"]
     assert {r[1] for r in rows} == set(effects.index)
     for row in rows:
         assert reader.number(row[head.index("z")]) == pytest.approx(effects["z"][row[1]], abs=0.0501)
@@ -158,7 +158,7 @@ def test_effects_that_are_not_visible_are_grey(folder, blocks):
     effects = pd.read_csv(folder / "effects.csv")
     effects["visible"] = effects["name"] != "lamp"
     effects.to_csv(folder / "effects.csv", index=False)
-    table = blocks(folder, Table)["Every effect of the library, ranked"]
+    table = blocks(folder, Table)["Every listed effect, ranked"]
     (k,) = table.grey
     assert table.rows[k][1] == "lamp" and "not visible at a plausible magnitude of" in table.rows[k][-1]
 

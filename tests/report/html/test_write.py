@@ -75,7 +75,7 @@ def test_an_analysis_that_was_not_run_is_omitted_and_its_command_named(folder, g
         for suffix in ("csv", "json"):
             (folder / f"{name}.{suffix}").unlink(missing_ok=True)
     *shown, last = sections(StudyResults(folder, TITLE, True))
-    also = ("place", "doubts") if section == "verdict" else ()
+    also = ("place", "order", "doubts") if section == "verdict" else ()
     assert [s.name for s in shown] == [n for n in WHOLE if n not in (section, *also)] and last.name == "not_run"
     assert any(f"{command} mast" in words.text for words in section_blocks(last))
 
@@ -92,7 +92,7 @@ def test_a_study_without_a_library_is_not_advised_to_explain(folder):
     (folder / "explanation.json").unlink()
     record = json.loads((folder / "record.json").read_text())
     (folder / "record.json").write_text(json.dumps({**record, "effects_known": 0}))
-    left = [n for n in WHOLE if n not in ("verdict", "place", "doubts")]
+    left = [n for n in WHOLE if n not in ("verdict", "place", "order", "doubts")]
     assert [s.name for s in sections(StudyResults(folder, TITLE, True))] == left
 
 
