@@ -135,6 +135,13 @@ class ComparisonResult:
         except InputError:
             return expanded_shapes(self.comparison, self.orthogonality.by)
 
+    @cached_property
+    def undamped(self) -> pd.DataFrame | None:
+        """Frequencies of stiffness and mass alone; see `calib.correlation.modal.undamped.undamped_table`."""
+        from calib.correlation.modal.undamped import undamped_table  # few comparisons need it
+
+        return None if self.comparison is None else undamped_table(self.comparison)
+
     @property
     def answer(self) -> Answer:
         """What was found, how sure that is, and what to do next."""
@@ -322,11 +329,14 @@ def nominal_comparison(study: LoadedStudy) -> ComparisonResult:
         ) from as_cause(again)
 
 
-def compare(study: LoadedStudy, results: Results) -> ComparisonResult:
-    """Compare the model at its nominal values with the measurement; writes the ``*_before`` tables."""
+def compare(study: LoadedStudy, results: Results, undamped: bool = False) -> ComparisonResult:
+    """Compare the model at its nominal values with the measurement; writes ``*_before`` tables, and undamped modes."""
     answer = nominal_comparison(study)
     begin_analysis(results, "compare")
     write_comparison(results, answer, "before")
+    results.remove("undamped.csv")
+    if undamped and answer.undamped is not None:
+        results.write_table("undamped", answer.undamped)
     sensor_findings = [
         (f.kind, " ".join(f.sensors), f.mac_before, f.mac_after, f.sentence) for f in answer.sensor_findings
     ]

@@ -112,6 +112,22 @@ class Compared(Displayed):
         return stacked(tables) if len(tables) > 1 else next(iter(tables.values()))
 
     @property
+    def undamped(self) -> pd.DataFrame:
+        """Frequencies of stiffness and mass alone beside damped ones; see `calib.correlation.modal.undamped`.
+
+        Raises
+        ------
+        InputError
+            For models without matrices, and for tests of other data than modes.
+        """
+        tables = {name: one.undamped for name, one in self.by_test.items()}
+        known = {name: table for name, table in tables.items() if table is not None}
+        if not known:
+            what = "undamped frequencies are those of a model with matrices and of a test by modes"
+            raise InputError(what, place="comparison", remedy="compare measured modes with such a model")
+        return stacked(known) if len(tables) > 1 else next(iter(known.values()))
+
+    @property
     def lines(self) -> Mapping[str, str]:
         """The answer by the labels of its lines, of several tests test by test, and where the rest is."""
         several, out = len(self.by_test) > 1, dict[str, str]()

@@ -62,8 +62,8 @@ class Listener:
     def listed(self, found: Designs, entries: Sequence[Entry], written: Path) -> None:
         """Designs were listed; ``written`` is their file, or the folder of the study."""
 
-    def compared(self, study: LoadedStudy, answer: ComparisonResult, folder: Results) -> None:
-        """Model and measurement were compared."""
+    def compared(self, study: LoadedStudy, answer: ComparisonResult, folder: Results, undamped: bool) -> None:
+        """Model and measurement were compared; ``undamped`` where undamped frequencies are asked for as well."""
 
     def sampled(self, study: LoadedStudy, answer: Sensitivity | Screening, folder: Results) -> None:
         """A sensitivity analysis by rank correlations is done."""

@@ -36,7 +36,7 @@ def opened_ledger(study: Any, loaded: AnyStudy) -> Iterator[Ledger]:
             study.listener.damaged(ledger.damaged)
 
 
-def compared(study: Any) -> ComparisonResult:
+def compared(study: Any, undamped: bool = False) -> ComparisonResult:
     """The model of the only test against its measurement, at the nominal values; ``study`` is a `calib.Study`."""
     from calib.analyses.compare import compare
 
@@ -44,18 +44,22 @@ def compared(study: Any) -> ComparisonResult:
     study.listener.begins(loaded, "compare")
     with study.listener.progress() as step:
         step("solving the model")
-        answer = compare(loaded, study.folder) if loaded.settings.solver is None else _of_solver(study, loaded)
-    study.listener.compared(loaded, answer, study.folder)
+        answer = (
+            compare(loaded, study.folder, undamped)
+            if loaded.settings.solver is None
+            else _of_solver(study, loaded, undamped)
+        )
+    study.listener.compared(loaded, answer, study.folder, undamped)
     return answer
 
 
-def _of_solver(study: Any, loaded: LoadedStudy) -> ComparisonResult:
+def _of_solver(study: Any, loaded: LoadedStudy, undamped: bool) -> ComparisonResult:
     """The same of a solver, whose runs are stored."""
     from calib.analyses.compare import compare
     from calib.analyses.provenance.recorded import recorded
 
     with opened_ledger(study, loaded) as ledger:
-        return compare(recorded(loaded, ledger), study.folder)
+        return compare(recorded(loaded, ledger), study.folder, undamped)
 
 
 def sampled(study: Any) -> Sensitivity:

@@ -163,12 +163,15 @@ class Study:
 
     # -- analyses ------------------------------------------------------------------------------------------------------
 
-    def compare(self) -> Compared:
-        """Compare models and measurements at the nominal values, without fitting."""
+    def compare(self, *, undamped: bool = False) -> Compared:
+        """Compare models and measurements at the nominal values, without fitting.
+
+        With ``undamped`` the frequencies of stiffness and mass alone are written as well; see `Compared.undamped`.
+        """
         answers, studies = {}, {}
         for study in self.tests:
             name = study.one.test or study.one.name
-            answers[name], studies[name] = steps.compared(study), study.one
+            answers[name], studies[name] = steps.compared(study, undamped), study.one
         self.draw()
         return Compared(answers, studies)
 

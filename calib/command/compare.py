@@ -34,6 +34,9 @@ def compare(
     into: Annotated[
         Path, typer.Option("--into", metavar="FOLDER", callback=possible, help="Report and tables of --modes.")
     ] = Path("compared"),
+    undamped: Annotated[
+        bool, typer.Option("--undamped", help="Also the frequencies of stiffness and mass alone.")
+    ] = False,
     verbose: Verbose = False,
 ) -> None:
     """Compare model and measurement without fitting: errors, MAC, and where the model fails.
@@ -57,4 +60,4 @@ def compare(
     if study is None:
         raise InputError("nothing is named", place="compare", remedy="name a study, or --modes and --measured")
     with loaded_study("compare", possible(study), results, verbose) as loaded:
-        loaded.compare()
+        loaded.compare(undamped=undamped)

@@ -134,9 +134,10 @@ class _Printing(Listener):
 
     # -- results -------------------------------------------------------------------------------------------------------
 
-    def compared(self, study: LoadedStudy, answer: ComparisonResult, folder: Results) -> None:
+    def compared(self, study: LoadedStudy, answer: ComparisonResult, folder: Results, undamped: bool) -> None:
         place = folder.path / "comparison_before.csv"
-        self._answered(answer.answer, place, compared.compared_entries(study, answer, folder))
+        more = compared.undamped_entries(answer) if undamped else []
+        self._answered(answer.answer, place, [*compared.compared_entries(study, answer, folder), *more])
 
     def sampled(self, study: LoadedStudy, answer: Sensitivity | Screening, folder: Results) -> None:
         name = "selection" if isinstance(answer, Sensitivity) else answer.method

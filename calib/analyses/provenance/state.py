@@ -68,7 +68,8 @@ EXPLAINED = ("effects", "why", "why_parameters", "why_places", "reduction_by_tes
               "steps", "steps_errors", "steps_rejected", "unexplained", "unexplained_predictions",
               "unexplained_errors", "richer", "richer_errors", "found_places", "versions")  # fmt: skip
 WRITES: Mapping[str, tuple[str, ...]] = {
-    "compare": (*RECORDED, *GEOMETRY, *_of_stages("before"), "sensor_check.csv", "node_partners.csv"),
+    "compare": (*RECORDED, *GEOMETRY, *_of_stages("before"), "sensor_check.csv", "node_partners.csv",
+                "undamped.csv"),
     "sensitivity": (*RECORDED, *(f"{name}.csv" for name in _MEASURES)),
     "sensitivity --method morris": (*RECORDED, "morris.csv"),
     "sensitivity --method sobol": (*RECORDED, "sobol.csv"),

@@ -54,6 +54,22 @@ def compared_entries(study: LoadedStudy, result: ComparisonResult, folder: Resul
     return out
 
 
+def undamped_entries(result: ComparisonResult) -> list[Entry]:
+    """Undamped frequencies of the paired modes beside the damped ones; why there are none, for other models."""
+    if result.undamped is None:
+        return [Words("Undamped frequencies are those of a model with matrices and of a test by modes.", when="always")]
+    rows = [
+        (
+            r["mode"], f"{r['natural_freq_measured']:.3f}", f"{r['undamped_freq_model']:.3f}",
+            f"{100 * r['undamped_error']:+.2f} %", f"{r['natural_freq_model']:.3f}", f"{r['damped_freq_model']:.3f}",
+            decimals(r["alike"], 3),
+        )
+        for r in result.undamped.to_dict("records")
+    ]  # fmt: skip
+    heads = ("mode", "measured Hz", "undamped Hz", "error", "|lambda|/2pi Hz", "damped Hz", "alike")
+    return [Rows.of("Undamped frequencies (stiffness and mass alone):", heads, rows)]
+
+
 def pair_entries(result: ComparisonResult, title: str = "", when: When = "always") -> Rows:
     """Every measured mode or response with that of the model."""
     table = result.table.to_dict("records")
