@@ -34,4 +34,3 @@ from .results.version import __version__ as __version__
 from .structure.function_model import FunctionModel as FunctionModel
 from .structure.modal_function import ModalFunctionModel as ModalFunctionModel
 from .structure.model import StructuralModel as StructuralModel
-from .study.solver import solver_model as solver_model

@@ -128,6 +128,13 @@ class Problem:
 
         return cls(read_runs(path, inputs, **more), tests)
 
+    @classmethod
+    def from_solver(cls, command: str | Sequence[str], tests: Test | Sequence[Test], **more: Any) -> Problem:
+        """The problem of a solver started for every evaluation, ``more`` of `calib.study.solver.solver_model`."""
+        from calib.study.solver import solver_model
+
+        return cls(solver_model(command, **more), tests)
+
     @staticmethod
     def join(first: Problem, *others: Problem) -> Problem:
         """Several problems as one; parameters of the same name are shared, see `calib.problem.joint.joined`."""
@@ -174,11 +181,9 @@ class Problem:
         return fit_problem_of(self.tested, self.ledger)
 
     def study(
-        self,
-        settings: StudySettings | None = None,
-        effects: Mapping[str, tuple[Effect, ...]] | None = None,
+        self, settings: StudySettings | None = None, effects: Mapping[str, tuple[Effect, ...]] | None = None,
         finer: Mapping[str, Model] | None = None,
-    ) -> AnyStudy:
+    ) -> AnyStudy:  # fmt: skip
         """The problem as the analyses take it, with effects that its models may lack."""
         return studied(self, settings or self.settings, effects or {}, self.finer if finer is None else finer)
 
@@ -210,15 +215,10 @@ class Problem:
 
     def calibrate(
         self,
-        parameters: Sequence[str] = (),
-        *,
-        cases: int | Sequence[int] | None = None,
-        seed: int | None = None,
-        reduction: bool | Mapping[str, Any] | None = None,
-        executor: Executor | Injected | None = None,
-        progress: bool = True,
-        **keys: Unpack[CalibrationKeys],
-    ) -> Fit[Problem]:
+        parameters: Sequence[str] = (), *, cases: int | Sequence[int] | None = None, seed: int | None = None,
+        reduction: bool | Mapping[str, Any] | None = None, executor: Executor | Injected | None = None,
+        progress: bool = True, **keys: Unpack[CalibrationKeys],
+    ) -> Fit[Problem]:  # fmt: skip
         """Fit the parameters as a study does, and assess which of them the data determine.
 
         By default least squares start from the nominal values and from sampled points until they agree. A genetic

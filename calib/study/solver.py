@@ -312,9 +312,10 @@ def solver_model(
     >>> import sys, tempfile
     >>> from pathlib import Path
     >>> import calib
+    >>> from calib.study.solver import solver_model
     >>> here = Path(tempfile.mkdtemp())
     >>> _ = (here / "run.py.j2").write_text("print('response,value', 'load,%r' % (2 * {{ k }}), sep=chr(10))")
-    >>> model = calib.solver_model(
+    >>> model = solver_model(
     ...     ["sh", "-c", f"{sys.executable} run.py > out.csv"], template="run.py.j2", responses="out.csv", folder=here,
     ...     parameters=[calib.Parameter("k", 3.0, 1.0, 5.0)],
     ... )

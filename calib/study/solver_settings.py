@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
-from calib.study.measurement_settings import Pair, PathText, Section, WrongBelow
+from calib.study.measurement_settings import Pair, PathText, Section
 
 
 class SolverParameterSettings(Section):
@@ -71,13 +71,3 @@ class SolverSettings(Section):
     @classmethod
     def _listed(cls, given: Any) -> Any:
         return (given,) if isinstance(given, str) else given
-
-    @field_validator("template")
-    @classmethod
-    def _distinct(cls, template: tuple[str, ...]) -> tuple[str, ...]:
-        from calib.imports.deck import deck_name  # few studies have decks
-
-        for k, name in enumerate(template):
-            if deck_name(name) in map(deck_name, template[:k]):
-                raise WrongBelow(f"two decks are named {deck_name(name)!r}", k)
-        return template

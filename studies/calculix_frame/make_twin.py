@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 
 import calib
+from calib.study.solver import solver_model
 from studies.calculix_frame.make_frame import HEIGHT, SENSORS, frame
 
 HERE = Path(__file__).resolve().parent
@@ -41,7 +42,7 @@ def true_modes(truth: dict[str, Any], sensors: list[calib.Sensor]) -> Any:
     with tempfile.TemporaryDirectory() as folder:
         deck = frame(truth["parameters"], columns=24, rows=16, segments=6, more=motor, step=STEP)
         Path(folder, "frame.inp").write_text(deck, encoding="utf-8")
-        model = calib.solver_model(
+        model = solver_model(
             "ccx -i frame", template="frame.inp", modes="frame.dat", sensors=sensors, n_modes=COUNT, units="mm-t-N",
             parameters=[calib.Parameter("nothing", 0.0, -1.0, 1.0)], folder=folder,
         )  # fmt: skip

@@ -5,6 +5,7 @@ import sys
 import numpy as np
 
 import calib
+from calib.study.solver import solver_model
 
 SCRIPT = """import math, sys
 k, m, t = {{ k }}, {{ m }}, {{ t }}
@@ -54,7 +55,7 @@ def solver(folder, more="", **options):
         "template": template(folder, more), "modes": "modes.csv", "shapes": "shapes.csv", "sensors": ["1z", "2z"],
         "n_modes": 2, "parameters": PARAMETERS, "folder": folder,
     }  # fmt: skip
-    return calib.solver_model(COMMAND, **{**given, **options})
+    return solver_model(COMMAND, **{**given, **options})
 
 
 def exact(values):

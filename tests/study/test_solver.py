@@ -18,6 +18,7 @@ from calib.execution.process import run_command
 from calib.imports.deck import deck_of, in_columns
 from calib.results.fingerprint import FAILED_RUNS
 from calib.results.ledger import Ledger
+from calib.study.solver import solver_model
 from calib.study.study import LoadedStudy
 from tests.study.solver_chain import PARAMETERS, STUDY, TRUE, exact, runs, solver, study, template
 
@@ -179,7 +180,7 @@ def test_wrong_arguments_are_refused(tmp_path, options, words):
 
 def test_a_program_that_is_not_there_is_no_failed_point(tmp_path):
     template(tmp_path)
-    model = calib.solver_model("no_such_program -i x", template=tmp_path / "solve.py.j2", modes="m.csv",
+    model = solver_model("no_such_program -i x", template=tmp_path / "solve.py.j2", modes="m.csv",
                                sensors=["1z"], parameters=PARAMETERS, folder=tmp_path)  # fmt: skip
     with pytest.raises(InputError, match="no_such_program"):
         model.modes({}, 2)
