@@ -10,28 +10,24 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any
 
 from calib.errors.errors import InputError
 from calib.results.results import Results
-from calib.results.written import LOG
 
 if sys.platform != "win32":  # there, an open file cannot be deleted: that is the lock
     import fcntl
 
 _NAME = ".running-{}.json"
-_LENGTH, _LONGEST = 4096, 600
-"""Bytes of a note, and letters of a sentence that it holds."""
-_INTERRUPTED, _REFUSED, _FAILED = 130, 2, 1
+_LENGTH = 4096
+"""Bytes of a note."""
 
 
 class RunningNote:
     """The note of one command, from its first stage to its end.
 
     It is written where the folder of results exists already and belongs to no other study; what cannot be written is
-    left out without a word. It vanishes when the command succeeds. One that failed or was killed leaves it until the
-    next command begins.
+    left out without a word. It vanishes with the command; one that was killed leaves it until the next command begins.
 
     Parameters
     ----------
@@ -50,27 +46,17 @@ class RunningNote:
         self._file: IO[bytes] | None = None
         self._content: dict[str, Any] = {
             "pid": os.getpid(), "verb": verb, "options": dict(options), "began": time.time(), "stage": "", "words": "",
-            "done": 0.0, "total": 0.0, "best": None, "left": "", "code": None, "sentence": "",
+            "done": 0.0, "total": 0.0, "best": None, "left": "",
         }  # fmt: skip
 
     def __enter__(self) -> RunningNote:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._file is None:
-            return
-        sentence = fault.sentence if isinstance(fault, InputError) else ""
-        kinds = {KeyboardInterrupt: _INTERRUPTED, InputError: _REFUSED}
-        code = 0 if fault is None else next((n for one, n in kinds.items() if isinstance(fault, one)), _FAILED)
-        path = self._home / _NAME.format(os.getpid())
-        with contextlib.suppress(OSError):
-            if code and (self._home / LOG).exists():  # nothing is left in a folder without results
-                self._write(code=code, sentence=(sentence or str(fault))[:_LONGEST])
-            self._file.close()
-            if not code or not (self._home / LOG).exists():
-                path.unlink()
+    def __exit__(self, *raised: object) -> None:
+        if self._file is not None:
+            with contextlib.suppress(OSError):
+                self._file.close()
+                (self._home / _NAME.format(os.getpid())).unlink()
 
     def tell(self, words: str, stage: str, done: float, total: float, best: float, left: str) -> None:
         """Write the present stage.
@@ -124,7 +110,7 @@ def notes_in(home: Path) -> list[dict[str, Any]]:
         with contextlib.suppress(OSError, ValueError, AttributeError):
             content = json.loads(path.read_bytes())
             if isinstance(content.get("pid"), int) and isinstance(content.get("verb"), str):
-                found.append({**content, "path": path, "running": content.get("code") is None and _is_held(path)})
+                found.append({**content, "path": path, "running": _is_held(path)})
     return sorted(found, key=lambda note: note.get("began") or 0.0)
 
 

@@ -178,15 +178,13 @@ def _early(one: StartedCommand) -> str:
 
 def _noted(note: Mapping[str, Any]) -> dict[str, Any]:
     """A command that was started elsewhere."""
-    state = "running" if note["running"] else "stopped" if note.get("code") == 130 else "failed"
-    killed = state == "failed" and note.get("code") is None
     known = {
         key: note.get(key) for key in ("pid", "verb", "options", "began", "words", "stage", "done", "total", "best")
     }
     return {
-        **known, "left": note.get("left", ""), "state": state, "here": False, "command": f"calib {note['verb']}",
-        "sentence": "its process was ended" if killed else note.get("sentence", ""), "tail": "", "next": [],
-        "stopping": False,
+        **known, "left": note.get("left", ""), "state": "running" if note["running"] else "failed", "here": False,
+        "command": f"calib {note['verb']}", "sentence": "" if note["running"] else "its process was ended", "tail": "",
+        "next": [], "stopping": False,
     }  # fmt: skip
 
 
