@@ -161,8 +161,9 @@ class Sources:
             from calib.structure.effects.compositions import generic_effects  # for these alone
 
             taken = [name for effect in library for one in effect.family for name in one.names]
+            model, measured = sensed()
             try:
-                library += generic_effects(*sensed(), taken)
+                library += generic_effects(model, measured, taken)
             except InputError as fault:
                 raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
         require_distinct(library, base, place)

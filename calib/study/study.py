@@ -285,7 +285,12 @@ def _sensed(file: StudyFile, base: Model) -> tuple[Model, list[MeasuredModes | M
     own = file.settings.model, file.settings.model_options
     tests = [one for one in StudyFile.read(file.file).parts if (one.settings.model, one.settings.model_options) == own]
     experiments = [experiment_of(one, base) for one in tests]
-    return experiments[0].located(base), [data for one in experiments for data in one.sensed]
+    located: Any = experiments[0].located(base)
+    for one, experiment in zip(tests, experiments, strict=True):
+        with with_place(one, base):  # a sensor that lies off the model is told as without generic effects
+            for data in experiment.sensed if isinstance(base, StructuralModel) else ():
+                located.sensor_rows(data.sensors)
+    return located, [data for one in experiments for data in one.sensed]
 
 
 def with_nuisances(space: ParameterSpace, problem: ForwardProblem) -> ParameterSpace:

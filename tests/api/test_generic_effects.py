@@ -1,5 +1,6 @@
 """Generic effects: a model of matrices that brings no library is explained by what its own parts and points may be."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -124,3 +125,16 @@ def test_an_imported_study_is_explained_and_extended_by_the_command(imported, tm
     fitted = extended.calibrate().table.set_index("parameter")
     assert fitted.loc["added_mass_4", "value"] == pytest.approx(HEAVY[4], rel=0.1)
     assert "added_mass_4" not in {e.name for e in extended.effects}
+
+
+def test_a_sensor_off_the_model_is_told_where_it_stands_and_not_under_effects(imported, tmp_path):
+    study = tmp_path / "off"
+    shutil.copytree(imported, study)
+    rows = "".join(f"{n},0,0,{3.0 * n + 40.0 * (n == 4)}\n" for n in range(1, FLOORS + 1))
+    (study / "sensors.csv").write_text("node,x,y,z\n" + rows)
+    text = (study / "study.toml").read_text()
+    (study / "study.toml").write_text(text.replace("[measurement]\n", '[measurement]\nsensors = "sensors.csv"\n'))
+    with pytest.raises(InputError) as told:
+        _ = calib.Study.load(study, progress=False).effects
+    assert "sensor 4" in (told.value.place or "") and "effects" not in str(told.value)
+    assert told.value.at is not None and str(told.value.at.file).endswith("sensors.csv")
