@@ -11,7 +11,6 @@ from calib.missing.explanation import Explanation
 from calib.missing.recommendation import as_ratio
 from calib.missing.rules import RULES
 from calib.missing.verdict_words import limits_sentence
-from calib.results.answer import names_in_words
 
 _LISTED = 6
 """Largest number of effects that a doubt lists."""
@@ -84,10 +83,11 @@ def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assum
         else "A cause that is not listed may look the same.",
         "Look at the structure there before you change model or drawing. If nothing is found, list further causes.",
     )
-    unseen = [name for name in effects.loc[~effects["visible"].astype(bool), "name"] if name not in found.chosen.names]
+    hidden = effects[~effects["visible"].astype(bool) & ~effects["name"].isin(found.chosen.names)]
+    unseen = [title if title == name else f"{title} ({name})" for title, name in hidden[["title", "name"]].to_numpy()]
     if unseen:
         more = [] if len(unseen) <= _LISTED else [f"{len(unseen) - _LISTED} more"]
         yield Reservation(
-            f"Not visible in these data, whether there or not: {names_in_words([*unseen[:_LISTED], *more])}.",
+            f"Not visible in these data, whether there or not: {'; '.join([*unseen[:_LISTED], *more])}.",
             "Measure what shows them, as the recommended measurements say.",
         )

@@ -56,6 +56,8 @@ def test_a_fit_that_was_nearly_rejected_names_what_fits_worst(found, effects, p,
 
 
 def test_invisible_effects_are_counted_beyond_six(found, effects):
-    many = pd.concat([effects, *(effects.iloc[-1:].assign(name=f"F{k}", visible=False) for k in range(8))])
+    many = pd.concat(
+        [effects, *(effects.iloc[-1:].assign(name=f"F{k}", title=f"Crack {k}", visible=False) for k in range(8))]
+    )
     (doubt,) = [one.doubt for one in reservations(found, many) if "Not visible" in one.doubt]
-    assert "F0" in doubt and "F6" not in doubt and "2 more" in doubt
+    assert "Crack 0 (F0); Crack 1 (F1)" in doubt and "F6" not in doubt and "2 more" in doubt
