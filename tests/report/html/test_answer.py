@@ -35,6 +35,17 @@ def test_doubts_are_numbered_each_with_its_check(everything, results, text):
     assert [doubt for doubt, _ in answer.doubts(results)[: len(stored)]] == [one["doubt"] for one in stored]
 
 
+def test_a_test_order_keeps_the_case_of_units_and_names(everything, folder):
+    steps = pd.read_csv(everything / "test_order.csv")
+    row = {"step": 1, "kind": "mode", "what": "mode K1", "excite": "at K1", "sensors": "1x", "how": "band 1 to 2 Hz"}
+    pd.DataFrame([row | {"narrows": "width of K"}], columns=steps.columns).to_csv(
+        folder / "test_order.csv", index=False
+    )
+    (order,) = [one for one in sections(StudyResults(folder, TITLE, True)) if one.name == "order"]
+    for words in ("mode K1", "at K1", "band 1 to 2 Hz", "width of K"):
+        assert words in order.body
+
+
 def test_a_mode_that_an_effect_adds_and_nobody_measured_is_a_doubt(folder):
     added = json.loads((folder / "added.json").read_text())
     own = {"effect": "guy", "natural_freq": 20.0, "share": 0.8, "paired": ""}
