@@ -131,18 +131,29 @@ class Page {
     this.due = setTimeout(() => this.look(), this.looked && Date.now() - this.looked < SLOW ? SLOW : 0);
   }
 
+  // One reading of a view at a time, or an older answer could come last.
   async look() {
     const view = this.view;
-    this.looked = Date.now();
-    try {
-      await view.look(this.live.studies[this.key]);
-      this.faultless?.remove();
-    } catch (fault) {
-      if (view !== this.view) return;
-      this.faultless?.remove();
-      this.faultless = h("p", { class: "note bad", role: "alert" }, fault.message);
-      document.getElementById("view").prepend(this.faultless);
+    view.again = true;
+    if (view.looking) return;
+    view.looking = true;
+    while (view.again && view === this.view) {
+      view.again = false;
+      this.looked = Date.now();
+      let fault = "";
+      try {
+        await view.look(this.live.studies[this.key]);
+      } catch (failure) {
+        fault = failure.message;
+      }
+      if (view !== this.view) break;
+      this.faulty?.remove();
+      if (fault) {
+        this.faulty = h("p", { class: "note bad", role: "alert" }, fault);
+        document.getElementById("view").prepend(this.faulty);
+      }
     }
+    view.looking = false;
   }
 
   // -- commands ------------------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ export class Correlation {
   constructor(page, place) {
     Object.assign(this, { page, place, seen: "", results: null, stage: "", picked: null });
     this.failed = h("div", {});
+    this.diff = h("div", { id: "diff" });  // what is shown stays, whatever else is drawn anew
     this.body = h("div", { class: "stack" });
     place.replaceChildren(h("div", { class: "stack" }, this.failed, this.body));
   }
@@ -122,7 +123,6 @@ export class Correlation {
   edits() {
     const { found } = this;
     const sensor = h("select", { "aria-label": "sensor" }, found.sensors.map((one) => h("option", { value: one.name }, one.held_out ? `${one.name} (held out)` : one.name)));
-    this.diff = h("div", { id: "diff" });
     return panel("Sensors and edits",
       h("p", { class: "soft" }, "An edit goes into study.toml, with its comments kept. It is shown first and can be undone; what it makes out of date is marked."),
       h("div", { class: "act" }, sensor,
@@ -151,6 +151,7 @@ export class Correlation {
   async make(edit, digest) {
     try {
       tell((await change(this.page.of("edit", { test: this.test }), { edit, digest, make: true })).words);
+      this.diff.replaceChildren();
       this.known = null;
       this.page.refresh();
     } catch (fault) {
