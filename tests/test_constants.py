@@ -179,7 +179,7 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
     "inference/rules.py": "WIDE",
     "inference/sampled_posterior.py": "_TAILS",
     "results/answer.py": "LABEL",
-    "results/running.py": "_LENGTH _LONGEST _INTERRUPTED _REFUSED _FAILED",
+    "results/running.py": "_LENGTH",
     "correlation/response/problem.py": "_LISTED",
     "errors/place.py": "WIDEST _LEAST TAB",
     "inference/agreement.py": "_NAMED",

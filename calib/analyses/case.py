@@ -135,23 +135,15 @@ class CaseFinder:
         explained = [] if self._only is None or home is None else [explained_fit(self.study, home)]
         return (*linear, *known_starts(self.study, self.ledger, *explained))
 
-    def _reductions(self) -> dict[str, Reduction]:
-        """The reduced bases of the tests whose models are large, by name of the test."""
-        out = {}
-        with tasks_shared(self.workers):
-            for one in self.study.studies:
-                notes = self.reduction_notes.setdefault(one.test, [])
-                found = reduction_noted(one, self.homes.get(one.test), notes, self.progress)
-                if found is not None:
-                    out[one.test] = found
-        return out
+    def _reductions(self, followed: bool = False) -> dict[str, Reduction]:
+        """The reduced bases of the tests whose models are large, by name of the test.
 
-    def _followed(self) -> dict[str, Reduction]:
-        """Bases that grow where least squares lead; of FRFs those of a search."""
+        Where least squares are ``followed``, those of modes grow where they lead.
+        """
         out = {}
         with tasks_shared(self.workers):
             for one in self.study.studies:
-                if isinstance(one.problem, ModalProblem):
+                if followed and isinstance(one.problem, ModalProblem):
                     found = reduction_near(one)
                 else:
                     notes = self.reduction_notes.setdefault(one.test, [])
@@ -173,7 +165,7 @@ class CaseFinder:
         if stated or combinations(self.study.search_space) > RULES.refits:
             yield from self.by_search(cases)
             return
-        reductions = self._followed()
+        reductions = self._reductions(followed=True)
         for case in cases:
             until, found = UntilAgreed(len(self.known) + 1), None
             fit = partial(self.refined, reductions, told=with_prefix(self.progress, case.name), enough=until)
@@ -259,7 +251,7 @@ class CaseFinder:
 
     def by_least_squares(self, cases: Sequence[Case]) -> Iterator[tuple[CaseFound, ...]]:
         """Least squares from several starting points of each case."""
-        reductions = self._followed()
+        reductions = self._reductions(followed=True)
         for case in cases:
             fit = partial(self.refined, reductions, told=with_prefix(self.progress, case.name))
             found = least_squares(case, self.study, self.known, self.quick, fit)

@@ -62,14 +62,13 @@ class Problem:
     beside : tuple of Problem
         Other models with their tests; parameters of the same name are shared. See `join`.
     ledger : str or Path, optional
-        File in which solved points of fits, searches and samples are kept and looked up, made where there is none: the
-        same call again solves none of them. `compare` and `explain` keep none. The key of a point holds all parameter
-        values, and matrices or the function's file, code and objects; name another file when something else changes
-        that it reads. Of joined problems that of the first counts.
+        File that keeps solved points of fits, searches and samples: the same call again solves none of them. `compare`
+        and `explain` keep none. The key of a point holds all parameter values, and matrices or the function's file, code
+        and objects; name another file when something else changes that it reads. That of the first joined problem counts.
     unselected : tuple of str
         Parameters that `keep` has left out.
     settings : StudySettings
-        Keys of the analyses that no argument gives; of a problem that comes from a study those of its file.
+        Keys of the analyses that no argument gives; those of its file, of a problem that comes from a study.
     base : the same as model, optional
         The model before effects were added.
     held_sd : mapping from str to float
@@ -325,8 +324,8 @@ class Problem:
         """
         from calib.api.sensitivity import assessed
 
-        keys = {"samples": samples, "seed": seed}
-        return assessed(self._of(parameters), method, keys, ignore_constraints, executor, progress)
+        own = self._of(parameters)
+        return assessed(own, method, {"samples": samples, "seed": seed}, ignore_constraints, executor, progress)
 
     def statistics_at(self, values: Mapping[str, float]) -> Fit[Problem]:
         """Fit statistics at given values, without fitting."""

@@ -23,7 +23,7 @@ KEYS = {
     "effects", "chosen", "chosen_values", "adequacy_p", "adequacy_p_family", "adequacy_p_fit", "noise_scale",
     "measured_noise_scale", "local_perturbations", "local_perturbation", "evaluations", "begun_anew",
     "accuracy", "std_assumed", "accuracy_that_explains", "place", "misfit_at", "measurement_fault", "wrong_datum",
-    "refused", "nearly",
+    "refused", "nearly", "doubts",
     "faults", "pair_faults", "blamed", "evaluations_intervals", "evaluations_recommendation", "errors", "seconds",
 }  # fmt: skip
 

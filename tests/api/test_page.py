@@ -61,7 +61,7 @@ def test_several_tests_have_one_report(unrendered, tmp_path):
     text = path.read_text()
     assert text.count("<caption>Identifiability of the parameters</caption>") == 1
     sections = re.findall(r'<section id="([^"]+)"', text)
-    assert sections[:4] == ["calibrated", "evidence", "test1-test", "test2-test"]
+    assert sections[:5] == ["afterwards", "calibrated", "evidence", "test1-test", "test2-test"]
     assert len(ids := re.findall(r' id="([^"]+)"', text)) == len(set(ids))
     rms = fit.errors.set_index(["test", "group"])["rms"]
     for name in ("a", "b"):
