@@ -63,8 +63,8 @@ class Problem:
         Other models with their tests; parameters of the same name are shared. See `join`.
     ledger : str or Path, optional
         File that keeps solved points of fits, searches and samples: the same call again solves none of them. `compare`
-        and `explain` keep none. The key of a point holds all parameter values, and matrices or the function's file, code
-        and objects; name another file when something else changes that it reads. That of the first joined problem counts.
+        and `explain` keep none. The key of a point holds all parameter values, and matrices or the function's file,
+        code and objects; name another file when something else changes that it reads. That of the first problem counts.
     unselected : tuple of str
         Parameters that `keep` has left out.
     settings : StudySettings
