@@ -69,11 +69,12 @@ def fault_first(fits: Refits, found: Explanation, candidate_fits: Sequence[Candi
     """Explanation by a fault that beats everything else by far, although something is left besides; None without one.
 
     It explains the data better than every fitted model with effects by 20:1, and takes at least
-    `DecisionRules.least_share` of the sum of squares. Parameters may be pulled by what is left; its own magnitude is
-    inside its limits.
+    `DecisionRules.least_share` of the sum of squares, one of a pair `DecisionRules.pairs_least`. Parameters may be
+    pulled by what is left; its own magnitude is inside its limits.
     """
     fault = found.fault
-    if fault is None or not takes_enough(found, fault):
+    least = RULES.pairs_least if fault is not None and fault.effects[0].of_pair else RULES.least_share
+    if fault is None or not takes_enough(found, fault, least):
         return None
     steps = () if found.steps is None else tuple(step.candidate_fit for step in found.steps.steps[1:])
     best = max((*candidate_fits, *steps), key=lambda t: t.ln_evidence, default=None)

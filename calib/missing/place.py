@@ -52,9 +52,9 @@ def stands_out(found: Explanation, place: CandidateFit) -> bool:
     return beyond and not change.low <= 0 <= change.high and limit_of(place.fit, change.effect.magnitude) is None
 
 
-def takes_enough(found: Explanation, one: CandidateFit) -> bool:
-    """Whether a fit takes at least `DecisionRules.least_share` of the sum of squares of the base model."""
-    return found.base.fit.misfit - one.fit.misfit >= RULES.least_share * found.base.fit.misfit
+def takes_enough(found: Explanation, one: CandidateFit, least: float = RULES.least_share) -> bool:
+    """Whether a fit takes at least a share of the sum of squares of the base model."""
+    return found.base.fit.misfit - one.fit.misfit >= least * found.base.fit.misfit
 
 
 def _fits(fits: Refits, found: Explanation, place: CandidateFit) -> bool:

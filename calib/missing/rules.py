@@ -118,6 +118,9 @@ class DecisionRules:
     pairs_share : float
         Share of the probability of any fault, and of a false alarm by one, that those of pairs have: the limits of the
         others hardly depend on them.
+    pairs_least : float
+        Least share of the sum of squares of the base model that a fault of a pair takes to be told where something is
+        left: of many pairs one always resembles a smooth error of all channels somewhat.
     whole : float
         Distance of a magnitude from 1 below which a fault that is there wholly or not at all, an exchange, is there.
     confounded : float
@@ -210,6 +213,7 @@ class DecisionRules:
     blamed: int = 3
     screened: int = 20
     pairs_share: float = 0.1
+    pairs_least: float = 0.5
     whole: float = 0.25
     confounded: float = 0.9
     early: float = 0.7
