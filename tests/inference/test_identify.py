@@ -249,7 +249,7 @@ def test_coverage_of_a_spring_mass_chain():
         targets = {n: (exact[n] * (1 + 0.01 * rng.standard_normal()), 0.01 * exact[n]) for n in ("f1", "f3")}
         problem = responses(chain_freq, targets, space)
         found = fit(problem, space, prior=Prior.of(space))
-        known = posterior(names, found.jacobian, Prior.of(space).widths(names))
+        known = posterior(names, found.jacobian, Prior.of(space).widths(found.values, names))
         error = np.array([found.values[n] - truth[n] for n in names])
         hits += np.abs(error) <= 1.96 * known.std
         whole = responses(chain_freq, {"f2": (exact["f2"], exact["f2"])}, space)
@@ -366,7 +366,7 @@ def bogie():
 
 
 def errors_in_std(found, space, truth):
-    known = posterior(found.names, found.jacobian, Prior.of(space).widths(found.names))
+    known = posterior(found.names, found.jacobian, Prior.of(space).widths(found.values, found.names))
     return np.array([found.values[n] - truth[n] for n in found.names]) / known.std
 
 
