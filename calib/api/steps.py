@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     from calib.analyses.screening import Screening
     from calib.analyses.sensitivity import Sensitivity
     from calib.api.arguments import RobustnessKeys
+    from calib.execution.stage import Progress
     from calib.missing.findings import ExplanationResult
     from calib.results.ledger import Ledger
+    from calib.results.results import Results
     from calib.study.several import AnyStudy
     from calib.study.study import LoadedStudy
 
@@ -127,18 +129,25 @@ def _selecting(study: Any) -> AnyStudy:
     return loaded.each(lambda one: one.selecting(selected)) if by_measures else loaded
 
 
-def bounded(study: Any, parameters: tuple[str, ...], samples: int, seed: int) -> Intervals:
-    """Intervals of the parameters about the stored calibration."""
-    from calib.analyses.intervals import IntervalsRun, intervals
-
+@contextmanager
+def _about_calibration(study: Any, verb: str) -> Iterator[tuple[AnyStudy, dict[str, Results], Ledger, Progress]]:
+    """What an analysis about the stored calibration needs: the study, the folder of each test, ledger and progress."""
     loaded = _selecting(study)
-    study.listener.begins(loaded, "intervals")
+    study.listener.begins(loaded, verb)
     homes = {one.test: places.results_of(one, study.results) for one in loaded.studies}
     with (
         opened_ledger(study, loaded) as ledger,
         study.listener.progress() as step,
         places.tasks_shared(study.workers),
     ):
+        yield loaded, homes, ledger, step
+
+
+def bounded(study: Any, parameters: tuple[str, ...], samples: int, seed: int) -> Intervals:
+    """Intervals of the parameters about the stored calibration."""
+    from calib.analyses.intervals import IntervalsRun, intervals
+
+    with _about_calibration(study, "intervals") as (loaded, homes, ledger, step):
         run = IntervalsRun(ledger, homes, study.workers, parameters, samples, seed, step)
         found = intervals(loaded, study.folder, run, study.quick)
     study.listener.bounded(found, study.folder)
@@ -150,17 +159,9 @@ def pushed(study: Any, **keys: Unpack[RobustnessKeys]) -> Robustness:
     from calib.analyses.robustness import RobustnessRun, posterior_samples, robustness
     from calib.api.arguments import robustness_settings
 
-    loaded = _selecting(study)
-    study.listener.begins(loaded, "robustness")
-    homes = {one.test: places.results_of(one, study.results) for one in loaded.studies}
-    with (
-        opened_ledger(study, loaded) as ledger,
-        study.listener.progress() as step,
-        places.tasks_shared(study.workers),
-    ):
+    with _about_calibration(study, "robustness") as (loaded, homes, ledger, step):
         settings = robustness_settings(loaded.settings, keys).robustness
-        own = posterior_samples(study.folder)
-        run = RobustnessRun(ledger, settings, own, homes, study.workers, step)
+        run = RobustnessRun(ledger, settings, posterior_samples(study.folder), homes, study.workers, step)
         found = robustness(loaded, study.folder, run, study.quick)
     study.listener.pushed(found, study.folder)
     return found
