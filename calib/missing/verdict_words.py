@@ -170,7 +170,7 @@ def effect_words(effects: pd.DataFrame, e: Candidate) -> str:
     """
     row = row_of(effects, e.name)
     if not row["refitted"]:
-        return f"{e.in_words}, with the signature of {str(row['confounded_with']).split(', ')[0]}"
+        return f"{e.in_words}, with the change pattern of {str(row['confounded_with']).split(', ')[0]}"
     ends = float(row["magnitude_low"]), float(row["magnitude_high"])
     return f"{e.in_words}, {magnitude_words(e.magnitude, float(row['magnitude']), *ends)}"
 

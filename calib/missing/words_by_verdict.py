@@ -120,7 +120,11 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> VerdictWord
     ln_bayes = explaining[0][0] - explaining[1][0]
     named = "; or ".join(words for _, words in explaining)
     collinear_fault = found.fault is not None and found.fault_adequacy is not None
-    alike = "Their signatures are nearly collinear: the odds rest on the exact form of each." if collinear_fault else ""
+    alike = (
+        "Their change patterns are nearly collinear: the odds rest on the exact form of each."
+        if collinear_fault
+        else ""
+    )
     # Only a wrong measurement may be far ahead; an effect that far ahead would be named.
     if ln_bayes > RULES.credible and not collinear_fault:
         first = "A wrong measurement explains the misfit best"

@@ -279,7 +279,7 @@ def _signature(attempt: bool) -> dict[str, Any]:
 def _handles(attempt: bool) -> list[Artist]:
     return [
         Patch(label="residual (test − model)", **_RESIDUAL),
-        Patch(label="signature", **_signature(attempt)),
+        Patch(label="change pattern", **_signature(attempt)),
         Line2D([], [], label="remaining", **_LEFT),
     ]
 

@@ -154,7 +154,7 @@ def test_a_collinear_effect_that_was_not_fitted_is_named_too(toy):
     found = first(merged, {"E2": 1.5}, "indistinguishable")
     one, other = (t.names[0] for t in found.singles[:2])
     alone = replace(found, candidate_fits=tuple(t for t in found.candidate_fits if t.names != (other,)))
-    assert f"or a lack of {other}, with the signature of {one}." in text_of(alone)
+    assert f"or a lack of {other}, with the change pattern of {one}." in text_of(alone)
 
 
 def test_collinear_effects_of_a_pair_are_named_too(toy):
