@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from calib.results.ledger import Ledger
     from calib.results.results import Results
     from calib.study.several import AnyStudy
-    from calib.study.study import LoadedStudy
 
 
 @contextmanager
@@ -41,27 +40,16 @@ def opened_ledger(study: Any, loaded: AnyStudy) -> Iterator[Ledger]:
 def compared(study: Any, undamped: bool = False) -> ComparisonResult:
     """The model of the only test against its measurement, at the nominal values; ``study`` is a `calib.Study`."""
     from calib.analyses.compare import compare
+    from calib.analyses.provenance.stored import with_stored_modes
 
     loaded = study.one
     study.listener.begins(loaded, "compare")
     with study.listener.progress() as step:
         step("solving the model")
-        answer = (
-            compare(loaded, study.folder, undamped)
-            if loaded.settings.solver is None
-            else _of_solver(study, loaded, undamped)
-        )
+        with with_stored_modes(loaded, lambda: opened_ledger(study, loaded)) as stored:
+            answer = compare(stored.studies[0], study.folder, undamped)
     study.listener.compared(loaded, answer, study.folder, undamped)
     return answer
-
-
-def _of_solver(study: Any, loaded: LoadedStudy, undamped: bool) -> ComparisonResult:
-    """The same of a solver, whose runs are stored."""
-    from calib.analyses.compare import compare
-    from calib.analyses.provenance.recorded import recorded
-
-    with opened_ledger(study, loaded) as ledger:
-        return compare(recorded(loaded, ledger), study.folder, undamped)
 
 
 def sampled(study: Any) -> Sensitivity:

@@ -25,15 +25,16 @@ A worker process may be killed at any time, which nothing in it can answer; what
 """
 
 
-def program_of(command: Sequence[str], folder: Path, place: str) -> list[str]:
-    """The command with the path of its program; InputError where there is none.
+def is_beside(program: str) -> bool:
+    """Whether a program is named by a relative path, such as ``./run.sh``, and so belongs to the study."""
+    return bool(os.path.dirname(program)) and not os.path.isabs(program)
 
-    A program that is named with a path is looked for in ``folder`` first.
-    """
+
+def program_of(command: Sequence[str], folder: Path, place: str) -> list[str]:
+    """The command with the path of its program, a relative one being that from ``folder``; InputError without it."""
     name = command[0]
-    own = folder / name
-    if os.path.dirname(name) and own.is_file() and os.access(own, os.X_OK):
-        return [str(own.resolve()), *command[1:]]
+    if is_beside(name) and os.access(own := (folder / name).resolve(), os.X_OK) and own.is_file():
+        return [str(own), *command[1:]]
     found = shutil.which(name)
     if found is None:
         remedy = "install it, or name its whole path"

@@ -338,6 +338,13 @@ class StudySettings(Section):
         return None if isinstance(self.model, str) else self.model
 
     @property
+    def model_files(self) -> tuple[str, ...]:
+        """Files that decide on the model beside its code: those of a solver, ``depends_on``, tables of runs."""
+        tables = (self.model_name, *(test.model or "" for test in self.tests))
+        of_solver = () if self.solver is None else self.solver.inputs
+        return (*of_solver, *self.depends_on, *(name for name in tables if name.endswith(RUNS)))
+
+    @property
     def listed(self) -> tuple[str, ...] | None:
         """The parameters that the study selects by name; None where it names none."""
         return self.selection if isinstance(self.selection, tuple) else None

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from calib.errors.arguments import names, objects
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.outcome import TOOK_TOO_LONG, point_key
-from calib.execution.process import OUTPUT, last_lines, program_of, run_command
+from calib.execution.process import OUTPUT, is_beside, last_lines, program_of, run_command
 from calib.execution.temporary import LOCK, TemporaryFolder
 from calib.imports.coordinates import DECKS
 from calib.imports.deck import check_template, deck_name, deck_of
@@ -87,6 +87,13 @@ class Solver:
     time_limit: float | None = None
     folder: Path = Path()
 
+    is_transparent: ClassVar[bool] = True
+    """See `calib.results.fingerprint.digest_of`: neither the study's folder nor the time limit changes a result."""
+
+    @property
+    def __wrapped__(self) -> str:
+        return self.identity
+
     def __call__(self, values: Mapping[str, float]) -> Mapping[str, Any]:
         """Modes at the sensors, or named numbers, at the values of a point.
 
@@ -107,10 +114,16 @@ class Solver:
 
     @property
     def identity(self) -> str:
-        """Hash over all that a result depends on."""
+        """Hash over all that a result depends on; an installed program counts by name, one of the study by content."""
         content = {name: file.read_bytes() for name, file in self.files.items()}
         reads = (self.modes, self.shapes, self.responses, self.coordinates, self.units, self.damped)
-        return digest_of("solver 1", self.command, dict(self.decks), content, reads)[:16]
+        own = self.folder / self.command[0]
+        program = own.read_bytes() if is_beside(self.command[0]) and own.is_file() else self.command[0]
+        at = [(s.node, s.direction, s.point) for s in self.sensors]
+        integers = [p.name for p in self.space.parameters if p.integer]
+        return digest_of(
+            "solver 2", program, self.command[1:], dict(self.decks), content, reads, at, integers
+        )[:16]  # fmt: skip
 
     def write(self, folder: Path, values: Mapping[str, float], matrices: bool = False) -> None:
         """Write the decks with the values, and copy the other files."""
@@ -350,9 +363,7 @@ def solver_model(
         )  # fmt: skip
     model = ModalFunctionModel(label, space, solver, tuple(sensors), n_modes, damped, step)
     known = replace(solver, sensors=model.sensors)
-    at = [(s.node, s.direction, s.point) for s in model.sensors]
-    identity = digest_of(solver.identity, at, n_modes, step)[:16]
-    return replace(model, function=known, identity=identity)
+    return replace(model, function=known, identity=known.identity)
 
 
 def _found(given: str | Path | Sequence[str | Path], folder: Path, place: str) -> list[Path]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
+from calib.execution.process import is_beside
 from calib.study.measurement_settings import Pair, PathText, Section
 
 
@@ -71,3 +73,12 @@ class SolverSettings(Section):
     @classmethod
     def _listed(cls, given: Any) -> Any:
         return (given,) if isinstance(given, str) else given
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Files of the study that decide on a run: templates, files beside them, a program that is not installed."""
+        try:
+            program = shlex.split(self.command)[:1]
+        except ValueError:  # told where the model is made
+            program = []
+        return (*self.template, *self.files, *filter(is_beside, program))

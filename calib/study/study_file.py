@@ -20,7 +20,6 @@ from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.measurement.responses import MeasuredResponses, read_responses
 from calib.results.fingerprint import code_files, digest_of
-from calib.study.measurement_settings import RUNS
 from calib.study.settings import StudySettings, TestSettings
 from calib.study.study_text import find, place_of, read_layers, read_settings
 
@@ -228,10 +227,7 @@ class StudyFile:
         files = list(code)
         for data in settings.tests or (settings.measurement,):
             files += [*data.files, *data.shapes, *filter(None, [data.sensors, data.responses])]
-        tables = [settings.model_name, *(test.model for test in settings.tests)]
-        if settings.solver is not None:
-            files += [*settings.solver.template, *settings.solver.files]
-        files += [*settings.depends_on, *(name for name in tables if name and name.endswith(RUNS))]
+        files += settings.model_files
         return {file: (folder / file).resolve() for file in files}
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 import re
+import shlex
 import tomllib
 from codecs import BOM_UTF8
 from collections.abc import Mapping, Sequence
@@ -17,6 +18,7 @@ from pydantic import BaseModel, ValidationError
 from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.errors.toml_places import Keys, Mark, keys_in_words, place_in
+from calib.execution.process import is_beside
 from calib.results.former_names import KEYS, MOVED
 from calib.study.measurement_settings import LIBRARY, MODEL, RUNS
 from calib.study.settings import NAME, StudySettings
@@ -134,6 +136,16 @@ def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
     def leads(paths: Any) -> Any:
         return [lead(path) for path in paths] if isinstance(paths, list) else lead(paths)
 
+    def command(words: Any) -> Any:
+        try:
+            program, *more = shlex.split(words) if isinstance(words, str) else ("",)
+        except ValueError:  # told where the model is made
+            return words
+        if not is_beside(program):
+            return words
+        path = lead(program)
+        return shlex.join([path if "/" in path else f"./{path}", *more])
+
     def function(name: Any) -> Any:
         if str(name).endswith(RUNS):
             return lead(name)
@@ -147,6 +159,7 @@ def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
                 out[key] = leads(value)
             elif key == "model" and isinstance(value, dict):
                 out[key] = {**value, **{k: leads(value[k]) for k in _OF_SOLVER if k in value}}
+                out[key] |= {k: command(value[k]) for k in ("command",) if k in value}
             elif key in _FUNCTIONS:
                 out[key] = [function(v) for v in value] if isinstance(value, list) else function(value)
             elif key in _WITH_PATHS and isinstance(value, dict):

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 import calib
+from calib.analyses.provenance.state import made_from, state_differences
 from calib.analyses.runs_ahead import runs_ahead
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.outcome import Outcome
@@ -20,8 +22,24 @@ from calib.results.fingerprint import FAILED_RUNS
 from calib.results.ledger import Ledger
 from calib.study.solver import solver_model
 from calib.study.study import LoadedStudy
+from calib.study.study_file import StudyFile
 from tests.study.solver_chain import PARAMETERS, STUDY, TRUE, exact, runs, solver, study, template
 
+LIBRARY = """import calib
+
+
+def library():
+    size = calib.Parameter("stretch", 0.0, -0.1, 0.1, prior_sd=0.01)
+
+    def build(model):
+        def stretched(values):
+            found = dict(model.function(values))
+            return {**found, "natural_freq": found["natural_freq"] * (1 + values["stretch"])}
+
+        return stretched
+
+    return (calib.Effect("stretch", "Stretch", "a factor", "all frequencies", size, build),)
+"""
 NOMINAL = {p.name: p.value for p in PARAMETERS}
 
 
@@ -211,6 +229,55 @@ def test_a_change_of_the_deck_or_of_the_command_is_another_model(tmp_path):
     with_mesh = solver(tmp_path, files="mesh.inc").fingerprint
     (tmp_path / "mesh.inc").write_text("2")
     assert len({one, with_mesh, solver(tmp_path, files="mesh.inc").fingerprint}) == 3
+
+
+def test_a_program_of_the_study_belongs_to_the_model_and_is_found_from_a_derived_study(tmp_path):
+    folder = study(tmp_path / "chain", text=re.sub('command = ".*"', 'command = "./run.sh -S"', STUDY))
+
+    def load(folder, said=""):
+        program = tmp_path / "chain/run.sh"
+        program.write_text(f'#!/bin/sh\necho "{said}"\nexec {sys.executable} -I "$@" solve.py\n')
+        program.chmod(0o755)
+        return LoadedStudy.load(folder)
+
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/study.toml").write_text('base = "../chain"\ntitle = "other"\n')
+    first, other = load(folder), load(tmp_path / "other")
+    np.testing.assert_allclose(other.model.modes({}, 2).natural_freq, exact(NOMINAL)[0], rtol=1e-12)
+    assert other.problem.ledger_key == first.problem.ledger_key != load(folder, "more").problem.ledger_key
+    assert "./run.sh" in first.read_files
+
+
+def test_runs_stay_valid_where_a_study_with_an_effect_is_copied_or_given_more_time(tmp_path):
+    head = 'effects = "library.py:library"\nwith_effects = ["stretch"]\n'
+    folder = study(tmp_path / "chain", text=STUDY.replace("[model]", f"{head}[model]", 1))
+    (folder / "library.py").write_text(LIBRARY)
+    key = LoadedStudy.load(folder).problem.ledger_key
+    copied = shutil.copytree(folder, tmp_path / "copy")
+    assert LoadedStudy.load(copied).problem.ledger_key == key
+    text = (copied / "study.toml").read_text()
+    (copied / "study.toml").write_text(f"{text}time_limit = 7.0\n")
+    assert LoadedStudy.load(copied).problem.ledger_key == key
+    (copied / "study.toml").write_text(text.replace("-I -S", "-I"))
+    assert LoadedStudy.load(copied).problem.ledger_key != key
+
+
+def test_a_changed_template_outdates_results_where_no_code_is_run(tmp_path):
+    folder = study(tmp_path / "chain")
+    then = made_from(StudyFile.read(folder), "compare")
+    template(folder, "pass")
+    assert state_differences(then, made_from(StudyFile.read(folder), "compare")) == ["solve.py.j2"]
+
+
+def test_a_comparison_does_not_rely_on_stored_runs_of_another_solver(tmp_path):
+    """It reads a file that the study does not name."""
+    folder = study(tmp_path / "chain", f"k = float(open({str(tmp_path / 'k')!r}).read())")
+    (tmp_path / "k").write_text("2.0")
+    loaded = calib.Study.load(folder, results=tmp_path / "results", progress=False)
+    loaded.compare()
+    (tmp_path / "k").write_text("2.1")
+    with pytest.raises(InputError, match="other results"):
+        loaded.compare()
 
 
 def test_a_study_asks_its_solver_for_what_was_measured(tmp_path):

@@ -127,11 +127,11 @@ def made_from(study: StudyFile, analysis: str) -> dict[str, Any]:
 
 
 def _sources(study: StudyFile, analysis: str, files: Mapping[str, str]) -> list[str]:
-    """Files of code, and those that a study declares; without its effects where the analysis uses none."""
+    """Files of code, and others that decide on the model; without effects where the analysis uses none."""
     given = study.settings
     of_effects = {function.rpartition(":")[0] for function in given.libraries}
     unused = set() if given.with_effects or _uses_effects(analysis) else of_effects
-    return [name for name in files if (name.endswith(".py") or name in given.depends_on) and name not in unused]
+    return [name for name in files if (name.endswith(".py") or name in given.model_files) and name not in unused]
 
 
 def _effects(study: LoadedStudy) -> str:
