@@ -21,6 +21,8 @@ if sys.platform != "win32":  # there, an open file cannot be deleted: that is th
 _NAME = ".running-{}.json"
 _LENGTH = 4096
 """Bytes of a note."""
+_KINDS = {"pid": int, "verb": str, "began": float, "told": float}
+"""What every note has."""
 
 
 class RunningNote:
@@ -102,16 +104,16 @@ class RunningNote:
 def notes_in(home: Path) -> list[dict[str, Any]]:
     """The notes in a folder of results, the earliest command first.
 
-    Each is what `RunningNote` wrote, its ``path``, and ``running``: whether its process still lives. One that is being
-    written at this moment is left out.
+    Each is what `RunningNote` wrote (``began`` and ``told``, the time of the last stage, in seconds since 1970), its
+    ``path``, and ``running``: whether its process still lives. One that is being written at this moment is left out.
     """
     found = []
     for path in home.glob(_NAME.format("*")):
         with contextlib.suppress(OSError, ValueError, AttributeError):
             content = json.loads(path.read_bytes())
-            if isinstance(content.get("pid"), int) and isinstance(content.get("verb"), str):
+            if all(isinstance(content.get(name), kind) for name, kind in _KINDS.items()):
                 found.append({**content, "path": path, "running": _is_held(path)})
-    return sorted(found, key=lambda note: note.get("began") or 0.0)
+    return sorted(found, key=lambda note: float(note["began"]))
 
 
 def _is_held(path: Path) -> bool:

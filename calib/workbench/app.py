@@ -21,7 +21,6 @@ from calib.execution.outcome import words_of
 from calib.execution.tasks import one_thread
 from calib.report.html import space
 from calib.report.html.study_results import StudyResults
-from calib.results.version import __version__
 from calib.study.study_file import StudyFile
 from calib.workbench.correlation import correlation
 from calib.workbench.edits import Edits
@@ -29,7 +28,7 @@ from calib.workbench.live import Live
 from calib.workbench.missing import missing, versions
 from calib.workbench.overview import listed, overview
 from calib.workbench.parameters import parameters
-from calib.workbench.runs import Commands, adding
+from calib.workbench.runs import OPTIONS, Commands, adding
 from calib.workbench.search import LedgerReader
 from calib.workbench.search_view import search_view
 from calib.workbench.studies import KnownStudy, Studies
@@ -121,7 +120,8 @@ class Workbench:
                 found.append(listed(self.studies, one, known))
             except InputError as fault:
                 found.append({"key": one.key, "name": one.name, "path": str(one.file.parent), "fault": fault.sentence})
-        return {"studies": found, "single": self.studies.is_study, "version": __version__}
+        quick = [verb for verb, options in OPTIONS.items() if "quick" in options]
+        return {"studies": found, "single": self.studies.is_study, "quick": quick}
 
     def _asked(self, request: Request) -> tuple[KnownStudy, str, str]:
         study, asked = self._study(request), request.query_params
@@ -129,7 +129,7 @@ class Workbench:
 
     def _overview(self, request: Request) -> Any:
         study, part, test = self._asked(request)
-        return {**overview(self.studies, study, part, test), "runs": self.commands.listing(study)}
+        return overview(self.studies, study, part, test)
 
     def _search(self, request: Request) -> Any:
         study, part, test = self._asked(request)

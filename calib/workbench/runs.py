@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import signal
 import subprocess
@@ -52,7 +53,8 @@ class StartedCommand:
     process : Popen
     output : file
         Everything that it prints. It has no name, so that the command goes on when the server is gone.
-    began : float
+    began, ended : float
+        Seconds since 1970; infinity until it has ended.
     then : list of (verb, arguments)
         Commands that follow when it succeeds.
     stopped : bool
@@ -69,6 +71,7 @@ class StartedCommand:
     then: list[tuple[str, tuple[str, ...]]] = field(default_factory=list)
     stopped: bool = False
     code: int | None = None
+    ended: float = math.inf
 
     @property
     def tail(self) -> str:
@@ -131,7 +134,7 @@ class Commands:
     def _follow(self, one: StartedCommand) -> None:
         code = one.process.wait()
         with self._lock:
-            one.code = code
+            one.code, one.ended = code, time.time()
             if code == 0 and one.then and not one.stopped:
                 (verb, arguments), *then = one.then
                 self._start(one.study, verb, arguments, one.options, then)
@@ -148,10 +151,15 @@ class Commands:
         return False
 
     def listing(self, study: KnownStudy) -> list[dict[str, Any]]:
-        """The commands on a study that run or have ended, the latest last; see `_told`."""
+        """The commands on a study that run or have ended, the latest last; see `_told`.
+
+        One that did not succeed is left out once later results were written, by whichever command.
+        """
+        written = study.written
         own = [one for one in self._started if one.study == study.key]
+        own = [one for one in own if one.code in (None, 0) or one.ended > written]
         # The pid of a command that has ended may be another one's by now.
-        notes = {note["pid"]: note for note in notes_in(study.home)}
+        notes = {n["pid"]: n for n in notes_in(study.home) if n["running"] or n["told"] > written}
         mine = {one.process.pid for one in own}
         found = [_told(one, notes.get(one.process.pid) if one.code is None else None) for one in own]
         found += [_noted(note) for pid, note in notes.items() if pid not in mine]
@@ -164,11 +172,11 @@ def _told(one: StartedCommand, note: Mapping[str, Any] | None) -> dict[str, Any]
     known = note or {}
     return {
         "pid": one.process.pid, "verb": one.verb, "options": one.options, "began": one.began, "state": state,
-        "here": True, "command": f"calib {' '.join(one.arguments)}", "words": known.get("words") or _early(one),
+        "command": f"calib {' '.join(one.arguments)}", "words": known.get("words") or _early(one),
         "stage": known.get("stage", ""), "done": known.get("done", 0), "total": known.get("total", 0),
-        "best": known.get("best"), "left": known.get("left", ""), "stopping": one.stopped and one.code is None,
+        "left": known.get("left", ""), "stopping": one.stopped and one.code is None,
+        "again": _again(one.verb, one.options),
         "sentence": one.complaint if state == "failed" else "", "tail": one.tail if state == "failed" else "",
-        "next": [verb for verb, _ in one.then] if one.code is None else [],
     }  # fmt: skip
 
 
@@ -177,15 +185,18 @@ def _early(one: StartedCommand) -> str:
 
 
 def _noted(note: Mapping[str, Any]) -> dict[str, Any]:
-    """A command that was started elsewhere."""
-    known = {
-        key: note.get(key) for key in ("pid", "verb", "options", "began", "words", "stage", "done", "total", "best")
-    }
+    """A command that was started elsewhere; its note outlives it only where its process was killed."""
+    names = ("pid", "verb", "options", "began", "words", "stage", "done", "total", "left")
+    state, sentence = ("running", "") if note["running"] else ("failed", "Its process was killed.")
     return {
-        **known, "left": note.get("left", ""), "state": "running" if note["running"] else "failed", "here": False,
-        "command": f"calib {note['verb']}", "sentence": "" if note["running"] else "its process was ended", "tail": "",
-        "next": [], "stopping": False,
+        **{name: note.get(name) for name in names}, "state": state, "sentence": sentence, "tail": "",
+        "command": f"calib {note['verb']}", "stopping": False, "again": _again(note["verb"], note.get("options") or {}),
     }  # fmt: skip
+
+
+def _again(verb: str, options: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The options with which the page may give a command again; None for a command that it does not start so."""
+    return dict(options) if set(options) <= set(OPTIONS.get(verb, ())) and verb in OPTIONS else None
 
 
 def _arguments(study: KnownStudy, verb: str, options: Mapping[str, Any]) -> tuple[str, ...]:

@@ -79,6 +79,12 @@ class KnownStudy:
         homes = [home / part for home in (self.home, *of_tests) for part in ("", *self.parts)]
         return tuple(map(_stamp, (self.file, *(home / name for home in homes for name in (LOG, "record.json")))))
 
+    @property
+    def written(self) -> float:
+        """When its results were last written, in seconds since 1970; 0 without any."""
+        _, *of_results = self.stamp()
+        return max(changed for changed, _ in of_results) / 1e9
+
 
 def _stamp(path: Path) -> tuple[int, int]:
     try:

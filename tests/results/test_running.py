@@ -30,7 +30,7 @@ def told(note, words="calibrate: GB1", **more):
     note.tell(words, **{"stage": "GB1", "done": 1.0, "total": 4.0, "best": math.nan, "left": "2 min", **more})
 
 
-def test_a_running_command_is_seen_and_vanishes_when_it_succeeds(home):
+def test_a_running_command_is_seen_and_vanishes_when_it_ends(home):
     with RunningNote(home, "calibrate", {"quick": True}) as note:
         assert notes_in(home) == []  # before the first stage nobody knows of it
         told(note)
@@ -51,7 +51,7 @@ def test_it_vanishes_with_a_command_that_fails(home, fault):
 
 
 def test_that_of_a_killed_command_vanishes_with_the_next(home):
-    (home / ".running-1.json").write_text('{"pid": 1, "verb": "explain"}')
+    (home / ".running-1.json").write_text('{"pid": 1, "verb": "explain", "began": 1.0, "told": 2.0}')
     assert [one["running"] for one in notes_in(home)] == [False]
     with RunningNote(home, "calibrate", {}) as note:
         told(note)
@@ -80,7 +80,8 @@ def test_nothing_is_written_where_the_results_are_of_another_study(home, owner):
 def test_a_damaged_note_is_left_out(home):
     (home / ".running-7.json").write_text("{")
     (home / ".running-8.json").write_text("[1]")
-    (home / ".running-9.json").write_text(json.dumps({"pid": "9", "verb": "run"}))
+    (home / ".running-9.json").write_text(json.dumps({"pid": "9", "verb": "run", "began": 1.0, "told": 1.0}))
+    (home / ".running-5.json").write_text(json.dumps({"pid": 5, "verb": "run", "began": None, "told": 1.0}))
     assert notes_in(home) == []
 
 

@@ -1,5 +1,7 @@
 """Commands that the page starts, stops and tells, and those that were started elsewhere."""
 
+import json
+import os
 import sys
 import time
 from pathlib import Path
@@ -11,6 +13,8 @@ from calib.results.running import RunningNote
 from calib.workbench import runs
 from calib.workbench.runs import Commands, adding
 from calib.workbench.studies import Studies
+
+from .conftest import PORT, TOKEN
 
 WAITS = "import time; print('begun', flush=True); time.sleep(60)"
 REFUSES = "import sys; print('GB1'); print('Error: study.toml, line 3: no such key.', file=sys.stderr); sys.exit(2)"
@@ -107,7 +111,7 @@ def test_a_command_of_a_terminal_is_listed_and_stopped_by_the_page(study, here, 
     with RunningNote(study.home, "explain", {}) as note:
         note.tell("explain: testing 3/7", "testing", 3.0, 7.0, float("nan"), "2 min")
         (seen,) = own.listing(study)
-        assert (seen["verb"], seen["state"], seen["here"], seen["left"]) == ("explain", "running", False, "2 min")
+        assert (seen["verb"], seen["state"], seen["again"], seen["left"]) == ("explain", "running", {}, "2 min")
         with pytest.raises(InputError, match="a command runs"):
             own.start(study, "compare", {})
     assert own.listing(study) == []
@@ -123,7 +127,7 @@ def test_the_note_of_an_own_command_tells_how_far_it_is(study, commands):
     own.start(study, "run", {})
     until(lambda: own.listing(study)[0]["words"] == "run: sampling 3/9")
     (seen,) = own.listing(study)
-    assert (seen["done"], seen["total"], seen["best"], seen["here"]) == (3.0, 9.0, 0.5, True)
+    assert (seen["verb"], seen["done"], seen["total"]) == ("run", 3.0, 9.0)
 
 
 def test_an_extended_study_has_a_place_of_its_own(study, here):
@@ -142,4 +146,27 @@ def test_the_page_starts_and_stops_a_command(page, key, here, monkeypatch):
     refused = page.post(f"study/{key}/run", json={"verb": "compare"})
     assert refused.status_code == 409 and "a command runs on this study" in refused.json()["fault"]
     assert page.post(f"study/{key}/stop", json={"pid": run["pid"]}).status_code == 200
-    until(lambda: page.get(f"study/{key}").json()["runs"][0]["state"] == "stopped")
+    with page.websocket_connect(f"ws://127.0.0.1:{PORT}/{TOKEN}/live") as live:
+        seen = None
+        while seen != "stopped":
+            seen = json.loads(live.receive_text())["studies"][key]["runs"][0]["state"]
+
+
+def test_a_failure_is_told_until_later_results_are_written(study, commands, here):
+    own = commands(REFUSES)
+    own.start(study, "calibrate", {"quick": True})
+    assert ended(own, study)["again"] == {"quick": True}
+    note = here / "results/mast/.running-1.json"
+    told = {"pid": 1, "verb": "robustness", "options": {}, "began": time.time(), "told": time.time()}
+    note.write_text(json.dumps(told))
+    killed = own.listing(study)[-1]
+    assert (killed["verb"], killed["state"], killed["again"]) == ("robustness", "failed", None)
+    later = time.time_ns() + 10**9
+    os.utime(here / "results/mast/record.json", ns=(later, later))
+    assert own.listing(study) == []
+
+
+def test_a_further_command_on_another_study_is_not_given_again(study, commands):
+    own = commands(REFUSES)
+    own.start_all(study, [("calibrate", ("other",))], {"effects": ["guy"], "quick": True})
+    assert ended(own, study)["again"] is None  # it would calibrate the study that the page shows

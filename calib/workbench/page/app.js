@@ -29,7 +29,7 @@ class Page {
       const found = await ask("studies");
       this.studies = found.studies;
       this.single = found.single;
-      this.version = found.version;
+      this.quickVerbs = found.quick;
       this.route();
     } catch (fault) {
       document.getElementById("view").replaceChildren(h("p", { class: "note bad" }, fault.message));
@@ -55,7 +55,6 @@ class Page {
       this.view = new View(this, document.getElementById("view"));
       document.getElementById("view").scrollTop = 0;
     }
-    this.stamp = "";
     this.refresh();
   }
 
@@ -115,7 +114,7 @@ class Page {
     return this.runs.find((one) => one.state === "running");
   }
 
-  // The last command, where it did not succeed and nothing has been run since.
+  // The last command, where it did not succeed; the server leaves it out once anything has been run since.
   get failed() {
     const last = this.runs.at(-1);
     return last && (last.state === "failed" || last.state === "stopped") ? last : null;
@@ -158,10 +157,13 @@ class Page {
 
   // -- commands ------------------------------------------------------------------------------------------------------
 
-  async run(verb, options = {}) {
-    const quick = ["sensitivity", "calibrate", "intervals", "run"].includes(verb) && this.quick ? { quick: true } : {};
-    await this.ordered("run", { verb, options: { ...quick, ...options } }, `Started: calib ${verb}`);
-    if (this.quick && quick.quick && this.part !== "quick") this.wanted = "quick";
+  async run(verb) {
+    await this.give(verb, this.quick && this.quickVerbs.includes(verb) ? { quick: true } : {});
+  }
+
+  async give(verb, options) {
+    await this.ordered("run", { verb, options }, `Started: calib ${verb}`);
+    if (options.quick && this.part !== "quick") this.wanted = "quick";
   }
 
   async add(effects) {
@@ -274,13 +276,12 @@ export function bar(done, total) {
 export function afterFailure(page) {
   const run = page.failed;
   if (!run) return null;
-  const options = Object.fromEntries(Object.entries(run.options ?? {}).filter(([name]) => ["case", "method", "quick", "workers"].includes(name)));
   const stopped = run.state === "stopped", at = run.words ? `, at: ${run.words}` : "";
   return h("div", { class: stopped ? "note" : "note bad", id: "after" },
     h("p", {}, h("strong", {}, `calib ${run.verb} ${stopped ? "was stopped" : "failed"}${at}. `), run.sentence || (stopped ? "Nothing is lost: the same command goes on where it stood." : "")),
     run.tail && !run.sentence ? h("pre", {}, run.tail.split("\n").slice(-12).join("\n")) : null,
-    run.verb === "extend" ? null : h("div", { class: "act" },
-      h("button", { type: "button", class: "main", disabled: Boolean(page.running), onclick: () => page.run(run.verb, options) }, stopped ? "Resume" : "Again"),
+    run.again === null ? null : h("div", { class: "act" },
+      h("button", { type: "button", class: "main", disabled: Boolean(page.running), onclick: () => page.give(run.verb, run.again) }, stopped ? "Resume" : "Again"),
       h("span", { class: "soft small" }, `started ${lasting(Date.now() / 1000 - run.began)} ago`)));
 }
 

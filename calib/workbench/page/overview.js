@@ -1,6 +1,6 @@
 // The state of a study: what was run, what was found, and the next command as a button.
 import { afterFailure } from "./app.js";
-import { ask, change, figure, h, panel, tell, when } from "./dom.js";
+import { ask, figure, h, panel, when } from "./dom.js";
 
 const STATES = { done: ["●", "good", "done"], stale: ["◐", "warn", "out of date"], never: ["○", "soft", "not run"], running: ["▶", "", "running"] };
 
@@ -21,7 +21,7 @@ export class Overview {
 
   draw(known) {
     const { page } = this;
-    const now = JSON.stringify([{ ...known, runs: 0 }, page.running?.verb, page.failed?.pid, page.failed?.state]);
+    const now = JSON.stringify([known, page.running?.verb, page.failed?.pid, page.failed?.state]);
     if (now === this.seen) return;
     this.seen = now;
     this.place.replaceChildren(h("div", { class: "stack" },
