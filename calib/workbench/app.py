@@ -62,7 +62,7 @@ class Workbench:
         self.live = Live(studies, self.commands)
         self._ledgers: dict[str, LedgerReader] = {}
         self._drawing = threading.Lock()
-        self._drawn: dict[tuple[str, str, str], tuple[str, str]] = {}
+        self._drawn: dict[tuple[str, ...], tuple[str, str]] = {}
         self._files = _files()
 
     @property
@@ -223,7 +223,7 @@ class Workbench:
                 drawing = results.figures.plan.get(name)
                 if drawing is None:
                     raise LookupError("the results have no such figure")
-                place = study.key, f"{part}/{test}", name
+                place = study.key, part, test, name
                 if self._drawn.get(place, ("", ""))[0] != drawing.key or not drawing.key:
                     self._drawn[place] = drawing.key, results.figures.svg(name)
                 return self._drawn[place][1]
@@ -233,8 +233,8 @@ class Workbench:
     async def _report(self, request: Request) -> Response:
         def text() -> str:
             study, part, _ = self._asked(request)
-            path = study.home / (part if part in study.parts else "") / "report.html"
-            if path.is_symlink() or not path.is_file():
+            path = self.studies.report(study, part)
+            if path is None:
                 raise LookupError("there is no report yet: calib report STUDY writes it")
             return path.read_text("utf-8")
 

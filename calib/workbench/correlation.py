@@ -31,8 +31,7 @@ def correlation(results: StudyResults) -> dict[str, Any] | None:
     return {
         "stages": stages, "scene": space.scene(results), "motions": space.model_motions(results),
         "modes": [] if measured is None else [
-            {"name": str(r["mode"]), "held_out": flag(r["held_out"]), "freq": fixed(r["natural_freq"], 2)}
-            for r in measured.to_dict("records")
+            {"name": str(r["mode"]), "held_out": flag(r["held_out"])} for r in measured.to_dict("records")
         ],
         "sensors": [] if sensors is None else [
             {"name": str(r["sensor"]), "held_out": flag(r["held_out"])} for r in sensors.to_dict("records")
@@ -76,7 +75,6 @@ def _pair(r: Any) -> dict[str, Any]:
     return {
         "mode": str(r["mode"]), "model_mode": int(number) if math.isfinite(number) else None,
         "measured": fixed(r["natural_freq_measured"], 2), "model": fixed(r["natural_freq_model"], 2),
-        "error": percent(r["freq_error"], 2, sign=True), "mac": fixed(r["mac"], 3), "emac": fixed(r["emac"], 3),
-        "margin": fixed(r["margin"], 2), "damping": percent(r["damping_ratio_measured"], 2),
-        "damping_model": percent(r["damping_ratio_model"], 2),
+        "error": percent(r["freq_error"], 2, sign=True), "mac": fixed(r["mac"], 3),
+        "damping": percent(r["damping_ratio_measured"], 2), "damping_model": percent(r["damping_ratio_model"], 2),
     }  # fmt: skip

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-import os
 import threading
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +13,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from calib.errors.errors import InputError
+from calib.results.written import whole
 from calib.study.study_file import StudyFile
 from calib.study.study_text import read_settings
 
@@ -164,19 +163,14 @@ def _require(file: Path, text: str, digest: str) -> None:
 
 def _write(file: Path, text: str) -> None:
     """Replace the file where its new content is a valid study."""
-    draft = file.with_name(f".{file.stem}.{os.getpid()}.part")
     try:
-        draft.write_bytes(text.encode("utf-8"))
-        try:
+        with whole(file) as draft:
+            draft.write_bytes(text.encode("utf-8"))
             read_settings(draft)
-        except InputError as fault:
-            raise InputError(fault.problem, place=file, remedy=fault.remedy or "the file stays as it was") from None
-        os.replace(draft, file)
+    except InputError as fault:
+        raise InputError(fault.problem, place=file, remedy=fault.remedy or "the file stays as it was") from None
     except OSError as fault:
         raise InputError(f"it cannot be written ({fault.strerror})", place=file) from None
-    finally:
-        with suppress(OSError):
-            draft.unlink(missing_ok=True)
 
 
 def _diff(old: str, new: str) -> list[str]:

@@ -8,14 +8,13 @@ from typing import Any
 import pandas as pd
 
 from calib.errors.errors import InputError
+from calib.missing.explanation import NAMED, OPEN
 from calib.report.html import cells, effects, explanation
+from calib.report.html.answer import effects_in_model
 from calib.report.html.study_results import StudyResults
-from calib.report.numbers import fixed, flag, p_in_words, probability
-from calib.report.verification import GROUPS
+from calib.report.numbers import fixed, flag, probability
 from calib.workbench.studies import KnownStudy, Studies
 
-NAMED = ("effect", "two_effects", "several_effects")
-"""Verdicts that name what is missing."""
 _IN_WORDS = {
     **dict.fromkeys(NAMED, "cause found"), "indistinguishable": "several causes possible",
     "measurement": "error of the measurement", "nothing_detectable": "nothing is missing",
@@ -23,10 +22,8 @@ _IN_WORDS = {
     "noise_underestimated": "standard deviations too small",
 }  # fmt: skip
 """Verdicts in short; the others name no cause."""
-_COMPOSED = ("unconfirmed", "partial", "none_explains", "misfit_unlocated")
-"""Verdicts after which effects may be composed that nobody listed."""
 _SHOWN = 6
-"""Measurements that are listed."""
+"""Rows of a list: errors of the measurement, local changes, and measurements."""
 
 
 def missing(results: StudyResults) -> dict[str, Any] | None:
@@ -35,7 +32,7 @@ def missing(results: StudyResults) -> dict[str, Any] | None:
     Returns
     -------
     dict
-        ``verdict``, ``words`` (in short), ``named`` (whether it names effects that may be added: none before faults of
+        ``words`` (the verdict in short), ``named`` (whether it names effects that may be added: none before faults of
         the measurement are corrected), ``composed`` (whether others may be composed), ``chosen``, ``answer``,
         ``sentences`` and ``notes``, ``effects`` (ranked, numbers as the report words them), ``why`` (sentences),
         ``shown`` (effects of which the figure shows the signature), ``faults``, ``places`` (local changes),
@@ -45,18 +42,18 @@ def missing(results: StudyResults) -> dict[str, Any] | None:
         return None
     answer = {key: cells.arrows(words) for key, words in results.answer("explain").items()}
     table, faults = effects.ranked_effects(results), results.table("faults")
-    has_why = results.table("why") is not None
+    why = results.table("why")
     verdict = str(results.explanation.get("verdict", ""))
     return {
-        "verdict": verdict, "named": verdict in NAMED and not _blamed(faults), "composed": verdict in _COMPOSED,
+        "named": verdict in NAMED and not _blamed(faults), "composed": verdict in OPEN,
         "words": _IN_WORDS.get(verdict, "no cause given"), "chosen": list(results.explanation.get("chosen", [])),
         "answer": answer, "sentences": explanation.sentences(results),
         "notes": [cells.arrows(str(words)) for words in results.explanation.get("notes", [])],
         "effects": [] if table is None else _ranked(results, table),
-        "why": effects.why(results).words if has_why else [],
-        "shown": list(dict.fromkeys(results.table("why")["effect"])) if has_why else [],  # type: ignore[index]
-        "faults": [] if faults is None or faults.empty else _faults(faults),
-        "faults_words": "" if faults is None or faults.empty else explanation.named_faults(faults),
+        "why": [] if why is None else effects.why(results).words,
+        "shown": [] if why is None else list(dict.fromkeys(why["effect"])),
+        "faults": [] if faults is None else _faults(faults),
+        "faults_words": "" if faults is None else explanation.named_faults(faults),
         "places": _places(results), "axes": results.axes, "measurements": _measurements(results),
     }  # fmt: skip
 
@@ -86,10 +83,11 @@ def _blamed(faults: pd.DataFrame | None) -> bool:
 
 def _faults(table: pd.DataFrame) -> list[dict[str, Any]]:
     """The largest scores of errors of the measurement."""
+    first = table.head(_SHOWN)
     return [
-        {"told": str(r["told"]) or str(r["fault"]), "score": fixed(r["score"], 1, sign=True),
+        {"told": words or str(r["fault"]), "score": fixed(r["score"], 1, sign=True),
          "limit": fixed(r["limit"], 2), "beyond": abs(float(r["score"])) > float(r["limit"])}
-        for r in table.head(6).to_dict("records")
+        for r, words in zip(first.to_dict("records"), explanation.faults_in_words(first), strict=True)
     ]  # fmt: skip
 
 
@@ -98,10 +96,10 @@ def _places(results: StudyResults) -> list[dict[str, Any]]:
     table = effects.ranked_perturbations(results)
     if table is None:
         return []
-    first = table.head(8)
+    first = table.head(_SHOWN)
     at = effects.places_of_perturbations(first)
     return [
-        {"name": str(r["perturbation"]), "kind": str(r["kind"]), "score": fixed(r["score"], 1, sign=True), "at": at[k]}
+        {"name": str(r["perturbation"]), "score": fixed(r["score"], 1, sign=True), "at": at[k]}
         for k, r in enumerate(first.to_dict("records"))
     ]
 
@@ -122,8 +120,8 @@ def _measurements(results: StudyResults) -> list[dict[str, str]]:
 def versions(studies: Studies, study: KnownStudy, part: str) -> list[dict[str, Any]]:
     """The study and all versions of it, the oldest first, with the errors of each after its calibration.
 
-    Each has ``key, name, title, parent, effects``, ``errors`` by group (``group, words, rms, expected, p``; none before
-    its calibration) and ``mean`` errors as its summary has them.
+    Each has ``key, name, parent, effects``, ``errors`` by group (``group, words, rms, expected`` in standard
+    deviations, ``text`` of the rms; none before its calibration), and ``fault``: why it cannot be read.
     """
     known = studies.all()
     parents = {key: studies.parent(one, known) for key, one in known.items()}
@@ -140,19 +138,18 @@ def versions(studies: Studies, study: KnownStudy, part: str) -> list[dict[str, A
 
 def _version(studies: Studies, study: KnownStudy, parent: str, part: str) -> dict[str, Any]:
     own = part if part in study.parts else study.parts[0] if study.parts else ""
-    found: dict[str, Any] = {"key": study.key, "name": study.name, "parent": parent, "part": own, "fault": ""}
+    found: dict[str, Any] = {"key": study.key, "name": study.name, "parent": parent, "fault": ""}
     try:
         results = studies.results(study, own)
-        table, summary = results.table("data_errors"), results.summary
+        table = results.table("data_errors")
+        names = effects_in_model(results)
     except InputError as fault:
-        return {**found, "title": study.name, "effects": [], "errors": [], "mean": {}, "fault": fault.sentence}
-    named = {k: summary[k] for k in ("mean_freq_error_after", "mean_mac_after") if summary.get(k) is not None}
+        return {**found, "effects": [], "errors": [], "fault": fault.sentence}
     return {
-        **found, "title": results.title, "effects": list(results.record.get("effects_in_model", [])), "mean": named,
+        **found, "effects": names,
         "errors": [] if table is None else [
-            {"group": str(r["group"]), "words": GROUPS.get(str(r["group"]), str(r["group"])), "rms": float(r["rms"]),
-             "expected": float(r["expected"]), "p": p_in_words(float(r["p"])), "text": fixed(r["rms"], 2),
-             "expected_text": fixed(r["expected"], 2)}
+            {"group": str(r["group"]), "words": cells.group_words(str(r["group"])), "rms": float(r["rms"]),
+             "expected": float(r["expected"]), "text": fixed(r["rms"], 2)}
             for r in table.to_dict("records") if math.isfinite(r["rms"])
         ],
     }  # fmt: skip

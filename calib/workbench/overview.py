@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from calib.report.html.cells import arrows
 from calib.report.html.study_results import StudyResults
-from calib.report.html.summary import page_summary
+from calib.report.html.summary import ANSWERING, page_summary
 from calib.study.study_file import StudyFile
 from calib.workbench.runs import OPTIONS
 from calib.workbench.studies import KnownStudy, Studies
@@ -46,7 +47,7 @@ def overview(studies: Studies, study: KnownStudy, part: str, test: str) -> dict[
                     "origin": summary.origin} if ran else None,
         "analyses": rows, "next": _next(results, rows), "notes": _notes(results), "parts": study.parts,
         "tests": _tests(study), "kind": results.kind if ran else "", "figure": _figure(results) if ran else None,
-        "report": (study.home / part / "report.html").is_file(), "added": results.added_effects,
+        "report": studies.report(study, part) is not None,
     }  # fmt: skip
 
 
@@ -83,9 +84,9 @@ def _analysis(results: StudyResults, verb: str, title: str, what: str) -> dict[s
     answers = [(one.test, answer) for one in each if (answer := one.answer(verb))]
     found = " ".join(f"{test}: {answer['found']}" if test else answer["found"] for test, answer in answers)
     return {
-        "verb": verb, "title": title, "what": what, "state": state, "stale": stale.replace(" -> ", " → "),
+        "verb": verb, "title": title, "what": what, "state": state, "stale": arrows(stale),
         "when": max((str(entry.get("when", "")) for entry in entries if entry), default=""),
-        "quick": any(bool(entry.get("quick")) for entry in entries if entry), "found": found.replace(" -> ", " → "),
+        "quick": any(bool(entry.get("quick")) for entry in entries if entry), "found": arrows(found),
         "then": answers[0][1].get("then", "") if answers else "",
     }  # fmt: skip
 
@@ -96,7 +97,7 @@ def _next(results: StudyResults, rows: list[dict[str, Any]]) -> dict[str, str]:
     stale = next((row for row in rows if row["state"] == "stale"), None)
     if stale is not None:
         return {"verb": stale["verb"], "words": stale["stale"]}
-    for verb in ("explain", "calibrate", "compare"):
+    for verb in ANSWERING:
         row = by_verb.get(verb)
         if row is None or row["state"] != "done":
             continue
@@ -128,6 +129,5 @@ def listed(studies: Studies, study: KnownStudy, known: dict[str, KnownStudy]) ->
     return {
         "key": study.key, "name": study.name, "title": results.title, "path": str(study.file.parent),
         "done": done, "stale": sorted(results.stale), "found": summary.found if done else "",
-        "parent": studies.parent(study, known), "effects": results.record.get("effects_in_model", []),
-        "part": part, "synthetic": results.synthetic,
+        "parent": studies.parent(study, known), "part": part,
     }  # fmt: skip

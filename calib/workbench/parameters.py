@@ -8,13 +8,12 @@ from typing import Any
 
 import pandas as pd
 
+from calib.report.correlation import STRONG
 from calib.report.html import space
 from calib.report.html.calibrated import best_case
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, flag, significant, with_unit
 
-_STRONG = 0.5
-"""Size of a posterior correlation that is told beside a parameter."""
 _FIGURES = ("parameters", "profiles", "posterior_correlation", "selection", "sensitivity")
 
 
@@ -64,18 +63,23 @@ def _row(
         "limits": f"{significant(lower)} to {significant(upper)}", "nominal_words": with_unit(r["value"], unit),
         "prior_words": with_unit(r["prior_sd"], unit, 3), "value_words": with_unit(value, unit), "unit": unit,
         "std_words": with_unit(std, unit, 3),
-        "identified": None if own is None or own["identified"] is None else flag(own["identified"]),
+        "identified": None if own is None else _known(own["identified"]),
         "sentence": "" if own is None else str(own["sentence"]),
         "pull": "" if pull is None else fixed(pull["standardised"], 1, sign=True),
         "pulled": pull is not None and flag(pull["pulled"]),
         "why": "" if selected is None else str(selected["why"]),
-        "selected": None if selected is None else flag(selected["selected"]), "partners": partners,
+        "selected": None if selected is None else _known(selected["selected"]), "partners": partners,
     }  # fmt: skip
 
 
 def _first(*values: Any) -> float:
     """The first that is known; NaN where none is."""
     return next((float(value) for value in values if value is not None and value == value), math.nan)
+
+
+def _known(value: Any) -> bool | None:
+    """A flag; None where it is unknown."""
+    return None if value is None or value != value else flag(value)
 
 
 def _by_parameter(table: pd.DataFrame | None) -> dict[str, Mapping[Hashable, Any]]:
@@ -94,5 +98,5 @@ def _partners(results: StudyResults, name: str) -> list[str]:
     if table is None or name not in table:
         return []
     own = table.set_index("parameter")[name].drop(name).dropna()
-    own = own[own.abs() >= _STRONG].sort_values(key=lambda values: -values.abs(), kind="stable")
+    own = own[own.abs() > STRONG].sort_values(key=lambda values: -values.abs(), kind="stable")
     return [f"{other} {fixed(value, 2, sign=True)}" for other, value in own.items()]

@@ -30,12 +30,11 @@ def search_view(reader: LedgerReader, results: StudyResults, since: int) -> dict
     """
     runs = reader.read()
     latest = latest_of_cases(runs)
-    known = {id(run) for run in latest}
     best = min(latest, key=lambda run: run.best[0], default=None)
     return {
         "cases": [_case(run, since) for run in latest],
         "last": max((run.last for run in runs), default=0),
-        "earlier": len(runs) - len(known),
+        "earlier": len(runs) - len(latest),
         "evaluations": reader.evaluations,
         "best": None if best is None or not math.isfinite(best.best[0]) else _best(reader, best, results),
         "calibrated": bool(results.summary),
@@ -52,10 +51,9 @@ def _case(run: SearchRun, since: int) -> dict[str, Any]:
 
 
 def _best(reader: LedgerReader, run: SearchRun, results: StudyResults) -> dict[str, Any]:
-    """The best design of all cases, mode by mode or response by response, beside the nominal model."""
-    responses = reader.point(run)
-    before = results.table("comparison_before")
-    rows = [] if before is None else _modes(responses, before) if results.kind == "modes" else []
+    """The best design of all cases beside the nominal model, mode by mode; without modes its misfit alone."""
+    before = results.compared("before")
+    rows = [] if before is None else _modes(reader.point(run), before)
     return {"case": run.case, "misfit": significant(run.best[0], 4), "rows": rows}
 
 

@@ -15,8 +15,9 @@ from calib.analyses.provenance.places import LEDGER, root_for
 from calib.api.figures import shown
 from calib.errors.errors import InputError
 from calib.report.html.study_results import StudyResults
+from calib.report.html.write import NAME as REPORT
 from calib.report.tables import CurrentFolder
-from calib.results.results import Results
+from calib.results.results import OWNER, Results
 from calib.results.written import LOG
 from calib.study.study_file import StudyFile, study_file
 from calib.study.study_text import base_of
@@ -26,6 +27,8 @@ _DEEPEST = 4
 """Folders below which no study is looked for."""
 _MOST = 400
 """Studies that are listed."""
+_STAMPED = (LOG, OWNER, "record.json")
+"""Files of a folder of results, of which one changes whenever others are written."""
 _KEPT = 24
 """Results that are kept in memory until they change."""
 
@@ -77,7 +80,7 @@ class KnownStudy:
         """What changes when its file or its results do."""
         of_tests = [log.parent for log in self.root.glob(f"{escape(self.name)}.*/{LOG}")]
         homes = [home / part for home in (self.home, *of_tests) for part in ("", *self.parts)]
-        return tuple(map(_stamp, (self.file, *(home / name for home in homes for name in (LOG, "record.json")))))
+        return tuple(map(_stamp, (self.file, *(home / name for home in homes for name in _STAMPED))))
 
     @property
     def written(self) -> float:
@@ -165,6 +168,11 @@ class Studies:
                 del self._read[next(iter(self._read))]
             self._read[study.key, part, test] = stamp, found
             return found
+
+    def report(self, study: KnownStudy, part: str = "") -> Path | None:
+        """The report of a study, of several tests together; None without one, or where it leads out of the folder."""
+        path = self.results(study, part).folder / REPORT
+        return path if path.is_file() and not path.is_symlink() else None
 
 
 def _stored(study: KnownStudy, own: StudyFile, part: str, tests: tuple[StudyResults, ...] = ()) -> StudyResults:
