@@ -60,9 +60,6 @@ class Verdict:
     sentences: tuple[str, ...]
 
 
-_LEAVE_OUT = "Leave it out, and ask again."
-
-
 def _without_doubtful(found: Explanation, doubts: Doubts) -> VerdictWords | None:
     """What is told where nothing explains a misfit that a mode causes which is doubtful without a fit; else None."""
     table = found.suspects
@@ -74,7 +71,7 @@ def _without_doubtful(found: Explanation, doubts: Doubts) -> VerdictWords | None
         f"Without {first['what']} the model fits (p = {first['p_fit_without']:.2g}, to first order): nothing else is "
         "seen to be missing.",
         misfit_in_short(found),
-        _LEAVE_OUT,
+        "Leave it out, and ask again.",
     )
 
 
@@ -111,8 +108,8 @@ def verdict_of(
     doubts : Doubts
         What looks wrong in the measurement itself, before any fit. It comes first, unless the data fit.
     """
-    words = _without_doubtful(found, doubts) or WORDS[found.verdict](found, effects)
-    settled = words.then == _LEAVE_OUT
+    leave_out = _without_doubtful(found, doubts)
+    words = leave_out or WORDS[found.verdict](found, effects)
     sure, support = [words.sure], list(words.support)
     if found.verdict == "misfit_unlocated" and disagreements is not None:
         repeats = worst_repeats(found.base_adequacy, disagreements)[:_REPEATS]
@@ -147,7 +144,7 @@ def verdict_of(
         doubts = NO_DOUBTS  # with a gross error in them the data would not fit
     headline = " ".join(filter(None, (*doubts.sentences, words.found, beside_faults(found))))
     check = f"Check first: {'; '.join(doubts.checks)}." if doubts.checks else ""
-    if settled:
+    if leave_out is not None:  # what else is missing is asked again without it
         pointed = short = ""
     then = (check, words.then, check_faults(found), pointed, short)
     answer = Answer(headline, *(" ".join(filter(None, some)) for some in (sure, then)))

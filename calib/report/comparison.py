@@ -69,7 +69,7 @@ def draw_frequency_error(
         Bar heights in percent; the legend has the mean absolute error over the paired modes.
     """
     ax = style.own_axes(ax, 3.2)
-    series = _series({"before": before, "after": after, "added": added})
+    series = by_stage({"before": before, "after": after, "added": added})
     values = {stage: 100.0 * table["freq_error"] for stage, table in series.items()}
     labels = {
         stage: f"{style.stage_words(stage, effects)}: mean |error| {_mean(errors.abs(), '{:.2f} %')}{_paired(errors)}"
@@ -113,7 +113,7 @@ def draw_mac(
         Marks on a logarithmic scale, where 0.001 and less are drawn as 0.001, with the MAC beside each.
     """
     ax = style.own_axes(ax, 2.6)
-    series = _series({"before": before, "after": after, "added": added})
+    series = by_stage({"before": before, "after": after, "added": added})
     width = 0.8 / len(series)
     modes = list(next(iter(series.values())).index)
     for k, (stage, table) in enumerate(series.items()):
@@ -229,7 +229,7 @@ def draw_comac(
         sensor that hardly moves is grey, with its motion: its CoMAC is mostly noise.
     """
     ax = style.own_axes(ax, 3.6)
-    series = _series({"before": before, "after": after}, key="sensor")
+    series = by_stage({"before": before, "after": after}, key="sensor")
     values = {stage: table["comac"] for stage, table in series.items()}
     newest = list(values.values())[-1]
     order = newest.sort_values(kind="stable", na_position="last").index
@@ -272,11 +272,11 @@ def draw_comac(
     return ax
 
 
-def _series(tables: Mapping[str, pd.DataFrame | None], key: str = "mode") -> dict[str, pd.DataFrame]:
-    """Those there are, by stage, on a common index: the rows of the first, then those that only others have."""
-    by_stage = {stage: t.set_index(key) for stage, t in tables.items() if t is not None}
-    index = list(dict.fromkeys(label for t in by_stage.values() for label in t.index))
-    return {stage: t.reindex(index) for stage, t in by_stage.items()}
+def by_stage(tables: Mapping[str, pd.DataFrame | None], key: str = "mode") -> dict[str, pd.DataFrame]:
+    """The tables that exist, by stage, on a common index: the rows of the first, then those that only others have."""
+    found = {stage: t.set_index(key) for stage, t in tables.items() if t is not None}
+    index = list(dict.fromkeys(label for t in found.values() for label in t.index))
+    return {stage: t.reindex(index) for stage, t in found.items()}
 
 
 def _bars(

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from calib.report import style
-from calib.report.comparison import MARKS
+from calib.report.comparison import MARKS, by_stage
 from calib.report.svg import hover
 
 SHOWN = 15
@@ -43,22 +43,19 @@ def draw_worst(
         value; the dashed line at 1 is the average of a correctly specified model. Below a line the largest of what has
         grown beyond 1 in the last stage; what has joins in red.
     """
-    found = {
-        stage: table.set_index([table["kind"] + " " + table["what"]])["in_std"].astype(float)
-        for stage, table in (("before", before), ("after", after), ("added", added))
-        if table is not None
-    }
-    first = pd.concat(found, axis=1).bfill(axis=1).iloc[:, 0].dropna() if found else pd.Series(dtype=float)
-    largest = list(first.sort_values(ascending=False, kind="stable").index[:SHOWN])
+    stages = {"before": before, "after": after, "added": added}
+    named = {k: None if t is None else t.assign(name=t["kind"] + " " + t["what"]) for k, t in stages.items()}
+    found = {stage: table["in_std"].astype(float) for stage, table in by_stage(named, "name").items()}
+    every = pd.DataFrame(found).dropna(how="all")
+    largest = list(every.bfill(axis=1).iloc[:, 0].sort_values(ascending=False, kind="stable").index[:SHOWN])
     # What the last model has made worse shows too, wherever it stood before.
-    stages = pd.concat(found, axis=1).reindex(first.index).to_numpy() if found else np.zeros((0, 1))
-    grown = pd.Series(stages[:, -1], first.index)[_has_grown(stages) & ~first.index.isin(largest)]
+    grown = every.iloc[:, -1][_has_grown(every.to_numpy()) & ~every.index.isin(largest)]
     names = [*largest, *grown.sort_values(ascending=False, kind="stable").index[:_GROWN]]
     ax = style.own_axes(ax, 1.3 + 0.26 * max(len(names), 1))
     ax.set_xscale("log")
     ax.xaxis.set_major_formatter("{x:g}")
     places = np.arange(len(names))
-    ends = np.array([values.reindex(names).to_numpy(dtype=float) for values in found.values()])
+    ends = every.loc[names].to_numpy().T
     if len(ends) > 1:
         known = np.isfinite(ends).any(axis=0)
         ax.hlines(
