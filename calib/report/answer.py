@@ -18,17 +18,22 @@ from calib.report.numbers import fixed, places, significant
 from calib.report.style import AFTER, BLACK, GREY, MEASURED, REST, VERMILLION, WIDTH, WITH
 from calib.report.svg import hover
 
-_TOLD = ("held_out_sensors", "held_out_references", "left_out", "fit")
-"""Groups of data whose error may be drawn, the most telling first: those that no fit has seen."""
 _DATA = {
     "held_out_sensors": "at sensors that\nno fit has seen",
     "held_out_references": "at references that\nno fit has seen",
+    "held_out_modes": "in modes that\nno fit has seen",
+    "held_out_responses": "in responses that\nno fit has seen",
+    "held_out_bands": "in bands that\nno fit has seen",
     "left_out": "in data left out\nin turn",
     "fit": "in the data used",
 }
+"""Groups of data whose error may be drawn, the most telling first: those that no fit has seen."""
 _STAR: dict[str, Any] = {"marker": "*", "color": VERMILLION, "markeredgecolor": BLACK, "markersize": 19}
 _DATA_ALONE: dict[str, Any] = {"marker": "D", "color": "none", "markeredgecolor": BLACK, "markersize": 9}
 _SHOWS_MOST: dict[str, Any] = {"marker": "o", "color": "none", "markeredgecolor": MEASURED, "markersize": 14}
+_LOOKS = {"star": _STAR, "diamond": _DATA_ALONE, "ring": _SHOWS_MOST}
+_IN_LEGEND = 11
+"""Largest mark of the legend, points."""
 _SENSOR: dict[str, Any] = {"marker": "o", "color": GREY, "markersize": 4}
 _LINES = {"linestyle": "none", "clip_on": False}
 _PLACES = 2
@@ -62,16 +67,16 @@ class AnsweredPlace:
     alone_at: np.ndarray
     away: float
 
-    def words(self, what: str) -> list[str]:
-        """The marks of the picture in words, ``what`` for the effects."""
-        out = []
+    def marks(self, what: str) -> dict[str, str]:
+        """What each mark of the picture stands for, by ``star``, ``diamond`` and ``ring``; ``what`` for the effects."""
+        out = {}
         if len(self.acts):
-            out.append(f"star: {what}, {places(self.acts.tolist(), _PLACES)} m by the list of causes")
+            out["star"] = f"{what}, {places(self.acts.tolist(), _PLACES)} m by the list of causes"
         if self.alone:
             away = "" if np.isnan(self.away) else f", {significant(self.away, 2)} m away"
-            out.append(f"diamond: the data alone point to {self.alone}{away}")
+            out["diamond"] = f"the data alone point to {self.alone}{away}"
         if self.sensor:
-            out.append(f"ring: sensor {self.sensor} shows it most")
+            out["ring"] = f"sensor {self.sensor} shows it most"
         return out
 
 
@@ -119,11 +124,11 @@ def answered_place(
     return AnsweredPlace(own, sensor, sensor_at, alone, alone_at, away)
 
 
-def told_error(errors: pd.DataFrame | None) -> pd.DataFrame | None:
+def most_telling_error(errors: pd.DataFrame | None) -> pd.DataFrame | None:
     """Rows of the group of data whose error is drawn, by stage: ``rms, expected``; None without an error after."""
     if errors is None or not {"before", "after"} <= set(errors["stage"]):
         return None
-    for group in _TOLD:
+    for group in _DATA:
         rows = errors[errors["group"] == group].set_index("stage")
         if {"before", "after"} <= set(rows.index) and rows.loc[["before", "after"], "rms"].notna().all():
             return rows.loc[["before", "after"]]
@@ -159,12 +164,12 @@ def answer_figure(
     Figure
         Marks with the gids ``acts``, ``alone``, ``shows`` and ``sensors``; bars with the gid of their stage.
     """
-    bars = told_error(errors)
+    bars = most_telling_error(errors)
     wide = _PANEL if bars is not None else 1.0
     points = rest.reshape(-1, 3)
     width, high = scene.seen_size(points, 0.1)
-    words = found.words(f"{what}, {size}" if size else what)
-    foot = 0.75 + 0.19 * len(words)
+    marks = found.marks(f"{what}, {size}" if size else what)
+    foot = 0.75 + 0.19 * len(marks)
     height = min(max(wide * WIDTH * high / width, 2.2), 4.6) + foot
     figure = scene.new_scene(height, foot)
     panels = figure.add_gridspec(1, 2, width_ratios=(wide, max(1.0 - wide, 1e-3)))
@@ -184,13 +189,9 @@ def answer_figure(
     scene.frame_panel(ax, np.concatenate([known, found.acts]), "")
     if found.sensor:
         scene.number_points(ax, known, {len(points): found.sensor})
-    looks = ([_STAR] if len(found.acts) else []) + ([_DATA_ALONE] if found.alone else [])
-    looks += [_SHOWS_MOST] if found.sensor else []
-    labels = [text.split(": ", 1)[1] for text in words]
-    handles = [
-        Line2D([], [], linestyle="none", label=text, **{**look, "markersize": min(look["markersize"], 11)})
-        for look, text in zip(looks, labels, strict=True)
-    ]
+    handles = [Line2D([], [], linestyle="none", label=text, **_LOOKS[mark]) for mark, text in marks.items()]
+    for handle in handles:
+        handle.set_markersize(min(handle.get_markersize(), _IN_LEGEND))
     handles.append(Line2D([], [], linestyle="none", label="sensors", **_SENSOR))
     figure.legend(
         handles=handles, loc="lower left", bbox_to_anchor=(0.85 / WIDTH, 0.02), borderaxespad=0.0, labelspacing=0.35

@@ -14,7 +14,7 @@ from calib.report.explanation import draw_confounding, ranked_effects_figure
 from calib.report.frf import draw_frf_misfit
 from calib.report.mesh import rest_lines
 from calib.report.misfit import draw_pulls, draw_suspects, where_it_fails_figure
-from calib.report.numbers import significant, with_unit
+from calib.report.numbers import magnitude_in_words
 from calib.report.predictions import NUMBERS, draw_predictions
 from calib.report.proposals import placed_proposals, proposals_figure
 from calib.report.responses import draw_response_misfit
@@ -125,16 +125,12 @@ def _misfits(folder: Folder, kinds: pd.DataFrame | None, rest: np.ndarray | None
         yield Drawing("perturbation_map", caption, draw, ("perturbations",))
 
 
-def sizes(effects: pd.DataFrame, names: Sequence[str]) -> list[str]:
+def _sizes(effects: pd.DataFrame, names: Sequence[str]) -> list[str]:
     """Fitted magnitude of each of these effects with its 95 % interval, in words; empty where ends are not known."""
     if not {"magnitude_low", "magnitude_high"} <= set(effects.columns):
         return []
     rows = effects[effects["name"].isin(list(names)) & effects["magnitude"].notna()]
-    out = []
-    for r in rows.to_dict("records"):
-        low, high = (significant(r[f"magnitude_{end}"], 2) for end in ("low", "high"))
-        out.append(f"{with_unit(r['magnitude'], str(r['unit']), 2)} (95 %: {low} to {high})")
-    return out
+    return [magnitude_in_words(r, "95 %: ") for r in rows.to_dict("records")]
 
 
 def read_place(folder: Folder, attempt: bool) -> AnsweredPlace | None:
@@ -157,7 +153,7 @@ def _answer(folder: Folder, rest: np.ndarray, errors: pd.DataFrame | None, attem
     what = "" if why is None else " and ".join(dict.fromkeys(why["effect"])).replace("_", " ")
     ends = ["magnitude_low", "magnitude_high"]
     effects = _read(folder, "effects", ["name"], ["magnitude"], blank=["unit"], if_there=ends)
-    size = "" if effects is None or why is None else "; ".join(sizes(effects, list(why["effect"].unique())))
+    size = "" if effects is None or why is None else "; ".join(_sizes(effects, list(why["effect"].unique())))
     shown = None if attempt else errors if both is None else both
     draw = bound(answer_figure, rest, found, what, size, sensors, shown)
     named = ["sensors", "effect_places", "why", "perturbations", "effects", "errors", "added_errors"]

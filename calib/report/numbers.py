@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 UNKNOWN = "–"
@@ -49,6 +49,15 @@ def with_unit(value: float, unit: str, digits: int = 3) -> str:
     """Format a number with its unit, if it has one."""
     words = significant(value, digits)
     return words if unit in ("", "-", UNKNOWN) or words == UNKNOWN else f"{words} {unit}"
+
+
+def magnitude_in_words(r: Mapping[Hashable, Any], level: str = "") -> str:
+    """Format a fitted magnitude with its interval of 95 %, which ``level`` may say, such as ``64.1 kg (54.0 to 74.2)``.
+
+    ``r`` has ``magnitude, magnitude_low, magnitude_high, unit``.
+    """
+    low, high = (significant(r[f"magnitude_{end}"], 3) for end in ("low", "high"))
+    return f"{with_unit(r['magnitude'], str(r['unit']))} ({level}{low} to {high})"
 
 
 def p_in_words(p: float) -> str:

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.answer import answer_figure, answered_place, told_error
+from calib.report.answer import answer_figure, answered_place, most_telling_error
 from calib.report.style import style
 
 PLACE = ["x", "y", "z"]
@@ -74,9 +74,12 @@ def test_the_bars_are_the_error_in_data_that_no_fit_has_seen(sensors, acts, patt
         figure = answer_figure(REST, answered_place(sensors, acts, pattern, local), "unit", "", sensors, errors)
     bars = {bar.get_gid(): bar.get_height() for bar in figure.axes[-1].patches}
     assert bars == {"before": 3.0, "after": 1.2}
-    used = told_error(errors[errors["group"] != "held_out_sensors"])
+    used = most_telling_error(errors[errors["group"] != "held_out_sensors"])
     assert used["rms"].tolist() == [2.0, 1.0]
-    assert told_error(errors[errors["stage"] == "before"]) is None and told_error(None) is None
+    modes = pd.DataFrame([("held_out_modes", "after", 4.0, 1.0)], columns=errors.columns)
+    unseen = pd.concat([errors[errors["group"] != "held_out_sensors"], modes])
+    assert most_telling_error(unseen)["rms"].tolist() == [9.0, 4.0]
+    assert most_telling_error(errors[errors["stage"] == "before"]) is None and most_telling_error(None) is None
 
 
 def test_without_a_named_effect_the_picture_shows_where_the_data_point(sensors, acts, local):
@@ -97,4 +100,4 @@ def test_of_a_change_of_a_whole_part_no_distance_is_told(sensors, acts, pattern,
     part = local.assign(score=[3.0, 6.0, np.nan])
     found = answered_place(sensors, acts, pattern, part)
     assert found.alone == "mass of the beam" and np.isnan(found.away)
-    assert not any("away" in words for words in found.words("unit"))
+    assert not any("away" in words for words in found.marks("unit").values())

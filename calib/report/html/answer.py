@@ -13,9 +13,9 @@ import pandas as pd
 from calib.report.answer import AnsweredPlace
 from calib.report.explanation_plan import read_place
 from calib.report.html.cells import flagged
-from calib.report.html.effects import interval, ranked_effects
+from calib.report.html.effects import ranked_effects
 from calib.report.html.study_results import StudyResults
-from calib.report.numbers import fixed, significant, with_unit
+from calib.report.numbers import fixed, magnitude_in_words, significant, with_unit
 
 _NAMED = ("effect", "indistinguishable", "two_effects", "several_effects")
 """Verdicts that name an effect."""
@@ -34,7 +34,8 @@ def place_in_words(results: StudyResults) -> str:
     """The marks of the picture of the place; empty without one."""
     found = _place(results)
     named = [str(name).replace("_", " ") for name in results.explanation.get("chosen", [])]
-    return "" if found is None else "; ".join(found.words(" and ".join(named)))
+    marks = {} if found is None else found.marks(" and ".join(named))
+    return "; ".join(f"{mark}: {words}" for mark, words in marks.items())
 
 
 def _place(results: StudyResults) -> AnsweredPlace | None:
@@ -52,7 +53,7 @@ def magnitudes(results: StudyResults) -> pd.DataFrame | None:
 
 def magnitudes_in_words(table: pd.DataFrame) -> list[str]:
     """Magnitude of each with its 95 % interval."""
-    return [f"{with_unit(r['magnitude'], str(r['unit']))} ({interval(r)})" for r in table.to_dict("records")]
+    return [magnitude_in_words(r) for r in table.to_dict("records")]
 
 
 @dataclass(frozen=True, eq=False)

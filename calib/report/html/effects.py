@@ -13,7 +13,7 @@ from calib.report.alike import alike_words
 from calib.report.explanation import COLLINEAR, only_predicted, ranked
 from calib.report.html.cells import flagged
 from calib.report.html.study_results import StudyResults
-from calib.report.numbers import fixed, flag, place, places, significant, with_unit
+from calib.report.numbers import fixed, flag, magnitude_in_words, place, places, significant, with_unit
 from calib.report.scene import PLACE
 from calib.report.why import BY_TEST, PRIOR, explained_words, further_parameters
 
@@ -37,17 +37,9 @@ def not_visible(table: pd.DataFrame) -> list[str]:
     return [str(name) for name, hidden in zip(table["name"], unseen(table), strict=True) if hidden]
 
 
-def interval(r: Mapping[Hashable, Any]) -> str:
-    """The 95 % interval of a magnitude."""
-    return f"{significant(r['magnitude_low'], 3)} to {significant(r['magnitude_high'], 3)}"
-
-
 def magnitudes(table: pd.DataFrame) -> list[str]:
     """Magnitude of every effect with its interval."""
-    return [
-        f"{with_unit(r['magnitude'], str(r['unit']))} ({interval(r)})" if flag(r["refitted"]) else "not refitted"
-        for r in table.to_dict("records")
-    ]
+    return [magnitude_in_words(r) if flag(r["refitted"]) else "not refitted" for r in table.to_dict("records")]
 
 
 def smallest_visible_magnitudes(table: pd.DataFrame) -> list[str]:
