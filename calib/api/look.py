@@ -17,7 +17,7 @@ from calib.errors.errors import InputError
 from calib.measurement.doubts import doubts_of
 from calib.measurement.files.csv_frf import read_frfs_csv
 from calib.measurement.files.csv_record import TIME, header_of
-from calib.measurement.files.frf_columns import MATLAB
+from calib.measurement.files.frf_columns import MATLAB, VARIABLES
 from calib.measurement.files.read import UFF_SUFFIXES, Named, found_files, read_modes
 from calib.measurement.files.read_frf import read_frfs
 from calib.measurement.files.read_records import has_force, read_records
@@ -272,7 +272,7 @@ def _kinds(path: Path, variables: Mapping[str, str]) -> list[str]:
         remedy = "name them: --variables freq=f,damping=zeta,shapes=Phi of modes, --variables freq=f,frf=H of FRFs"
         raise InputError("its variables are not named", place=path, remedy=remedy)
     if path.suffix.lower() != ".csv":
-        return [_MODES if set(variables) - {"sheet", "freq", "frf", "coherence"} else _FRFS]
+        return [_MODES if set(variables) - {"sheet", *VARIABLES} else _FRFS]
     header = set(header_of(path)[0])
     if {"node", "x", "y", "z"} <= header:
         return [_SENSORS]

@@ -39,7 +39,7 @@ class Assumption:
 
 
 _REMEMBERED, _BYTES = 4, 200_000_000
-"""Latest solutions that a model keeps, and the bytes of all their shapes; it keeps at least one."""
+"""Latest solutions that a model keeps, and how many bytes their shapes may take; it keeps at least one."""
 
 PartKind = Literal["stiffness", "damping", "mass"]
 
@@ -313,13 +313,14 @@ class StructuralModel(Analytic):
         """
         complete = self.space.complete(values)
         key, known = (count, tuple(sorted(complete.items()))), self._latest
-        if key not in known:
+        latest = known.get(key)
+        if latest is None:
             k, c, m = self.matrices(complete)
-            found = solve_modes(k, c if self.is_damped else None, m, count, rotational=self.dofs.direction >= 3)
-            while known and len(known) >= min(_REMEMBERED, _BYTES // found.shapes.nbytes):
-                del known[next(iter(known))]
-            known[key] = found
-        latest = known[key]
+            latest = solve_modes(k, c if self.is_damped else None, m, count, rotational=self.dofs.direction >= 3)
+            room = max(1, min(_REMEMBERED, _BYTES // max(latest.shapes.nbytes, 1)))
+            for older in list(known)[::-1][room - 1 :]:
+                known.pop(older, None)  # another thread may have dropped it
+            known[key] = latest
         own = ("natural_freq", "damped_freq", "damping_ratio", "shapes")
         return replace(latest, **{name: getattr(latest, name).copy() for name in own})  # the caller may change them
 

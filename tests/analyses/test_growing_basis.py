@@ -51,8 +51,8 @@ def links(pairs):
     return sp.csr_array(signs.T @ signs)
 
 
-def test_of(model, true):
-    """Its own modes at other values, with noise."""
+def measured_at(model, true):
+    """A test of the model's own modes at other values, with noise."""
     rng = np.random.default_rng(4)
     modes = model.modes(true, MEASURED)
     sensors = tuple(calib.Sensor(node, "z") for node in range(7, SIDE**2, 29))
@@ -65,9 +65,6 @@ def test_of(model, true):
         tuple("abcde"), freq, freq * np.sqrt(1 - np.nan_to_num(ratio) ** 2), 2e-3 * freq, ratio,
         0.05 * ratio, sensors, shapes + 0.01 * rng.standard_normal(shapes.shape), np.full(shapes.shape, 0.01),
     ))  # fmt: skip
-
-
-test_of.__test__ = False
 
 
 @pytest.fixture
@@ -88,7 +85,7 @@ def solved(monkeypatch):
 @pytest.mark.parametrize("damped", [False, True])
 def test_the_optimum_on_the_basis_is_that_of_full_order(solved, damped):
     model = membrane(damped)
-    problem = calib.Problem(model, test_of(model, TRUE | ({"c": 0.8} if damped else {})))
+    problem = calib.Problem(model, measured_at(model, TRUE | ({"c": 0.8} if damped else {})))
     solved.clear()
     on_basis = problem.calibrate(progress=False)
     few = len(solved)
@@ -102,7 +99,7 @@ def test_the_optimum_on_the_basis_is_that_of_full_order(solved, damped):
 @pytest.mark.parametrize("damped", [False, True])
 def test_the_basis_has_the_modes_and_their_derivatives_at_its_point(damped):
     model = membrane(damped)
-    problem = calib.Problem(model, test_of(model, TRUE))
+    problem = calib.Problem(model, measured_at(model, TRUE))
     basis = reduction_near(problem.study().studies[0]).basis
     reduced, values = ReducedModel(model, basis), model.space.values
     exact, found = model.modes(values, MEASURED + 2), reduced.modes(values, MEASURED + 2)
@@ -118,7 +115,7 @@ def test_the_basis_has_the_modes_and_their_derivatives_at_its_point(damped):
 
 def test_a_basis_that_serves_at_a_point_stays_and_one_that_does_not_grows():
     model = membrane()
-    problem = calib.Problem(model, test_of(model, TRUE))
+    problem = calib.Problem(model, measured_at(model, TRUE))
     near = reduction_near(problem.study().studies[0])
     assert near.covering([model.space.values]) is near
     grown = near.covering([TRUE])
@@ -131,7 +128,7 @@ def test_a_fit_whose_basis_never_grew_ends_at_full_order_all_the_same(monkeypatc
     """The optimum does not rest on the certificate: only the number of solutions at full order does."""
     monkeypatch.setattr(case.Reduction, "covering", lambda self, points: self)
     model = membrane()
-    problem = calib.Problem(model, test_of(model, TRUE))
+    problem = calib.Problem(model, measured_at(model, TRUE))
     poor = problem.calibrate(progress=False).parameters
     monkeypatch.undo()
     good = problem.calibrate(progress=False).parameters

@@ -57,6 +57,7 @@ def test_a_point_is_solved_once_and_what_a_caller_changes_stays_with_the_caller(
     for value in (1.1, 1.2, 1.3, 1.4, 1.5):
         built.modes({"k": value}, 2)
     assert len(solved) == 6  # only the latest are remembered
+    assert built.modes({"k": 1.5}, 0).n_modes == 0
 
 
 def test_matrices_of_half_precision_are_taken_as_their_numbers():

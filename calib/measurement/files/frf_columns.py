@@ -26,6 +26,8 @@ _PARTS: Mapping[str, str] = {
 """What a word in the name of a column says that it holds."""
 _SEPARATORS = (";", "\t", ",", None)
 _COMMENT = ("#", "%", "!")
+VARIABLES = frozenset({"freq", "frf", "coherence"})
+"""What variables of a MATLAB file of FRFs hold."""
 WORKBOOKS = (".xlsx", ".xlsm")
 MATLAB = (".mat",)
 
@@ -188,7 +190,7 @@ def arrays_of(
         For a file without such variables, and sizes that do not fit.
     """
     remedy = "name the variables: variables = { freq = 'f', frf = 'H' }"
-    if not {"freq", "frf"} <= set(variables) <= {"freq", "frf", "coherence"}:
+    if not VARIABLES - {"coherence"} <= set(variables) <= VARIABLES:
         raise InputError("its frequencies and functions are not named", place=path, remedy=remedy)
     from calib.measurement.files.matlab import matlab_variables  # few files are of MATLAB
 
