@@ -156,7 +156,7 @@ SPEED = {  # memory, time, processes; results are the same
     "structure/effects/part_compositions.py": "_FEW",
     "structure/elongations.py": "MOST_MOTIONS _SMALL",
     "structure/eigenproblem/derivatives.py": "_ENTRIES",
-    "structure/eigenproblem/known_modes.py": "_STEPS _FACTOR _BORDERED _TWICE",
+    "structure/eigenproblem/known_modes.py": "_STEPS _FACTOR _BORDERED _COLUMN",
     "structure/eigenproblem/solve.py": "DENSE_LIMIT",
     "structure/eigenproblem/solve_dense.py": "_FEW _LARGE",
     "study/study_file.py": "_KEPT",

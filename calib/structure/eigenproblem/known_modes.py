@@ -14,8 +14,13 @@ CONVERGED = 1e-6
 """Residual over the size of the forces at which a column is solved."""
 _STEPS = 16
 """Steps after which a column counts as not solved."""
-_FACTOR, _BORDERED, _TWICE = 55.0, 220.0, 2.6
-"""Cost of a sparse factor, of one with a border, and of a column with that, over a column solved by the former."""
+_FACTOR, _BORDERED, _COLUMN = 30.0, 220.0, 2.6
+"""Times of a sparse factor, of one with a border, and of a column solved by that, over a step of `iterated` per column.
+
+Measured on real modes of a grillage with 2,000 to 10,000 degrees of freedom: 19 to 33; 35 to 65 with one mode in the
+border, 110 to 250 with 5 to 15; 1.3 to 2.8. With damping, on that and on a bogie: 6 to 13, 26 to 29, 1 to 2. They need
+not be exact: 33, 62 and 1 change the time of derivatives by 15 % at most.
+"""
 _CLEAR = 1e-3
 """Least relative distance of two squared frequencies between which a matrix is factorised."""
 
@@ -106,7 +111,7 @@ def bands(
     with np.errstate(divide="ignore", invalid="ignore"):
         taken = steps_of((edge - known[order]) / (edge - shifts[:, None]))  # (n_shifts, n_chosen)
     taken = np.where(taken <= _STEPS, taken, np.inf)
-    alone = _BORDERED + _TWICE * columns
+    alone = _BORDERED + _COLUMN * columns
     best, least = list[tuple[float, list[int]]](), alone * len(order)
     count = 1
     while count <= len(order):
