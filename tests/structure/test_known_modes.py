@@ -62,11 +62,11 @@ def together(monkeypatch):
     for kind in (derivatives.Undamped, derivatives.Damped):
         own = kind.together
 
-        def noted(self, shift, posed, own=own):
-            solved.extend(one.mode for one in posed)
-            return own(self, shift, posed)
+        def noted(self, shift, systems, own=own):
+            solved.extend(one.mode for one in systems)
+            return own(self, shift, systems)
 
-        def refused(self, posed):
+        def refused(self, system):
             raise AssertionError("a factor with a border")
 
         monkeypatch.setattr(kind, "together", noted)

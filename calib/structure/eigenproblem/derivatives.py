@@ -261,16 +261,16 @@ def _of_modes(shared: tuple[Undamped | Damped, bool, np.ndarray | None], task: T
     """Derivatives of some modes."""
     group, without_shapes, wanted = shared
     shift, some = task
-    posed = [group.posed(j) for j in some]
-    solved = [one for one in posed if one.regular and not without_shapes]
+    systems = [group.system(j) for j in some]
+    solved = [one for one in systems if one.regular and not without_shapes]
     rests = group.together(shift, solved) if shift is not None and solved else [None] * len(solved)
-    shapes, good = {one.mode: np.zeros_like(one.force) for one in posed}, {one.mode: one.regular for one in posed}
+    shapes, good = {one.mode: np.zeros_like(one.force) for one in systems}, {one.mode: one.regular for one in systems}
     for one, known in zip(solved, rests, strict=True):
         rest, good[one.mode] = group.alone(one) if known is None else (known, True)
         shapes[one.mode] = group.normalised(one, rest)
     if wanted is not None:
         shapes = {j: wanted @ shape for j, shape in shapes.items()}
-    return [(one.slope, shapes[one.mode], good[one.mode]) for one in posed]
+    return [(one.slope, shapes[one.mode], good[one.mode]) for one in systems]
 
 
 def _small_as_dense(matrix: Matrix) -> Matrix:

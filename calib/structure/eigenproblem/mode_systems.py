@@ -15,6 +15,7 @@ import scipy.sparse.linalg as spla
 from calib.errors.errors import EvaluationError
 from calib.structure.eigenproblem.damped_problem import real_times
 from calib.structure.eigenproblem.inertia import symmetric_factor
+from calib.structure.eigenproblem.known_modes import bands, iterated, rigid_motions
 from calib.structure.modes import Modes
 
 Matrix = Any
@@ -30,7 +31,7 @@ _RESIDUAL = 1e-6
 """Largest relative residual of a bordered solve; beyond it an unsolved close mode makes the matrix singular."""
 
 _FREE = 1e-4
-"""Shift of the factor that finds rigid-body motions, over the first squared frequency."""
+"""Shift of the factor that finds rigid-body motions, over the lowest squared frequency."""
 
 
 def eigenvalues(modes: Modes) -> np.ndarray:
@@ -40,10 +41,12 @@ def eigenvalues(modes: Modes) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class ModeSystem:
     """The system of one mode: its force (n_dof, n_params), and the modes close to it, itself first.
 
-    ``same`` are those that are not told from it; ``part`` are the forces on these modes, (n_near, n_params).
+    ``near`` are indices of the close modes (n_near,) and ``group`` their shapes (n_dof, n_near); ``same`` marks those
+    that share its eigenvalue or subspace, and ``part`` are the forces on these modes, (n_near, n_params). ``slope`` is
+    the derivative of its eigenvalue, (n_params,).
     """
 
     mode: int
@@ -60,17 +63,31 @@ class Posed:
 
 
 class _Modes:
-    """What real and complex modes have in common."""
+    """What real and complex modes have in common.
+
+    ``all`` are shapes (n_dof, n_known), ``squares`` squared natural frequencies (n_modes,), ``rigid`` is how many
+    motions have no stiffness, and ``shifted`` whether a factor with a shift is real.
+    """
 
     k: Matrix
     m: Matrix
     slopes: list[Any]
     all: np.ndarray
+    squares: np.ndarray
+    rigid: int
     shape_type: type
+    shifted: bool
 
     def __getstate__(self) -> dict[str, Any]:
         # A factor cannot be pickled; it is made again where it is needed.
         return {name: value for name, value in self.__dict__.items() if name != "_factors"}
+
+    def bands(self, chosen: Sequence[int], n_params: int) -> list[tuple[float, list[int]]]:
+        """Which modes share a factor, and its shift; see `calib.structure.eigenproblem.known_modes.bands`."""
+        order = np.argsort(self.squares)
+        place = np.argsort(order)[list(chosen)].tolist()
+        found = bands(self.squares[order], place, n_params, not self.rigid, self.shifted)
+        return [(shift, order[some].tolist()) for shift, some in found]
 
     def _factor(self, shift: float) -> spla.SuperLU:
         """Of ``K - shift M``; the last one is kept."""
@@ -89,20 +106,11 @@ class Damped(_Modes):
         upper = eigenvalues(modes)
         self.eigenvalues = np.concatenate([upper, upper.conj()])
         self.all = np.hstack([modes.shapes, modes.shapes.conj()])
-        self.shape_type, self.groups = complex, modes.groups
-        self.free = any(one.kind != "overdamped" for one in modes.excluded)
+        self.shape_type, self.groups, self.shifted = complex, modes.groups, False
+        self.squares = np.abs(upper) ** 2
+        self.rigid = sum(one.kind != "overdamped" for one in modes.excluded)
 
-    def bands(self, chosen: Sequence[int], n_params: int) -> list[tuple[float, list[int]]]:
-        """See `calib.structure.eigenproblem.known_modes.bands`; a shifted factor would be complex."""
-        from calib.structure.eigenproblem.known_modes import bands
-
-        known = np.abs(self.eigenvalues[: len(self.eigenvalues) // 2]) ** 2
-        order = np.argsort(known)
-        place = np.argsort(order)
-        found = bands(known[order], place[list(chosen)].tolist(), n_params, not self.free, shifted=False)
-        return [(shift, order[some].tolist()) for shift, some in found]
-
-    def posed(self, i: int) -> Posed:
+    def system(self, i: int) -> ModeSystem:
         """The system of a mode."""
         lam, psi = self.eigenvalues[i], self.all[:, i]
         force = np.column_stack([lam * (lam * (dm @ psi) + dc @ psi) + dk @ psi for dk, dc, dm in self.slopes])
@@ -120,35 +128,33 @@ class Damped(_Modes):
         free = same & ~(turned & (near != i))
         regular = not _coupled(part[free], group[:, free], force)
         slope = -part[0] if regular else _mean_slope(group[:, same], self.slopes, lam)
-        return Posed(i, lam, psi, force, near, group, same, part, slope, regular, scale)
+        return ModeSystem(i, lam, psi, force, near, group, same, part, slope, regular, scale)
 
-    def alone(self, posed: Posed) -> tuple[np.ndarray, bool]:
+    def alone(self, system: ModeSystem) -> tuple[np.ndarray, bool]:
         """The shape's derivative but for its normalisation, by a factor with a border, and whether it is accurate."""
-        lam, group, part, others = posed.eigenvalue, posed.group, posed.part, self.eigenvalues[posed.near]
+        lam, group, part, others = system.eigenvalue, system.group, system.part, self.eigenvalues[system.near]
         inertia = self.m @ group
         border = (lam + others) * inertia + self.c @ group
         matrix = lam * (lam * self.m + self.c) + self.k
-        rest, good = bordered(matrix, border, -(posed.force - border @ part), (group.T @ inertia) @ part)
-        for j in range(1, len(posed.near)):
-            if not posed.same[j]:
+        rest, good = bordered(matrix, border, -(system.force - border @ part), (group.T @ inertia) @ part)
+        for j in range(1, len(system.near)):
+            if not system.same[j]:
                 rest -= np.outer(group[:, j], part[j] / (lam - others[j]))
         return rest, good
 
-    def together(self, shift: float, posed: Sequence[Posed]) -> list[np.ndarray | None]:
+    def together(self, shift: float, systems: Sequence[ModeSystem]) -> list[np.ndarray | None]:
         """The same of several modes, by the factor of K and all modes; None where it does not converge.
 
         The inverse of ``Z(lambda)`` is approximated by that of ``K = Z(0)``, with what all known modes add to the
         difference.
         """
-        from calib.structure.eigenproblem.known_modes import iterated
-
         factor = self._factor(shift)
         shapes, known = self.all, self.eigenvalues
-        columns = np.repeat(np.arange(len(posed)), len(self.slopes))
-        lam = np.array([one.eigenvalue for one in posed])
+        columns = np.repeat(np.arange(len(systems)), len(self.slopes))
+        lam = np.array([one.eigenvalue for one in systems])
         with np.errstate(divide="ignore", invalid="ignore"):
             beside = 1 / (lam - known[:, None])
-        for k, one in enumerate(posed):
+        for k, one in enumerate(systems):
             beside[one.near[one.same], k] = 0.0
         added = beside + 1 / known[:, None]
 
@@ -162,25 +168,25 @@ class Damped(_Modes):
             return np.asarray(own + shapes @ (added[:, columns[at]] * (shapes.T @ block)))
 
         right, targets, borders = [], [], []
-        for one in posed:
+        for one in systems:
             own = one.group[:, one.same]
             inertia = self.m @ own
             borders.append((one.eigenvalue + known[one.near[one.same]]) * inertia + self.c @ own)
             right.append(-(one.force - borders[-1] @ one.part[one.same]))
             targets.append((own.T @ inertia) @ one.part[one.same])
         whole = np.hstack(right)
-        rest, good = iterated(operate, approximate, whole, _sizes(posed))
+        rest, good = iterated(operate, approximate, whole, _sizes(systems))
         every = np.arange(len(columns))
         rest += shapes @ (beside[:, columns] * (shapes.T @ (whole - operate(rest, every))))  # of the closest ones
-        return _in_scale(posed, rest, good, borders, targets)
+        return _in_scale(systems, rest, good, borders, targets)
 
-    def normalised(self, posed: Posed, rest: np.ndarray) -> np.ndarray:
+    def normalised(self, system: ModeSystem, rest: np.ndarray) -> np.ndarray:
         """The shape's derivative in the scale of `Modes`."""
-        lam, psi = posed.eigenvalue, posed.shape
+        lam, psi = system.eigenvalue, system.shape
         inertia = self.m @ psi
         norm = np.array([psi @ (2 * lam * (dm @ psi) + dc @ psi) for _, dc, dm in self.slopes])
-        own = -0.5 * (2 * posed.slope * (psi @ inertia) + norm) - (2 * lam * inertia + self.c @ psi) @ rest
-        return np.asarray((rest + np.outer(psi, own)) * posed.scale)
+        own = -0.5 * (2 * system.slope * (psi @ inertia) + norm) - (2 * lam * inertia + self.c @ psi) @ rest
+        return np.asarray((rest + np.outer(psi, own)) * system.scale)
 
 
 class Undamped(_Modes):
@@ -189,20 +195,11 @@ class Undamped(_Modes):
     def __init__(self, stiffness: Matrix, damping: Matrix, mass: Matrix, slopes: list[Any], modes: Modes):
         self.k, self.m, self.slopes, self.all = stiffness, mass, slopes, modes.shapes
         self.omega = 2 * np.pi * modes.natural_freq
-        self.groups = modes.groups
+        self.groups, self.squares, self.shifted = modes.groups, self.omega**2, True
         self.shape_type = complex if any(has_entries(dc) for _, dc, _ in slopes) else float
         self.rigid = len(modes.excluded)
 
-    def bands(self, chosen: Sequence[int], n_params: int) -> list[tuple[float, list[int]]]:
-        """See `calib.structure.eigenproblem.known_modes.bands`."""
-        from calib.structure.eigenproblem.known_modes import bands
-
-        order = np.argsort(self.omega)
-        place = np.argsort(order)
-        found = bands(self.omega[order] ** 2, place[list(chosen)].tolist(), n_params, not self.rigid)
-        return [(shift, order[some].tolist()) for shift, some in found]
-
-    def posed(self, i: int) -> Posed:
+    def system(self, i: int) -> ModeSystem:
         """The system of a mode."""
         omega, phi = self.omega[i], self.all[:, i]
         columns = [dk @ phi - omega**2 * (dm @ phi) for dk, _, dm in self.slopes]
@@ -220,36 +217,34 @@ class Undamped(_Modes):
         regular = not _coupled(part[free], group[:, free], force)
         # d(omega^2) = phi^T F = -2 lambda dlambda
         slope = 0.5j * part[0] / omega if regular else _mean_slope(group[:, same], self.slopes, 1j * omega)
-        return Posed(i, omega, phi, force, near, group, same, part, slope, regular)
+        return ModeSystem(i, omega, phi, force, near, group, same, part, slope, regular)
 
-    def alone(self, posed: Posed) -> tuple[np.ndarray, bool]:
+    def alone(self, system: ModeSystem) -> tuple[np.ndarray, bool]:
         """The shape's derivative but for its normalisation, by a factor with a border, and whether it is accurate."""
-        square, group, part = posed.eigenvalue**2, posed.group, posed.part
+        square, group, part = system.eigenvalue**2, system.group, system.part
         border = self.m @ group
-        rest, good = bordered(self.k - square * self.m, border, -(posed.force - border @ part), np.zeros_like(part))
-        for j in range(1, len(posed.near)):
-            if not posed.same[j]:
-                rest += np.outer(group[:, j], part[j] / (square - self.omega[posed.near[j]] ** 2))
+        rest, good = bordered(self.k - square * self.m, border, -(system.force - border @ part), np.zeros_like(part))
+        for j in range(1, len(system.near)):
+            if not system.same[j]:
+                rest += np.outer(group[:, j], part[j] / (square - self.omega[system.near[j]] ** 2))
         return rest, good
 
-    def together(self, shift: float, posed: Sequence[Posed]) -> list[np.ndarray | None]:
+    def together(self, shift: float, systems: Sequence[ModeSystem]) -> list[np.ndarray | None]:
         """The same of several modes, by one factor of ``K - shift M`` and all modes; None where it does not converge.
 
         What the known modes leave has higher frequencies, where ``K - shift M`` is nearly ``K - omega^2 M``.
         """
-        from calib.structure.eigenproblem.known_modes import iterated, rigid_motions
-
-        known, shapes = self.omega**2, self.all
+        known, shapes = self.squares, self.all
         if self.rigid:
-            motions = rigid_motions(self._factor(-_FREE * float(known[0])).solve, self.m, self.rigid)
+            motions = rigid_motions(self._factor(-_FREE * float(known.min())).solve, self.m, self.rigid)
             known, shapes = np.concatenate([known, np.zeros(self.rigid)]), np.hstack([shapes, motions])
         factor = self._factor(shift)
         parts = 2 if self.shape_type is complex else 1
-        columns = np.tile(np.repeat(np.arange(len(posed)), len(self.slopes)), parts)
-        square = np.array([one.eigenvalue**2 for one in posed])
+        columns = np.tile(np.repeat(np.arange(len(systems)), len(self.slopes)), parts)
+        square = np.array([one.eigenvalue**2 for one in systems])
         with np.errstate(divide="ignore", invalid="ignore"):
             beside = 1 / (known[:, None] - square)
-        for k, one in enumerate(posed):
+        for k, one in enumerate(systems):
             beside[one.near[one.same], k] = 0.0
         added = beside - 1 / (known[:, None] - shift)
 
@@ -259,38 +254,38 @@ class Undamped(_Modes):
         def approximate(block: np.ndarray, at: np.ndarray) -> np.ndarray:
             return np.asarray(factor.solve(block) + shapes @ (added[:, columns[at]] * (shapes.T @ block)))
 
-        borders = [self.m @ one.group[:, one.same] for one in posed]
-        right = np.hstack([-(one.force - b @ one.part[one.same]) for one, b in zip(posed, borders, strict=True)])
+        borders = [self.m @ one.group[:, one.same] for one in systems]
+        right = np.hstack([-(one.force - b @ one.part[one.same]) for one, b in zip(systems, borders, strict=True)])
         both = np.hstack([right.real, right.imag]) if parts == 2 else right
-        rest, good = iterated(operate, approximate, both, np.tile(_sizes(posed), parts))
+        rest, good = iterated(operate, approximate, both, np.tile(_sizes(systems), parts))
         if parts == 2:
             half = len(columns) // 2
             rest, good = rest[:, :half] + 1j * rest[:, half:], good[:half] & good[half:]
         targets = [np.zeros((b.shape[1], len(self.slopes))) for b in borders]
-        return _in_scale(posed, rest, good, borders, targets)
+        return _in_scale(systems, rest, good, borders, targets)
 
-    def normalised(self, posed: Posed, rest: np.ndarray) -> np.ndarray:
+    def normalised(self, system: ModeSystem, rest: np.ndarray) -> np.ndarray:
         """The shape's derivative in the scale of `Modes`."""
-        phi = posed.shape
+        phi = system.shape
         own = -0.5 * np.array([phi @ (dm @ phi) for _, _, dm in self.slopes]) - (self.m @ phi) @ rest
         return np.asarray(rest + np.outer(phi, own))
 
 
-def _sizes(posed: Sequence[Posed]) -> np.ndarray:
+def _sizes(systems: Sequence[ModeSystem]) -> np.ndarray:
     """Norms of all forces, (n_modes * n_params,)."""
-    return np.concatenate([np.linalg.norm(one.force, axis=0) for one in posed])
+    return np.concatenate([np.linalg.norm(one.force, axis=0) for one in systems])
 
 
 def _in_scale(
-    posed: Sequence[Posed],
+    systems: Sequence[ModeSystem],
     rest: np.ndarray,
     good: np.ndarray,
     borders: Sequence[np.ndarray],
     targets: Sequence[np.ndarray],
 ) -> list[np.ndarray | None]:
-    """Solutions mode by mode, with what they hold of modes that are not told from their own set to a target."""
+    """Solutions mode by mode, with their part in modes of the same eigenvalue set to a target."""
     out: list[np.ndarray | None] = []
-    for k, (one, border, target) in enumerate(zip(posed, borders, targets, strict=True)):
+    for k, (one, border, target) in enumerate(zip(systems, borders, targets, strict=True)):
         own = slice(k * one.force.shape[1], (k + 1) * one.force.shape[1])
         column, same = rest[:, own], one.group[:, one.same]
         held = np.linalg.solve(border.T @ same, target - border.T @ column)
