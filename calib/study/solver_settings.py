@@ -7,7 +7,6 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
-from calib.execution.process import is_beside
 from calib.study.measurement_settings import Pair, PathText, Section
 
 
@@ -77,6 +76,8 @@ class SolverSettings(Section):
     @property
     def inputs(self) -> tuple[str, ...]:
         """Files of the study that decide on a run: templates, files beside them, a program that is not installed."""
+        from calib.execution.process import is_beside  # few studies have a solver
+
         try:
             program = shlex.split(self.command)[:1]
         except ValueError:  # told where the model is made

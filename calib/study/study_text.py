@@ -18,7 +18,6 @@ from pydantic import BaseModel, ValidationError
 from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.errors.toml_places import Keys, Mark, keys_in_words, place_in
-from calib.execution.process import is_beside
 from calib.results.former_names import KEYS, MOVED
 from calib.study.measurement_settings import LIBRARY, MODEL, RUNS
 from calib.study.settings import NAME, StudySettings
@@ -137,6 +136,8 @@ def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
         return [lead(path) for path in paths] if isinstance(paths, list) else lead(paths)
 
     def command(words: Any) -> Any:
+        from calib.execution.process import is_beside  # few studies have a solver
+
         try:
             program, *more = shlex.split(words) if isinstance(words, str) else ("",)
         except ValueError:  # told where the model is made

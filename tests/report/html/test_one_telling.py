@@ -100,7 +100,7 @@ def test_the_live_page_tells_the_effects_of_the_tables(everything, results):
     why = pd.read_csv(everything / "why.csv")
     assert told["shown"] == list(dict.fromkeys(why["effect"]))
     largest = pd.read_csv(everything / "perturbations.csv").sort_values("score", key=lambda z: -z.abs(), kind="stable")
-    assert [one["name"] for one in told["places"]] == largest["perturbation"].head(8).tolist()
+    assert [one["name"] for one in told["places"]] == largest["perturbation"].head(6).tolist()
     gains = set(pd.read_csv(everything / "next_measurement.csv")["gain"].map(lambda gain: f"× {fixed(gain, 2)}"))
     assert told["measurements"] and {one["gain"] for one in told["measurements"]} <= gains
 
