@@ -7,7 +7,8 @@ from pathlib import Path
 
 from calib.analyses.staged import required_calibration
 from calib.errors.errors import EvaluationError, InputError
-from calib.imports.deck import check_template, deck_name, deck_of
+from calib.imports.deck import deck_name, deck_of, read_template
+from calib.problem.space import ParameterSpace
 from calib.results.results import Results
 from calib.results.written import write_new_folder
 from calib.study.several import AnyStudy
@@ -48,8 +49,7 @@ def write_decks(study: AnyStudy, results: Results, into: Path) -> tuple[Path, ..
     found = required_calibration(study, results)
     space = first.model.space
     values = {**space.values, **{name: value for name, value in found.values.items() if name in space}}
-    whole = {name: round(v) if space[name].integer else v for name, v in values.items()}
-    contents = {deck_name(name): _deck(study.folder / name, whole) for name in templates}
+    contents = {deck_name(name): _deck(study.folder / name, space, values) for name in templates}
     for name in solver.files if solver is not None and not settings.decks else ():
         contents[Path(name).name] = (study.folder / name).read_bytes()
     rows = [
@@ -60,16 +60,12 @@ def write_decks(study: AnyStudy, results: Results, into: Path) -> tuple[Path, ..
     return tuple(into / name for name in contents)
 
 
-def _deck(file: Path, values: Mapping[str, float]) -> bytes:
-    """The deck of one template."""
+def _deck(file: Path, space: ParameterSpace, values: Mapping[str, float]) -> bytes:
+    """The deck of one template; a file in which nothing is to be written, such as a mesh, as it is."""
+    if file.is_file() and not any(mark in (content := file.read_bytes()) for mark in (b"{{", b"{%", b"{#")):
+        return content
+    text, _ = read_template(file, space.names)
     try:
-        text = file.read_bytes().decode("utf-8")
-    except OSError as fault:
-        raise InputError(f"it cannot be read ({fault.strerror})", place=file) from None
-    except UnicodeDecodeError as fault:
-        raise InputError(f"it is not UTF-8 text (byte {fault.start})", place=file, remedy="save it so") from None
-    check_template(file, text, values)
-    try:
-        return deck_of(text, values).encode()
+        return deck_of(text, space.parameters, values).encode()
     except EvaluationError as fault:
         raise InputError(str(fault), place=file) from None

@@ -24,7 +24,7 @@ from calib.measurement.modal import DIRECTIONS, MeasuredModes
 from calib.problem.parameter import Parameter
 from calib.structure.model import StructuralModel
 from calib.structure.unit_system import SYSTEMS
-from calib.study.solver import Solver
+from calib.study.solver import Solver, read_unless_missing
 from calib.study.solver_settings import SolverSettings
 from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile
@@ -77,10 +77,8 @@ class _SolverRuns:
 
         def read(folder: Path) -> ReadMatrices:
             files = [folder / name for name in self.solver.matrices]
-            for file in files:
-                if not file.is_file():
-                    raise FileNotFoundError(2, "no such file", file.name)
-            return read_matrices(files, metres=SYSTEMS[self.solver.units].length)
+            metres = SYSTEMS[self.solver.units].length
+            return read_unless_missing(lambda: read_matrices(files, metres=metres), *files)
 
         return self._run(values, read, True)
 

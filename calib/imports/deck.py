@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from calib.errors.errors import EvaluationError, InputError
 from calib.errors.place import Place
+from calib.problem.parameter import Parameter
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -53,11 +54,23 @@ def deck_name(template: str | Path) -> str:
     return Path(template).name.removesuffix(SUFFIX)
 
 
-def check_template(file: Path, text: str, known: Iterable[str]) -> set[str]:
-    """The parameters that a template uses; InputError with the line for wrong syntax or an unknown name."""
+def read_template(file: Path, known: Iterable[str]) -> tuple[str, set[str]]:
+    """Text of a template and the parameters that it uses, all of them among the known ones.
+
+    Raises
+    ------
+    InputError
+        For a file that is not there or no UTF-8 text; with the line for wrong syntax or an unknown name.
+    """
     import jinja2
     from jinja2 import meta
 
+    try:
+        text = file.read_bytes().decode("utf-8")
+    except OSError as fault:
+        raise InputError(f"it cannot be read ({fault.strerror})", place=file) from None
+    except UnicodeDecodeError as fault:
+        raise InputError(f"it is not UTF-8 text (byte {fault.start})", place=file, remedy="save it so") from None
     lines = text.split("\n")
     try:
         tree = _environment().parse(text)
@@ -74,18 +87,18 @@ def check_template(file: Path, text: str, known: Iterable[str]) -> set[str]:
             f"{name!r} is no parameter", place=Place.in_lines(str(file), lines, number),
             remedy=f"the parameters are {', '.join(listed) or 'none'}",
         )  # fmt: skip
-    return used
+    return text, used
 
 
-def deck_of(text: str, values: Mapping[str, float], matrices: bool = False) -> str:
-    """A template with the values in it.
+def deck_of(text: str, parameters: Iterable[Parameter], values: Mapping[str, float], matrices: bool = False) -> str:
+    """A template with the values of parameters in it, those of integers without a decimal point.
 
     Raises
     ------
     EvaluationError
         Where an expression in it fails at these values.
     """
-    plain: dict[str, Any] = {name: v if isinstance(v, int) else float(v) for name, v in values.items()}
+    plain = {p.name: round(values[p.name]) if p.integer else float(values[p.name]) for p in parameters}
     try:
         return _environment().from_string(text).render({**plain, MATRICES: matrices})
     except EvaluationError:

@@ -19,7 +19,7 @@ from calib.execution.outcome import TOOK_TOO_LONG, point_key
 from calib.execution.process import OUTPUT, is_beside, last_lines, program_of, run_command
 from calib.execution.temporary import LOCK, TemporaryFolder
 from calib.imports.coordinates import DECKS
-from calib.imports.deck import check_template, deck_name, deck_of
+from calib.imports.deck import deck_name, deck_of, read_template
 from calib.imports.fe_modes import read_fe_modes
 from calib.measurement.files.csv_format import read_responses_csv
 from calib.measurement.frf_units import LENGTHS
@@ -127,9 +127,8 @@ class Solver:
 
     def write(self, folder: Path, values: Mapping[str, float], matrices: bool = False) -> None:
         """Write the decks with the values, and copy the other files."""
-        whole = {p.name: round(values[p.name]) if p.integer else values[p.name] for p in self.space.parameters}
         for name, text in self.decks.items():
-            (folder / name).write_text(deck_of(text, whole, matrices), "utf-8")
+            (folder / name).write_text(deck_of(text, self.space.parameters, values, matrices), "utf-8")
         for name, file in self.files.items():
             shutil.copy2(file, folder / name)
 
@@ -157,7 +156,8 @@ class Solver:
     # -- results -------------------------------------------------------------------------------------------------------
 
     def _numbers(self, folder: Path) -> dict[str, float]:
-        found = read_unless_missing(folder / self.responses, read_responses_csv)
+        file = folder / self.responses
+        found = read_unless_missing(lambda: read_responses_csv(file), file)
         (only,) = found.values() if len(found) == 1 else ({},)
         if not only:
             raise EvaluationError(f"{self.responses} is no table response, value of one run")
@@ -169,13 +169,9 @@ class Solver:
         place = folder / self.coordinates if self.coordinates else next(filter(_has_nodes, others), None)
         length = next(unit for unit, metres in LENGTHS.items() if metres == SYSTEMS[self.units].length)
         has_own = Path(self.modes).suffix.lower() in (".frd", ".fil", ".unv", ".uff")
-        return read_unless_missing(
-            folder / self.modes,
-            lambda file: read_fe_modes(
-                file, shapes=folder / self.shapes if self.shapes else None, length_unit=length,
-                coordinates=None if has_own and not self.coordinates else place,
-            ),
-        )  # fmt: skip
+        file, shapes = folder / self.modes, folder / self.shapes if self.shapes else None
+        at = None if has_own and not self.coordinates else place
+        return read_unless_missing(lambda: read_fe_modes(file, shapes=shapes, length_unit=length, coordinates=at), file)
 
     def _modes(self, folder: Path) -> dict[str, Any]:
         found = self.computed_modes(folder)
@@ -234,14 +230,15 @@ class Solver:
         return False
 
 
-def read_unless_missing(file: Path, read: Callable[[Path], R]) -> R:
-    """What is read from a file that a run wrote; FileNotFoundError without it, EvaluationError where it is damaged."""
-    if not file.is_file():
-        raise FileNotFoundError(2, "no such file", file.name)
+def read_unless_missing(read: Callable[[], R], *files: Path) -> R:
+    """What is read from files that a run wrote; FileNotFoundError without one, EvaluationError where one is damaged."""
+    for file in files:
+        if not file.is_file():
+            raise FileNotFoundError(2, "no such file", file.name)
     try:
-        return read(file)
+        return read()
     except InputError as fault:
-        raise EvaluationError(f"{file.name}: {fault.problem}") from None
+        raise EvaluationError(f"{', '.join(file.name for file in files)}: {fault.problem}") from None
 
 
 def _has_nodes(file: Path) -> bool:
@@ -384,12 +381,8 @@ def _decks(files: Sequence[Path], space: ParameterSpace) -> dict[str, str]:
         raise InputError("none is named", place="solver, template", remedy="name the deck that the command solves")
     out, used = dict[str, str](), set[str]()
     for file in files:
-        try:
-            text = file.read_bytes().decode("utf-8")
-        except UnicodeDecodeError as fault:
-            raise InputError(f"it is not UTF-8 text (byte {fault.start})", place=file, remedy="save it so") from None
-        used |= check_template(file, text, space.names)
-        out[deck_name(file)] = text
+        out[deck_name(file)], own = read_template(file, space.names)
+        used |= own
     for parameter in space.names:
         if parameter not in used:
             raise InputError(

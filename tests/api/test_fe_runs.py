@@ -33,17 +33,19 @@ def test_the_matrices_of_runs_have_the_modes_of_the_solver(tmp_path):
 
 @pytest.mark.slow
 def test_calibrated_values_go_back_into_the_deck(tmp_path):
-    folder = study(tmp_path / "chain")
+    folder = study(tmp_path / "chain", text=STUDY.replace("[model]", '[model]\nfiles = "mesh.bin"'))
+    (folder / "mesh.bin").write_bytes(b"\xff\r\n{ }")
     calib.import_matrices(folder, to=tmp_path / "affine")
     one = calib.Study.load(tmp_path / "affine", results=tmp_path / "results", progress=False)
     with pytest.raises(InputError, match="calib calibrate"):
         one.decks(tmp_path / "deck")
     steps.calibrated(one)
     written = one.decks(tmp_path / "deck")
-    assert [path.name for path in written] == ["solve.py", "calibrated.csv"]
+    assert [path.name for path in written] == ["solve.py", "mesh.bin", "calibrated.csv"]
+    assert written[1].read_bytes() == b"\xff\r\n{ }"
     values = re.search(r"k, m, t = (\S+), (\S+), (\S+)", written[0].read_text()).groups()
     assert [float(v) for v in values] == pytest.approx([2.3, 1.3, 1.0], rel=1e-4)
-    assert "k,2." in written[1].read_text()
+    assert "k,2." in written[2].read_text()
 
 
 def test_a_parameter_without_its_powers_stays_and_is_told(tmp_path):
@@ -62,6 +64,7 @@ def test_a_parameter_without_its_powers_stays_and_is_told(tmp_path):
         ('matrices = ["K.mtx", "M.mtx", "dofs.csv"]\n', "", "matrices"),
         ('"K.mtx", "M.mtx"', '"K.mtx", "N.mtx"', r"no N\.mtx"),
         ("[-1, 1, 2, 3]", "[1]", "stay with the solver"),
+        ('"K.mtx", "M.mtx"', '"solve.py", "M.mtx"', r"run failed: .*solve\.py, M\.mtx, dofs\.csv.*failed_runs"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_imported_is_refused(tmp_path, old, new, words):

@@ -205,9 +205,12 @@ def test_a_program_that_is_not_there_is_no_failed_point(tmp_path):
 
 
 def test_numbers_have_a_decimal_point_and_all_digits():
-    values = {"a": 1e6, "b": 1e-7, "c": 210000.0, "d": 0.1 + 0.2, "n": 3}
-    assert deck_of("{{ a }} {{ b }} {{ c }} {{ d }} {{ n }}", values) == f"1000000.0 1.0e-07 210000.0 {0.1 + 0.2!r} 3"
-    assert deck_of("{{ 2 * a | columns(8) }}|{{ c | columns(8) }}", values).split("|")[1] == "210000.0"
+    values = {"a": 1e6, "b": 1e-7, "c": 210000.0, "d": 0.1 + 0.2, "n": 3.0}
+    own = [calib.Parameter(name, v, -1e9, 1e9, integer=name == "n") for name, v in values.items()]
+    assert (
+        deck_of("{{ a }} {{ b }} {{ c }} {{ d }} {{ n }}", own, values) == f"1000000.0 1.0e-07 210000.0 {0.1 + 0.2!r} 3"
+    )
+    assert deck_of("{{ 2 * a | columns(8) }}|{{ c | columns(8) }}", own, values).split("|")[1] == "210000.0"
 
 
 @pytest.mark.parametrize("value", [210000.123456, -7.85e-9, 1.0, 123456789.0, -1.5e-120, 0.0, 3.3e25])
