@@ -8,8 +8,8 @@ from typing import NamedTuple
 import pandas as pd
 
 from calib.missing.explanation import Explanation
-from calib.missing.recommendation import as_ratio
 from calib.missing.rules import RULES
+from calib.missing.suspect import suspect_sentence
 from calib.missing.verdict_words import limits_sentence
 
 _LISTED = 6
@@ -54,12 +54,10 @@ def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assum
         yield Reservation(pointed, "Inspect both places and what is mounted between them.")
     suspects = found.suspects[found.suspects["explains"].astype(bool)]
     if found.verdict == "effect" and len(suspects):
-        what, p = suspects["what"].iloc[0], suspects["p_fit_without"].iloc[0]
         check = "Measure it again with another excitation, and compare its repeats."
         yield Reservation(
-            f"Without {what} the model would fit as it is (p = {p:.2g}), but {found.chosen.names[0]} explains the "
-            f"misfit better, by odds of more than {as_ratio(RULES.credible)}.",
-            "Check its mounting, cable and direction." if what.startswith("sensor") else check,
+            suspect_sentence(suspects, found.chosen.names[0]),
+            "Check its mounting, cable and direction." if suspects["kind"].iloc[0] == "sensor" else check,
         )
     fits = found.chosen_adequacy
     if fits is not None and found.alpha < fits.p_fit <= RULES.near_limit and len(fits.modes):

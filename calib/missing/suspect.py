@@ -169,9 +169,13 @@ def suspect_in_short(table: pd.DataFrame, named: str) -> str:
     explaining = table[table["explains"].astype(bool)]
     if explaining.empty:
         return ""
+    return f"{_beside(explaining['what'].iloc[0], named)}: check that measurement."
+
+
+def _beside(what: str, named: str, p: str = "") -> str:
     return (
-        f"Without {explaining['what'].iloc[0]} the base model would fit too, but {named} explains the misfit better, "
-        f"by odds of more than {as_ratio(RULES.credible)}: check that measurement."
+        f"Without {what} the base model would fit too{p}, but {named} explains the misfit better, by odds of more than "
+        f"{as_ratio(RULES.credible)}"
     )
 
 
@@ -186,11 +190,8 @@ def suspect_sentence(table: pd.DataFrame, named: str = "") -> str:
     first, more = explaining.iloc[0], explaining["what"].tolist()[1:4]
     others = f"; so it does without {' or without '.join(more)}" if more else ""
     if named:
-        return (
-            f"Without {first['what']} the base model would fit too (p = {first['p_fit_without']:.2g}, to first order), "
-            f"but {named} explains the misfit better, by odds of more than {as_ratio(RULES.credible)}. Check the "
-            f"measurement of {first['what']} all the same."
-        )
+        p = f" (p = {first['p_fit_without']:.2g}, to first order)"
+        return f"{_beside(first['what'], named, p)}."
     return (
         f"One measurement may be what does not fit: without {first['what']} everything does (p = "
         f"{first['p_fit_without']:.2g}, to first order; the chance of such a value in a correct model is "

@@ -43,7 +43,9 @@ def test_a_place_of_the_data_comes_first_and_an_assumed_std_is_told(found, effec
 def test_a_datum_without_which_all_fits_is_told_as_what_it_is(found, effects):
     usual = [one.doubt for one in reservations(found, effects)]
     for what, word in (("mode 2B", "excitation"), ("sensor 12y", "mounting")):
-        table = pd.DataFrame({"what": [what, "mode 9B"], "p_fit_without": [0.02, 0.5], "explains": [True, False]})
+        kinds = [what.split()[0], "mode"]
+        table = pd.DataFrame({"what": [what, "mode 9B"], "kind": kinds, "p_fit_without": [0.02, 0.5]})
+        table = table.assign(explains=[True, False])
         (more,) = [one for one in reservations(replace(found, suspects=table), effects) if one.doubt not in usual]
         assert what in more.doubt and "p = 0.02" in more.doubt and word in more.check and "9B" not in more.doubt
 
