@@ -125,7 +125,8 @@ def robustness_at(study: AnyStudy, values: Mapping[str, float], run: RobustnessR
     Raises
     ------
     InputError
-        For limits of a response that the model does not have, and where constraints leave no sample.
+        For limits of a response that the model does not have, and where no sample is left: constraints exclude all, or
+        the model could be evaluated at none.
     """
     started = time.perf_counter()
     points, notes = _points(study.each(lambda one: recorded(one, run.ledger, run.workers)), values, run)
@@ -139,6 +140,9 @@ def robustness_at(study: AnyStudy, values: Mapping[str, float], run: RobustnessR
         raise InputError(words, place="robustness", remedy=remedy)
     responses = table_of(outcomes, names)
     failed = sum(one.status != "ok" for one in outcomes)
+    if failed == len(outcomes):
+        remedy = "check the model near its fitted parameters"
+        raise InputError(f"the model fails at all {failed} samples", place="robustness", remedy=remedy)
     if failed:
         notes.append(f"The model could not be evaluated at {failed} of {len(outcomes)} samples, which do not count.")
     targets, units = objective_of(study).targets, _units(study, names)
@@ -182,7 +186,8 @@ def _row(
         numbers = [known.mean(), known.std(ddof=min(1, len(known) - 1)), *np.quantile(known, list(QUANTILES.values()))]
     head = (name, unit, fitted, measured, *map(float, numbers))
     if limits is None or not len(known):
-        return (*head, *(limits or (np.nan, np.nan)), len(known), np.nan, np.nan, np.nan, "")
+        words = "" if limits is None else "No sample has this response, so that nothing is known of its limits."
+        return (*head, *(limits or (np.nan, np.nan)), len(known), np.nan, np.nan, np.nan, words)
     outside = int(np.count_nonzero((known < limits[0]) | (known > limits[1])))
     low, high = share_interval(outside, len(known))
     share = outside / len(known)

@@ -180,9 +180,9 @@ def fit(
 ) -> FitResult:
     """Minimise ``|residual|^2 + sum ((theta - centre)/sd)^2`` within limits and linear constraints.
 
-    Other priors than normal ones add the square of their pull. Levenberg-Marquardt in the position of each parameter
-    between its limits, along its scale; the damping follows the ratio of actual to predicted
-    decrease (Nielsen 1999). Every step is the exact minimum of the damped quadratic model within all limits and
+    Priors other than normal ones add the square of their pull. Levenberg-Marquardt in the position of each parameter
+    between its limits, along its scale; the damping follows the ratio of actual to predicted decrease (Nielsen 1999).
+    Every step is the exact minimum of the damped quadratic model within all limits and
     constraints (least distance programming, Lawson and Hanson 1974, ch. 23), so every point tried is feasible.
     Integer parameters stay at their start.
 

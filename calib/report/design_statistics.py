@@ -17,7 +17,6 @@ from calib.report import style
 from calib.report.designs import numbers_of
 from calib.report.parameters import position
 
-_ACROSS = 4
 _BINS = 30
 MOST_PANELS = 24
 """Histograms of one figure."""
@@ -104,10 +103,7 @@ def histograms_figure(
     """
     values = {name: numbers_of(table, [name])[name].dropna().to_numpy(dtype=float) for name in columns}
     shown = [name for name, own in values.items() if len(own) > 1 and np.ptp(own) > 0][:MOST_PANELS]
-    across = min(_ACROSS, max(len(shown), 1))
-    down = math.ceil(max(len(shown), 1) / across)
-    figure = style.new_figure(0.6 + 1.8 * down)
-    panels = figure.subplots(down, across, squeeze=False)
+    figure, panels = style.new_panels(len(shown), 1.8, 0.6)
     for ax, name in zip(panels.flat, shown, strict=False):
         own = values[name]
         ends = own.min(), own.max()
@@ -121,8 +117,6 @@ def histograms_figure(
         ax.tick_params(labelsize=7)
         if name not in log:
             ax.locator_params(axis="x", nbins=3)
-    for ax in panels.flat[len(shown) :]:
-        ax.set_visible(False)
     return figure
 
 

@@ -13,10 +13,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from calib.report.numbers import significant
-from calib.report.style import BLACK, BLUE, GREY, VERMILLION, new_figure
+from calib.report.style import BLACK, BLUE, GREY, VERMILLION, new_panels
 from calib.report.svg import hover_points
 
-_ACROSS = 4
 _TOP = 4.0
 """Largest root of the rise that is drawn, in standard deviations."""
 
@@ -39,10 +38,7 @@ def profiles_figure(curves: pd.DataFrame, intervals: pd.DataFrame) -> Figure:
         open bar below it is the linearised one.
     """
     names = list(dict.fromkeys(curves["parameter"]))
-    across = min(_ACROSS, len(names))
-    down = math.ceil(len(names) / across)
-    figure = new_figure(0.8 + 1.75 * down)
-    panels = np.atleast_2d(figure.subplots(down, across, squeeze=False))
+    figure, panels = new_panels(len(names), 1.75, 0.8)
     known = intervals.set_index("parameter")
     for ax, name in zip(panels.flat, names, strict=False):
         own, row = curves[curves["parameter"] == name], known.loc[name]
@@ -68,8 +64,6 @@ def profiles_figure(curves: pd.DataFrame, intervals: pd.DataFrame) -> Figure:
             f"{name} = {significant(v)}: sum of squares higher by {r:.3g}" for v, r in zip(at, own["rise"], strict=True)
         ]
         hover_points(ax, at, np.sqrt(own["rise"].to_numpy(dtype=float)), words)
-    for ax in panels.flat[len(names) :]:
-        ax.set_visible(False)
     line: dict[str, Any] = {"marker": ".", "markersize": 4}
     handles: list[Artist] = [
         Line2D([], [], color=BLUE, label="with the prior", **line),

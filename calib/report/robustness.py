@@ -13,13 +13,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from calib.report.numbers import significant
-from calib.report.style import BLACK, BLUE, ORANGE, VERMILLION, new_figure
+from calib.report.style import BLACK, BLUE, ORANGE, VERMILLION, new_panels
 from calib.report.svg import hover
 
 BOUNDS = ("least", "most")
 """Columns that may be infinite."""
 NUMBERS = ("fitted", "measured", "std", "q025", "q975", *BOUNDS, "samples", "outside")
-_ACROSS, _MOST = 4, 24
+_MOST = 24
+"""Histograms of one figure."""
 _BINS = 24
 
 
@@ -43,14 +44,9 @@ def robustness_figure(table: pd.DataFrame, samples: pd.DataFrame) -> Figure:
     spread = (known["std"] / known["fitted"].abs()).fillna(0.0)
     order = np.lexsort([-spread, known["outside"].isna()])[:_MOST]
     shown = known.iloc[np.sort(order)]
-    across = min(_ACROSS, max(len(shown), 1))
-    down = math.ceil(max(len(shown), 1) / across)
-    figure = new_figure(0.9 + 1.7 * down)
-    panels = figure.subplots(down, across, squeeze=False)
+    figure, panels = new_panels(len(shown), 1.7, 0.9)
     for ax, row in zip(panels.flat, shown.to_dict("records"), strict=False):
         _draw(ax, row, samples[row["response"]].dropna().to_numpy(dtype=float))
-    for ax in panels.flat[len(shown) :]:
-        ax.set_visible(False)
     for ax in panels[:, 0]:
         ax.set_ylabel("samples", fontsize=8)
     handles: list[Artist] = [

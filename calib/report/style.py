@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import re
 import textwrap
 import warnings
@@ -51,6 +52,8 @@ Width: TypeAlias = Literal["page", "column"]
 WIDTHS: dict[Width, float] = {"page": WIDTH, "column": COLUMN}
 _width: ContextVar[float] = ContextVar("width", default=WIDTH)
 DPI = 160
+_ABREAST = 4
+"""Largest number of equal panels side by side."""
 Format: TypeAlias = Literal["svg", "png", "pdf"]
 FORMATS: tuple[Format, ...] = ("svg", "png", "pdf")
 """Formats of files, in the order in which they are written: the last removes the words under the mouse."""
@@ -119,6 +122,21 @@ def style(width: float = WIDTH) -> Iterator[None]:
 def new_figure(height: float) -> Figure:
     """Return an empty figure without a window of that height in inches, as wide as `style` says."""
     return Figure(figsize=(_width.get(), height), dpi=DPI, layout="constrained")
+
+
+def new_panels(count: int, height: float, beside: float) -> tuple[Figure, np.ndarray]:
+    """Return an empty figure of equal panels, at most four abreast, and the panels (n_down, n_across).
+
+    Spare panels are hidden. ``height`` is that of a row of panels, ``beside`` that of what stands above and below them,
+    in inches.
+    """
+    across = min(_ABREAST, max(count, 1))
+    down = math.ceil(max(count, 1) / across)
+    figure = new_figure(beside + height * down)
+    panels = figure.subplots(down, across, squeeze=False)
+    for ax in panels.flat[count:]:
+        ax.set_visible(False)
+    return figure, panels
 
 
 def own_axes(ax: Axes | None, height: float) -> Axes:

@@ -95,6 +95,29 @@ def test_samples_of_the_posterior_are_taken_where_they_are_given():
     assert "the samples of the posterior" in found.sentences[-1]
 
 
+def near_only(elsewhere):
+    """A fit of a model that has the response z only next to the fitted value, and does ``elsewhere`` beyond."""
+    a = calib.Parameter("a", 1.0, -9.0, 9.0)
+
+    def respond(v):
+        return {"y": v["a"]} | ({"z": 1.0} if abs(v["a"] - 1.0) < 0.05 else elsewhere())
+
+    model = calib.FunctionModel("near", calib.ParameterSpace((a,)), respond)
+    return fitted(calib.Problem(model, calib.ResponseTest({"y": (1.0, 5.0)})))
+
+
+def test_a_limited_response_that_no_sample_has_is_told_so():
+    found = near_only(dict).robustness(samples=20, limits={"z": (0.0, 2.0)}, progress=False)
+    (row,) = found.table[found.table["response"] == "z"].to_dict("records")
+    assert row["samples"] == 0 and math.isnan(row["outside"]) and row["sentence"]
+    assert any(words.startswith("z: ") for words in found.sentences)
+
+
+def test_a_model_that_fails_at_all_samples_has_no_robustness():
+    with pytest.raises(InputError, match="fails at all 20 samples"):
+        near_only(lambda: 1 / 0).robustness(samples=20, progress=False)
+
+
 @pytest.mark.parametrize(("count", "total"), [(0, 30), (3, 50), (50, 50)])
 def test_the_interval_of_a_share(count, total):
     low, high = share_interval(count, total)
