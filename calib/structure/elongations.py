@@ -12,9 +12,9 @@ from calib.structure.model import Part
 MOST_MOTIONS = 120
 """Largest number of elastic motions of a part: each can have a spring or a damper of its own in series or beside it."""
 _ELASTIC = 1e-9
-"""Eigenvalue of a part's matrix, over its largest, that is rounding."""
+"""Eigenvalue of a part's matrix, over its largest, below which it is rounding."""
 _ROUNDED = 1e-2
-"""The same of its product with random vectors, over that of the eigenvalue."""
+"""The limit of a product with random vectors, over `_ELASTIC`: a small eigenvalue can be smaller there."""
 _SMALL = 4
 """Degrees of freedom, over the largest number of motions, up to which a matrix is made dense."""
 
@@ -28,7 +28,7 @@ def elongations(part: Part) -> sp.csr_array:
         When its stiffness or damping is negative in some motion, or it has too many of them.
     """
     matrix, place = sp.csr_array(part.matrix), f"part {part.name!r}"
-    found = few_motions(matrix, MOST_MOTIONS, _ELASTIC)
+    found = few_motions(matrix)
     if found is None:
         more = "" if part.kind == "damping" else ", or give it damping in proportion to its stiffness"
         raise InputError(
@@ -45,10 +45,10 @@ def elongations(part: Part) -> sp.csr_array:
     return sp.csr_array(out)
 
 
-def few_motions(matrix: sp.csr_array, most: int, least: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def few_motions(matrix: sp.csr_array, most: int = MOST_MOTIONS) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Motions that a symmetric matrix resists, where these are few; a large matrix is never made dense.
 
-    Of a large matrix they span its products with random vectors, one more than so many (Halko, Martinsson and Tropp
+    Those of a large matrix are sought in its products with ``most + 1`` random vectors (Halko, Martinsson and Tropp
     2011, SIAM Review 53, 217-288).
 
     Parameters
@@ -56,17 +56,13 @@ def few_motions(matrix: sp.csr_array, most: int, least: float) -> tuple[np.ndarr
     matrix : csr_array (n_dof, n_dof)
     most : int
         Largest number of motions.
-    least : float
-        Eigenvalue, over the largest one, that is rounding.
 
     Returns
     -------
-    seen : ndarray (n_seen,), int
-        Degrees of freedom on which the matrix acts.
-    sizes : ndarray (n_motions,)
-        Eigenvalues other than 0.
-    motions : ndarray (n_seen, n_motions)
-        Orthonormal. None in place of all where there are more than ``most``.
+    tuple of ndarray, or None
+        None where there are more than ``most``. Else the degrees of freedom on which the matrix acts (n_seen,), int;
+        its eigenvalues other than 0 (n_motions,), which may be negative; and the motions (n_seen, n_motions),
+        orthonormal.
     """
     seen = np.unique(matrix.nonzero()[0])
     inner = matrix[seen][:, seen]
@@ -76,19 +72,19 @@ def few_motions(matrix: sp.csr_array, most: int, least: float) -> tuple[np.ndarr
         rng = np.random.default_rng(20110713)
         probe = rng.standard_normal((len(seen), most + 1))
         some = np.sort(rng.choice(len(seen), _SMALL * most, replace=False))
-        if _span(inner[some] @ probe, least).shape[1] > most:
+        if _span(inner[some] @ probe).shape[1] > most:
             return None
-        span = _span(inner @ probe, least)
+        span = _span(inner @ probe)
         if span.shape[1] > most:
             return None
         sizes, turn = np.linalg.eigh(span.T @ (inner @ span))
         turn = span @ turn
-    kept = np.abs(sizes) > least * max(abs(sizes).max(initial=0.0), 1e-300)
+    kept = np.abs(sizes) > _ELASTIC * max(abs(sizes).max(initial=0.0), 1e-300)
     return (seen, sizes[kept], turn[:, kept]) if np.count_nonzero(kept) <= most else None
 
 
-def _span(columns: np.ndarray, least: float) -> np.ndarray:
-    """Orthonormal basis of columns but for rounding, (n, rank)."""
+def _span(columns: np.ndarray) -> np.ndarray:
+    """Orthonormal basis (n, rank) of products (n, m) with random vectors; what is rounding is left out."""
     span, triangle, _ = la.qr(columns, mode="economic", pivoting=True)
     reached = np.abs(np.diag(triangle))
-    return np.asarray(span[:, reached > _ROUNDED * least * reached[0]])
+    return np.asarray(span[:, reached > _ROUNDED * _ELASTIC * reached[0]])

@@ -26,12 +26,12 @@ def test_few_motions_are_the_eigenvectors_of_the_dense_matrix(size):
     rng = np.random.default_rng(1)
     columns = sp.csc_array(np.where(rng.random((size, 5)) < 0.3, rng.standard_normal((size, 5)), 0.0))
     matrix = sp.csr_array(columns @ sp.diags_array([1.0, 10.0, 1e3, 1e-3, 5.0]) @ columns.T)
-    seen, sizes, motions = few_motions(matrix, 20, 1e-9)
+    seen, sizes, motions = few_motions(matrix, 20)
     np.testing.assert_array_equal(seen, np.unique(columns.nonzero()[0]))
     np.testing.assert_allclose(motions.T @ motions, np.eye(5), atol=1e-12)
     inner = matrix[seen][:, seen].toarray()
     np.testing.assert_allclose((motions * sizes) @ motions.T, inner, atol=1e-10 * np.abs(inner).max())
-    assert few_motions(matrix, 4, 1e-9) is None
+    assert few_motions(matrix, 4) is None
 
 
 def test_a_part_of_thirty_thousand_degrees_of_freedom_is_refused_without_a_dense_matrix():

@@ -26,8 +26,6 @@ POD = 0.5
 """Squared projection error of every snapshot, as a fraction of the tolerance."""
 _STATIC = 1e-3
 """Static vectors closer than this to the span of the others, in the energy norm, are dropped."""
-_DAMPERS = 120
-"""Largest number of motions that the dampers of a term resist."""
 _LOCAL, _STRAINED = 0.1, 20
 """Degrees of freedom of a small part, over those of the model, and modes whose damping forces on it count."""
 _COLUMNS = 64
@@ -165,9 +163,14 @@ class Growth:
     def statics(self, loads: np.ndarray) -> np.ndarray:
         """Static responses of the reference model to selected vectors and forces; and its rigid-body motions.
 
-        The forces are those of the dampers and ``loads`` (n_dof, n_loads). A term of more motions than a set of
-        dampers has is material damping: of a small part the forces that the lowest modes cause there count, and that of
-        a large one is left to the modes that the basis is trained on.
+        The forces are those of the dampers and ``loads`` (n_dof, n_loads). A term that resists more than
+        `calib.structure.elongations.MOST_MOTIONS` motions is material damping: a small part adds the damping forces of
+        the lowest undamped modes, and a large one is left to the modes of which the basis is made.
+
+        Returns
+        -------
+        ndarray (n_dof, n_vectors)
+            Orthonormal in the energy of the reference.
         """
         chosen = [b for term in self.model.stiffness.selected for b in term.vectors.values()]
         forces = [np.column_stack(chosen)] if chosen else []
@@ -176,7 +179,7 @@ class Growth:
         if self.rigid:
             forces.append(self._inertia_forces())
         for term in self.model.damping.terms:
-            found = few_motions(term.matrix, _DAMPERS, 1e-10)
+            found = few_motions(term.matrix)
             if found is not None:
                 seen, _, motions = found
                 columns = np.zeros((self.model.n_dof, motions.shape[1]))
