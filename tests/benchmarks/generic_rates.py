@@ -60,6 +60,7 @@ FREQ, SHAPE = 1e-3, 0.01
 INSIDE = ("mass", "support", "thin", "strut", "joint")
 OUTSIDE = ("notch", "storey")
 DETECTABLE = 6.0
+PRINTED = ("number", "scenario", "parts", "visible", "verdict", "outcome", "best", "error", "seconds")
 SOURCES = (
     "tests/benchmarks/generic_rates.py",
     "tests/benchmarks/rates_frame.py",
@@ -340,11 +341,8 @@ def main() -> None:
         report([json.loads(line) for line in file.read_text("utf-8").splitlines()], given.write, file)
         return
     code = digest_of(SOURCES)
-    done = (
-        {row["number"] for row in map(json.loads, file.read_text("utf-8").splitlines()) if row["code"] == code}
-        if file.exists()
-        else set()
-    )
+    rows = map(json.loads, file.read_text("utf-8").splitlines() if file.exists() else ())
+    done = {row["number"] for row in rows if row["code"] == code}
     with file.open("a", encoding="utf-8") as out:
         for number in range(given.skip, given.cases):
             if number in done:
@@ -352,32 +350,11 @@ def main() -> None:
             try:
                 row = run(number, code)
             except Exception as fault:
-                row = {
-                    "number": number,
-                    "code": code,
-                    "group": "failed",
-                    "error": repr(fault),
-                    "traceback": traceback.format_exc(),
-                }
+                broke = {"error": repr(fault), "traceback": traceback.format_exc()}
+                row = {"number": number, "code": code, "group": "failed", **broke}
             out.write(json.dumps(row) + "\n")
             out.flush()
-            print(
-                {
-                    k: row.get(k)
-                    for k in (
-                        "number",
-                        "scenario",
-                        "parts",
-                        "visible",
-                        "verdict",
-                        "outcome",
-                        "best",
-                        "error",
-                        "seconds",
-                    )
-                },
-                flush=True,
-            )
+            print({name: row.get(name) for name in PRINTED}, flush=True)
 
 
 def report(rows: list[dict[str, Any]], write: Path | None, file: Path) -> None:

@@ -25,6 +25,7 @@ import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import scipy.sparse as sp
@@ -216,8 +217,7 @@ def of_sensors() -> Taken:
 @contextmanager
 def nothing_kept() -> Iterator[None]:
     """No trained basis of an earlier run is found."""
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["CALIB_CACHE"] = folder
+    with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, {"CALIB_CACHE": folder}):
         yield
 
 
