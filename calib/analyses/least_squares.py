@@ -23,11 +23,12 @@ FitProgress = Callable[[int, int, float], None]
 LEAST_SQUARES = "least squares"
 """Name of the stage of a fit."""
 _POLISHED = FitSettings(gain=1e-4)
-"""Of the fit at full order: a hundredth of a posterior standard deviation is not worth another solution."""
+"""Of the fit at full order: a step that lowers the sum of squares by less, one of a hundredth of a posterior standard
+deviation, is not worth another solution."""
 _WIDENED = 6
 """Times that a basis may grow where fits end; the fit at full order goes on from there."""
 _OPTIMA = 2
-"""Optima at which it must be accurate."""
+"""Lowest optima at which a basis must be accurate."""
 
 
 def criteria(problem: FitProblem, values: Mapping[str, float]) -> tuple[float, float]:

@@ -269,7 +269,10 @@ def _kinds(path: Path, variables: Mapping[str, str]) -> list[str]:
             raise InputError(words, place=path, remedy="export what was measured")
         return held
     if path.suffix.lower() in MATLAB and not variables:
-        remedy = "name them: --variables freq=f,damping=zeta,shapes=Phi of modes, --variables freq=f,frf=H of FRFs"
+        remedy = (
+            "name them: --variables freq=f,damping=zeta,shapes=Phi of modes, --variables freq=f,frf=H of FRFs "
+            "(variables = in Python)"
+        )
         raise InputError("its variables are not named", place=path, remedy=remedy)
     if path.suffix.lower() != ".csv":
         return [_MODES if set(variables) - {"sheet", *VARIABLES} else _FRFS]

@@ -22,7 +22,7 @@ _NEAR = 1.15
 _REFINED = 0.01
 """Accuracy of refined modes, over the tolerance."""
 _DIRECTIONS = 2
-"""Most directions in which parameters move modes, for each mode and each parameter."""
+"""Most directions in which parameters move modes, over the number of modes and parameters together."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,21 @@ class ModeTarget:
     ) -> np.ndarray:
         """Principal directions (n_dof, m) in which the parameters of `moved` move modes at named values.
 
-        The derivative of a shape is sought among the other modes and the static responses to the forces that the
-        parameters exert on the modes, ``static`` of them: their part in higher modes is nearly static.
+        The derivative of a shape is sought among the other modes and the static responses to the forces
+        ``(lambda^2 dM + lambda dC + dK) phi`` that the parameters exert on the modes: their part in higher modes is
+        nearly static.
+
+        Parameters
+        ----------
+        model : StructuralModel
+        energy : csc_array (n_dof, n_dof)
+            Inner product of the basis.
+        values : mapping
+            The point.
+        modes : Modes
+            Solved there.
+        static : callable
+            Static responses (n_dof, n_forces) to forces of that shape, real or complex.
         """
         names = [name for name, _ in self.moved]
         point = beside_roots(model.space, model.roots, values, names)

@@ -184,7 +184,8 @@ def train(
 def basis_at(model: StructuralModel, space: ParameterSpace, target: ModeTarget, values: Mapping[str, float]) -> Basis:
     """A basis of what a model does at one point, without training: its modes, and how parameters move them.
 
-    It serves near that point. What it lacks elsewhere its error indicator tells, and `enrich_basis` adds.
+    It serves near that point. Its error indicator tells where it lacks something elsewhere, and `enrich_basis` adds
+    that.
 
     Parameters
     ----------
@@ -195,6 +196,10 @@ def basis_at(model: StructuralModel, space: ParameterSpace, target: ModeTarget, 
         With the parameters that are going to move in ``moved``.
     values : mapping
         The point, also the reference of the inner product.
+
+    Returns
+    -------
+    Basis
 
     Raises
     ------
