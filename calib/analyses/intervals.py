@@ -15,7 +15,7 @@ from calib.analyses.fit_statistics import FitProblem, Terms, fit_problem, statis
 from calib.analyses.provenance.places import Workers, tasks_shared
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.recorded import recorded
-from calib.analyses.provenance.state import INTERVALS
+from calib.analyses.provenance.state import INTERVALS, ROBUSTNESS, SAMPLES
 from calib.analyses.staged import required_calibration
 from calib.errors.errors import InputError
 from calib.execution.stage import Progress, silent
@@ -223,12 +223,13 @@ def intervals(
     """
     found = intervals_at(study, required_calibration(study, results).values, run)
     begin_analysis(results, "intervals")
-    results.remove(*INTERVALS)
+    sampled = found.sampled is not None or results.has(f"{SAMPLES}.csv")
+    results.remove(*INTERVALS, *(ROBUSTNESS if sampled else ()))  # which may rest on the samples that were
     results.write_table("intervals", found.table)
     results.write_table("profiles", found.curves)
     if found.sampled is not None:
         results.write_table("posterior_intervals", found.sampled.table)
-        results.write_table("posterior_samples", found.sampled.samples)
+        results.write_table(SAMPLES, found.sampled.samples)
     seeds = {"posterior": run.seed} if run.samples else {}
     options = [*(part for name in run.parameters for part in ("--parameter", name))]
     options += ["--samples", str(run.samples)] if run.samples else []

@@ -17,7 +17,7 @@ from calib.analyses.joint_responses import Responses
 from calib.analyses.provenance.places import Workers
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.recorded import recorded
-from calib.analyses.provenance.state import ROBUSTNESS
+from calib.analyses.provenance.state import ROBUSTNESS, SAMPLES
 from calib.analyses.sensitivity import evaluated, table_of
 from calib.analyses.staged import required_calibration
 from calib.errors.errors import InputError
@@ -316,5 +316,5 @@ def robustness(study: AnyStudy, results: Results, run: RobustnessRun, quick: boo
 
 def posterior_samples(results: Results) -> pd.DataFrame | None:
     """Samples of the posterior that `calib.analyses.intervals` left; None without any."""
-    path = results.path / "posterior_samples.csv"
+    path = results.path / f"{SAMPLES}.csv"
     return read_table(path, [], others_are_numbers=True) if path.exists() else None

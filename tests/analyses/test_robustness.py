@@ -145,7 +145,7 @@ def test_the_command_writes_what_python_returns(tmp_path, capsys, no_drawing):
         capsys.readouterr()
         limit = ["--samples", "40", "--limit", "natural_freq_B1x=1.71:"]
         assert cli.execute(["robustness", str(tmp_path / "mast"), "--results", str(tmp_path / "out"), *limit]) == 0
-    stored = pd.read_csv(tmp_path / "out/mast/robustness.csv").set_index("response")
+    stored = pd.read_csv(tmp_path / "out/mast/robustness.csv").fillna({"sentence": ""}).set_index("response")
     said = capsys.readouterr().out
     assert f"{100 * stored.loc['natural_freq_B1x', 'outside']:.3g} %" in said
     assert stored.loc["natural_freq_B1x", "unit"] == "Hz" and stored.index[0] == "natural_freq_B1x"
@@ -157,5 +157,10 @@ def test_the_command_writes_what_python_returns(tmp_path, capsys, no_drawing):
         found = study.robustness(samples=40, limits={"natural_freq_B1x": (1.71, math.inf)})
     pd.testing.assert_frame_equal(found.table.set_index("response"), stored, check_dtype=False, rtol=1e-6)
     with no_drawing():
+        study.intervals(["m_top"])
+        assert (tmp_path / "out/mast/robustness.csv").exists()  # it rests on no samples of intervals
+        study.intervals(["m_top"], samples=40)
+        assert not (tmp_path / "out/mast/robustness.csv").exists()
+        study.robustness(samples=40)
         assert cli.execute(["calibrate", str(tmp_path / "mast"), "--results", str(tmp_path / "out")]) == 0
     assert not (tmp_path / "out/mast/robustness.csv").exists()

@@ -50,10 +50,12 @@ GEOMETRY = ("mesh_points.csv", "mesh_elements.csv", "model_places.csv")
 ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv", "comparison_added.csv",
          "frf_added.csv", "frf_lines_added.csv", "where_it_fails_added.csv")  # fmt: skip
 """Files of `calib.analyses.added`, removed with the calibration or the explanation that they rest on."""
-INTERVALS = ("intervals.csv", "profiles.csv", "posterior_intervals.csv", "posterior_samples.csv")
+SAMPLES = "posterior_samples"
+"""Table of samples of the posterior, which `calib.analyses.robustness` takes up."""
+INTERVALS = ("intervals.csv", "profiles.csv", "posterior_intervals.csv", f"{SAMPLES}.csv")
 """Files of `calib.analyses.intervals`, removed with the calibration that they rest on."""
 ROBUSTNESS = ("robustness.csv", "robustness_samples.csv")
-"""Files of `calib.analyses.robustness`, removed with the calibration that they rest on."""
+"""Files of `calib.analyses.robustness`, removed with the calibration or the samples that they rest on."""
 PROPOSED = ("proposals.csv", "proposal_places.csv", "proposals.json")
 """Files of `calib.analyses.propose`, removed with the explanation that they rest on."""
 _MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivity_samples", "input_correlation",
