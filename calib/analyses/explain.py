@@ -12,6 +12,7 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
+from calib.analyses.added import to_add
 from calib.analyses.compare import comparison_at
 from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.failures import SHOWN, reasons
@@ -340,6 +341,7 @@ def explanation_summary(study: AnyStudy, answer: ExplanationResult) -> dict[str,
     for row in answer.errors[answer.errors["stage"] != "attempt"].to_dict("records"):
         errors[str(row["group"])][str(row["stage"])] = float(row["rms"])
     chosen, fits = found.chosen, found.chosen_adequacy if found.fault_adequacy is None else found.fault_adequacy
+    named = to_add(found)
     return {
         "study": study.name,
         "synthetic": study.synthetic,
@@ -354,6 +356,7 @@ def explanation_summary(study: AnyStudy, answer: ExplanationResult) -> dict[str,
         "credible_set": list(found.credible),
         "effects": answer.effects[list(columns)].replace(np.inf, np.nan).to_dict("records"),
         "chosen": [] if chosen is None else list(chosen.names),
+        "to_add": [] if named is None else list(named.names),
         "chosen_values": {} if chosen is None else {n: chosen.fit.values[n] for e in chosen.effects for n in e.names},
         "adequacy_p": None if fits is None else min(fits.p_family, fits.p_fit),
         "adequacy_p_family": None if fits is None else fits.p_family,

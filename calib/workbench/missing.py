@@ -32,11 +32,10 @@ def missing(results: StudyResults) -> dict[str, Any] | None:
     Returns
     -------
     dict
-        ``words`` (the verdict in short), ``named`` (whether it names effects that may be added: none before faults of
-        the measurement are corrected), ``composed`` (whether others may be composed), ``chosen``, ``answer``,
-        ``sentences`` and ``notes``, ``effects`` (ranked, numbers as the report words them), ``why`` (sentences),
-        ``shown`` (effects of which the figure shows the signature), ``faults``, ``places`` (local changes),
-        ``measurements`` (what to measure next), ``axes``.
+        ``words`` (the verdict in short), ``to_add`` (effects that `calib run` adds), ``composed`` (whether others may
+        be composed), ``chosen``, ``answer``, ``sentences`` and ``notes``, ``effects`` (ranked, numbers as the report
+        words them), ``why`` (sentences), ``shown`` (effects of which the figure shows the change pattern), ``faults``,
+        ``places`` (local changes), ``measurements`` (what to measure next), ``axes``.
     """
     if not results.explanation:
         return None
@@ -45,7 +44,7 @@ def missing(results: StudyResults) -> dict[str, Any] | None:
     why = results.table("why")
     verdict = str(results.explanation.get("verdict", ""))
     return {
-        "named": verdict in NAMED and not _blamed(faults), "composed": verdict in OPEN,
+        "to_add": results.explanation.get("to_add", []), "composed": verdict in OPEN,
         "words": _IN_WORDS.get(verdict, "no cause given"), "chosen": list(results.explanation.get("chosen", [])),
         "answer": answer, "sentences": explanation.sentences(results),
         "notes": [cells.arrows(str(words)) for words in results.explanation.get("notes", [])],
@@ -74,11 +73,6 @@ def _ranked(results: StudyResults, table: pd.DataFrame) -> list[dict[str, Any]]:
         }
         for k, r in enumerate(table.to_dict("records"))
     ]  # fmt: skip
-
-
-def _blamed(faults: pd.DataFrame | None) -> bool:
-    """Whether the verdict tells a fault of the measurement."""
-    return faults is not None and any(map(flag, faults["blamed"]))
 
 
 def _faults(table: pd.DataFrame) -> list[dict[str, Any]]:

@@ -23,7 +23,7 @@ KEYS = {
     "effects", "chosen", "chosen_values", "adequacy_p", "adequacy_p_family", "adequacy_p_fit", "noise_scale",
     "measured_noise_scale", "local_perturbations", "local_perturbation", "evaluations", "begun_anew",
     "accuracy", "std_assumed", "accuracy_that_explains", "place", "misfit_at", "measurement_fault", "wrong_datum",
-    "refused", "nearly", "doubts",
+    "refused", "nearly", "doubts", "to_add",
     "faults", "pair_faults", "blamed", "evaluations_intervals", "evaluations_recommendation", "errors", "seconds",
 }  # fmt: skip
 
@@ -152,11 +152,12 @@ def test_every_key_of_the_summary_is_documented(guyed, chain):
 def test_the_summary_holds_the_chosen_effects(guyed, bare):
     content = json.loads((guyed[1].path / "explanation.json").read_text())
     found = guyed[2].explanation
-    assert content["chosen"] == ["guy"] and content["chosen_values"] == {"guy": found.chosen.fit.values["guy"]}
+    assert content["chosen"] == content["to_add"] == ["guy"]
+    assert content["chosen_values"] == {"guy": found.chosen.fit.values["guy"]}
     assert content["adequacy_p"] == min(found.chosen_adequacy.p_family, found.chosen_adequacy.p_fit) > 0.01
     assert content["p_family"] == found.base_adequacy.p_family < 0.001 and content["p_fit"] == found.base_adequacy.p_fit
     empty = json.loads((bare[1].path / "explanation.json").read_text())
-    assert empty["chosen"] == [] and empty["chosen_values"] == {} and empty["adequacy_p"] is None
+    assert empty["chosen"] == empty["to_add"] == [] and empty["chosen_values"] == {} and empty["adequacy_p"] is None
     assert empty["errors"]["fit"]["after"] is None and empty["errors"]["held_out_modes"] == {
         "before": None,
         "after": None,

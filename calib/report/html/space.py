@@ -292,14 +292,16 @@ def _misfit(results: StudyResults, structure: _Structure) -> tuple[dict[str, Any
 def _effects(results: StudyResults) -> tuple[dict[str, Any], np.ndarray] | None:
     """Where each effect of the library acts, those of the credible set marked."""
     acts, ranked = results.table("effect_places"), results.table("effects")
-    if acts is None or acts.empty or ranked is None:
+    if acts is None or ranked is None:
         return None
     facts = {str(r["name"]): r for r in ranked.to_dict("records")}
     acts = acts[acts["effect"].astype(str).isin(list(facts))]
+    if acts.empty:
+        return None
     credible = [flag(facts[str(name)]["credible"]) for name in acts["effect"]]
-    looks = {True: (VERMILLION, "credible"), False: (SKY, "other effects of the library")}
+    looks = {True: (VERMILLION, "candidates left"), False: (SKY, "other effects of the list")}
     names = [f"{name}: {facts[str(name)]['title']}" for name in acts["effect"]]
-    words = f"{counted(acts['effect'].nunique(), 'effect')} of the library: places by the library, not by the data"
+    words = f"{counted(acts['effect'].nunique(), 'effect')}: places by the list of possible causes, not by the data"
     sizes = np.where(credible, 1.0, 0.3)
     dots, key = acts[PLACE].to_numpy(dtype=float), [looks[k] for k in sorted(set(credible), reverse=True)]
     colours = [looks[k][0] for k in credible]

@@ -47,6 +47,7 @@ _FIGURES = {
 SUMMARY = {"best_case": str, "method": str, **_FIGURES, "cases": {ANY: _FIGURES}, "tests": {ANY: _FIGURES}}
 EXPLANATION = {
     "verdict": str, "sentence": str, "sentences": [str], "notes": [str], "chosen": [str], "credible_set": [str],
+    "to_add": [str],
     "alpha": float, "p_family": float, "p_fit": float, "adequacy_p_family": float, "adequacy_p_fit": float,
     "evaluations": float, "doubts": [{"doubt": str, "check": str}], "errors": {ANY: {"before": float, "after": float}},
 }  # fmt: skip

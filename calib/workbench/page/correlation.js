@@ -25,7 +25,7 @@ export class Correlation {
       this.page.knows(known);
     }
     this.failed.replaceChildren(afterFailure(this.page) ?? "");
-    const now = JSON.stringify([this.found, this.undoing, known_state(this.known), Boolean(this.page.running)]);
+    const now = JSON.stringify([this.found, this.undoing, this.known?.analyses.map((one) => one.state), Boolean(this.page.running)]);
     if (now === this.seen) return;
     this.seen = now;
     if (this.found) this.fill(); else this.empty();
@@ -178,8 +178,4 @@ export class Correlation {
       h("div", { class: "act" }, other ? null : page.button("compare", "Compare", "main"),
         this.undoing ? h("button", { type: "button", id: "undo", onclick: () => this.undo() }, `Undo: ${this.undoing}`) : null)));
   }
-}
-
-function known_state(known) {
-  return known?.analyses.map((one) => one.state).join();
 }

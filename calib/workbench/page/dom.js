@@ -14,6 +14,14 @@ export function h(tag, properties = {}, ...children) {
   return element;
 }
 
+// The same of a drawing (SVG).
+export function s(tag, attributes, words = "") {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  element.textContent = words;
+  return element;
+}
+
 // What the server answers; a fault is an error with its sentence.
 export async function ask(path) {
   return answered(await fetch(path, { headers: { accept: "application/json" } }));
@@ -39,10 +47,10 @@ export function tell(words, kind = "") {
 
 // A time as an engineer says it: of today the hour, else the day too.
 export function when(iso) {
-  const time = new Date(typeof iso === "number" ? iso * 1000 : iso);
+  const time = new Date(iso);
   if (isNaN(time)) return "";
   const hour = time.toTimeString().slice(0, 5), today = new Date().toDateString() === time.toDateString();
-  return today ? hour : `${time.toISOString().slice(0, 10)} ${hour}`;
+  return today ? hour : `${time.toLocaleDateString("sv")} ${hour}`;  // year, month, day, as local as the hour
 }
 
 export function lasting(seconds) {
@@ -54,9 +62,8 @@ export function panel(title, ...children) {
   return h("section", { class: "panel" }, title ? h("h2", {}, title) : null, ...children);
 }
 
-export function table(heads, rows, caption = "") {
+export function table(heads, rows) {
   return h("div", { class: "wide" }, h("table", {},
-    caption ? h("caption", {}, caption) : null,
     h("thead", {}, h("tr", {}, heads.map((head) => h("th", { scope: "col", class: head.words ? "words" : "" }, head.title ?? head)))),
     h("tbody", {}, rows)));
 }

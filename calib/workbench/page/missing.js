@@ -1,6 +1,6 @@
 // What the model lacks, as a dialogue: ranked effects with their evidence, why, where, what to look for; add one.
 import { afterFailure, bar } from "./app.js";
-import { ask, figure, h, panel, table } from "./dom.js";
+import { ask, figure, h, panel, s, table } from "./dom.js";
 import { space } from "./space.js";
 
 const LONGEST = 12;  // effects that are listed unfolded
@@ -33,7 +33,7 @@ export class Missing {
   draw() {
     const { known } = this, found = known.explanation;
     this.failed.replaceChildren(afterFailure(this.page) ?? "");
-    const now = JSON.stringify([found, known.analyses, Boolean(this.page.running), found && this.has(found.chosen)?.key]);
+    const now = JSON.stringify([found, known.analyses, Boolean(this.page.running), found && this.has(found.to_add)?.key]);
     if (now !== this.seen) {
       this.seen = now;
       if (!found) this.body.replaceChildren(this.empty());
@@ -57,7 +57,7 @@ export class Missing {
   }
 
   verdict(found) {
-    const { page } = this, names = found.chosen, named = found.named && names.length;
+    const { page } = this, names = found.to_add, named = names.length > 0;
     const words = named ? `Add ${names.join(" and ")}` : "";
     const have = this.has(names);
     return h("section", { class: "panel", id: "verdict" }, h("div", { class: "answer" },
@@ -105,9 +105,9 @@ export class Missing {
       ["acts at", one.acts && `${one.acts}. ${found.axes}`], ["remark", one.remark]];
     this.detail.replaceChildren(h("section", { class: "panel" },
       h("div", { class: "head" }, h("h2", {}, one.title), chosen ? h("span", { class: "chip good" }, "named") : null, h("span", { class: "grow" }),
-        !chosen || !found.named ? h("button", { type: "button", disabled: Boolean(page.running), onclick: () => page.add([one.name]) }, `Try it: add ${one.name}`) : null),
+        !found.to_add.includes(one.name) ? h("button", { type: "button", disabled: Boolean(page.running), onclick: () => page.add([one.name]) }, `Try it: add ${one.name}`) : null),
       h("dl", { class: "pairs" }, rows.filter(([, value]) => value).flatMap(([what, value]) => [h("dt", {}, what), h("dd", { class: "num" }, value)])),
-      found.shown.includes(one.name) ? null : h("p", { class: "soft small" }, "Its change pattern is not drawn: only of effects that are named, or nearly, is it compared with the residual.")));
+      found.shown.includes(one.name) ? null : h("p", { class: "soft small" }, "Its change pattern is not drawn: the figure compares that of a cause found, or of a close candidate, with the residual.")));
   }
 
   reason(found) {
@@ -160,7 +160,7 @@ export class Missing {
         run ? h("span", { class: "soft num" }, run.words || run.verb) : null, run ? bar(run.done, run.total) : null),
       errors(calibrated),
       h("ul", { class: "tree" }, versions.map((one) => h("li", { style: { "padding-left": `${1.4 * depth(one, versions)}rem` } },
-        h("a", { href: `#/${one.key}/overview` }, one.name), h("span", { class: "soft" }, ` ${one.effects.length ? `with ${one.effects.join(" and ")}` : "without effects"}${one.errors.length ? "" : ", not calibrated"}`),
+        h("a", { href: `#/${one.key}/overview` }, one.name), h("span", { class: "soft" }, ` ${one.effects.length ? `with ${one.effects.join(" and ")}` : "without effects"}${one.fault ? `, cannot be read: ${one.fault}` : one.errors.length ? "" : ", not calibrated"}`),
         one.key === page.key ? h("span", { class: "chip" }, "shown") : null)))));
   }
 
@@ -179,14 +179,6 @@ function depth(one, versions) {
   let steps = 0;
   for (let own = one; own?.parent && steps < 9; steps += 1) own = versions.find(({ key }) => key === own.parent);
   return steps;
-}
-
-const SVG = "http://www.w3.org/2000/svg";
-function s(tag, attributes, words) {
-  const element = document.createElementNS(SVG, tag);
-  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
-  if (words !== undefined) element.textContent = words;
-  return element;
 }
 
 // A bar for each version in each group of data, in standard deviations, and a line where a correct model would be.

@@ -1,6 +1,6 @@
 // Parameters on the model: where each acts, its limits, its prior and its fitted value, and how well it is identified.
 import { afterFailure } from "./app.js";
-import { ask, figure, h, panel } from "./dom.js";
+import { ask, figure, h, panel, s } from "./dom.js";
 import { viewer } from "./space.js";
 
 const WORDS = { parameters: "Fitted values between the limits", profiles: "Profile likelihood of each parameter", posterior_correlation: "Posterior correlation",
@@ -86,13 +86,6 @@ export class Parameters {
 function mark(value) {
   if (value === null) return h("span", { class: "soft" }, "–");
   return h("span", { class: value ? "good" : "warn" }, value ? "● yes" : "○ no");
-}
-
-const SVG = "http://www.w3.org/2000/svg";
-function s(tag, attributes) {
-  const element = document.createElementNS(SVG, tag);
-  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
-  return element;
 }
 
 // The search limits from end to end; within them the prior, the nominal value, and the fitted value with its interval.
