@@ -103,6 +103,14 @@ def test_a_file_that_moves_leaves_the_digest(package):
     assert edited(package, "room/inner/spaces.py", "2.0", "3.0") != before
 
 
+def test_a_module_that_becomes_a_folder_is_found_there(package):
+    before = digest(package)
+    (package / "solve").mkdir()
+    (package / "solve.py").rename(package / "solve/__init__.py")
+    assert digest(package) == before
+    assert edited(package, "solve/__init__.py", "return [1", "return [2") != before
+
+
 def tokens(text: str) -> list[str]:
     """Tokens of a text without comments, line ends, and strings that are statements of their own."""
     out, first = [], True

@@ -104,7 +104,6 @@ def _defining(folder: Path, module: str, name: str) -> Path:
     return file if source is None else _defining(folder, source, name)
 
 
-@functools.cache
 def _found(folder: Path, module: str) -> Path | None:
     path = folder.joinpath(*module.split(".")[1:])
     return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
