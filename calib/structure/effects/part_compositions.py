@@ -29,10 +29,9 @@ from calib.structure.effects.composed import (
     SoftJoint,
     SoftSupports,
 )
-from calib.structure.effects.composition import Composition, Names
+from calib.structure.effects.composition import Composition, Names, dynamic_factor
 from calib.structure.effects.perturbations import LEAST
 from calib.structure.effects.rigid_joints import RigidJoint, member_ends, supports
-from calib.structure.eigenproblem.inertia import symmetric_factor
 from calib.structure.elongations import elongations
 from calib.structure.function_parts import ScaledPart
 from calib.structure.model import Part, PartKind, StructuralModel
@@ -224,8 +223,7 @@ def of_rigid_joints(
         found += [("soft joint", one) for one in ends[: RULES.beam_ends]]
     if not found:
         return
-    stiffness, _, mass = model.matrices(values)
-    factor = symmetric_factor(sp.csc_array(stiffness + (2 * np.pi * middle) ** 2 * mass))
+    factor = dynamic_factor(model, values, middle)
     for kind, joint in found:
         nodes = [str(model.labels[n] if model.labels else n + 1) for n in joint.nodes]
         where, places = f"the support near node {nodes[0]}", [joint.place]
@@ -276,8 +274,7 @@ def of_joints(
     """
     if not np.all(np.isfinite(model.mesh.points)):
         return
-    stiffness, _, mass = model.matrices(values)
-    factor = symmetric_factor(sp.csc_array(stiffness + (2 * np.pi * middle) ** 2 * mass))
+    factor = dynamic_factor(model, values, middle)
     joints = _joints(model)
     for direction in (3, 4, 5):
         rows = {part.name: relative_rotation(model, part, direction) for part in joints}

@@ -15,8 +15,7 @@ from calib.problem.space import Parameter
 from calib.results.answer import names_in_words
 from calib.structure.effects.attach import Place, motion
 from calib.structure.effects.composed import Connection, HungMass, PointMass
-from calib.structure.effects.composition import Composition, Names, Point
-from calib.structure.eigenproblem.inertia import symmetric_factor
+from calib.structure.effects.composition import Composition, Names, Point, dynamic_factor
 from calib.structure.model import StructuralModel
 from calib.structure.rules import RULES
 
@@ -77,8 +76,7 @@ def of_sensors(
     if not sensors:
         return
     rows = model.sensor_rows(sensors)
-    stiffness, _, mass = model.matrices(values)
-    factor = symmetric_factor(sp.csc_array(stiffness + (2 * np.pi * middle) ** 2 * mass))
+    factor, added = dynamic_factor(model, values, middle), heavy(model, model.matrices(values)[2])
 
     def size(row: np.ndarray) -> float:
         return RULES.local / float(row @ factor.solve(row))
@@ -88,7 +86,7 @@ def of_sensors(
     points = [spot.point for spot in spots]
     free = [str(moving(model, spot.place)) for spot in spots]
     for group in (*((k,) for k in range(len(spots))), *mirrored(model, [(p,) for p in points], free)):
-        yield _masses(model, [spots[k] for k in group], names, heavy(model, mass))
+        yield _masses(model, [spots[k] for k in group], names, added)
     kinds = {"spring": 1.0, "damper": 1 / (2 * np.pi * middle)}
     ground = [(s.point,) for s in sensors if s.point is not None]
     directions = [s.direction for s in sensors]
