@@ -95,7 +95,7 @@ def test_the_live_page_tells_the_effects_of_the_tables(everything, results):
     assert [one["evidence"] for one in told["effects"]] == [fixed(value, 1) for value in table["ln_bayes"]]
     assert {one["name"] for one in told["effects"] if one["credible"]} == set(table.loc[table["credible"], "name"])
     explanation = json.loads((everything / "explanation.json").read_text())
-    assert told["named"] and told["chosen"] == explanation["chosen"] == ["guy"]
+    assert told["to_add"] == explanation["to_add"] == told["chosen"] == explanation["chosen"] == ["guy"]
     assert told["answer"]["found"] == page_summary(results).found
     why = pd.read_csv(everything / "why.csv")
     assert told["shown"] == list(dict.fromkeys(why["effect"]))
@@ -105,18 +105,13 @@ def test_the_live_page_tells_the_effects_of_the_tables(everything, results):
     assert told["measurements"] and {one["gain"] for one in told["measurements"]} <= gains
 
 
-@pytest.mark.parametrize(
-    ("verdict", "blamed", "named", "composed"),
-    [("effect", False, True, False), ("effect", True, False, False), ("partial", False, False, True),
-     ("nothing_detectable", False, False, False), ("measurement", True, False, False)],
-)  # fmt: skip
-def test_the_live_page_adds_what_is_named_and_no_fault_hides(folder, verdict, blamed, named, composed):
+@pytest.mark.parametrize(("verdict", "composed"), [("effect", False), ("partial", True), ("nothing_detectable", False)])
+@pytest.mark.parametrize("to_add", [[], ["guy"]])
+def test_the_live_page_offers_what_the_explanation_would_add(folder, verdict, composed, to_add):
     stored = json.loads((folder / "explanation.json").read_text())
-    (folder / "explanation.json").write_text(json.dumps({**stored, "verdict": verdict}))
-    faults = pd.read_csv(folder / "faults.csv")
-    faults.assign(blamed=[blamed, *[False] * (len(faults) - 1)]).to_csv(folder / "faults.csv", index=False)
+    (folder / "explanation.json").write_text(json.dumps({**stored, "verdict": verdict, "to_add": to_add}))
     told = missing(StudyResults(folder, "", True))
-    assert (told["named"], told["composed"]) == (named, composed)
+    assert (told["to_add"], told["composed"]) == (to_add, composed)
 
 
 def test_the_live_page_tells_the_errors_of_every_version(everything):
