@@ -216,16 +216,21 @@ def share_interval(count: int, total: int) -> tuple[float, float]:
 
 
 def _points(study: AnyStudy, values: Mapping[str, float], run: RobustnessRun) -> tuple[pd.DataFrame, list[str]]:
-    """Samples of fitted and of uncertain held parameters, by name, and what is to be said of them."""
+    """Samples of fitted and of uncertain held parameters, by name, and what is to be said of them.
+
+    The fitted ones follow errors of the mesh and those that data share, too.
+    """
     problem, _ = scanned_problem(study, run.homes, run.ledger, run.workers, run.progress)
     space, terms, count = problem.space, Terms.of(study), run.settings.samples
     names = tuple(p.name for p in space.free if not p.integer)
     birge = statistics_at(problem, terms, values).birge
     held_sd = {name: sd for name, sd in terms.held_sd.items() if name in study.search_space}
     slope = np.asarray(problem.jacobian(values, names)) / birge
-    moved = np.asarray(problem.jacobian(values, tuple(held_sd))) * list(held_sd.values()) / birge
+    moved = np.asarray(problem.jacobian(values, tuple(held_sd))) * list(held_sd.values())
+    shared = np.hstack([terms.mesh_at(values, len(slope)), problem.shared_errors])
+    moved = np.hstack([moved, shared]) / birge
     prior = Prior.of(space).widths(values, names)
-    beside = constraint_rows(space, names, posterior(names, slope, prior).covariance, held_sd)
+    beside = constraint_rows(space, names, posterior(names, slope, prior).covariance, held_sd).beside(shared.shape[1])
     slope, moved = np.vstack([slope, beside.slope]), np.vstack([moved, beside.held])
     covariance = posterior(names, slope, prior).covariance
     rng, own = np.random.default_rng(run.settings.seed), study.search_space
@@ -236,13 +241,13 @@ def _points(study: AnyStudy, values: Mapping[str, float], run: RobustnessRun) ->
     drawn_names = [*names, *held_sd]
     centre = np.array([values[name] for name in drawn_names])
     for _ in range(_ROUNDS):
-        z = rng.standard_normal((count, len(held_sd)))
+        z = rng.standard_normal((count, moved.shape[1]))
         if run.drawn is None:
             change = rng.standard_normal((count, len(names))) @ root.T
         else:
             rows = rng.choice(len(run.drawn), count, replace=len(run.drawn) < count)
             change = run.drawn[list(names)].to_numpy()[rows] - centre[: len(names)]
-        change = np.hstack([change + z @ follow.T, z * list(held_sd.values())])
+        change = np.hstack([change + z @ follow.T, z[:, : len(held_sd)] * list(held_sd.values())])
         kept.append(_within(space, own, drawn_names, centre, change, values))
         if sum(map(len, kept)) >= count:
             break

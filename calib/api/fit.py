@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Unpack
@@ -329,7 +329,9 @@ def calibrated_fit(
     with reporting(verb, progress) as step, ledger_or_memory(problem.ledger) as ledger, tasks_shared(workers):
         found = run_calibration(study, CalibrationRun(ledger, workers=workers, progress=step))
     best = found.seen(study.studies[0].test).best
-    return Fit(problem, best.statistics, found)
+    # What is stated of levels and of the mesh holds for what is asked of the fit, too.
+    stated = problem.settings.model_copy(update={"explain": settings.explain})
+    return Fit(replace(problem, settings=stated), best.statistics, found)
 
 
 def assessed_at(problem: P, values: Mapping[str, float]) -> Fit[P]:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -63,6 +64,19 @@ def test_fitted_parameters_follow_those_that_are_held_though_uncertain():
     slope = -(g @ h) / (g @ g)
     assert np.polyfit(drawn["b"], drawn["a"], 1)[0] == pytest.approx(slope, abs=0.02)
     assert any("drawn from their priors: b" in one for one in found.sentences)
+
+
+def test_samples_scatter_as_the_fit_says_where_the_mesh_is_uncertain():
+    problem = linear()
+    fine = calib.FunctionModel(
+        "fine", problem.space, lambda v: {"y": 2 * v["a"] + v["b"] + 1.0, "z": 5 + v["a"] - v["b"], "w": 10 * v["b"]}
+    )
+    fit = replace(problem, finer={"linear": fine}).calibrate(starts=1, mesh_sd=1.0, progress=False)
+    drawn = fit.robustness(samples=4000, progress=False).of.samples
+    told = fit.parameters["std"]
+    for name in "ab":
+        assert drawn[name].std() == pytest.approx(told[name], rel=0.05)
+    assert drawn["a"].std() == pytest.approx(math.hypot(1 / 3, 0.1 / 3, 0.2 / 3), rel=0.05)
 
 
 def test_samples_stay_within_limits_and_constraints():

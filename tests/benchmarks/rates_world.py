@@ -45,9 +45,8 @@ from calib.study.study import LoadedStudy
 
 ANSWERING = (
     "calib/missing", "calib/structure", "calib/correlation", "calib/inference", "calib/measurement", "models",
-    "calib/problem", "calib/hypotheses/hypotheses.py",
-    "calib/study/limits.py", "tests/benchmarks/rates_world.py", "tests/benchmarks/rates_scenarios.py",
-    "tests/benchmarks/rates_outcome.py",
+    "calib/problem", "calib/hypotheses", "calib/experiment", "calib/study",
+    "tests/benchmarks/rates_world.py", "tests/benchmarks/rates_scenarios.py", "tests/benchmarks/rates_outcome.py",
 )  # fmt: skip
 _NEAR = 3.0
 """Standard deviations of a draw within which the twin's basis is trained."""

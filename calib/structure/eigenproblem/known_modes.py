@@ -48,6 +48,7 @@ def iterated(
     -------
     solution : ndarray (n_dof, m)
     converged : ndarray (m,), bool
+        Whether the residual itself, not that of the recurrence which drifts from it, is within ten times `CONVERGED`.
     """
     every = np.arange(right.shape[1])
     out = np.array(approximate(right, every))
