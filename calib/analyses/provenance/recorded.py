@@ -91,9 +91,9 @@ class RecordedFunction:
             ask(self, values, lambda: point_key(values) in self.ledger.lookup(self._kept(values), [point_key(values)]))
         if is_collecting():
             self.ledger.evaluate_ahead(self._kept(values), [values], self.evaluator)
-        else:
-            self.ledger.first_use(self._kept(values), point_key(values))
         (outcome,) = self.ledger.evaluate(self._kept(values), [values], self.evaluator)
+        if not is_collecting():
+            self.ledger.first_use(self._kept(values), point_key(values))
         self._times[0] = max(outcome.seconds, self._times[0])
         if outcome.status == "failed":
             raise failure(outcome)

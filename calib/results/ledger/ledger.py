@@ -59,7 +59,7 @@ class Ledger:
         self._tried: set[tuple[str, str]] = set()
         self._damaged: set[tuple[str, int]] = set()
         self._again = False
-        self._ahead: set[tuple[str, str]] = set()
+        self._ahead: dict[tuple[str, str], Outcome] = {}
 
     @property
     def damaged(self) -> int:
@@ -132,7 +132,7 @@ class Ledger:
                 values, answer = unpacked(names, parameters), unpacked(responding, responses)
                 found[key_of_blob(key)] = Outcome(values, status, answer, error, seconds)
             self._damaged |= {("evaluation", n) for n, key in damaged.items() if key_of_blob(key) not in found}
-        return found
+        return {key: self._ahead.get((fingerprint, key), one) for key, one in found.items()}
 
     def append(self, fingerprint: str, outcomes: Sequence[Outcome]) -> None:
         """Add evaluations in one transaction.
@@ -190,18 +190,18 @@ class Ledger:
     def evaluate_ahead(
         self, fingerprint: str, points: Sequence[Mapping[str, float]], evaluator: BatchEvaluator
     ) -> None:
-        """Evaluate and store points that are about to be asked for; `first_use` tells them from others."""
+        """Evaluate and store points that are about to be asked for; `first_use` tells them from others.
+
+        Until then an outcome keeps what is not stored: where the user's code failed, and its traceback.
+        """
         keys = [point_key(values) for values in points]
         known = self.lookup(fingerprint, keys)
-        self._ahead |= {(fingerprint, key) for key in keys if key not in known}
-        self.evaluate(fingerprint, points, evaluator)
+        outcomes = self.evaluate(fingerprint, points, evaluator)
+        self._ahead |= {(fingerprint, k): one for k, one in zip(keys, outcomes, strict=True) if k not in known}
 
     def first_use(self, fingerprint: str, key: str) -> bool:
         """Whether a point was evaluated ahead of this request; false from then on."""
-        if (fingerprint, key) not in self._ahead:
-            return False
-        self._ahead.remove((fingerprint, key))
-        return True
+        return self._ahead.pop((fingerprint, key), None) is not None
 
     @contextmanager
     def failed_again(self) -> Iterator[None]:
