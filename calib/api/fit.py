@@ -330,8 +330,9 @@ def calibrated_fit(
         found = run_calibration(study, CalibrationRun(ledger, workers=workers, progress=step))
     best = found.seen(study.studies[0].test).best
     # What is stated of levels and of the mesh holds for what is asked of the fit, too.
-    stated = problem.settings.model_copy(update={"explain": settings.explain})
-    return Fit(replace(problem, settings=stated), best.statistics, found)
+    held: Any = problem
+    held = replace(held, settings=problem.settings.model_copy(update={"explain": settings.explain}))
+    return Fit(held, best.statistics, found)
 
 
 def assessed_at(problem: P, values: Mapping[str, float]) -> Fit[P]:
