@@ -46,6 +46,7 @@ def truth(name):
     return json.loads((ROOT / f"tests/truth/{name}.json").read_text("utf-8"))
 
 
+@pytest.mark.whole
 def test_the_answer_is_the_same_for_any_number_of_workers(tmp_path, monkeypatch):
     """With nothing kept, so that the basis is trained in one process and in two; apart from the time it took."""
     monkeypatch.setattr(team, "_WORTH", 0.0)
@@ -190,6 +191,7 @@ def test_the_indicated_location_is_near_the_change(explained):
 # -- the next version of the model -------------------------------------------------------------------------------------
 
 
+@pytest.mark.whole
 def test_the_extended_model_predicts_held_out_sensors_better(explained, tmp_path, capsys, monkeypatch):
     """Explain, extend, calibrate by least squares, and the errors over both versions."""
     monkeypatch.chdir(tmp_path)
@@ -220,6 +222,7 @@ def test_the_extended_model_predicts_held_out_sensors_better(explained, tmp_path
 # -- three effects at once ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.whole
 def test_three_effects_that_were_built_into_the_mesh_are_found_one_after_the_other(explained):
     folder = explained(THREE)
     summary, effects, errors = written(folder)

@@ -49,6 +49,7 @@ def test_an_explanation_is_the_same_whoever_shares_its_tasks(guyed, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.whole
 def test_tables_are_the_same_for_any_number_of_workers(tmp_path):
     for workers in (1, 2):
         root = tmp_path / str(workers)

@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.slow  # two solutions of 33 lines at 9732 degrees of freedom
+@pytest.mark.whole
 def test_the_functions_of_the_coarse_mesh_at_the_true_values_are_measured():
     problem = LoadedStudy.load(ROOT / "studies/vehicle_frf").problem
     measured = problem.measured.values

@@ -9,6 +9,8 @@ from models.railway import vehicle, vehicle_effects
 
 EFFECTS = {e.name: e for e in vehicle_effects()}
 NAMES = tuple(EFFECTS)
+SOME = [name if k % 6 == 0 else pytest.param(name, marks=pytest.mark.whole) for k, name in enumerate(NAMES)]
+"""All effects, of which every sixth is tried with the slow tests, the others with those of whole studies."""
 SELECTED = (
     "K_secondary_front", "K_secondary_rear", "K_rod_tilting", "RMI_base", "RMI_walls", "m_base", "m_walls", "m_cover",
 )  # fmt: skip
@@ -75,7 +77,7 @@ def test_a_joint_loses_no_more_than_a_thinner_floor_has(library):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", SOME)
 def test_parameters_of_the_base_model_cannot_do_what_an_effect_does(library, effect_checks, name):
     for vector in library.signatures(name):
         assert effect_checks.outside(vector, library.columns(SELECTED), prior=True) > 0.1
@@ -113,7 +115,7 @@ def test_seats_that_are_sprung_already_refuse_to_be_sprung(car):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", SOME)
 def test_modes_are_solvable_at_the_limits(library, effect_checks, name):
     for values in effect_checks.limits(EFFECTS[name]):
         modes = library.solved(values)
@@ -132,7 +134,7 @@ def nominal(rigid_car, fine):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", SOME)
 def test_an_effect_is_the_same_on_the_fine_and_the_fitted_mesh(
     effect_checks, vehicle_sensors, rigid_car, fine, nominal, name
 ):  # fmt: skip

@@ -13,6 +13,8 @@ from calib.study.loading import module_of
 from models.railway import vehicle_effects
 
 EFFECTS = {e.name: e for e in vehicle_effects()}
+SOME = [name if k % 6 == 0 else pytest.param(name, marks=pytest.mark.whole) for k, name in enumerate(EFFECTS)]
+"""All effects, of which every sixth is tried with the slow tests, the others with those of whole studies."""
 rebuilt = module_of(Path(__file__).with_name("rebuilt_vehicle.py"))
 MODES = 12
 BOUNDS = {"floor_joint": (0.15, 0.2), "window_corners": (0.1, 0.12)}
@@ -42,7 +44,7 @@ def test_every_effect_is_rebuilt():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", list(EFFECTS))
+@pytest.mark.parametrize("name", SOME)
 def test_the_magnitude_found_is_the_one_built_in(rigid_car, plain, name):
     effect = EFFECTS[name]
     truth = dict(effect.grid[len(effect.grid) // 2]) if effect.grid else {name: effect.plausible}
