@@ -39,7 +39,7 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "measurement/frf_units.py": "SAME_UNIT",
     "measurement/partners.py": "_COINCIDE",
     "measurement/places.py": "REPEAT_TOLERANCE TABLE_TOLERANCE UNIT_TOLERANCE",
-    "measurement/record.py": "UNEVEN SAME_RATE",
+    "measurement/record.py": "DIGITS GAP UNEVEN SAME_RATE",
     "missing/score.py": "_NEVER",
     "missing/suspect.py": "_SINGULAR",
     "sensitivity/partial.py": "OWN_PART",

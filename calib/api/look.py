@@ -16,7 +16,7 @@ from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.measurement.doubts import doubts_of
 from calib.measurement.files.csv_frf import read_frfs_csv
-from calib.measurement.files.csv_record import TIME, header_of
+from calib.measurement.files.csv_record import header_of, is_time
 from calib.measurement.files.frf_columns import MATLAB, VARIABLES
 from calib.measurement.files.read import UFF_SUFFIXES, Named, found_files, read_modes
 from calib.measurement.files.read_frf import read_frfs
@@ -281,7 +281,7 @@ def _kinds(path: Path, variables: Mapping[str, str]) -> list[str]:
         return [_SENSORS]
     if "mode" in header:
         return [_SHAPES if "node" in header else _MODES]
-    return [_RECORDS if TIME in header and not has_force(path) else _FRFS]
+    return [_RECORDS if any(map(is_time, header)) and not has_force(path) else _FRFS]
 
 
 def _of_modes(one: Look) -> list[str]:

@@ -144,7 +144,7 @@ def parse_motion_unit(text: str, place: str | Path | Place) -> tuple[Motion, flo
 
 
 def even_rate(time: np.ndarray, place: str) -> float:
-    """Samples a second of equally spaced instants in s; InputError where they are not."""
+    """Samples a second of equally spaced instants in s, perhaps rounded; InputError where they are not."""
     if len(time) < 2:
         raise InputError("it has a single sample", place=place, remedy="give a whole record")
     step = float(time[-1] - time[0]) / (len(time) - 1)
@@ -152,14 +152,33 @@ def even_rate(time: np.ndarray, place: str) -> float:
         off = np.abs(time - time[0] - step * np.arange(len(time)))
         if off.max() <= UNEVEN * step:
             return 1 / step
+        if (rounded := _rounding(time)) > 0:
+            fitted, _ = np.polyfit(np.arange(len(time)), time, 1)
+            off = np.abs(time - time.mean() - fitted * (np.arange(len(time)) - (len(time) - 1) / 2))
+            if off.max() <= 1.01 * rounded <= GAP * fitted:
+                return float(1 / fitted)
         jumps = np.abs(np.diff(time) - np.median(np.diff(time)))
         at = int(np.argmax(jumps))
         words = f"its samples are not equally spaced: {time[at]:.9g} s is followed by {time[at + 1]:.9g} s"
     else:
         words = "its time does not increase"
-    raise InputError(words, place=place, remedy="export it with one sampling rate, without gaps")
+    remedy = "export it with one sampling rate, without gaps"
+    if step > 0 and rounded > GAP * step:
+        remedy += f", and with more digits than {DIGITS}, which are too few {time[-1]:.6g} s into a record"
+    raise InputError(words, place=place, remedy=remedy)
 
 
+def _rounding(time: np.ndarray) -> float:
+    """By how much instants are rounded whose files give them `DIGITS` digits, s; 0 where some have more."""
+    last = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(time), 1e-9))) - DIGITS + 1)
+    exact = np.abs(time / last - np.rint(time / last)) < 1e-3
+    return float(last.max() / 2) if exact.all() else 0.0
+
+
+DIGITS = 6
+"""Significant digits that many programs write of a number unless told otherwise (C's ``%g``)."""
+GAP = 0.25
+"""Largest rounding of instants, over their distance: a missing sample moves some by half of it."""
 UNEVEN = 0.1
 """Largest deviation of an instant from equal spacing, over the spacing: files round their times."""
 SAME_RATE = 1e-5

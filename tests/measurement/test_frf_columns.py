@@ -60,6 +60,42 @@ def test_functions_side_by_side(tmp_path, parts, options):
     check(read_frfs(path))
 
 
+@pytest.mark.parametrize(
+    ("form", "parts"),
+    [
+        ("Point{}:+{}/Point{}:+{}", ("Mag (m/N)", "Phase (deg)")),
+        ("Deck:{}:+{}/Deck:{}:+{}", ("Mag (dB re 1 m/N)", "Phase [rad]")),
+        ("FRF 7 {}{} / {}{}", ("re (m/N)", "im (m/N)")),
+        ("H({}{}/{}{})", ("re [mm/N]", "im [mm/N]")),
+    ],
+)
+def test_columns_are_named_as_analysers_do(tmp_path, form, parts):
+    made = {
+        "Mag (m/N)": np.abs, "Phase (deg)": lambda v: np.degrees(np.angle(v)), "Phase [rad]": np.angle,
+        "Mag (dB re 1 m/N)": lambda v: 20 * np.log10(np.abs(v)), "re (m/N)": np.real, "im (m/N)": np.imag,
+        "re [mm/N]": lambda v: 1e3 * v.real, "im [mm/N]": lambda v: 1e3 * v.imag,
+    }  # fmt: skip
+    channels = [form.format(*name.replace("/", "").upper()) for name in VALUES]
+    names = ["Frequency", *(f"{channel} {part}" for channel in channels for part in parts)]
+    path = tmp_path / "wide.csv"
+    path.write_text(wide({part: made[part] for part in parts}, names=names, head=""))
+    if "dB" in parts[0]:
+        check(read_frfs(path, unit="m/N"))
+        return
+    check(read_frfs(path))
+    with pytest.raises(InputError, match=r"it states the unit .?m/N, not cm/N"):
+        read_frfs(path, unit="cm/N")
+
+
+def test_units_behind_the_names_of_columns_must_agree(tmp_path):
+    path = tmp_path / "wide.csv"
+    units = ("m/N", "mm/N", "m/N")
+    names = ["f", *(f"{name} {part} ({unit})" for name, unit in zip(VALUES, units, strict=True) for part in RE_IM)]
+    path.write_text(wide(RE_IM, names=names, head=""))
+    with pytest.raises(InputError, match="'m/N' and 'mm/N'"):
+        read_frfs(path)
+
+
 @pytest.mark.parametrize("parts", [RE_IM, POLAR])
 def test_channels_named_by_the_user(tmp_path, parts):
     path = tmp_path / "wide.csv"

@@ -62,6 +62,15 @@ def test_units_signs_and_a_statement_of_the_motion_alone(tmp_path):
     path = BEAM.write(tmp_path / "other.csv", grams, "g/kN")
     path.write_text(path.read_text().replace("force 30z,10z", "Force_30-z,10-z"))
     np.testing.assert_allclose(calib.read_frfs(path).values, one.values, atol=1e-5 * np.abs(one.values).max())
+    path = BEAM.write(tmp_path / "columns.csv", grams, "")
+    rest = ",".join(f"Point{place}:+Z (g)" for place in BEAM.PLACES[1:])
+    text = path.read_text().split("\n", 1)[1]
+    path.write_text(f"Time (s),Hammer 30-Z (kN),Acc 10-Z (g),{rest}\n{text}")
+    found = calib.read_frfs(path)
+    assert found.quantity == "accelerance" and not any("assumed" in note for note in found.notes)
+    np.testing.assert_allclose(found.values, one.values, atol=1e-5 * np.abs(one.values).max())
+    path.write_text(f"time,Force 30-z (kN),10-z,{rest.replace(' (g)', '')}\n{text}")
+    np.testing.assert_allclose(calib.read_frfs(path, unit="g").values, found.values, rtol=1e-12)
     path = BEAM.write(tmp_path / "motion.csv", table, "m/s2")
     stated = calib.read_frfs(path)
     np.testing.assert_array_equal(stated.values, one.values)
@@ -221,7 +230,8 @@ def test_what_is_no_hammer_record_is_refused(tmp_path):
         assert fault.value.remedy
     with pytest.raises(InputError, match="hammer"):
         read_records(hit)
-    for wrong in ({"estimator": "H3"}, {"averages": 3}, {"exponential_window": -1.0}, {"quantity": "mobility"}):
+    for wrong in ({"estimator": "H3"}, {"averages": 3}, {"exponential_window": -1.0}, {"quantity": "mobility"},
+                  {"channels": ["10z/30z"]}):  # fmt: skip
         with pytest.raises(InputError):
             calib.read_frfs(hit, **wrong)
     with pytest.raises(InputError, match="window"):

@@ -52,6 +52,20 @@ def test_signs_units_places_and_semicolons(tmp_path):
     assert [(s.name, s.point) for s in own.sensors][1] == ("2x", (1.0, 0.0, 0.0)) and own.synthetic
 
 
+@pytest.mark.parametrize(
+    ("header", "factor", "motion"),
+    [
+        ("Time (s),Acc 1X (g),Acc 2X (g),Acc 3:-X (g),4x (g)", 9.80665, "acceleration"),
+        ("TIME [s],Point1:+X [mm/s],Point2:+X [mm/s],Deck:3:-X [mm/s],node 4 x [mm/s]", 1e-3, "velocity"),
+        ("time,1x,2x,3-x,4x", 1.0, None),
+    ],
+)
+def test_columns_are_named_as_analysers_do(tmp_path, header, factor, motion):
+    (own,) = read_records(table(tmp_path, header=header))
+    assert [sensor.name for sensor in own.sensors] == ["1x", "2x", "3x", "4x"] and own.motion == motion
+    np.testing.assert_allclose(own.values, VALUES * factor * [1, 1, -1, 1], rtol=1e-6, atol=1e-7)
+
+
 def test_a_sensor_against_its_axis_in_a_universal_file_is_reversed(tmp_path):
     every = sets()
     every[1]["rsp_dir"] = -1
@@ -95,7 +109,13 @@ def gap(values):
         (gap(VALUES), None, "3x has no value 1.5625 s"),
         (VALUES * [1, 1, 1, 0], None, "dead channel"),
         (VALUES[:200], None, "200 samples are too few"),
-        (VALUES, "time,1x,2x,3x,force", "neither 'time' nor a node"),
+        (VALUES, "time,1x,2x,3x,voltage", "neither 'time' nor a node"),
+        (VALUES, "time,1x,2x,3x,force", "names no node"),
+        (VALUES, "Time (s),1x,2x,3x,Hammer (N)", "names no node"),
+        (VALUES, "time (ms),1x,2x,3x,4x", "time is in 'ms'"),
+        (VALUES, "time,1x (g),2x (g),3x (g),4x (m/s2)", "'4x .m/s2.' differ in unit"),
+        (VALUES, "# unit: m/s2\ntime,1x (g),2x (g),3x (g),4x (g)", "two units"),
+        (VALUES, "time,1x (V),2x (V),3x (V),4x (V)", "unit 'V' is unknown"),
         (VALUES, "time,1x,2x,3x,1x", "twice"),
         (VALUES, "# unit: kg\ntime,1x,2x,3x,4x", "unknown"),
     ],
@@ -112,6 +132,22 @@ def test_unequal_sampling_is_refused_where_it_occurs(tmp_path):
     lines = path.read_text("utf-8").splitlines()
     path.write_text("\n".join(lines[:700] + lines[750:]), encoding="utf-8")
     with pytest.raises(InputError, match=r"not equally spaced: 10\.89"):
+        read_records(path)
+
+
+@pytest.mark.parametrize(
+    ("rate", "gap", "words"), [(2048.0, None, None), (2048.0, 600, "equally"), (9000.0, None, "digits")]
+)
+def test_times_of_six_digits_are_equally_spaced_where_these_tell_a_gap(tmp_path, rate, gap, words):
+    """The last of them are rounded to 0.1 ms, a fifth of the distance at 2048 Hz."""
+    time = 20.0 + np.arange(len(VALUES)) / rate
+    lines = ["time,1x,2x", *(f"{t:.6g},{a:.6g},{b:.6g}" for t, (a, b) in zip(time, VALUES[:, :2], strict=True))]
+    path = tmp_path / "record.csv"
+    path.write_text("\n".join(line for k, line in enumerate(lines) if k != gap))
+    if words is None:
+        assert read_records(path)[0].rate == pytest.approx(rate, rel=1e-4)
+        return
+    with pytest.raises(InputError, match=words):
         read_records(path)
 
 

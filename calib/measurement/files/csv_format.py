@@ -25,8 +25,12 @@ FINEST = 1e-12
 """Smallest plausible standard deviation of a measurement, relative to the value."""
 
 
-END = r"(\d{1,10})\s*([+-]?[a-zA-Z]+)"
-"""Pattern of a node with a direction."""
+END = (
+    r"(?<![\w.])(?:(?i:acc|accel|acceleration|vel|velocity|disp|displacement|point|pt|node|dof|frf|force|hammer)[\s_:]*|\w+:)?"
+    r"(\d{1,10})[\s:]*([+-]?[a-zA-Z]+)"
+)
+"""Pattern of a node with a direction, perhaps behind a word or a component: ``12z``, ``Acc 12Z``, ``Wing:12:+Z``."""
+_TITLE = re.compile(r"(.*?)\s*[(\[]((?:[^()\[\]]|\([^()]*\))*)[)\]]")
 ONE = ""
 """Label of the repeat of a table without a column ``repeat``."""
 OF_MODES = ("freq_std", "damping", "damping_std", "repeat", "mpc", "mpd", "note")
@@ -146,8 +150,14 @@ def parse_direction(text: str) -> tuple[str, int] | None:
     return (bare.lower(), sign) if bare.lower() in DIRECTIONS else None
 
 
+def titled(column: str) -> tuple[str, str]:
+    """Name and unit of a column such as ``Time (s)`` or ``12z [m/s2]``; an empty unit where none stands in brackets."""
+    match = _TITLE.fullmatch(column.strip())
+    return (match.group(1), match.group(2).strip()) if match else (column.strip(), "")
+
+
 def parse_end(text: str) -> tuple[tuple[int, str], int] | None:
-    """Node and direction of an end of a function such as ``12z`` or ``12-z``, and the sign of the direction.
+    """Node and direction of an end of a function such as ``12z``, ``12-z`` or `END`, and the sign of the direction.
 
     Returns None when the text is no node with a direction.
     """

@@ -44,15 +44,14 @@ def read_columns_frfs(
     See `calib.measurement.files.frf_columns`; quantity and unit as for `read_frfs_csv`. ``variables`` names those of a
     MATLAB file, or the ``sheet`` of a workbook.
     """
-    found, units, notes = _stated(paths[0], quantity, unit)
     named = dict(variables or {})
     if paths[0].suffix.lower() in MATLAB:
-        read = arrays_of(paths[0], named, channels)
+        axis, functions, coherence, behind = *arrays_of(paths[0], named, channels), None
     elif len(paths) == 1:
-        read = read_columns(paths[0], channels, named.get("sheet"))
+        axis, functions, coherence, behind = read_columns(paths[0], channels, named.get("sheet"))
     else:
-        read = read_function_files(paths, channels)
-    axis, functions, coherence = read
+        axis, functions, coherence, behind = read_function_files(paths, channels)
+    found, units, notes = _stated(paths[0], quantity, unit, behind)
     functions = {key: values * units.factor(key) for key, values in functions.items()}
     return repeat_of(", ".join(map(str, paths)), axis, found, functions, coherence, notes)
 
@@ -202,17 +201,19 @@ def _of_large(table: pd.DataFrame, found: Quantity) -> dict[Key, _Lines] | None:
     return out
 
 
-def _stated(path: Path, quantity: Quantity | None, unit: str | None) -> tuple[Quantity, FRFUnits, tuple[str, ...]]:
-    """Quantity, units, and what is assumed of them."""
+def _stated(
+    path: Path, quantity: Quantity | None, unit: str | None, behind: str | None = None
+) -> tuple[Quantity, FRFUnits, tuple[str, ...]]:
+    """Quantity, units, and what is assumed of them, from comments, names of columns (``behind``) and arguments."""
     said = _comments(path)
     where = {name: place for name, (_, place) in said.items()}
-    units = [parse_unit(*said["unit"])] if "unit" in said else []
-    if unit is not None:
-        units.append(parse_unit(unit, path))
-    if len(units) == 2 and not units[0][1].agrees(units[1][1]):
-        raise InputError(
-            f"it states the unit {said['unit'][0]}, not {unit}", place=where["unit"], remedy="correct one of them"
-        )
+    texts: list[tuple[str, Path | Place]] = [said["unit"]] if "unit" in said else []
+    texts += [(text, path) for text in (behind, unit) if text is not None]
+    units = [parse_unit(*one) for one in texts]
+    for (text, _), (_, other) in zip(texts[1:], units[1:], strict=True):
+        if not other.agrees(units[0][1]):
+            words = f"it states the unit {texts[0][0]}, not {text}"
+            raise InputError(words, place=texts[0][1], remedy="correct one of them")
     given = [implied for implied, _ in units] + ([] if quantity is None else [quantity])
     if "quantity" in said:
         own = next((known for known in QUANTITIES if known == said["quantity"][0].lower()), None)
@@ -226,10 +227,10 @@ def _stated(path: Path, quantity: Quantity | None, unit: str | None) -> tuple[Qu
         state = "state the unit, --unit '(m/s2)/N' (unit = in a study and in Python)"
         line = "" if path.suffix.lower() in (*MATLAB, *WORKBOOKS) else "start it with a line '# unit: (m/s2)/N', or "
         raise InputError("neither quantity nor unit is stated", place=path, remedy=line + state)
-    for other in given[1:]:
-        if other != given[0]:
+    for further in given[1:]:
+        if further != given[0]:
             place = where.get("quantity", where.get("unit", path))
-            raise InputError(f"it is {given[0]} and {other}", place=place, remedy="correct quantity or unit")
+            raise InputError(f"it is {given[0]} and {further}", place=place, remedy="correct quantity or unit")
     if units:
         return given[0], units[0][1], ()
     return given[0], FRFUnits(), (f"{path}: no unit is stated: metres and newtons assumed",)

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.errors.errors import InputError
 from calib.errors.place import Place
-from calib.measurement.files.csv_format import END, FREQ_LIMIT, VALUE_LIMIT, parse_end
+from calib.measurement.files.csv_format import END, FREQ_LIMIT, VALUE_LIMIT, parse_end, titled
 from calib.measurement.frf import NO_PHASE
 from calib.measurement.frf_repeats import Key, function_name, off_axis
 from calib.measurement.modal import DIRECTIONS
@@ -46,17 +46,30 @@ def channel_of(text: str, place: str | Path | Place) -> tuple[Key, int]:
 
 def is_wide(names: Sequence[str]) -> bool:
     """Whether the columns of a table are those of functions side by side: ``freq, 2z/1z re, 2z/1z im, ...``."""
-    return "response" not in names and any(_CHANNEL.match(name) for name in names)
+    return "response" not in names and any(_CHANNEL.search(name) for name in names)
+
+
+def unit_of_columns(names: Sequence[str], place: str | Path) -> str | None:
+    """The unit behind the names of columns, such as ``2z/1z re (g/N)``; None where none stands there.
+
+    InputError where columns differ, which a phase in degrees or a magnitude in dB does not.
+    """
+    units = [unit for unit in (titled(name)[1] for name in names) if "/" in unit and not unit.lower().startswith("db")]
+    if other := next((unit for unit in units if unit != units[0]), None):
+        words = f"its columns are in {units[0]!r:.40} and {other!r:.40}"
+        raise InputError(words, place=place, remedy="convert them to one unit")
+    return units[0] if units else None
 
 
 def read_columns(
     path: Path, channels: Sequence[str] = (), sheet: str | None = None
-) -> tuple[np.ndarray, dict[Key, np.ndarray], dict[Key, np.ndarray]]:
+) -> tuple[np.ndarray, dict[Key, np.ndarray], dict[Key, np.ndarray], str | None]:
     """Frequencies, functions and coherences from a table with the functions side by side.
 
     The first column holds the frequencies in Hz. Each function has two more, real and imaginary part, or magnitude and
     phase, and may have its coherence. A column is named by channel and part, such as ``2z/1z re`` or
-    ``2z/1z phase (deg)``; phases are in degrees unless the name says rad, magnitudes may be in dB where it says so.
+    ``2z/1z phase (deg)``, ``Point2:+Z/Point1:+Z Mag (g/N)``; phases are in degrees unless the name says rad, magnitudes
+    may be in dB where it says so.
     With ``channels`` the names need tell the part alone, and without any names the parts are real and imaginary.
 
     Returns
@@ -65,6 +78,8 @@ def read_columns(
     functions : dict from Key to ndarray (n_freq,), complex
         In the unit of the file; NaN where an entry is empty or ``nan``.
     coherence : dict from Key to ndarray (n_freq,)
+    unit : str or None
+        Behind the names of the columns.
 
     Raises
     ------
@@ -93,7 +108,7 @@ def read_columns(
                 raise InputError(words, place=path, remedy="name every function, in the order of the columns")
             key = given[order]
         else:
-            match = _CHANNEL.match(name)
+            match = _CHANNEL.search(name)
             key = channel_of(match.group(0) if match else name, path)
         own = parts.setdefault(key, {})
         if part in own:
@@ -110,18 +125,20 @@ def read_columns(
         words = f"{function_name(twice)} is there along and against an axis"
         raise InputError(words, place=path, remedy="keep one")
     coherence = {key: own["coherence"][rows] for (key, _), own in parts.items() if "coherence" in own}
-    return freq[rows], functions, coherence
+    return freq[rows], functions, coherence, unit_of_columns(columns[1:], path)
 
 
 def read_function_files(
     paths: Sequence[Path], channels: Sequence[str]
-) -> tuple[np.ndarray, dict[Key, np.ndarray], dict[Key, np.ndarray]]:
+) -> tuple[np.ndarray, dict[Key, np.ndarray], dict[Key, np.ndarray], str | None]:
     """The same from text files that hold one function each, in the order of the channels; see `read_columns`."""
     axis: np.ndarray | None = None
     functions: dict[Key, np.ndarray] = {}
     coherence: dict[Key, np.ndarray] = {}
+    units: dict[str | None, Path] = {}
     for path, channel in zip(paths, channels, strict=True):
-        freq, own, gamma = read_columns(path, [channel])
+        freq, own, gamma, unit = read_columns(path, [channel])
+        units.setdefault(unit, path)
         axis = freq if axis is None else axis
         if off_axis(freq, axis).any():
             words = f"its frequencies are not those of {paths[0]}"
@@ -131,7 +148,10 @@ def read_function_files(
         functions |= own
         coherence |= gamma
     assert axis is not None
-    return axis, functions, coherence
+    if len(units) > 1:
+        words = f"its unit is not that of {paths[0]}"
+        raise InputError(words, place=list(units.values())[1], remedy="convert them to one unit")
+    return axis, functions, coherence, next(iter(units))
 
 
 def numbers_of(path: Path) -> tuple[list[str], np.ndarray]:
@@ -294,9 +314,11 @@ def _number(cell: str, separator: str | None) -> float | None:
 @np.errstate(over="ignore")
 def _part(path: Path, name: str, column: np.ndarray) -> tuple[str, np.ndarray]:
     """What a column holds, by its name, and its values with phases in rad and plain magnitudes."""
-    match = _CHANNEL.match(name)
-    words = re.findall(r"[a-zA-Z]+", name[match.end() :] if match else name)
-    said = list(dict.fromkeys(_PARTS[word.lower()] for word in words if word.lower() in _PARTS))
+    match = _CHANNEL.search(name)
+    rest = name[match.end() :] if match else name
+    words = re.findall(r"[a-zA-Z]+", rest)
+    bare = re.findall(r"[a-zA-Z]+", titled(rest)[0]) or words  # "Mag (dB re 1 m/N)" is no real part
+    said = list(dict.fromkeys(_PARTS[word.lower()] for word in bare if word.lower() in _PARTS))
     if "phase" in said:
         said = ["phase"]
     if len(said) != 1:

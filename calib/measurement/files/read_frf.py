@@ -147,6 +147,9 @@ def frfs_and_repeats(files: Named, how: FRFReading) -> tuple[MeasuredFRFs, tuple
     groups, hits = _repeats(paths, channels), hold_hits(paths)
     if averages is not None and hits:
         raise InputError("averages are given beside hammer records", place=paths[0], remedy="leave them out")
+    if channels and hits:
+        remedy = "name its columns: 'force 3z' and 12z; a universal file names its own"
+        raise InputError("channels are given beside hammer records", place=paths[0], remedy=remedy)
     require_no_copies(paths)
     table = read_sensor_table(table_path) if table_path is not None else {}
     metres = parse_length_unit(how.length_unit)

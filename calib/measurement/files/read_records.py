@@ -9,7 +9,7 @@ from pathlib import Path
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import read_sensor_table
-from calib.measurement.files.csv_record import TIME, header_of, is_force, read_record_csv
+from calib.measurement.files.csv_record import header_of, is_force, is_time, read_record_csv
 from calib.measurement.files.read import UFF_SUFFIXES, Named, found_files, require_files, require_no_copies
 from calib.measurement.files.uff_record import FORCE, TIME_RESPONSE, function_types, read_record_uff
 from calib.measurement.frf_units import parse_length_unit
@@ -56,7 +56,7 @@ def _hold_times(paths: Sequence[Path]) -> bool:
     if any(path.suffix.lower() not in (*UFF_SUFFIXES, ".csv") for path in paths):
         return False  # text files, workbooks and MATLAB files hold FRFs
     is_uff = require_files(paths)
-    kinds = [_holds_uff(path) if is_uff else TIME in header_of(path)[0] for path in paths]
+    kinds = [_holds_uff(path) if is_uff else any(map(is_time, header_of(path)[0])) for path in paths]
     return _all_or_none(paths, kinds, "time record", "records or FRFs")
 
 
