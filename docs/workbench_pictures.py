@@ -18,6 +18,7 @@ VIEWS = {
     "search": ("Search", "figure[data-drawn=searches] svg"),
     "missing": ("Missing physics", "figure[data-drawn=why_this_effect] svg"),
     "correlation": ("Correlation", ".shapes[data-drawn]"),
+    "what_if": ("What if", ".shapes[data-drawn]"),
     "parameters": ("Parameters", "figure[data-drawn=parameters] svg"),
 }
 """Name of the picture: that of the view, and what is there once it is drawn."""

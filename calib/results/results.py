@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import os
 import re
 import shutil
@@ -19,6 +18,7 @@ from calib.errors.errors import InputError
 from calib.execution.temporary import clear_abandoned
 from calib.results import written
 from calib.results.former_names import RECORD, TABLES
+from calib.results.json_file import plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -124,7 +124,7 @@ class Results:
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> Path:
         """Write ``name.json``; numbers that are not finite become null. InputError when it cannot be written."""
-        return self._write(f"{name}.json", json.dumps(_plain(content), indent=2, allow_nan=False) + "\n")
+        return self._write(f"{name}.json", json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
 
     def has(self, name: str) -> bool:
         """Whether a file of that name (with suffix) exists."""
@@ -210,16 +210,3 @@ def _clear_drafts(folder: Path) -> None:
         with contextlib.suppress(OSError):
             if time.time() - draft.stat().st_mtime > _ABANDONED:
                 shutil.rmtree(draft) if draft.is_dir() else draft.unlink()
-
-
-def _plain(value: Any) -> Any:
-    """Values as plain Python types, with None for numbers that are not finite."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if hasattr(value, "item"):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from importlib import resources
 from typing import Any, TypeVar
@@ -21,9 +20,11 @@ from calib.execution.outcome import words_of
 from calib.execution.tasks import one_thread
 from calib.report.html import space
 from calib.report.html.study_results import StudyResults
+from calib.results.json_file import plain
 from calib.study.study_file import StudyFile
 from calib.workbench.correlation import correlation
 from calib.workbench.edits import Edits
+from calib.workbench.evaluators import Evaluators
 from calib.workbench.live import Live
 from calib.workbench.missing import missing, versions
 from calib.workbench.overview import listed, overview
@@ -31,7 +32,7 @@ from calib.workbench.parameters import parameters
 from calib.workbench.runs import OPTIONS, Commands, adding
 from calib.workbench.search import LedgerReader
 from calib.workbench.search_view import search_view
-from calib.workbench.studies import KnownStudy, Studies
+from calib.workbench.studies import KnownStudy, Studies, stamp_of
 
 T = TypeVar("T")
 _KINDS = {
@@ -59,6 +60,7 @@ class Workbench:
         self.studies = studies
         self.commands = Commands()
         self.edits = Edits()
+        self.evaluators = Evaluators()
         self.live = Live(studies, self.commands)
         self._ledgers: dict[str, LedgerReader] = {}
         self._drawing = threading.Lock()
@@ -71,10 +73,11 @@ class Workbench:
         read: dict[str, Callable[[Request], Any]] = {
             "": self._overview, "search": self._search, "missing": self._missing, "versions": self._versions,
             "scene": self._scene, "correlation": self._correlation, "parameters": self._parameters,
+            "what-if": self._what_if,
         }  # fmt: skip
         change: dict[str, Callable[[Request, Mapping[str, Any]], Any]] = {
             "run": self._run, "stop": self._stop, "add": self._add, "edit": self._edit,
-            "undo": self._undo,
+            "undo": self._undo, "evaluate": self._evaluate,
         }  # fmt: skip
         asked = [Route(f"/study/{{key}}/{name}".rstrip("/"), partial(self._read, own)) for name, own in read.items()]
         changed = [
@@ -109,7 +112,8 @@ class Workbench:
         if not isinstance(given, dict):
             return _told({"fault": "the request is no JSON object"}, 400)
         found = await _answered(partial(change, request, given))
-        self.live.look()
+        if change != self._evaluate:  # which changes nothing
+            self.live.look()
         return found
 
     def _all(self, request: Request) -> Any:
@@ -166,6 +170,22 @@ class Workbench:
 
     def _parameters(self, request: Request) -> Any:
         return {"parameters": parameters(self.studies.results(*self._asked(request)))}
+
+    def _what_if(self, request: Request) -> Any:
+        """The state of the process with the model of the test; of several tests together with that of the first."""
+        study, part, test = self._asked(request)
+        own = StudyFile.read(study.file, test)
+        first = own.parts[0].test if own.settings.several and not test else test
+        arguments = str(study.file), str(study.root), part if part in study.parts else "", first
+        known = self.evaluators.of((study.key, part, test), arguments, stamp_of(study, own))
+        return {**known.state, "test": test, "undo": self.edits.last(own)}
+
+    def _evaluate(self, request: Request, given: Mapping[str, Any]) -> Any:
+        asked, values = request.query_params, given.get("values")
+        known = self.evaluators.ready((request.path_params["key"], asked.get("part", ""), asked.get("test", "")))
+        if not isinstance(values, dict) or not all(isinstance(one, int | float) for one in values.values()):
+            raise InputError("values are numbers by name", place="what if")
+        return known.ask(given)
 
     # -- changes -------------------------------------------------------------------------------------------------------
 
@@ -257,19 +277,8 @@ async def _answered(ask: Callable[[], Any], kind: str = "json") -> Response:
 
 
 def _told(content: Any, status: int = 200) -> Response:
-    text = json.dumps(_finite(content), separators=(",", ":"), allow_nan=False, default=str)
+    text = json.dumps(plain(content), separators=(",", ":"), allow_nan=False, default=str)
     return Response(text, status, media_type="application/json")
-
-
-def _finite(value: Any) -> Any:
-    """Plain values, with None for numbers that are not finite: JSON has none."""
-    if isinstance(value, Mapping):
-        return {str(key): _finite(own) for key, own in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return [_finite(own) for own in value]
-    if hasattr(value, "item"):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _files() -> dict[str, bytes]:

@@ -81,7 +81,7 @@ def _edited(study: StudyFile, edit: Mapping[str, Any]) -> tuple[str, str, str]:
     name = edit.get("name")
     if make is None or not isinstance(name, str) or not name or len(name) > 200:
         raise InputError("there is no such edit", place="edit")
-    words = make(study, where, name, edit.get("value"))
+    words = make(study, document if make is _start else where, name, edit.get("value"))
     return text, tomlkit.dumps(document), words
 
 
@@ -124,8 +124,19 @@ def _flip(study: StudyFile, where: Any, name: str, value: Any) -> str:
     return f"Flip the sign of sensor {name}"
 
 
+def _start(study: StudyFile, where: Any, name: str, value: Any) -> str:
+    """Values at which least squares begin too, besides the end of each search; ``name`` tells whose."""
+    if not isinstance(value, Mapping) or not value or not all(isinstance(own, int | float) for own in value.values()):
+        raise InputError("a start has a number for each parameter", place="start")
+    start = tomlkit.inline_table()
+    start.update({str(key): own for key, own in value.items()})
+    _within(where, "calibration")["begin_at"] = start
+    return f"Begin least squares at {name}"
+
+
 _EDITS: Mapping[str, Callable[[StudyFile, Any, str, Any], str]] = {
     "pair": _pair, "unpair": _unpair, "mode": _hold_out("modes"), "sensor": _hold_out("sensors"), "flip": _flip,
+    "start": _start,
 }  # fmt: skip
 
 

@@ -89,6 +89,11 @@ class KnownStudy:
         return max(changed for changed, _ in of_results) / 1e9
 
 
+def stamp_of(study: KnownStudy, own: StudyFile) -> tuple[Any, ...]:
+    """What changes when a study, its results, or a file that it names does."""
+    return (study.stamp(), *map(_stamp, own.inputs), *map(_stamp, own.code_files))
+
+
 def _stamp(path: Path) -> tuple[int, int]:
     try:
         known = path.stat()
@@ -157,7 +162,7 @@ class Studies:
         with self._lock:
             own = StudyFile.read(study.file, test)
             chosen = part if part in study.parts else ""
-            stamp = (study.stamp(), *map(_stamp, own.inputs), *map(_stamp, own.code_files))
+            stamp = stamp_of(study, own)
             known = self._read.get((study.key, part, test))
             if known is not None and known[0] == stamp:
                 return known[1]

@@ -101,7 +101,7 @@ def test_views_are_reached_by_the_keyboard(tab, explained):
 def test_nothing_is_wider_than_the_window(tab, explained, wide, colours):
     page = tab(explained, wide, 900, colours)
     page.locator("#answer").wait_for()
-    for view in ("Overview", "Search", "Missing physics", "Correlation"):
+    for view in ("Overview", "Search", "Missing physics", "Correlation", "What if", "Parameters"):
         page.get_by_role("link", name=view, exact=True).click()
         page.wait_for_timeout(1500)
         assert page.evaluate(
@@ -148,6 +148,31 @@ def test_a_pair_is_changed_and_taken_back(tab, explained):
     page.locator("#undo").click()
     page.locator("#undo").wait_for(state="detached")
     page.locator(".cell").first.wait_for()
+
+
+def test_sliders_move_the_model_and_a_start_is_written_and_taken_back(tab, explained):
+    page = tab(explained)
+    page.get_by_role("link", name="What if", exact=True).click()
+    page.locator(".shapes[data-drawn]").wait_for()
+    page.get_by_role("button", name="Calibrated").click()
+    first = page.locator("#rows tbody tr").first
+    model = first.locator("td").nth(1)
+    reached(page, lambda: page.locator("input[name=guy]").get_attribute("aria-valuetext") == "off")
+    drawn, before = page.locator("canvas").first.screenshot(), model.inner_text()
+    page.locator("input[name=guy]").focus()
+    for _ in range(3):
+        page.keyboard.press("PageUp")
+    reached(page, lambda: model.inner_text() != before)
+    assert page.locator(".effect[data-name=guy] input[type=checkbox]").is_checked()
+    assert page.locator("canvas").first.screenshot() != drawn
+    page.get_by_role("button", name="With guy").click()
+    reached(page, lambda: float(re.search(r"[\d.]+", page.locator("#facts strong").inner_text())[0]) < 1.2)
+    page.locator("#start").click()
+    page.locator("#make").wait_for()
+    assert "begin_at" in page.locator("#diff .plus").last.inner_text()
+    page.locator("#make").click()
+    page.locator("#undo").click()
+    page.locator("#undo").wait_for(state="detached")
 
 
 def test_a_search_is_started_stopped_and_resumed(tab, tmp_path):

@@ -40,6 +40,10 @@ def make(file):
             {"what": "flip", "name": "6x"},
             lambda settings: settings.measurement.corrected == {"gain of sensor 6x": -2.0},
         ),
+        (
+            {"what": "start", "name": "here", "value": {"E": 207.5}},
+            lambda settings: settings.calibration.begin_at == {"E": 207.5},
+        ),
     ],
 )
 def test_an_edit_changes_its_key_alone_and_is_undone(file, make, edit, of):
@@ -109,6 +113,7 @@ def test_an_edit_that_makes_no_valid_study_is_refused(file, make, monkeypatch):
     [
         {"what": "pair", "name": "B1x", "value": True}, {"what": "pair", "name": "B1x", "value": 0},
         {"what": "model", "name": "x"}, {"what": "mode", "name": 3}, {"what": "mode", "name": "x" * 201}, {},
+        {"what": "start", "name": "here", "value": {"E": "much"}}, {"what": "start", "name": "here", "value": {}},
     ],
 )  # fmt: skip
 def test_other_edits_are_refused(file, edit):

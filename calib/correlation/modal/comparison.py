@@ -222,14 +222,16 @@ class Comparison:
             parts.append(part)
         return pd.concat(parts, ignore_index=True)
 
-    def deflection_table(self) -> pd.DataFrame:
-        """One row per paired mode and point of the mesh: its motion, for plotting over the measured shape.
+    def deflection_table(self, mode: str = "") -> pd.DataFrame:
+        """One row per paired mode, or for one alone, and point of the mesh: its motion over the measured shape.
 
         ``u, v, w`` are the real part of the paired model shape in the scale and phase of `shapes_table`; ``point`` is
         its number in the mesh, from 0.
         """
         factors, parts = self.factors * self.turns, [pd.DataFrame(columns=["mode", "point", *_MOTION])]
         for i in self.pairing.paired:
+            if mode and self.measured.names[i] != mode:
+                continue
             shape = self.modes.shapes[:, [self.pairing.model_index[i]]]
             motion = np.real(self.model.displacement(shape)[:, :, 0] * factors[i])
             part = pd.DataFrame(motion, columns=_MOTION).rename_axis("point").reset_index()

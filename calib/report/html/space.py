@@ -160,23 +160,38 @@ def _stages(
     return found, known.data(), np.concatenate(reached)
 
 
-def model_motions(results: StudyResults) -> dict[str, dict[str, dict[str, Any]]]:
+class MeshMotion:
+    """Motions of a mesh as the viewer draws them; see ``motion`` of `scene`.
+
+    Parameters
+    ----------
+    mesh : MeshTables
+    """
+
+    def __init__(self, mesh: MeshTables):
+        self._mesh, self._seen = mesh, _Structure(mesh).seen
+
+    def packed(self, moves: pd.DataFrame) -> dict[str, Any] | None:
+        """`packed_numbers` of one motion, from columns ``point, u, v, w``; None for an empty table."""
+        return packed_numbers(motions(self._mesh, moves)[self._seen]) if len(moves) else None
+
+
+def model_motions(results: StudyResults) -> dict[str, dict[str, dict[str, Any] | None]]:
     """Motion of the points of `scene` in the modes of the model, by stage and number of the mode.
 
     A mode that is paired moves in scale and phase of the measured shape.
     """
-    mesh, found = read_mesh(results.folder), dict[str, dict[str, dict[str, Any]]]()
-    structure = _Structure(mesh)
+    mesh, found = read_mesh(results.folder), dict[str, dict[str, dict[str, Any] | None]]()
+    drawn = None if mesh is None else MeshMotion(mesh)
     for stage in STAGES:
         moves, compared = results.table(f"deflection_{stage}"), results.compared(stage)
-        if mesh is None or moves is None:
+        if drawn is None or moves is None:
             continue
         paired = {} if compared is None else dict(zip(compared["mode"], compared["model_mode"], strict=True))
         for mode, own in moves.groupby("mode", sort=False):
             number = paired.get(str(mode), float(str(mode)) if str(mode).isdigit() else np.nan)
             if not np.isnan(number):
-                moved = packed_numbers(motions(mesh, own)[structure.seen])
-                found.setdefault(f"{stage} calibration", {})[f"{number:.0f}"] = moved
+                found.setdefault(f"{stage} calibration", {})[f"{number:.0f}"] = drawn.packed(own)
     return found
 
 

@@ -5,10 +5,11 @@ import { Missing } from "./missing.js";
 import { Overview, StudyList } from "./overview.js";
 import { Parameters } from "./parameters.js";
 import { Search } from "./search.js";
+import { WhatIf } from "./what_if.js";
 
 const VIEWS = [
   ["overview", "Overview", Overview], ["search", "Search", Search], ["missing", "Missing physics", Missing],
-  ["correlation", "Correlation", Correlation], ["parameters", "Parameters", Parameters],
+  ["correlation", "Correlation", Correlation], ["what-if", "What if", WhatIf], ["parameters", "Parameters", Parameters],
 ];
 const SLOW = 250;  // milliseconds between two readings of the same view
 

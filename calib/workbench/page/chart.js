@@ -18,7 +18,8 @@ export class Chart {
       const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
       if (!step || !this.scale) return;
       event.preventDefault();
-      this.named = Math.max(this.scale.x0, Math.min(this.scale.x1, (this.named ?? this.scale.x1) + step));
+      const at = this.places.indexOf(this.named ?? this.places.at(-1));
+      this.named = this.places[Math.max(0, Math.min(this.places.length - 1, at + step))];
       this.draw();
     });
   }
@@ -26,14 +27,15 @@ export class Chart {
   // `series`: name, colour (a variable of the style), points [x, y], dashed.
   show(series, words) {
     this.series = series;
+    this.places = [...new Set(series.flatMap((one) => one.points.map(([x]) => x)))].sort((a, b) => a - b);
     this.canvas.setAttribute("aria-label", words);
     this.draw();
   }
 
   point(x) {
     const s = this.scale;
-    this.named = x === null || !s ? null : Math.round(s.x0 + (x - ROOM.left) / s.wide * (s.x1 - s.x0));
-    if (this.named !== null && (this.named < s.x0 || this.named > s.x1)) this.named = null;
+    const at = x === null || !s ? NaN : s.x0 + (x - ROOM.left) / s.wide * (s.x1 - s.x0);
+    this.named = at >= s?.x0 && at <= s?.x1 ? this.places.reduce((best, own) => (Math.abs(own - at) < Math.abs(best - at) ? own : best)) : null;
     this.draw();
   }
 

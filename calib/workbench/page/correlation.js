@@ -1,13 +1,14 @@
 // Measured and model modes: MAC of all pairs, a pair's shapes beside and over each other, and edits of the pairing.
 import { afterFailure } from "./app.js";
-import { ask, change, h, panel, table, tell } from "./dom.js";
+import { Changes } from "./changes.js";
+import { ask, h, panel, table } from "./dom.js";
 import { Shapes } from "./shapes.js";
 
 export class Correlation {
   constructor(page, place) {
     Object.assign(this, { page, place, seen: "", results: null, stage: "", picked: null });
     this.failed = h("div", {});
-    this.diff = h("div", { id: "diff" });  // what is shown stays, whatever else is drawn anew
+    this.changes = new Changes(page, () => { this.known = null; page.refresh(); });  // what it shows stays, whatever else is drawn anew
     this.body = h("div", { class: "stack" });
     place.replaceChildren(h("div", { class: "stack" }, this.failed, this.body));
   }
@@ -128,46 +129,12 @@ export class Correlation {
       h("div", { class: "act" }, sensor,
         h("button", { type: "button", onclick: () => this.propose({ what: "flip", name: sensor.value }) }, "Flip its sign"),
         h("button", { type: "button", onclick: () => this.propose({ what: "sensor", name: sensor.value }) }, "Hold out or use"),
-        this.undoing ? h("button", { type: "button", id: "undo", onclick: () => this.undo() }, `Undo: ${this.undoing}`) : null),
-      this.diff);
+        this.changes.undo(this.undoing, this.test)),
+      this.changes.element);
   }
 
-  // -- edits ---------------------------------------------------------------------------------------------------------
-
-  async propose(edit) {
-    try {
-      const shown = await change(this.page.of("edit", { test: this.test }), { edit });
-      const make = h("button", { type: "button", class: "main", id: "make", onclick: () => this.make(edit, shown.digest) }, shown.words);
-      this.diff.replaceChildren(h("pre", { "aria-label": "what changes in study.toml" }, shown.diff.map((line) =>
-        h("span", { class: line.startsWith("+") ? "plus" : line.startsWith("-") ? "minus" : "soft" }, `${line}\n`))),
-      h("div", { class: "act" }, make, h("button", { type: "button", onclick: () => this.diff.replaceChildren() }, "Leave it")));
-      make.scrollIntoView({ block: "nearest" });
-      make.focus();
-    } catch (fault) {
-      tell(fault.message, "bad");
-    }
-  }
-
-  async make(edit, digest) {
-    try {
-      tell((await change(this.page.of("edit", { test: this.test }), { edit, digest, make: true })).words);
-      this.diff.replaceChildren();
-      this.known = null;
-      this.page.refresh();
-    } catch (fault) {
-      tell(fault.message, "bad");
-      this.diff.replaceChildren();
-    }
-  }
-
-  async undo() {
-    try {
-      tell((await change(this.page.of("undo", { test: this.test }))).words);
-      this.known = null;
-      this.page.refresh();
-    } catch (fault) {
-      tell(fault.message, "bad");
-    }
+  propose(edit) {
+    this.changes.propose(edit, this.test);
   }
 
   empty() {
@@ -176,6 +143,6 @@ export class Correlation {
       h("h2", {}, other ? "This study compares no modes" : compare.state === "stale" ? "The comparison is out of date" : "No comparison has been run"),
       h("p", {}, other ? "MAC and shapes belong to measured modes." : compare.stale || "A comparison pairs measured modes with those of the model by MAC and strain energy; it takes seconds."),
       h("div", { class: "act" }, other ? null : page.button("compare", "Compare", "main"),
-        this.undoing ? h("button", { type: "button", id: "undo", onclick: () => this.undo() }, `Undo: ${this.undoing}`) : null)));
+        this.changes.undo(this.undoing, this.test))));
   }
 }

@@ -6,12 +6,13 @@ const PERIOD = 2000;  // milliseconds
 const PLACES = [["measured", "Measured"], ["model", "Model"], ["both", "Over each other"]];
 
 export class Shapes {
-  constructor(scene) {
-    Object.assign(this, { scene, request: 0, stages: [] });
+  // `names`: which of the pictures; all of them for a pair, the last alone where values move.
+  constructor(scene, names = PLACES.map(([name]) => name)) {
+    Object.assign(this, { scene, names, request: 0, stages: [] });
     this.element = h("div", { class: "shapes" });
     this.play = h("button", { type: "button", "aria-pressed": "false", onclick: () => (this.request ? this.pause() : this.start()) }, "Play");
     this.facts = h("span", { class: "soft small" });
-    for (const [name, title] of PLACES) {
+    for (const [name, title] of PLACES.filter(([own]) => names.includes(own))) {
       const place = h("div", { class: "drawing", role: "img", tabIndex: 0, "aria-label": title });
       this.element.append(h("figure", { class: `viewer ${name}` }, place, h("figcaption", { class: "soft small" }, title)));
     }
@@ -56,18 +57,19 @@ export class Shapes {
     if (!own) return null;
     this.own = own;
     const nothing = { step: 1, numbers: "" };
-    const modes = [{ ...own, motion: null }, { ...own, motion, at: [], measured: nothing }, { ...own, motion }];
-    queueMicrotask(() => requestAnimationFrame(() => {
+    const modes = { measured: { ...own, motion: null }, model: { ...own, motion, at: [], measured: nothing }, both: { ...own, motion } };
+    const draw = () => {
       if (!this.stages.length) this.make();
       this.stages.forEach((one, k) => {
-        one.model.mode(modes[k]);
+        one.model.mode(modes[this.names[k]]);
         one.model.move(1);
         one.named = -1;
         one.name(-1);
         one.draw();
       });
       this.element.dataset.drawn = mode;
-    }));
+    };
+    if (this.stages.length) draw(); else queueMicrotask(() => requestAnimationFrame(draw));
     return this.element;
   }
 
