@@ -147,7 +147,7 @@ SPEED = {  # memory, time, processes; results are the same
     "results/results.py": "_ABANDONED",
     "problem/sampling.py": "_BATCH_MAX",
     "structure/eigenproblem/deflation.py": "_BLOCK _STEPS_MIN _STEPS_MAX",
-    "structure/frf.py": "_ORDER _DENSE _LOW_RANK",
+    "structure/frf.py": "_ORDER _DENSE _BLOCK _LOW_RANK",
     "structure/modal_function.py": "REMEMBERED",
     "structure/model.py": "_REMEMBERED _BYTES",
     "structure/places.py": "_FEW",

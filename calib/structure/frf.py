@@ -10,6 +10,7 @@ undamped modes then serves all lines (Woodbury's identity).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
@@ -28,6 +29,8 @@ _ORDER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
 _DENSE = 200
 """Degrees of freedom up to which a complex dense factorisation beats a sparse one with its many right-hand sides."""
+_BLOCK = 250_000
+"""Entries of the dense matrices of as many lines as are put together at once."""
 _LOW_RANK = 4
 """Degrees of freedom per damper from which superposed undamped modes are faster than a factor for each line."""
 _RANK = 1e-13
@@ -160,20 +163,59 @@ def frf_solutions(
     matrices: tuple[Matrix, Matrix, Matrix], freq: np.ndarray, *rows: np.ndarray
 ) -> Iterator[tuple[np.ndarray, ...]]:
     """``Z^-1 r^T`` of each set of rows r, (n_dof, n_rows), line by line; EvaluationError as `frf`."""
-    stiffness, damping, mass = (_dense(matrix) if matrix.shape[0] <= _DENSE else matrix for matrix in matrices)
     loads, lines = np.vstack(rows).T, np.asarray(freq, dtype=float)
-    ends = np.cumsum([len(r) for r in rows])[:-1]
-    diagonal = np.abs(stiffness.diagonal())
+    ends = np.cumsum([0, *(len(r) for r in rows)]).tolist()
+    diagonal = np.abs(matrices[0].diagonal())
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    known = None if _is_sparse(stiffness) else _superposed(stiffness, damping, mass, lines, loads)
-    for k, line in enumerate(lines):
-        if known is not None and known[0][k]:
-            yield tuple(np.split(known[1][k], ends, axis=1))
-            continue
+    solutions = _dense_solutions if len(scale) <= _DENSE or not _is_sparse(matrices[0]) else _sparse_solutions
+    for solution in solutions(matrices, lines, scale, loads):
+        yield tuple(solution[:, first:end] for first, end in itertools.pairwise(ends))
+
+
+def _sparse_solutions(
+    matrices: tuple[Matrix, Matrix, Matrix], freq: np.ndarray, scale: np.ndarray, loads: np.ndarray
+) -> Iterator[np.ndarray]:
+    """Solution at each line, (n_dof, n_loads), of the system scaled by ``scale`` on both sides."""
+    stiffness, damping, mass = matrices
+    scaled_loads = scale[:, None] * loads.astype(complex)
+    for line in freq:
         omega = 2 * np.pi * line
         dynamic = stiffness + 1j * omega * damping - omega**2 * mass
-        solution = scale[:, None] * _solution(dynamic, scale, scale[:, None] * loads.astype(complex), line)
-        yield tuple(np.split(solution, ends, axis=1))
+        scaled = sp.csc_matrix(dynamic.multiply(scale[:, None]).multiply(scale))
+        _check_finite(np.all(np.isfinite(scaled.data)), line)
+        yield scale[:, None] * _sparse_solution(scaled, scaled_loads, line)
+
+
+def _dense_solutions(
+    matrices: tuple[Matrix, Matrix, Matrix], freq: np.ndarray, scale: np.ndarray, loads: np.ndarray
+) -> Iterator[np.ndarray]:
+    """The same of dense matrices, by undamped modes where that is faster and holds."""
+    stiffness, damping, mass = (_dense(matrix) for matrix in matrices)
+    known = _superposed(stiffness, damping, mass, freq, loads)
+    holds, found = (np.zeros(len(freq), dtype=bool), np.empty(0)) if known is None else known
+    both = scale[:, None] * scale
+    factored = _factored((both * stiffness, both * damping, both * mass), freq[~holds], scale[:, None] * loads)
+    for k, held in enumerate(holds):
+        yield found[k] if held else scale[:, None] * next(factored)
+
+
+def _factored(
+    scaled: tuple[np.ndarray, np.ndarray, np.ndarray], freq: np.ndarray, loads: np.ndarray
+) -> Iterator[np.ndarray]:
+    """Solution of a scaled dense system at each line by a factor of its own, in blocks of lines.
+
+    Of small matrices the products and checks of a line cost more than its factor.
+    """
+    stiffness, damping, mass = scaled
+    size, complex_loads = max(_BLOCK // stiffness.size, 1), loads.astype(complex)
+    for start in range(0, len(freq), size):
+        lines = freq[start : start + size]
+        omega = 2 * np.pi * lines[:, None, None]
+        dynamic = stiffness + 1j * omega * damping - omega**2 * mass
+        _check_finite(np.all(np.isfinite(dynamic), axis=(1, 2)), lines)
+        solved = [lapack.zgesv(one, complex_loads) for one in dynamic]
+        _check_pivots(np.abs([lu.diagonal() for lu, *_ in solved]), lines)
+        yield from (solution for _, _, solution, _ in solved)
 
 
 def _superposed(
@@ -215,18 +257,11 @@ def _dense(matrix: Matrix) -> np.ndarray:
     return np.asarray(matrix.toarray() if hasattr(matrix, "toarray") else matrix)
 
 
-def _solution(dynamic: Matrix, scale: np.ndarray, loads: np.ndarray, freq: float) -> np.ndarray:
-    """Solution of the system scaled by ``scale`` on both sides, (n_dof, n_loads)."""
-    scaled = (
-        dynamic.multiply(scale[:, None]).multiply(scale) if _is_sparse(dynamic) else scale[:, None] * dynamic * scale
-    )
-    if not np.all(np.isfinite(scaled.data if _is_sparse(scaled) else scaled)):
-        raise EvaluationError(f"the dynamic stiffness at {freq:.6g} Hz holds entries that are not finite")
-    if _is_sparse(scaled):
-        return _sparse_solution(sp.csc_matrix(scaled), loads, freq)
-    lu, order, _ = lapack.zgetrf(scaled)
-    _check_pivots(np.abs(lu.diagonal()), freq)
-    return np.asarray(lapack.zgetrs(lu, order, loads)[0])
+def _check_finite(finite: np.ndarray | np.bool, freq: np.ndarray | float) -> None:
+    """EvaluationError at the first line whose matrix is not finite, both (n_freq,) or of one line."""
+    if not np.all(finite):
+        line = np.ravel(freq)[np.argmin(finite)]
+        raise EvaluationError(f"the dynamic stiffness at {line:.6g} Hz holds entries that are not finite")
 
 
 def _sparse_solution(scaled: sp.csc_matrix, loads: np.ndarray, freq: float) -> np.ndarray:
@@ -252,9 +287,11 @@ def _sparse_solution(scaled: sp.csc_matrix, loads: np.ndarray, freq: float) -> n
     return np.asarray(found)
 
 
-def _check_pivots(pivots: np.ndarray, freq: float) -> None:
-    if not pivots.min() > _SINGULAR * pivots.max():
-        raise _resonance(freq)
+def _check_pivots(pivots: np.ndarray, freq: np.ndarray | float) -> None:
+    """EvaluationError at the first singular line; pivots (n_freq, n_dof) and lines (n_freq,), or of one line."""
+    regular = pivots.min(axis=-1) > _SINGULAR * pivots.max(axis=-1)
+    if not np.all(regular):
+        raise _resonance(float(np.ravel(freq)[np.argmin(regular)]))
 
 
 def _is_sparse(matrix: Matrix) -> bool:

@@ -171,8 +171,8 @@ def test_few_dampers_are_superposed_on_undamped_modes(rank):
     rows, freq = rng.standard_normal((3, n)), np.array([0.0, 5.0, 40.0, at_mode * (1 + 1e-4), at_mode * (1 + 1e-8)])
     calls = []
     with pytest.MonkeyPatch.context() as patch:
-        direct = frf_module._solution
-        patch.setattr(frf_module, "_solution", lambda *a: calls.append(a[-1]) or direct(*a))
+        direct = frf_module._factored
+        patch.setattr(frf_module, "_factored", lambda scaled, at, loads: calls.extend(at) or direct(scaled, at, loads))
         found = [x for (x,) in frf_module.frf_solutions((k, c, m), freq, rows)]
     for line, x in zip(freq, found, strict=True):
         omega = 2 * np.pi * line
@@ -180,6 +180,22 @@ def test_few_dampers_are_superposed_on_undamped_modes(rank):
         np.testing.assert_allclose(load, rows.T, atol=1e-9 * np.abs(k).max() * np.abs(x).max())
     assert calls == [freq[-1]]  # at an undamped resonance the superposition would cancel
     assert len(freq) == len(found)
+
+
+def test_lines_that_do_not_fit_into_one_block_are_solved_as_those_that_do(monkeypatch):
+    rng, n = np.random.default_rng(2), 6
+    root, rows, freq = rng.standard_normal((n, n)), rng.standard_normal((2, n)), np.linspace(1.0, 30.0, 11)
+    k = 1e4 * (root @ root.T + np.eye(n))
+    found = []
+    for lines in (11, 4, 0.5):
+        monkeypatch.setattr(frf_module, "_BLOCK", int(lines * n * n))
+        found.append([x for (x,) in frf_module.frf_solutions((k, 1e-3 * k, np.eye(n)), freq, rows)])
+    assert len(found[0]) == 11
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])
+    stiff = np.linalg.eigvalsh(k)[[1, 3]] ** 0.5 / (2 * np.pi)  # two lines on resonances without damping
+    with pytest.raises(EvaluationError, match=f"{stiff[0]:.6g} Hz"):
+        list(frf_module.frf_solutions((k, 1e-30 * k, np.eye(n)), np.array([1.0, *stiff]), rows))
 
 
 def test_material_damping_and_free_structures_are_solved_line_by_line():
