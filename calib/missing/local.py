@@ -87,7 +87,11 @@ def fault_words(candidate_fit: CandidateFit, of: Candidate | None = None) -> str
         return found.in_words
     unit = found.effect.magnitude.unit
     factor, display_unit = (100.0, "%") if unit == "-" else (1.0, unit)
-    width = factor * (found.high - found.low)
+    value, first, last = (found.effect.as_told(number) for number in (found.value, found.low, found.high))
+    low, high = sorted((first, last))
+    if not low <= value <= high:  # beyond an infinite number
+        return found.effect.told(value)
+    width = factor * (high - low)
     places = max(1 - math.floor(math.log10(width)), 0) if math.isfinite(width) and width > 0 else 2
-    low, high = (f"{factor * end:.{places}f}" for end in (found.low, found.high))
-    return f"{found.effect.told(found.value)} (95 %: {low} to {high} {display_unit})"
+    ends = " to ".join(f"{factor * end:.{places}f}" for end in (low, high))
+    return f"{found.effect.told(value)} (95 %: {ends} {display_unit})"

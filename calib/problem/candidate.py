@@ -73,7 +73,11 @@ class Candidate(Protocol):
 
     @property
     def told(self) -> Callable[[float], str] | None:
-        """What a fitted magnitude of such an error means, in words."""
+        """What such an error means, in words, of the number that is stated of it; see `as_told`."""
+        ...
+
+    def as_told(self, magnitude: float) -> float:
+        """The number that is stated of a magnitude, in its unit."""
         ...
 
     @property
@@ -119,6 +123,10 @@ class WithMagnitude:
         """A large but plausible magnitude, in its own unit."""
         return self.magnitude.prior_width
 
+    def as_told(self, magnitude: float) -> float:
+        """The number that is stated of a magnitude, in its unit: itself."""
+        return magnitude
+
 
 NOWHERE = (math.nan, math.nan, math.nan)
 """Place of a fault that concerns the whole measurement."""
@@ -139,7 +147,7 @@ class Fault(WithMagnitude):
     look_for : str
         What to check, one sentence.
     told : callable
-        What a fitted magnitude means, such as ``sensor 12y reads 10 % low``.
+        What the number that is stated of a magnitude (`as_told`) means, such as ``sensor 12y reads 10 % low``.
     kind : str
         Such as ``gain``, ``delay``, ``rotation``, ``place``, ``cross-talk``, ``exchange``, ``axes``, ``mixed``,
         ``set-up``, ``damping``, ``modulus``.

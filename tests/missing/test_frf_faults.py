@@ -1,5 +1,6 @@
 """Faults of channels and transducers of FRFs among the candidates of an explanation."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from calib.hypotheses.hypotheses import ModelHypotheses
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import Sensor
 from calib.missing.decision import decide
+from calib.missing.local import fault_words
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
 from calib.structure.affine import parameter as proportional
@@ -159,7 +161,9 @@ def test_a_planted_fault_is_named(channel, factor, name, value, words):
     fitted, std = found.fault.magnitude(name)
     assert abs(fitted - value) < 4 * std
     (effect,) = found.fault.effects
-    assert effect.told(value) == words
+    assert effect.told(effect.as_told(value)) == words
+    ends = re.search(r"\(95 %: (\S+) to (\S+) ", fault_words(found.fault))
+    assert float(ends[1]) < effect.as_told(fitted) < float(ends[2])
 
 
 @pytest.mark.parametrize("ground", [0.0, 3e3])
@@ -246,10 +250,17 @@ def reversed_force(model):
     return out
 
 
+def light_force(model):
+    out = of_bogie(model).values
+    out[:, :, 1] *= 0.84
+    return out
+
+
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     ("plant", "name", "value", "words"),
     [
+        (light_force, "gain_force_4x", -16.0, "force at 4x reads 19 % high"),
         (reversed_force, "gain_force_4x", -200.0, "force at 4x has the wrong sign"),
         (sits_elsewhere, "place_z_3y", 50.0, "sensor 3y sits 5 cm off along +z"),
         (turned_sensor, "rotation_2y_x", 12.0, "sensor 2y is turned by 12 deg towards x"),
@@ -269,4 +280,6 @@ def test_a_planted_fault_of_a_transducer_is_named(bogie, plant, name, value, wor
     fitted, spread = found.fault.magnitude(name)
     assert abs(fitted - value) < 4 * spread
     (effect,) = found.fault.effects
-    assert effect.told(value) == words
+    assert effect.told(effect.as_told(value)) == words
+    ends = re.search(r"\(95 %: (\S+) to (\S+) ", fault_words(found.fault))
+    assert float(ends[1]) < effect.as_told(fitted) < float(ends[2])

@@ -58,6 +58,16 @@ class FRFFault(Fault):
 
     error: Suspect = field(kw_only=True)
 
+    def as_told(self, magnitude: float) -> float:
+        """The number that is stated of a magnitude: of the gain of functions of a force how far the force is off.
+
+        The functions are divided by the force.
+        """
+        if not (isinstance(self.error, ChannelError) and self.error.multiplies):
+            return magnitude
+        factor = 1 + magnitude / 100
+        return 100 * (1 / factor - 1) if factor else np.inf
+
 
 def frf_faults(
     model: Model, measured: MeasuredFRFs, nuisances: Sequence[Nuisance] = (), test: str = ""
@@ -144,8 +154,6 @@ def _of_channels(measured: MeasuredFRFs) -> Iterator[FRFFault]:
             error = ChannelError(kind, sensor.name, side, size, of_functions=kind == "gain")
             magnitude = replace(error.parameter, lower=RULES.frf_gain_lower) if kind == "gain" else None
             lacks, told = "Every channel reads as it is calibrated.", words[kind]
-            if kind == "gain" and side == "reference":
-                told = _force_gain
             yield _fault(error, kind, what, lacks, partial(told, what), sensor, magnitude)
 
 
@@ -157,13 +165,7 @@ def _transducers(measured: MeasuredFRFs) -> Iterator[tuple[Side, Sensor]]:
 
 
 def _gain(what: str, percent: float) -> str:
-    return gain_words(what, percent / 100)
-
-
-def _force_gain(what: str, percent: float) -> str:
-    """Of the functions of a force, which they are divided by."""
-    factor = 1 + percent / 100
-    return gain_words(what, 1 / factor - 1) if factor else f"{what} reads without limit"
+    return gain_words(what, percent / 100) if np.isfinite(percent) else f"{what} reads without limit"
 
 
 def _phase(what: str, angle: float) -> str:

@@ -96,10 +96,10 @@ class ChannelError(FactorError):
     @property
     def key(self) -> tuple[str, str, str]:
         """What it is, for a fingerprint."""
-        return f"{self.kind}{' of functions' * self._multiplies}", self.sensor, self.side
+        return f"{self.kind}{' of functions' * self.multiplies}", self.sensor, self.side
 
     @property
-    def _multiplies(self) -> bool:
+    def multiplies(self) -> bool:
         """Whether its value multiplies functions of a reference, which another one divides."""
         return self.of_functions and self.side == "reference"
 
@@ -122,7 +122,7 @@ class ChannelError(FactorError):
         """Such as ``gain_12z``, ``gain_force_3z`` of a reference, or of one of several tests ``gain_12z in test A``."""
         sd = CHANNEL_SD[self.kind] if self.prior_sd is None else self.prior_sd
         force, lower = "force_" if self.side == "reference" else "", -RULES.limit * sd
-        of = "functions" if self._multiplies else "channel"
+        of = "functions" if self.multiplies else "channel"
         return Parameter(
             f"{self.kind}_{force}{self.sensor}{in_test(self.test)}", 0.0,
             max(lower, RULES.gain_weakest) if self.kind == "gain" else lower, RULES.limit * sd, _UNITS[self.kind],
@@ -135,14 +135,14 @@ class ChannelError(FactorError):
         own = np.full(len(freq), 1 + value, dtype=complex)
         if self.kind != "gain":
             own = np.exp(1j * value * (np.ones(len(freq)) if self.kind == "phase" else -2 * np.pi * freq))
-        return own if self.side == "response" or self._multiplies else 1 / own
+        return own if self.side == "response" or self.multiplies else 1 / own
 
     def log_slope(self, value: float, freq: np.ndarray) -> np.ndarray:
         """Derivative of the logarithm of the factor at a value in SI, (n_freq,), complex."""
         own = np.full(len(freq), 1 / (1 + value), dtype=complex)
         if self.kind != "gain":
             own = 1j * (np.ones(len(freq)) if self.kind == "phase" else -2 * np.pi * freq)
-        return own if self.side == "response" or self._multiplies else -own
+        return own if self.side == "response" or self.multiplies else -own
 
 
 class Loading(ABC):
