@@ -22,7 +22,7 @@ def write_decks(study: AnyStudy, results: Results, into: Path) -> tuple[Path, ..
     Parameters
     ----------
     study : Study
-        It names templates under ``decks``, or has a solver.
+        It names templates under ``decks`` and files beside them under ``deck_files``, or has a solver.
     results : Results
         With its calibration.
     into : Path
@@ -50,8 +50,9 @@ def write_decks(study: AnyStudy, results: Results, into: Path) -> tuple[Path, ..
     space = first.model.space
     values = {**space.values, **{name: value for name, value in found.values.items() if name in space}}
     contents = {deck_name(name): _deck(study.folder / name, space, values) for name in templates}
-    for name in solver.files if solver is not None and not settings.decks else ():
-        contents[Path(name).name] = (study.folder / name).read_bytes()
+    beside = solver.files if solver is not None and not settings.decks else ()
+    for name in settings.deck_files or beside:
+        contents[Path(name).name] = _content(study.folder / name)
     rows = [
         f"{name},{float(v)!r},{found.std.get(name, float('nan')):.4g},{space[name].unit}" for name, v in values.items()
     ]
@@ -60,10 +61,15 @@ def write_decks(study: AnyStudy, results: Results, into: Path) -> tuple[Path, ..
     return tuple(into / name for name in contents)
 
 
+def _content(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as fault:
+        raise InputError(f"it cannot be read ({fault.strerror})", place=file) from None
+
+
 def _deck(file: Path, space: ParameterSpace, values: Mapping[str, float]) -> bytes:
-    """The deck of one template; a file in which nothing is to be written, such as a mesh, as it is."""
-    if file.is_file() and not any(mark in (content := file.read_bytes()) for mark in (b"{{", b"{%", b"{#")):
-        return content
+    """The deck of one template."""
     text, _ = read_template(file, space.names)
     try:
         return deck_of(text, space.parameters, values).encode()

@@ -35,6 +35,8 @@ _CLOSE = 1e-3
 """Relative distance of frequencies below which shapes are compared as the motions that they span together."""
 _NODES = 100
 """Nodes at which shapes are compared."""
+_GENERIC = 'effects = "generic"              # composed of parts, supports and points of the model\n'
+"""Line of the study that is written, unless the solver's study names effects."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,9 +176,12 @@ def _checked(study: LoadedStudy, given: SolverSettings, runs: _SolverRuns, terms
     out = Imported(model, terms.first, table, (*terms.first.notes, *notes), warnings, units, measured=True)
     if to is None:
         return out
+    decks, files = (
+        [quoted(_path_to(study.folder / name, to)) for name in names] for names in (given.template, given.files)
+    )
     text = Template((TEMPLATE / "affine_study.toml").read_text("utf-8")).substitute(
         title=quoted(f"{study.settings.title}, matrices from runs"), base=quoted(_path_to(study.folder, to)),
-        decks=", ".join(quoted(_path_to(study.folder / name, to)) for name in (*given.template, *given.files)),
+        decks=", ".join(decks), files=", ".join(files), effects="" if study.settings.libraries else _GENERIC,
     )  # fmt: skip
     source = f"{terms.runs} runs of {runs.solver.title}"
     folder = write_study(model, terms.first, units, _scaled(terms, parameters, units), source, to, text, {})

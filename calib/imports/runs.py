@@ -19,8 +19,9 @@ WIDE = 2.0
 """Factor of the widest values on the nominal one: differences of values near it cancel too many digits."""
 _NOTHING = 1e-13
 """Entries of a term, over the largest entry of its matrix, that are rounding of the file."""
-_MEETS = 1e-10
-"""Change of an entry, over the largest entry, from which two parameters are found to act together."""
+_WRITTEN = 1e-6
+"""Change of an entry, over its own size, that may be rounding of the file: single precision is the coarsest. What
+parameters do together is all or much of some entry, in the element that they share."""
 
 Powers = tuple[tuple[str, int], ...]
 """Product of powers of parameters, by name."""
@@ -91,6 +92,16 @@ class _Runs:
             self.done[key] = sums
         return self.done[key]
 
+    def act_together(self, factors: Mapping[str, float]) -> bool:
+        """Whether all of these parameters change an entry together by more than rounding of the file or of the code."""
+        change = self.change(factors)
+        some = [n for size in range(len(factors) + 1) for n in itertools.combinations(factors, size)]
+        for kind, one in change.items():
+            size = sum((abs(self.at({name: factors[name] for name in names})[kind]) for names in some), 0 * one)
+            if (abs(one) - _WRITTEN * size).max() > _NOTHING * size.max():
+                return True
+        return False
+
     def change(self, factors: Mapping[str, float]) -> Sums:
         """What all of these parameters change together beyond what fewer of them do."""
         names = list(factors)
@@ -147,10 +158,8 @@ def terms_of_runs(
             smaller = [frozenset(some) for some in itertools.combinations(names, size - 1)]
             if size > 1 and not all(some in active for some in smaller):
                 continue
-            if size > 1:
-                widest = runs.change({name: factors[name][-1] for name in names})
-                if not any(abs(one).max() > _MEETS * largest[kind] for kind, one in widest.items() if one.nnz):
-                    continue
+            if size > 1 and not runs.act_together({name: factors[name][-1] for name in names}):
+                continue
             active.append(frozenset(names))
             _interpolate(runs, names, factors, powers, found)
     assert runs.first is not None

@@ -161,7 +161,7 @@ class ModalFunctionModel:
         """Hash over the function, the objects it holds, and the requested modes and sensors."""
         own = self.identity or digest_of(self.name, self.function)
         sensors = [(s.node, s.direction) for s in self.sensors]
-        return digest_of(own, sensors, self.n_modes, self.damped, self.step)[:16]
+        return digest_of(own, sensors, self.n_modes, self.damped)[:16]
 
     # -- solutions -----------------------------------------------------------------------------------------------------
 

@@ -247,6 +247,8 @@ class StudySettings(Section):
     decks: tuple[PathText, ...] = ()
     """Templates of a solver's input, with ``{{ NAME }}`` where values of parameters belong, into which ``calib deck``
     writes calibrated values; by default those under ``[model]``."""
+    deck_files: tuple[PathText, ...] = ()
+    """Files that ``calib deck`` copies beside these as they are; by default the ``files`` under ``[model]``."""
     retry: RetrySettings | None = None
     """When a failed evaluation of that function is repeated: ``{ pattern = "LICENSE", times = 5, wait = 60 }``."""
     effects: LibraryText | tuple[LibraryText, ...] | None = None

@@ -206,20 +206,24 @@ class Solver:
         text = (folder / OUTPUT).read_text("utf-8", errors="replace") if (folder / OUTPUT).is_file() else ""
         lines = last_lines(text, _NOTED)
         said = f"; its last lines: {' | '.join(lines[-_TOLD:])}" if lines else "; it printed nothing"
-        kept = f" ({FAILED_RUNS} keeps folders)" if self._keep(folder, values) else ""
+        kept = f" ({FAILED_RUNS} keeps up to {_KEPT} folders)" if self._keep(folder, values) else ""
         fault = EvaluationError(words + said[:300] + kept)
         fault.add_note("\n".join(lines))
         return fault
 
     def _keep(self, folder: Path, values: Mapping[str, float]) -> bool:
-        """Keep the folder of a failed run, one for a point, unless enough are kept; False where that cannot be."""
+        """Keep the folder of a failed run, one for a point, unless enough are kept; False where that cannot be.
+
+        The same answer whether it is among them: which ones are depends on the order in which workers end.
+        """
         home = self.folder / FAILED_RUNS
         own = home / point_key(values)[:8]
         with suppress(OSError):
             shutil.rmtree(own, ignore_errors=True)
-            if home.is_dir() and len(list(home.iterdir())) >= _KEPT:
-                return True
             own.mkdir(parents=True)
+            if len(list(home.iterdir())) > _KEPT:
+                own.rmdir()
+                return True
             for item in folder.iterdir():
                 if item.name != LOCK:
                     shutil.move(item, own / item.name)

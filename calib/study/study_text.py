@@ -174,7 +174,7 @@ def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
 
 _OF_ONE_TEST = ("measurement", "held_out", "pairing")
 """Keys that describe the measurement of a study without ``[[tests]]``."""
-_PATHS = ("files", "shapes", "sensors", "responses", "depends_on", "decks", "study")
+_PATHS = ("files", "shapes", "sensors", "responses", "depends_on", "decks", "deck_files", "study")
 _FUNCTIONS = ("model", "effects")
 _WITH_PATHS = ("measurement", "adopted")
 _OF_SOLVER = ("template", "files")

@@ -28,13 +28,13 @@ def test_the_matrices_of_runs_have_the_modes_of_the_solver(tmp_path):
     solved = loaded.model.modes(FRESH, 2)
     np.testing.assert_allclose(solved.natural_freq, exact(FRESH)[0], rtol=1e-10)
     assert loaded.search_space.free_names == ("k", "m")  # [parameters.t] of the solver's study holds
-    assert loaded.settings.decks == ("../chain/solve.py.j2",)
+    assert loaded.settings.decks == ("../chain/solve.py.j2",) and not loaded.settings.deck_files
 
 
 @pytest.mark.slow
 def test_calibrated_values_go_back_into_the_deck(tmp_path):
     folder = study(tmp_path / "chain", text=STUDY.replace("[model]", '[model]\nfiles = "mesh.bin"'))
-    (folder / "mesh.bin").write_bytes(b"\xff\r\n{ }")
+    (folder / "mesh.bin").write_bytes(b"\xff\r\n{{ nothing }}")
     calib.import_matrices(folder, to=tmp_path / "affine")
     one = calib.Study.load(tmp_path / "affine", results=tmp_path / "results", progress=False)
     with pytest.raises(InputError, match="calib calibrate"):
@@ -42,7 +42,7 @@ def test_calibrated_values_go_back_into_the_deck(tmp_path):
     steps.calibrated(one)
     written = one.decks(tmp_path / "deck")
     assert [path.name for path in written] == ["solve.py", "mesh.bin", "calibrated.csv"]
-    assert written[1].read_bytes() == b"\xff\r\n{ }"
+    assert written[1].read_bytes() == b"\xff\r\n{{ nothing }}"
     values = re.search(r"k, m, t = (\S+), (\S+), (\S+)", written[0].read_text()).groups()
     assert [float(v) for v in values] == pytest.approx([2.3, 1.3, 1.0], rel=1e-4)
     assert "k,2." in written[2].read_text()

@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+import calib
 from calib.errors.errors import InputError, ToleranceError
 from calib.execution.tasks import shared_by
 from calib.results.written import LOG
 from calib.structure.affine import AffineMatrix, Term
 from calib.structure.reduction.basis import Basis
 from calib.structure.reduction.certificate import certificate, mode_errors
+from calib.structure.reduction.mode_target import ModeTarget
 from calib.structure.reduction.reduced import ReducedModel
-from calib.structure.reduction.training import enrich_basis, space_filling_points, train_basis
+from calib.structure.reduction.training import basis_at, enrich_basis, space_filling_points, train_basis
 from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -113,6 +115,20 @@ def test_enriching_gives_a_next_version_that_meets_the_tolerance_there(ladder):
     assert grown.version == 2 and grown.size > basis.size
     assert np.array_equal(grown.vectors[:, : basis.size], basis.vectors)
     assert mode_errors(ReducedModel(model, grown), outside, 6).worst < 1e-6
+
+
+def test_what_a_stiffened_part_lacks_is_added_though_it_hardly_moves_the_reference():
+    """A small mass on a spring that grows fiftyfold: its motion has little energy at the reference, much there."""
+    one, other, tie = np.diag([1.0, 0.0]), np.diag([0.0, 1.0]), 0.01 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    spring = calib.Parameter("spring", 1.0, 0.5, 50.0, "N/m")
+    model = calib.StructuralModel.from_matrices(
+        {"spring": other, "fixed": one + tie}, np.diag([1.0, 0.01]), dofs=[(1, "x"), (2, "x")], parameters=[spring]
+    )
+    target, stiff = ModeTarget(1, np.inf, 0.95, 1e-3), {"spring": 50.0}
+    basis = basis_at(model, model.space, target, model.space.values)
+    assert basis.size == 1 and mode_errors(ReducedModel(model, basis), stiff, 1).worst > 1e-3
+    grown = enrich_basis(model, basis, [stiff], target, verified=0)
+    assert mode_errors(ReducedModel(model, grown), stiff, 1).worst < 1e-3
 
 
 @pytest.mark.slow

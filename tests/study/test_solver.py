@@ -66,6 +66,11 @@ def test_it_is_fitted_from_python_and_no_point_is_run_twice(tmp_path):
     assert len(runs(tmp_path)) == len(set(runs(tmp_path)))
 
 
+def test_the_step_of_differences_is_no_part_of_what_a_run_computes(tmp_path):
+    assert solver(tmp_path, step=0.01).fingerprint == solver(tmp_path).fingerprint
+    assert solver(tmp_path, n_modes=1).fingerprint != solver(tmp_path).fingerprint
+
+
 def test_sensors_are_found_by_place(tmp_path):
     """The measurement numbers its nodes otherwise; the deck has the places."""
     (tmp_path / "mesh.inp").write_text("*NODE\n1,0,0,0\n2,0,0,1000\n")
@@ -104,10 +109,13 @@ def test_a_failure_tells_the_last_lines_and_keeps_its_folder(tmp_path):
 
 def test_folders_of_failed_runs_are_kept_up_to_a_number(tmp_path):
     model = solver(tmp_path, "sys.exit(1)")
+    told = []
     for k in np.linspace(1.0, 3.0, 12):
-        with pytest.raises(EvaluationError):
+        with pytest.raises(EvaluationError) as failed:
             model.modes({"k": float(k)}, 2)
+        told.append(str(failed.value))
     assert len(list((tmp_path / FAILED_RUNS).iterdir())) == 10
+    assert "10" in told[0] and set(told) == {told[0]}  # whichever worker ends first, a point tells the same
 
 
 def test_missing_and_damaged_results_are_failures(tmp_path):

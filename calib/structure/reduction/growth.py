@@ -24,6 +24,8 @@ SAFETY = 0.5
 """Limit of the error indicator, as a fraction of the tolerance."""
 POD = 0.5
 """Squared projection error of every snapshot, as a fraction of the tolerance."""
+_SHARES = (1.0, 0.1, 0.01, 1e-3)
+"""Parts of the energy below which a missing vector is dropped, tried in turn."""
 _STATIC = 1e-3
 """Static vectors closer than this to the span of the others, in the energy norm, are dropped."""
 _LOCAL, _STRAINED = 0.1, 20
@@ -244,12 +246,24 @@ class Growth:
                 break
             passed = False
             lacking = each(_missing, (target, reduced, self.matrix, unseen), [points[k] for k in worst])
-            grown = self.added(basis.vectors, np.hstack(lacking), POD * target.tolerance)
+            grown = self._grown(basis.vectors, np.hstack(lacking), POD * target.tolerance)
             if grown.shape[1] == basis.size:
-                break  # nothing is left to add: the indicator overestimates the error there
+                break  # nothing is left to add
             samples = np.vstack([basis.samples, sampled_rows(basis, [points[k] for k in worst])])
             basis = replace(basis, vectors=grown, samples=samples)
         return basis, passed
+
+    def _grown(self, basis: np.ndarray, vectors: np.ndarray, least: float) -> np.ndarray:
+        """An orthonormal basis with vectors added that its error shows to be missing.
+
+        The energy of what they add is that at the reference values. Where parameters stiffen what moves little, an
+        energy below ``least`` is a larger part of their own: ever smaller ones are added until the basis grows.
+        """
+        for share in _SHARES:
+            grown = self.added(basis, vectors, share * least)
+            if grown.shape[1] > basis.shape[1]:
+                break
+        return grown
 
     def added(self, basis: np.ndarray, vectors: np.ndarray, least: float) -> np.ndarray:
         """An orthonormal basis with vectors added, directions of energy below ``least`` dropped."""
