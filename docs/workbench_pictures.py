@@ -19,11 +19,12 @@ VIEWS = {
     "missing": ("Missing physics", "figure[data-drawn=why_this_effect] svg"),
     "correlation": ("Correlation", ".shapes[data-drawn]"),
     "what_if": ("What if", ".shapes[data-drawn]"),
+    "designs": ("Designs", "#table tbody tr"),
     "parameters": ("Parameters", "figure[data-drawn=parameters] svg"),
 }
 """Name of the picture: that of the view, and what is there once it is drawn."""
-COLOURS = 128
-"""Of a picture: it is then small enough for the documents."""
+COLOURS, LARGEST = (128, 32, 16), 140_000
+"""Of a picture: the most colours with which it is small enough for the documents, in bytes."""
 OPTIONS = ["--no-sandbox", "--enable-unsafe-swiftshader"]
 
 
@@ -43,7 +44,10 @@ def take(address: str, into: Path) -> None:
             page.wait_for_timeout(1500)
             path = into / f"workbench_{name}.png"
             with Image.open(io.BytesIO(page.screenshot())) as picture:
-                picture.convert("RGB").quantize(COLOURS).save(path, optimize=True)
+                for colours in COLOURS:
+                    picture.convert("RGB").quantize(colours).save(path, optimize=True)
+                    if path.stat().st_size <= LARGEST:
+                        break
             print(path)
         opened.close()
 

@@ -23,6 +23,7 @@ from calib.report.html.study_results import StudyResults
 from calib.results.json_file import plain
 from calib.study.study_file import StudyFile
 from calib.workbench.correlation import correlation
+from calib.workbench.designs import designs
 from calib.workbench.edits import Edits
 from calib.workbench.evaluators import Evaluators
 from calib.workbench.live import Live
@@ -37,7 +38,7 @@ from calib.workbench.studies import KnownStudy, Studies, stamp_of
 T = TypeVar("T")
 _KINDS = {
     "html": "text/html; charset=utf-8", "css": "text/css; charset=utf-8", "js": "text/javascript; charset=utf-8",
-    "svg": "image/svg+xml",
+    "svg": "image/svg+xml", "data": "application/json",
 }  # fmt: skip
 _OF_REPORT = ("three.min.js", "viewer.js")
 """Files of the report that the page uses as they are."""
@@ -63,7 +64,8 @@ class Workbench:
         self.evaluators = Evaluators()
         self.live = Live(studies, self.commands)
         self._ledgers: dict[str, LedgerReader] = {}
-        self._drawing = threading.Lock()
+        self._drawing, self._reading = threading.Lock(), threading.Lock()
+        self._designs_known: tuple[Any, bytes] = None, b""
         self._drawn: dict[tuple[str, ...], tuple[str, str]] = {}
         self._files = _files()
 
@@ -89,6 +91,7 @@ class Workbench:
                 Route("/", self._file), Route("/page/{name}", self._file),
                 Route("/studies", partial(self._read, self._all)),
                 Route("/study/{key}/figure/{figure}", self._figure), Route("/study/{key}/report", self._report),
+                Route("/study/{key}/designs", self._designs),
                 *asked, *changed, WebSocketRoute("/live", self.live.serve),
             ],
         )  # fmt: skip
@@ -249,6 +252,18 @@ class Workbench:
                 return self._drawn[place][1]
 
         return await _answered(drawn, "svg")
+
+    async def _designs(self, request: Request) -> Response:
+        def read() -> bytes:
+            study, part, _ = self._asked(request)
+            own = stamp_of(study, StudyFile.read(study.file)), request.query_params.get("evaluated", "")
+            with self._reading:
+                if self._designs_known[0] != (study.key, part, own):
+                    text = designs(study.file, study.root, part if part in study.parts else "")
+                    self._designs_known = (study.key, part, own), text
+                return self._designs_known[1]
+
+        return await _answered(read, "data")
 
     async def _report(self, request: Request) -> Response:
         def text() -> str:

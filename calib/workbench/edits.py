@@ -125,7 +125,10 @@ def _flip(study: StudyFile, where: Any, name: str, value: Any) -> str:
 
 
 def _start(study: StudyFile, where: Any, name: str, value: Any) -> str:
-    """Values at which least squares begin too, besides the end of each search; ``name`` tells whose."""
+    """Where least squares begin too, besides the end of each search: values by name, or the number of a design."""
+    if isinstance(value, int) and not isinstance(value, bool) and value > 0:
+        _within(where, "calibration")["begin_at"] = f"design {value}"
+        return f"Begin least squares at design {value}"
     if not isinstance(value, Mapping) or not value or not all(isinstance(own, int | float) for own in value.values()):
         raise InputError("a start has a number for each parameter", place="start")
     start = tomlkit.inline_table()

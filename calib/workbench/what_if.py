@@ -42,10 +42,21 @@ from calib.report.numbers import fixed, percent, significant
 from calib.results.json_file import plain
 from calib.results.results import Results
 from calib.structure.reduction.reduced import ReducedModel
+from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 
 _FAR = 4.0
 """Largest magnitude of a slider over the plausible one, where the limits of an effect lie further."""
+
+
+def loaded(file: Path, root: Path, part: str) -> AnyStudy:
+    """A study as its results were made; InputError where another one, whose values it adopts, is not calibrated."""
+
+    def calibrated(one: LoadedStudy, _: Path) -> Found:
+        found = values_found(one, root, quick=part.startswith(QUICK))
+        return found or required_calibration(one, Results(root / one.name))
+
+    return loaded_after(file, calibrated)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +84,7 @@ class WhatIf:
         """Read a study, and find or train its reduced basis; InputError for anything wrong in it."""
         progress("reading the study")
 
-        def calibrated(one: LoadedStudy, _: Path) -> Found:
-            found = values_found(one, root, quick=part.startswith(QUICK))
-            return found or required_calibration(one, Results(root / one.name))
-
-        whole = loaded_after(file, calibrated)
+        whole = loaded(file, root, part)
         study = next((one for one in whole.studies if one.test == test), whole.studies[0])
         home = Results(root / whole.name / part)
         with contextlib.suppress(InputError):  # without a selection all are free

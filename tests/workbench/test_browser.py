@@ -101,7 +101,7 @@ def test_views_are_reached_by_the_keyboard(tab, explained):
 def test_nothing_is_wider_than_the_window(tab, explained, wide, colours):
     page = tab(explained, wide, 900, colours)
     page.locator("#answer").wait_for()
-    for view in ("Overview", "Search", "Missing physics", "Correlation", "What if", "Parameters"):
+    for view in ("Overview", "Search", "Missing physics", "Correlation", "What if", "Designs", "Parameters"):
         page.get_by_role("link", name=view, exact=True).click()
         page.wait_for_timeout(1500)
         assert page.evaluate(
@@ -173,6 +173,33 @@ def test_sliders_move_the_model_and_a_start_is_written_and_taken_back(tab, expla
     page.locator("#make").click()
     page.locator("#undo").click()
     page.locator("#undo").wait_for(state="detached")
+
+
+def test_one_selection_of_designs_holds_in_all_pictures(tab, explained):
+    page = tab(explained)
+    page.get_by_role("link", name="Designs", exact=True).click()
+    page.locator("#table tbody tr").first.wait_for()
+    kept = lambda: [int(number) for number in re.findall(r"\d+", page.locator("#chosen").inner_text())][:2]  # noqa: E731
+    count, every = kept()
+    assert count == every > 10
+    matrix = page.locator("#correlations tbody").inner_text()
+    cloud = page.locator("canvas").nth(1).screenshot()
+    box = page.locator("canvas").first.bounding_box()
+    page.mouse.move(box["x"] + 34, box["y"] + 100)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 34, box["y"] + 230, steps=3)
+    page.mouse.up()
+    reached(page, lambda: 0 < kept()[0] < every)
+    assert page.locator("#correlations tbody").inner_text() != matrix
+    assert page.locator("canvas").nth(1).screenshot() != cloud
+    picked = page.locator("#table tbody tr").nth(1)
+    number = picked.get_attribute("data-design")
+    picked.click()
+    page.locator("#begin").click()
+    page.locator("#make").wait_for()
+    assert f'begin_at = "design {number}"' in page.locator("#diff .plus").last.inner_text()
+    page.get_by_title("Drop this filter").click()
+    reached(page, lambda: kept()[0] == every)
 
 
 def test_a_search_is_started_stopped_and_resumed(tab, tmp_path):

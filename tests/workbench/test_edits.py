@@ -44,6 +44,10 @@ def make(file):
             {"what": "start", "name": "here", "value": {"E": 207.5}},
             lambda settings: settings.calibration.begin_at == {"E": 207.5},
         ),
+        (
+            {"what": "start", "name": "a design", "value": 12},
+            lambda settings: settings.calibration.begin_at == "design 12",
+        ),
     ],
 )
 def test_an_edit_changes_its_key_alone_and_is_undone(file, make, edit, of):

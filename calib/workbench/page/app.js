@@ -1,6 +1,7 @@
 // The page: which study and view are shown, what runs, and what has changed since.
 import { ask, change, h, lasting, tell } from "./dom.js";
 import { Correlation } from "./correlation.js";
+import { Designs } from "./designs.js";
 import { Missing } from "./missing.js";
 import { Overview, StudyList } from "./overview.js";
 import { Parameters } from "./parameters.js";
@@ -9,7 +10,7 @@ import { WhatIf } from "./what_if.js";
 
 const VIEWS = [
   ["overview", "Overview", Overview], ["search", "Search", Search], ["missing", "Missing physics", Missing],
-  ["correlation", "Correlation", Correlation], ["what-if", "What if", WhatIf], ["parameters", "Parameters", Parameters],
+  ["correlation", "Correlation", Correlation], ["what-if", "What if", WhatIf], ["designs", "Designs", Designs], ["parameters", "Parameters", Parameters],
 ];
 const SLOW = 250;  // milliseconds between two readings of the same view
 
