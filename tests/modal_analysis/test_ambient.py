@@ -63,6 +63,8 @@ def test_several_records_have_the_standard_deviations_of_their_scatter():
 def test_the_band_and_a_faster_rate_leave_the_modes_as_they_are():
     low = modes_from_records([AMBIENT.record(CHAIN, 30_000, seed) for seed in (1, 2)], (1.0, 12.5))
     np.testing.assert_allclose(low.modes.natural_freq, FREQ[:2], rtol=5e-3)
+    # enhanced frequency domain decomposition (pyOMA2 1.4.3's EFDD) doubles the damping of a clean mode
+    np.testing.assert_allclose(low.modes.damping_ratio, AMBIENT.DAMPING, rtol=0.3)
     assert low.poles["freq"].between(1.0, 12.5).all() and low.curves["freq"].max() <= 12.5
 
 
