@@ -27,6 +27,7 @@ FIT = (
     "calib run STUDY."
 )
 UNFITTED = "The model has no parameters. To fit it, bring it as matrices or as a function with parameters."
+_EXPLAIN = "Find what the model lacks before it is used: calib explain STUDY."
 _FINE = "Nothing calls for a calibration."
 
 
@@ -64,7 +65,11 @@ def of_comparison(result: _Compared) -> Answer:
     else:
         verdicts = found.where_it_fails()["verdict"]
         then = FIT if (verdicts == BEYOND).any() or not (verdicts == WITHIN).any() else _FINE
-    return Answer(agreement, tested, then)
+    return _compared(agreement, tested, then)
+
+
+def _compared(found: str, sure: str, then: str) -> Answer:
+    return Answer(found, sure, then, "sensitivity" if then == FIT else "")
 
 
 def _check_first(checks: Sequence[str]) -> str:
@@ -84,7 +89,7 @@ def _of_responses(result: _Compared) -> Answer:
     else:
         off = int((in_std > RULES.off).sum())
         tested = f"{off} of {_count(len(in_std), 'response')} are off by more than {RULES.off:g} standard deviations."
-    return Answer(f"{words}.", tested, FIT if off else _FINE)
+    return _compared(f"{words}.", tested, FIT if off else _FINE)
 
 
 def _of_frfs(found: FRFComparison, checks: Sequence[str]) -> Answer:
@@ -100,7 +105,7 @@ def _of_frfs(found: FRFComparison, checks: Sequence[str]) -> Answer:
         f"largest at {line['freq']:.4g} Hz ({line['in_std']:.3g})."
     )
     then = _check_first(checks) if checks else FIT if in_std > RULES.off else _FINE
-    return Answer(words, tested, then)
+    return _compared(words, tested, then)
 
 
 def of_sensitivity(table: pd.DataFrame, tested: str) -> Answer:
@@ -115,7 +120,7 @@ def of_sensitivity(table: pd.DataFrame, tested: str) -> Answer:
     if beside:
         words += f" The study also selects {listed(beside)}."
     then = "Fit the selected parameters: calib calibrate." if selected else "Widen the limits, or name the parameters."
-    return Answer(words, tested, then)
+    return Answer(words, tested, then, "calibrate" if selected else "")
 
 
 def screening_answer(method: str, table: pd.DataFrame, tested: str) -> Answer:
@@ -183,7 +188,8 @@ def of_fit(
     ]
     after = _next(statistics, verdicts, suspected, bool(contradictions), agreement, too_few)
     then = _check_first(checks) if checks else after
-    return Answer(f"{fits}: {'; '.join(changes)}.", " ".join(filter(None, sure)), then)
+    command = "explain" if then.startswith(_EXPLAIN) else ""
+    return Answer(f"{fits}: {'; '.join(changes)}.", " ".join(filter(None, sure)), then, command)
 
 
 _AGREEMENT = {
@@ -210,7 +216,7 @@ def _next(
     if statistics.fits is False or contradicted:
         if not too_few:
             also = f" It also weighs whether the {suspected[0]} is wrong." if suspected else ""
-            return f"Find what the model lacks before it is used: calib explain STUDY.{also}"
+            return f"{_EXPLAIN}{also}"
         return f"Check the {suspected[0]} before the model." if suspected else f"Measure more: {too_few}."
     if statistics.identification.ratios_only:
         return "Hold a parameter that is known, such as a mass: it settles the others."

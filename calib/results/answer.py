@@ -21,11 +21,14 @@ class Answer:
         How sure that is: probabilities, intervals, p-values.
     then : str
         What to do next.
+    command : str
+        Command of calib that this is, such as ``explain``; empty where it is none.
     """
 
     found: str
     sure: str
     then: str
+    command: str = ""
 
     @property
     def labelled(self) -> dict[str, str]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
+from calib.missing.explanation import OPEN
 from calib.report.html.cells import arrows
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import ANSWERING, page_summary
 from calib.study.study_file import StudyFile
-from calib.workbench.runs import OPTIONS
 from calib.workbench.studies import KnownStudy, Studies
 
 _ROWS = (
@@ -24,7 +23,6 @@ _OF_TEST = ("compare", "sensitivity")
 """Analyses of each test by itself."""
 _FIGURES = ("comparison", "responses_after", "responses_before", "frf_overlays")
 """Model against measurement, of each kind of data."""
-_COMMAND = re.compile(r"\bcalib (\w+)\b")
 
 
 def overview(studies: Studies, study: KnownStudy, part: str, test: str) -> dict[str, Any]:
@@ -88,6 +86,7 @@ def _analysis(results: StudyResults, verb: str, title: str, what: str) -> dict[s
         "when": max((str(entry.get("when", "")) for entry in entries if entry), default=""),
         "quick": any(bool(entry.get("quick")) for entry in entries if entry), "found": arrows(found),
         "then": answers[0][1].get("then", "") if answers else "",
+        "command": answers[0][1].get("command", "") if answers else "",
     }  # fmt: skip
 
 
@@ -101,12 +100,11 @@ def _next(results: StudyResults, rows: list[dict[str, Any]]) -> dict[str, str]:
         row = by_verb.get(verb)
         if row is None or row["state"] != "done":
             continue
-        for named in _COMMAND.findall(row["then"]):
-            known = by_verb.get(named)
-            if named == "extend" or (named == "run" and verb == "explain"):
-                return {"verb": "add", "words": row["then"]}
-            if named in OPTIONS and (known is None or known["state"] == "never"):
-                return {"verb": named, "words": row["then"]}
+        named = row["command"]
+        if verb == "explain" and (results.explanation.get("to_add") or results.explanation.get("verdict") in OPEN):
+            named = "add" if results.explanation.get("to_add") else "propose"
+        if named and by_verb.get(named, {"state": "never"})["state"] == "never":
+            return {"verb": named, "words": row["then"]}
         break
     missing = next((row for row in rows if row["state"] == "never" and row["verb"] != "intervals"), None)
     if missing is None or (missing["verb"] == "explain" and by_verb["calibrate"]["state"] == "done"):

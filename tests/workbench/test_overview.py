@@ -6,6 +6,7 @@ import json
 import math
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,6 +14,7 @@ from calib.command import cli
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import page_summary
 from calib.results.results import Results
+from calib.workbench.overview import _next
 from calib.workbench.studies import Studies
 
 
@@ -120,3 +122,26 @@ def test_numbers_that_are_not_finite_are_told_as_unknown():
     from calib.results.json_file import plain
 
     assert plain({"a": (math.nan, 1.0, [math.inf])}) == {"a": [None, 1.0, [None]]}
+
+
+@pytest.mark.parametrize(
+    ("explanation", "verb"),
+    [({}, "sensitivity"), ({"verdict": "effect", "to_add": ["guy"]}, "add"), ({"verdict": "partial"}, "propose")],
+)
+def test_the_next_command_is_what_the_answer_holds_not_what_its_sentence_says(explanation, verb):
+    def row(verb, command):
+        return {
+            "verb": verb,
+            "state": "done" if command else "never",
+            "then": "Not calib intervals.",
+            "command": command,
+        }
+
+    rows = [row("compare", "sensitivity"), row("sensitivity", "")]
+    rows += [row("explain", "nothing")] if explanation else []
+    assert _next(SimpleNamespace(explanation=explanation), rows) == {"verb": verb, "words": "Not calib intervals."}
+
+
+def test_the_record_holds_the_command_of_an_answer(here):
+    record = json.loads((here / "results/mast/record.json").read_text())
+    assert record["analyses"]["compare"]["answer"]["command"] == "sensitivity"

@@ -29,7 +29,7 @@ from calib.results.json_file import ANY, read_json
 STAGES = ("before", "after")
 _ANALYSIS = {
     "when": str, "quick": bool, "versions": {ANY: str}, "seeds": {ANY: float}, "sentences": [str],
-    "answer": {"found": str, "sure": str, "then": str},
+    "answer": {"found": str, "sure": str, "then": str, "command": str},
 }  # fmt: skip
 RECORD = {
     "study": str, "notebook": bool, "model": str, "adopted": {ANY: float}, "adopted_from": str, "effects_known": float,
@@ -250,7 +250,7 @@ class StudyResults:
             ),
             "The model with the named effects added": (
                 "run",
-                not self.added and self.explanation.get("verdict") in ("effect", "two_effects", "several_effects"),
+                not self.added and bool(self.explanation.get("to_add")),
             ),
         }  # fmt: skip
         return {what: name for what, (name, lacks) in lacking.items() if lacks and name not in self.stale}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from calib.report.html.answer import first_page, of_extended
+from calib.report.html.answer import first_page, names_something, of_extended
 from calib.report.html.effects import ranked_effects
 from calib.report.html.study_results import STAGES, StudyResults
 from calib.report.numbers import fixed, flag, percent, significant, with_unit
@@ -178,7 +178,7 @@ def _identified(flags: pd.Series) -> str:
 def _explained(results: StudyResults) -> list[tuple[str, str]]:
     explanation = results.explanation
     out = []
-    if explanation.get("verdict") in ("effect", "indistinguishable", "two_effects", "several_effects"):
+    if names_something(results):
         table = ranked_effects(results)
         for r in [] if table is None else table.to_dict("records"):
             if r["name"] in explanation.get("chosen", []) and flag(r["refitted"]):
