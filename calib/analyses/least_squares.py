@@ -12,6 +12,7 @@ from itertools import pairwise
 from calib.analyses.fit_statistics import FitProblem, FitStatistics, Near, Terms, statistics_of
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import Progress, silent
+from calib.inference.even_weights import EvenWeights
 from calib.inference.gauss_newton import DEFAULT, FitSettings, Prior
 from calib.inference.integers import MixedResult, fit_mixed
 from calib.inference.region import InfeasibleError
@@ -64,7 +65,8 @@ def ended(
     """Best least-squares fit from some starts; None without one, or where none can be evaluated or is feasible."""
     with suppress(EvaluationError, InfeasibleError):
         step = partial(told, LEAST_SQUARES, total=1)
-        return fit_mixed(problem, problem.space, starts, refits=refits, step=step) if starts else None
+        first = EvenWeights.of(problem)
+        return fit_mixed(problem, problem.space, starts, refits=refits, step=step, first=first) if starts else None
     return None
 
 
@@ -94,7 +96,7 @@ def fitted(
     space = problem.space
     found: MixedResult = fit_mixed(
         problem, space, starts, settings=settings, refits=refits, progress=progress,
-        step=partial(told, stage, total=1), enough=enough,
+        step=partial(told, stage, total=1), enough=enough, first=None if before else EvenWeights.of(problem),
     )  # fmt: skip
     told("identifiability")
     if shared is not None and shared.nominal is not None:

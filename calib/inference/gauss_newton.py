@@ -95,6 +95,8 @@ class FitSettings:
 
 
 DEFAULT = FitSettings()
+_SAME = 0.1
+"""Part of a step that failed by which another must differ to be worth an evaluation."""
 
 Step = Callable[[float], None]
 
@@ -258,8 +260,8 @@ def fit_steps(
         step(_behind(first, promised, max(settings.gain, settings.relative * here.misfit)))
         mu = mu or settings.damping * float(np.max(np.sum(matrix**2, axis=0)))
         there = None
+        move = region.step(matrix, right, mu, here.x)
         while there is None and rejected < settings.rejections and search.evaluations < settings.evaluations:
-            move = region.step(matrix, right, mu, here.x)
             there_x = region.inside(here.x + move)
             yield region.values(there_x), ()
             trial = search.at(there_x)
@@ -268,7 +270,10 @@ def fit_steps(
                 mu, growth = mu * max(1 / 10, 1 - (2 * ratio - 1) ** 3), 2.0
                 there, rejected = trial, 0
             else:
-                mu, growth, rejected = mu * growth, 2 * growth, rejected + 1
+                tried = move
+                while rejected < settings.rejections and np.linalg.norm(move - tried) <= _SAME * np.linalg.norm(tried):
+                    mu, growth, rejected = mu * growth, 2 * growth, rejected + 1
+                    move = region.step(matrix, right, mu, here.x)
         if there is None:
             # The model may be noisy at this scale; the predicted decrease says whether that matters.
             converged = promised <= 1e-6 * here.misfit
@@ -350,8 +355,10 @@ class _Search:
         return np.asarray(self.problem.jacobian(point.values, self.region.names), dtype=float)
 
     def system(self, point: _Point, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Matrix and right-hand side of the linearised problem over scaled parameters, prior included."""
+        """Matrix and right-hand side of the linearised problem over scaled parameters, prior included, in few rows."""
         names, span = self.region.names, self.region.span_at(point.x)
         prior = np.diag(span * self.prior.slopes(point.values, names))
         own = self.prior.residual(point.values, names)
-        return np.vstack([slope * span, prior]), np.concatenate([point.residual, own])
+        rows = np.column_stack([np.vstack([slope * span, prior]), np.concatenate([point.residual, own])])
+        few = np.asarray(np.linalg.qr(rows, mode="r"))  # of the same sums of squares, and solved for every damping
+        return few[:, :-1], few[:, -1]

@@ -14,6 +14,7 @@ import pandas as pd
 
 from calib.errors.errors import EvaluationError, InputError, again
 from calib.execution.ahead import in_advance, together
+from calib.inference.even_weights import EvenWeights
 from calib.inference.gauss_newton import (
     DEFAULT,
     FitResult,
@@ -27,9 +28,14 @@ from calib.inference.gauss_newton import (
     requested,
     unstepped,
 )
-from calib.inference.region import InfeasibleError
+from calib.inference.region import InfeasibleError, Region
 from calib.inference.starts import Enough, never
 from calib.problem.space import ParameterSpace
+
+_FIRST = FitSettings(iterations=10, gain=1.0, relative=1e-3, rejections=8)
+"""Of a first fit, which only has to come near."""
+_ROUNDS = 5
+"""First fits, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +101,7 @@ def fit_mixed(
     progress: Callable[[int, int, float], None] = lambda start, fits, misfit: None,
     step: Step = unstepped,
     enough: Enough = never,
+    first: EvenWeights | None = None,
 ) -> MixedResult:
     """Fit from several starts, integer parameters by coordinate search around each continuous optimum.
 
@@ -117,6 +124,8 @@ def fit_mixed(
         Called before every step of a fit with the share of all fits that is behind, as if every start used its refits.
     enough : callable
         Called after every start with the ends of all so far; the others are left out where it says so.
+    first : EvenWeights, optional
+        The same problem in the weights by which a start that does not fit is improved before its fit.
 
     Raises
     ------
@@ -131,11 +140,12 @@ def fit_mixed(
     exhausted, fault = [], EvaluationError()
     lowest = math.inf
     least = getattr(enough, "least", len(starts))
-    scouted = _scout([_Walk(problem, space, prior, settings, refits, whole) for _ in starts[:least]], starts, step)
+    walks = [_Walk(problem, space, prior, settings, refits, whole, first) for _ in starts[:least]]
+    scouted = _scout(walks, starts, step)
     for k, start in enumerate(starts):
-        walk = _Walk(problem, space, prior, settings, refits, whole)
+        walk = _Walk(problem, space, prior, settings, refits, whole, first)
         walk.step = unstepped if k < scouted else partial(_tell, step, walk, k, len(starts))
-        here = finished(walk.fit(space.complete(dict(start))))
+        here = finished(walk.begin(start))
         if here is not None:
             lowest = min(lowest, here.misfit)
         while here is not None:
@@ -205,6 +215,7 @@ class _Walk:
     settings: FitSettings
     refits: int
     whole: tuple[str, ...]
+    first: EvenWeights | None = None
     tried: dict[tuple[int, ...], tuple[float, bool]] = field(default_factory=dict)
     fault: EvaluationError | None = None
     exhausted: bool = False
@@ -213,9 +224,34 @@ class _Walk:
     def whole_walk(self, start: Mapping[str, float]) -> Generator[Request, None, None]:
         """Fits from a start to the best integers; stops before every evaluation, as `fit_steps` does."""
         with suppress(InfeasibleError):
-            here = yield from self.fit(self.space.complete(dict(start)))
+            here = yield from self.begin(start)
             while here is not None:
                 here = yield from self.better(here)
+
+    def begin(self, start: Mapping[str, float]) -> Generator[Request, None, FitResult | None]:
+        """The fit from a start, or from the end of a fit in the weights of `first` where that is closer to the data."""
+        values = self.space.complete(dict(start))
+        if self.first is not None:
+            region = Region.of(self.space, values)
+            values = region.values(region.nearest(region.start))
+            with suppress(EvaluationError):
+                yield values, ()
+                here = self.problem.residual(values)
+                if here @ here > len(here):
+                    values = yield from self._nearer(self.first, values, here)
+        return (yield from self.fit(values))
+
+    def _nearer(
+        self, first: EvenWeights, start: dict[str, float], residual: np.ndarray
+    ) -> Generator[Request, None, dict[str, float]]:
+        """The end of fits in the weights of ``first``, each limited by the rows where the one before ended."""
+        values, rows = start, residual
+        for _ in range(_ROUNDS):
+            end = yield from fit_steps(first.limited(rows), self.space, values, self.prior, _FIRST)
+            if not end.iterations:
+                break
+            values, rows = end.values, self.problem.residual(end.values)
+        return values if rows @ rows < residual @ residual else start
 
     def fit(self, values: Mapping[str, float]) -> Generator[Request, None, FitResult | None]:
         key = tuple(round(values[n]) for n in self.whole)

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections import namedtuple
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from calib.errors.errors import EvaluationError, InputError
+from calib.inference.even_weights import EvenWeights
 from calib.inference.gauss_newton import FitSettings, Prior, fit
 from calib.inference.integers import fit_mixed
 from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
@@ -215,6 +217,25 @@ def test_bad_problems_are_refused():
         fit_mixed(Valley(), box(2), [])
 
 
+def test_a_step_that_failed_is_not_tried_again():
+    class Steep:
+        def __init__(self):
+            self.asked = []
+
+        def residual(self, values):
+            self.asked.append(values["p0"])
+            return np.array([np.arctan(40 * (values["p0"] - 1.0))])
+
+        def jacobian(self, values, names):
+            return np.array([[40 / (1 + (40 * (values["p0"] - 1.0)) ** 2)]])
+
+    problem = Steep()
+    found = fit(problem, box(1), {"p0": 1.5}, Prior.none(), FitSettings(damping=1e-9))
+    assert found.values["p0"] == pytest.approx(1.0, abs=1e-3)
+    assert problem.asked[:2] == [1.5, 0.0]  # the undamped step ends at the limit, and fails
+    assert 0.1 * 1.5 < problem.asked[2] < 1.5
+
+
 # -- integers ----------------------------------------------------------------------------------------------------------
 
 
@@ -316,3 +337,42 @@ def test_integers_alone_are_searched_and_keep_the_constraints():
     assert found.best.values in ({"a": 7.0, "b": 5.0}, {"a": 6.0, "b": 6.0})
     assert found.best.converged and found.best.names == () and found.complete
     assert found.best.misfit == found.best.data_misfit == pytest.approx(min(0.1**2 + 1.2**2, 1.1**2 + 0.2**2))
+
+
+# -- rows of shapes ----------------------------------------------------------------------------------------------------
+
+
+Row = namedtuple("Row", "mode kind sensor")
+
+
+class Shapes:
+    """One frequency, and a shape at many sensors that nearly agrees at each third of the parameter, as another one."""
+
+    def __init__(self, sensors):
+        self.rows = (Row("1", "frequency", ""), *(Row("1", "shape", "1z") for _ in range(sensors)))
+        self.asked = []
+
+    def residual(self, values):
+        self.asked.append(values["p0"])
+        off = values["p0"] - 0.9
+        return np.array([50 * off, *((3 + 4 * off) * np.sin(3 * np.pi * off) for _ in self.rows[1:])])
+
+    def jacobian(self, values, names):
+        off = values["p0"] - 0.9
+        slope = 4 * np.sin(3 * np.pi * off) + (3 + 4 * off) * 3 * np.pi * np.cos(3 * np.pi * off)
+        return np.array([[50.0], *([slope] for _ in self.rows[1:])])
+
+
+@pytest.mark.parametrize("start", [0.4, 1.4, 1.6])
+def test_many_rows_of_a_shape_hide_no_minimum_further_on(start):
+    problem, space = Shapes(400), box(1, lower=0.0, upper=2.0)
+    first = EvenWeights.of(problem)
+    stuck = fit_mixed(problem, space, [{"p0": start}], Prior.none())
+    found = fit_mixed(problem, space, [{"p0": start}], Prior.none(), first=first)
+    assert stuck.best.converged and abs(stuck.best.values["p0"] - 0.9) > 0.2
+    assert found.best.values["p0"] == pytest.approx(0.9, abs=1e-4) and found.best.misfit < 1e-4
+    # A start that fits stays where it is, and few rows need no other weights.
+    asked = len(problem.asked)
+    assert fit_mixed(problem, space, [{"p0": 0.9}], Prior.none(), first=first).best.values["p0"] == 0.9
+    assert set(problem.asked[asked:]) == {0.9}
+    assert EvenWeights.of(Shapes(20)) is None

@@ -19,6 +19,9 @@ from calib.structure.modes import Modes
 _ENTRIES = 1_000_000
 """Entries of a block of right-hand sides: several such blocks are in memory at a time."""
 
+_FEW = 0.1
+"""Part of the entries of output rows up to which their product with shapes is sparse."""
+
 _BESIDE = 1e-6
 """Offset from 0, over the limit, at which derivatives by a parameter under a square root are taken.
 
@@ -220,7 +223,7 @@ def eigen_derivatives(
     worth = sp.issparse(stiffness) and wanted is not None and not without_shapes  # to be sent to other processes
     alone = without_shapes or not sp.issparse(stiffness)
     tasks = _tasks(group, list(dict.fromkeys(chosen.tolist())), len(slopes), alone) if slopes else []
-    shared = group, without_shapes, wanted
+    shared = group, without_shapes, _few_as_sparse(wanted)
     found = each(_of_modes, shared, tasks) if worth else (_of_modes(shared, task) for task in tasks)
     for (_, some), answers in zip(tasks, found, strict=True):
         for j, (own, shape, good) in zip(some, answers, strict=True):
@@ -257,7 +260,7 @@ def _tasks(group: Undamped | Damped, chosen: list[int], n_params: int, alone: bo
     return [*tasks, *((None, [j]) for j in chosen if j not in together)]
 
 
-def _of_modes(shared: tuple[Undamped | Damped, bool, np.ndarray | None], task: Task) -> list[Answer]:
+def _of_modes(shared: tuple[Undamped | Damped, bool, Matrix | None], task: Task) -> list[Answer]:
     """Derivatives of some modes."""
     group, without_shapes, wanted = shared
     shift, some = task
@@ -271,6 +274,13 @@ def _of_modes(shared: tuple[Undamped | Damped, bool, np.ndarray | None], task: T
     if wanted is not None:
         shapes = {j: wanted @ shape for j, shape in shapes.items()}
     return [(one.slope, shapes[one.mode], good[one.mode]) for one in systems]
+
+
+def _few_as_sparse(rows: np.ndarray | None) -> Matrix | None:
+    """Output rows as a sparse matrix where few entries differ from 0, as those of sensors at nodes."""
+    if rows is None or np.count_nonzero(rows) >= _FEW * rows.size:
+        return rows
+    return sp.csr_array(rows)
 
 
 def _small_as_dense(matrix: Matrix) -> Matrix:

@@ -113,7 +113,8 @@ class Damped(_Modes):
     def system(self, i: int) -> ModeSystem:
         """The system of a mode."""
         lam, psi = self.eigenvalues[i], self.all[:, i]
-        force = np.column_stack([lam * (lam * (dm @ psi) + dc @ psi) + dk @ psi for dk, dc, dm in self.slopes])
+        columns = [lam * (lam * times(dm, psi) + times(dc, psi)) + times(dk, psi) for dk, dc, dm in self.slopes]
+        force = np.column_stack(columns)
         gap = np.abs(self.eigenvalues - lam)
         near = np.flatnonzero(gap <= NEIGHBOUR * abs(lam))
         near = np.concatenate([[i], near[near != i]])
@@ -184,7 +185,7 @@ class Damped(_Modes):
         """The shape's derivative in the scale of `Modes`."""
         lam, psi = system.eigenvalue, system.shape
         inertia = self.m @ psi
-        norm = np.array([psi @ (2 * lam * (dm @ psi) + dc @ psi) for _, dc, dm in self.slopes])
+        norm = np.array([psi @ (2 * lam * times(dm, psi) + times(dc, psi)) for _, dc, dm in self.slopes])
         own = -0.5 * (2 * system.slope * (psi @ inertia) + norm) - (2 * lam * inertia + self.c @ psi) @ rest
         return np.asarray((rest + np.outer(psi, own)) * system.scale)
 
@@ -202,10 +203,10 @@ class Undamped(_Modes):
     def system(self, i: int) -> ModeSystem:
         """The system of a mode."""
         omega, phi = self.omega[i], self.all[:, i]
-        columns = [dk @ phi - omega**2 * (dm @ phi) for dk, _, dm in self.slopes]
+        columns = [times(dk, phi) - omega**2 * times(dm, phi) for dk, _, dm in self.slopes]
         force: np.ndarray = np.column_stack(columns).astype(self.shape_type)
         if self.shape_type is complex:
-            force += 1j * omega * np.column_stack([dc @ phi for _, dc, _ in self.slopes])
+            force += 1j * omega * np.column_stack([times(dc, phi) for _, dc, _ in self.slopes])
         gap = np.abs(self.omega - omega)
         near = np.flatnonzero(gap <= NEIGHBOUR * omega)
         near = np.concatenate([[i], near[near != i]])
@@ -267,7 +268,7 @@ class Undamped(_Modes):
     def normalised(self, system: ModeSystem, rest: np.ndarray) -> np.ndarray:
         """The shape's derivative in the scale of `Modes`."""
         phi = system.shape
-        own = -0.5 * np.array([phi @ (dm @ phi) for _, _, dm in self.slopes]) - (self.m @ phi) @ rest
+        own = -0.5 * np.array([phi @ times(dm, phi) for _, _, dm in self.slopes]) - (self.m @ phi) @ rest
         return np.asarray(rest + np.outer(phi, own))
 
 
@@ -323,6 +324,11 @@ def _coupled(part: np.ndarray, group: np.ndarray, force: np.ndarray) -> bool:
     """Whether some parameter couples the shapes of a repeated eigenvalue; the first one is the mode itself."""
     size = np.linalg.norm(group, axis=0)[:, None] * np.linalg.norm(force, axis=0)
     return bool(np.any(np.abs(part[1:]) > 1e-6 * size[1:]))
+
+
+def times(matrix: Matrix, column: np.ndarray) -> np.ndarray:
+    """A matrix, often one without entries, times a column (n_dof,)."""
+    return np.zeros_like(column) if getattr(matrix, "nnz", 1) == 0 else np.asarray(matrix @ column)
 
 
 def has_entries(matrix: Matrix) -> bool:
