@@ -138,6 +138,8 @@ SPEED = {  # memory, time, processes; results are the same
     "analyses/provenance/places.py": "_WORTHWHILE PATIENCE",
     "analyses/sensitivity.py": "_BATCH",
     "analyses/provenance/stored.py": "CHEAP",
+    "execution/cluster.py": "WORTHWHILE _TASK _AHEAD _FIRST _LOOK _CONNECT _PATIENCE",
+    "execution/cluster_worker.py": "_KEPT",
     "execution/interrupt.py": "CODE PATIENCE LOOK",
     "missing/nearest_integers.py": "_ALL_AT_ONCE",
     "missing/suspect.py": "_AT_ONCE",

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
-from calib.analyses.provenance.places import Workers, stated_time_limit
+from calib.analyses.provenance.isolation import Workers, injected_evaluator
 from calib.analyses.provenance.recorded import unrecorded
 from calib.correlation.modal.problem import ModalProblem
-from calib.execution.evaluate import Evaluator
-from calib.execution.executor import ExecutorEvaluator, Injected
+from calib.execution.evaluate import BatchEvaluator, Evaluator
+from calib.execution.executor import Injected
 from calib.execution.outcome import Function
 from calib.experiment.test import ForwardProblem
 from calib.inference.objective import FrequencyMacObjective, JointObjective, Objective, ResponseObjective
@@ -108,9 +108,9 @@ class Responses:
             for name in problem.sensitivity_responses
         )
 
-    def evaluator(self, study: AnyStudy, workers: Workers) -> AbstractContextManager[Evaluator | ExecutorEvaluator]:
-        """Evaluator of batches of points: this process, or an injected executor."""
+    def evaluator(self, study: AnyStudy, workers: Workers) -> AbstractContextManager[BatchEvaluator]:
+        """Evaluator of batches of points: this process, an executor or a cluster."""
         bare = replace(self, problems={test: unrecorded(problem) for test, problem in self.problems.items()})
         if isinstance(workers, Injected):
-            return ExecutorEvaluator(bare, workers, None if study.in_memory else stated_time_limit(study))
+            return injected_evaluator(study, bare, workers)
         return Evaluator(bare)

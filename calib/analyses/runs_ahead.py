@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from calib.analyses.provenance.isolation import Workers, available_cores
+from calib.analyses.provenance.isolation import Workers
 from calib.analyses.provenance.places import QUICK_SAMPLES, QUICK_STARTS
 from calib.execution.executor import Injected
+from calib.execution.worker import available_cores
 from calib.results.ledger import Ledger
 from calib.study.several import AnyStudy
 
@@ -39,7 +40,7 @@ def runs_ahead(study: AnyStudy, ledger: Ledger, verb: Verb, workers: Workers = N
     told = f"The solver, {settings.solver.command!r}, will be started about {runs} times: {why}."
     if stored is None:
         return f"{told} How long one takes is not known yet."
-    at_once = 1 if isinstance(workers, Injected) else workers or available_cores()
+    at_once = workers.at_once if isinstance(workers, Injected) else workers or available_cores()
     whole = runs * stored.seconds / at_once
     shared = f" with {at_once} at once" if at_once > 1 else ""
     unit, size = ("min", 60.0) if whole >= 120 else ("s", 1.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any, Generic, TypeAlias, cast
 
@@ -22,7 +21,7 @@ from calib.api.pairs import generic_of, including, library_of, reporting
 from calib.api.proposed import Proposed, proposed
 from calib.api.protocols import Candidates, Effects, Finer, P
 from calib.errors.errors import InputError
-from calib.execution.executor import Injected
+from calib.execution.executor import AnyExecutor, injected
 from calib.missing.discrepancy import TABLE as PARAMETERS
 from calib.missing.findings import ExplanationResult
 from calib.missing.predictions import TABLE as PREDICTIONS
@@ -184,7 +183,7 @@ def explained(
     reduction: bool | Mapping[str, Any] | None,
     progress: bool,
     begin: Mapping[str, float] | None = None,
-    executor: Executor | Injected | None = None,
+    executor: AnyExecutor | None = None,
 ) -> Explained[P]:
     """See `calib.api.problem.Problem.explain`."""
     known, models = problem.settings.with_effects, [model for model, _ in problem.by_model]
@@ -200,11 +199,12 @@ def explained(
     if meshes or any(test.shows_mesh for _, test in problem.pairs):  # else it does not count, which is told
         require_finer_mesh(settings.explain, meshes, problem.pairs)
     study = problem.study(settings, library, meshes)
-    with reporting("explain", progress) as step, Ledger.in_memory() as passing:
-        if executor is None:
+    with (
+        injected(executor) as workers, reporting("explain", progress) as step, Ledger.in_memory() as passing,
+    ):  # fmt: skip
+        if workers is None:
             _, answer = explanation_of(study, step, begin=begin)
         else:
-            workers = Injected.of(executor)
             with tasks_shared(workers):
                 shared = study.each(lambda one: with_passing(one, passing, workers))
                 _, answer = explanation_of(shared, step, begin=begin)

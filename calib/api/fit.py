@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,7 +24,7 @@ from calib.api.pairs import ledger_or_memory, reporting
 from calib.api.protocols import Candidates, Finer, P
 from calib.api.search import Searched
 from calib.errors.arguments import path as path_of
-from calib.execution.executor import Injected
+from calib.execution.executor import AnyExecutor, injected
 from calib.inference.agreement import Agreement
 from calib.results.answer import Answer
 
@@ -194,7 +193,7 @@ class Fit(Displayed, Generic[P]):
         *,
         finer: Finer = None,
         reduction: bool | Mapping[str, Any] | None = None,
-        executor: Executor | Injected | None = None,
+        executor: AnyExecutor | None = None,
         progress: bool = True,
         **keys: Unpack[ExplainKeys],
     ) -> Explained[P]:
@@ -319,14 +318,16 @@ def calibrated_fit(
     cases: int | Sequence[int] | None,
     seed: int | None,
     reduction: bool | Mapping[str, Any] | None,
-    executor: Executor | Injected | None,
+    executor: AnyExecutor | None,
     progress: bool,
 ) -> Fit[P]:
     """See `calib.api.problem.Problem.calibrate`."""
     settings = calibration_settings(problem.settings, keys, cases, seed, reduction, verb)
     study = problem.study(settings)
-    workers = None if executor is None else Injected.of(executor)
-    with reporting(verb, progress) as step, ledger_or_memory(problem.ledger) as ledger, tasks_shared(workers):
+    with (
+        injected(executor) as workers, reporting(verb, progress) as step, ledger_or_memory(problem.ledger) as ledger,
+        tasks_shared(workers),
+    ):  # fmt: skip
         found = run_calibration(study, CalibrationRun(ledger, workers=workers, progress=step))
     best = found.seen(study.studies[0].test).best
     # What is stated of levels and of the mesh holds for what is asked of the fit, too.

@@ -50,6 +50,10 @@ class Listener:
     def will_run(self, sentence: str) -> None:
         """How often an analysis will start the study's solver; empty for other models."""
 
+    def at_once(self, sentence: str) -> None:
+        """What must not wait until an analysis ends, such as that a cluster has no workers; a warning."""
+        warnings.warn(sentence, stacklevel=2)
+
     def other_state(self, rows: int) -> None:
         """Number of stored evaluations that belong to another state of the study."""
 

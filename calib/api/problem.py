@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +25,7 @@ from calib.api.protocols import Candidates, Effects, Finer
 from calib.errors.arguments import names as names_of
 from calib.errors.arguments import objects
 from calib.errors.arguments import values as values_of
-from calib.execution.executor import Injected
+from calib.execution.executor import AnyExecutor
 from calib.experiment import TESTS, Test
 from calib.experiment.test import Model
 from calib.problem.effect import Effect
@@ -215,7 +214,7 @@ class Problem:
     def calibrate(
         self,
         parameters: Sequence[str] = (), *, cases: int | Sequence[int] | None = None, seed: int | None = None,
-        reduction: bool | Mapping[str, Any] | None = None, executor: Executor | Injected | None = None,
+        reduction: bool | Mapping[str, Any] | None = None, executor: AnyExecutor | None = None,
         progress: bool = True, **keys: Unpack[CalibrationKeys],
     ) -> Fit[Problem]:  # fmt: skip
         """Fit the parameters as a study does, and assess which of them the data determine.
@@ -266,7 +265,7 @@ class Problem:
         cases: int | Sequence[int] = 3,
         seed: int | None = None,
         reduction: bool | Mapping[str, Any] | None = None,
-        executor: Executor | Injected | None = None,
+        executor: AnyExecutor | None = None,
         progress: bool = True,
         **keys: Unpack[SearchKeys],
     ) -> Fit[Problem]:
@@ -299,7 +298,7 @@ class Problem:
         samples: int | None = None,
         seed: int | None = None,
         ignore_constraints: bool = False,
-        executor: Executor | Injected | None = None,
+        executor: AnyExecutor | None = None,
         progress: bool = True,
     ) -> Assessed:
         """Global sensitivity: a Latin hypercube within the limits, rank correlations, variance shares, a selection.
@@ -346,7 +345,7 @@ class Problem:
         *,
         finer: Finer = None,
         reduction: bool | Mapping[str, Any] | None = None,
-        executor: Executor | Injected | None = None,
+        executor: AnyExecutor | None = None,
         progress: bool = True,
         **keys: Unpack[ExplainKeys],
     ) -> Explained[Problem]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,7 +17,7 @@ from calib.api.entries.entry import Entry
 from calib.api.pairs import ledger_or_memory, reporting
 from calib.api.protocols import ProblemLike
 from calib.errors.arguments import path as path_of
-from calib.execution.executor import Injected
+from calib.execution.executor import AnyExecutor, injected
 from calib.sensitivity.prognosis import Prognosis
 from calib.study.several import AnyStudy
 
@@ -140,14 +139,16 @@ def assessed(
     method: Literal["ranks", "morris", "sobol"],
     keys: Mapping[str, Any],
     ignore_constraints: bool,
-    executor: Executor | Injected | None,
+    executor: AnyExecutor | None,
     progress: bool,
 ) -> Assessed:
     """See `calib.api.problem.Problem.sensitivity`."""
     settings = with_keys(problem.settings.sensitivity, "sensitivity", keys)
     study = problem.study(problem.settings.model_copy(update={"sensitivity": settings}))
-    workers = None if executor is None else Injected.of(executor)
-    with reporting("sensitivity", progress) as step, ledger_or_memory(problem.ledger) as ledger:
+    with (
+        injected(executor) as workers, reporting("sensitivity", progress) as step,
+        ledger_or_memory(problem.ledger) as ledger,
+    ):  # fmt: skip
         if method == "ranks":
             return Assessed(sampled(study, ledger, workers, progress=step), study)
         found = screened(study, ledger, method, workers, ignore_constraints=ignore_constraints, progress=step)

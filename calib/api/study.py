@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from concurrent.futures import Executor
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from calib.analyses.provenance import places
+from calib.analyses.provenance.isolation import stated_time_limit
 from calib.api import steps
 from calib.api.arguments import RobustnessKeys
 from calib.api.display import AnalysisResult, Compared, by_test
@@ -17,8 +18,7 @@ from calib.api.listener import Listener, Showing
 from calib.api.problem import Problem
 from calib.errors.arguments import integer
 from calib.errors.arguments import path as path_of
-from calib.errors.errors import InputError
-from calib.execution.executor import Injected
+from calib.execution.executor import AnyExecutor, Injected, injected
 from calib.problem.joint import prefixed, stacked
 from calib.results.results import RESULTS, Results
 
@@ -46,7 +46,7 @@ class Study:
     results : Path
         Parent of ``<study>/``, the folder with the results.
     workers : int, Injected or None
-        Number of worker processes; None for one per core where that pays. An executor takes their place.
+        Number of worker processes; None for one per core where that pays. An executor or a cluster takes their place.
     quick : bool
         A quick run, with small searches; its results go to a sub-folder.
     listener : Listener
@@ -84,16 +84,20 @@ class Study:
         quick: bool = False,
         progress: bool = True,
         listener: Listener | None = None,
+        executor: AnyExecutor | None = None,
     ) -> Study:
         """Read a study with everything it names; InputError for anything wrong in it.
 
         A study whose values it adopts is calibrated first, where it is not yet. A terminal or a notebook shows how far
-        its analyses are, unless ``progress`` is false or a listener receives it.
+        its analyses are, unless ``progress`` is false or a listener receives it. ``executor`` evaluates the points of
+        every analysis, see `run`; by default it is that of ``[compute]``.
         """
         receiver = listener or (Showing() if progress else Listener())
         study = Study(path_of(path, "study"), path_of(results, "results"), workers, quick, receiver)
-        assert study.loaded is not None
-        return study
+        chosen = executor or study.loaded.settings.compute.executor
+        if chosen == "processes":
+            return study
+        return study._with(Injected.of(chosen, workers, receiver.at_once))
 
     def __repr__(self) -> str:
         return f"Study({self.loaded.settings.title!r}, results in {self.folder.path})"
@@ -132,18 +136,17 @@ class Study:
         (only,) = self.loaded.studies
         return only
 
-    def _by(self, executor: Executor | Injected | None) -> Study:
-        """A copy with an executor instead of worker processes; InputError for a setting that it does not support."""
-        if executor is None:
-            return self
-        if isinstance(self.workers, int):
-            raise InputError(
-                f"{self.workers} workers are requested, and an executor has its own", place="executor",
-                remedy="leave one of them out",
-            )  # fmt: skip
-        injected = Injected.of(executor)
-        injected.require(places.stated_time_limit(self.loaded))
-        return replace(self, workers=injected, read=self.loaded)
+    @contextmanager
+    def _by(self, executor: AnyExecutor | None) -> Iterator[Study]:
+        """A copy with an executor instead of worker processes, for as long as this lasts; itself without one."""
+        own = self.workers if isinstance(self.workers, int) else None
+        with injected(executor, own, self.listener.at_once) as workers:
+            yield self if workers is None else self._with(workers)
+
+    def _with(self, workers: Injected) -> Study:
+        """A copy whose points others evaluate; InputError for a setting that they do not support."""
+        workers.require(stated_time_limit(self.loaded))
+        return replace(self, workers=workers, read=self.loaded)
 
     @cached_property
     def folder(self) -> Results:
@@ -182,7 +185,7 @@ class Study:
         ignore_constraints: bool = False,
         residuals: Sequence[str] = (),
         surfaces: Sequence[tuple[str, str, str]] = (),
-        executor: Executor | Injected | None = None,
+        executor: AnyExecutor | None = None,
     ) -> AnalysisResult:
         """Global sensitivity: rank correlations over a Latin hypercube, or the indices of Morris or Sobol.
 
@@ -193,12 +196,13 @@ class Study:
         from calib.api.metamodel_figures import draw_metamodels
 
         answers, entries = dict[str, Any](), {}
-        for study in self._by(executor).tests:
-            found = steps.sampled(study) if method == "ranks" else steps.screened(study, method, ignore_constraints)
-            answers[study.one.test], entries[study.one.test] = found, sensitivity_entries(study.one, found)
-            if residuals or surfaces:
-                drawn = draw_metamodels(found, study.one, study.folder.path, residuals, surfaces)
-                self.listener.drawn(study.one, drawn, None)
+        with self._by(executor) as whole:
+            for study in whole.tests:
+                found = steps.sampled(study) if method == "ranks" else steps.screened(study, method, ignore_constraints)
+                answers[study.one.test], entries[study.one.test] = found, sensitivity_entries(study.one, found)
+                if residuals or surfaces:
+                    drawn = draw_metamodels(found, study.one, study.folder.path, residuals, surfaces)
+                    self.listener.drawn(study.one, drawn, None)
         self.draw()
         printed = by_test(entries)
         if len(answers) == 1:
@@ -212,7 +216,7 @@ class Study:
         case: str | None = None,
         *,
         method: Method | None = None,
-        executor: Executor | Injected | None = None,
+        executor: AnyExecutor | None = None,
     ) -> AnalysisResult:
         """Fit the parameters in several independent cases, and assess how well each is identified.
 
@@ -220,10 +224,10 @@ class Study:
         """
         from calib.api.entries.calibrated import calibrated_entries
 
-        study = self._by(executor)
-        found = steps.calibrated(study, case, method)
+        with self._by(executor) as study:
+            found = steps.calibrated(study, case, method)
+            study.draw(places.results_of(self.loaded, self.results, self.quick, case, method))
         folder = places.results_of(self.loaded, self.results, self.quick, case, method)
-        study.draw(folder)
         printed = tuple(calibrated_entries(self.loaded, found))
         return AnalysisResult(found.sentences, found.verdicts, folder.path, found, printed)
 
@@ -264,12 +268,12 @@ class Study:
         """Evaluate failed points once more, such as those without a licence; others stay. Analyses then use them."""
         return steps.repeated(self)
 
-    def explain(self) -> AnalysisResult:
-        """Find which effect of the study's library the model lacks."""
+    def explain(self, *, executor: AnyExecutor | None = None) -> AnalysisResult:
+        """Find which effect of the study's library the model lacks; ``executor`` evaluates points, see `run`."""
         from calib.api.entries.explained import explained_entries
 
-        with places.tasks_shared(self.workers):
-            found = steps.explained(self)
+        with self._by(executor) as study, places.tasks_shared(study.workers):
+            found = steps.explained(study)
             self.listener.may_add(self.loaded, found.explanation)
             self.draw()
         printed = tuple(explained_entries(self.loaded, found))
@@ -315,14 +319,15 @@ class Study:
         """Write the solver's decks with the calibrated values into a new folder; see `calib.analyses.decks`."""
         return steps.decks_written(self, path_of(into, "into"))
 
-    def run(self, *, executor: Executor | Injected | None = None) -> Study:
+    def run(self, *, executor: AnyExecutor | None = None) -> Study:
         """Run every analysis, add the named effects, calibrate again, and write ``report.html``.
 
         Parameters
         ----------
-        executor : concurrent.futures.Executor or calib.execution.executor.Injected, optional
-            Evaluates the points of samples and searches instead of worker processes; tables are the same. Its processes
-            must see the study's folder and its results. The caller shuts it down.
+        executor : concurrent.futures.Executor, distributed.Client, str or calib.execution.executor.Injected, optional
+            Evaluates the points of samples, searches and derivatives instead of worker processes; tables are the same.
+            Its processes must see the study's folder and its results. The caller shuts it down. ``"dask"`` is a cluster
+            on this machine, ``"dask://HOST:PORT"`` one that runs already.
 
         Returns
         -------
@@ -333,11 +338,11 @@ class Study:
         ------
         InputError
             For an executor together with a number of workers, and for a ``time_limit`` of the study that the executor
-            is not stated to keep.
+            is not stated to keep; a cluster keeps it.
         """
         if executor is not None:
-            study = self._by(executor)
-            found = study.run()
+            with self._by(executor) as study:
+                found = study.run()
             return self if found is study else replace(found, workers=self.workers)
         from calib.api.added_effects import with_named
 

@@ -25,6 +25,7 @@ from calib.command.options import (
     CalibrationMethod,
     CaseName,
     Estimator,
+    ExecutorName,
     Format,
     Quantity,
     Quick,
@@ -126,6 +127,7 @@ def sensitivity(
     study: StudyPath,
     results: ResultsPath = RESULTS,
     workers: Workers = None,
+    executor: ExecutorName = None,
     quick: Quick = False,
     method: Annotated[
         SensitivityMethod, typer.Option("--method", help="Method; morris and sobol vary inputs freely between limits.")
@@ -143,7 +145,8 @@ def sensitivity(
     verbose: Verbose = False,
 ) -> None:
     """Find which parameters matter: Latin hypercube, rank correlations, variance shares, selection, metamodels."""
-    with loaded_study("sensitivity", study, results, verbose, workers, quick, method=method.value) as loaded:
+    how = method.value
+    with loaded_study("sensitivity", study, results, verbose, workers, quick, method=how, executor=executor) as loaded:
         loaded.sensitivity(
             method.value,
             ignore_constraints=ignore_constraints,
@@ -157,6 +160,7 @@ def calibrate(
     study: StudyPath,
     results: ResultsPath = RESULTS,
     workers: Workers = None,
+    executor: ExecutorName = None,
     case: CaseName = None,
     quick: Quick = False,
     method: Annotated[
@@ -170,7 +174,9 @@ def calibrate(
     Interrupt it at any time: the same command resumes it and ends with the same result.
     """
     how = None if method is None else method.value
-    with loaded_study("calibrate", study, results, verbose, workers, quick, True, cache, case, how) as loaded:
+    with loaded_study(
+        "calibrate", study, results, verbose, workers, quick, True, cache, case, how, executor
+    ) as loaded:  # fmt: skip
         loaded.calibrate(case, method=None if method is None else method.value)
 
 
@@ -185,6 +191,7 @@ def intervals(
     ] = 0,
     results: ResultsPath = RESULTS,
     workers: Workers = None,
+    executor: ExecutorName = None,
     quick: Quick = False,
     cache: CachePath = None,
     verbose: Verbose = False,
@@ -193,7 +200,7 @@ def intervals(
 
     One is moved from its fitted value while all others are fitted again, until the data exclude what lies beyond.
     """
-    with loaded_study("intervals", study, results, verbose, workers, quick, cache=cache) as loaded:
+    with loaded_study("intervals", study, results, verbose, workers, quick, cache=cache, executor=executor) as loaded:
         loaded.intervals(parameter or (), samples=samples)
 
 
@@ -204,9 +211,15 @@ app.command("open", short_help="Open the live page of a study.")(open_page)
 
 
 @app.command(short_help="Evaluate failed points once more.")
-def again(study: StudyPath, results: ResultsPath = RESULTS, workers: Workers = None, verbose: Verbose = False) -> None:
+def again(
+    study: StudyPath,
+    results: ResultsPath = RESULTS,
+    workers: Workers = None,
+    executor: ExecutorName = None,
+    verbose: Verbose = False,
+) -> None:
     """Evaluate failed points once more, such as those without a licence; others stay. Analyses then use them."""
-    with loaded_study("again", study, results, verbose, workers) as loaded:
+    with loaded_study("again", study, results, verbose, workers, executor=executor) as loaded:
         loaded.again()
 
 
@@ -215,6 +228,7 @@ def explain(
     study: StudyPath,
     results: ResultsPath = RESULTS,
     workers: Workers = None,
+    executor: ExecutorName = None,
     cache: CachePath = None,
     verbose: Verbose = False,
 ) -> None:
@@ -223,7 +237,7 @@ def explain(
     Calibrates by least squares, tests every effect of the study's library and every local perturbation of the model,
     fits the most promising ones, and tests the remaining misfit.
     """
-    with loaded_study("explain", study, results, verbose, workers, cache=cache) as loaded:
+    with loaded_study("explain", study, results, verbose, workers, cache=cache, executor=executor) as loaded:
         loaded.explain()
 
 
@@ -294,6 +308,7 @@ def run(
     study: StudyPath,
     results: ResultsPath = RESULTS,
     workers: Workers = None,
+    executor: ExecutorName = None,
     quick: Quick = False,
     cache: CachePath = None,
     verbose: Verbose = False,
@@ -303,7 +318,7 @@ def run(
     'explain' runs where the study has a library of effects. Effects that it names are added: the extended study is
     written among the results and calibrated too, and the errors before and after are reported.
     """
-    with loaded_study("run", study, results, verbose, workers, quick, cache=cache) as loaded:
+    with loaded_study("run", study, results, verbose, workers, quick, cache=cache, executor=executor) as loaded:
         loaded.run()
 
 

@@ -23,6 +23,7 @@ def loaded_study(
     cache: Path | None = None,
     case: str | None = None,
     method: str | None = None,
+    executor: str | None = None,
 ) -> Iterator[Study]:
     """The study of a command, which prints its answer at the end.
 
@@ -33,7 +34,7 @@ def loaded_study(
     path, results : Path
         Of the study, and of the folder in which that of its results is.
     verbose : bool
-    workers, quick, cache
+    workers, quick, cache, executor
         See `calib.command.options`.
     load : bool
         Whether to read model and data at once.
@@ -42,12 +43,13 @@ def loaded_study(
     """
     from calib.api.study import Study
     from calib.command.printing import printing, tell_cache
+    from calib.execution.executor import Injected
     from calib.execution.tasks import one_thread
     from calib.results.running import RunningNote
     from calib.structure.reduction.cache import using
     from calib.study.study_file import study_file
 
-    options = {"workers": workers, "quick": quick, "case": case, "method": method}
+    options = {"workers": workers, "quick": quick, "case": case, "method": method, "executor": executor}
     file = study_file(path)
     home, given = results / file.resolve().parent.name, {name: value for name, value in options.items() if value}
     note = RunningNote(home, verb, given, file)
@@ -57,6 +59,11 @@ def loaded_study(
         printing(verb, verbose, note) as listener,
     ):  # fmt: skip
         if load:
-            yield Study.load(path, results, workers=workers, quick=quick, listener=listener)
+            found = Study.load(path, results, workers=workers, quick=quick, listener=listener, executor=executor)
+            try:
+                yield found
+            finally:
+                if isinstance(found.workers, Injected):
+                    found.workers.close()
         else:
             yield Study(path, results, listener=listener)

@@ -67,6 +67,13 @@ Workers = Annotated[
     int | None,
     typer.Option("--workers", min=1, max=256, help="Worker processes [default: one per core where that pays]."),
 ]
+ExecutorName = Annotated[
+    str | None,
+    typer.Option(
+        "--executor", metavar="NAME",
+        help="Who evaluates: processes, dask (a cluster on this machine), or dask://HOST:PORT [default: the study's].",
+    ),
+]  # fmt: skip
 Verbose = Annotated[
     bool, typer.Option("--verbose", "-v", help="Also assumptions, secondary tables and the list of files.")
 ]

@@ -109,7 +109,10 @@ class _Printing(Listener):
 
     def will_run(self, sentence: str) -> None:
         if sentence:  # now: the answer may be hours away
-            terminal.complain(sentence)
+            self.at_once(sentence)
+
+    def at_once(self, sentence: str) -> None:
+        terminal.complain(sentence)
 
     def other_state(self, rows: int) -> None:
         if rows:

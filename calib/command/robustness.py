@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from calib.command.loaded import loaded_study
-from calib.command.options import CachePath, Quick, ResultsPath, StudyPath, Verbose, Workers
+from calib.command.options import CachePath, ExecutorName, Quick, ResultsPath, StudyPath, Verbose, Workers
 from calib.results.results import RESULTS
 
 
@@ -23,6 +23,7 @@ def robustness(
     ] = None,
     results: ResultsPath = RESULTS,
     workers: Workers = None,
+    executor: ExecutorName = None,
     quick: Quick = False,
     cache: CachePath = None,
     verbose: Verbose = False,
@@ -34,5 +35,5 @@ def robustness(
     from calib.command.options import limits_of
 
     limits = limits_of(limit or ())
-    with loaded_study("robustness", study, results, verbose, workers, quick, cache=cache) as loaded:
+    with loaded_study("robustness", study, results, verbose, workers, quick, cache=cache, executor=executor) as loaded:
         loaded.robustness(samples=samples, seed=seed, limits=limits)

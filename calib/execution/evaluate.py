@@ -115,9 +115,9 @@ class Evaluator:
     def __exit__(self, kind: object, *fault: object) -> None:
         self._stop(at_once=kind is not None)
 
-    def close(self) -> None:
-        """End the worker processes."""
-        self._stop(at_once=False)
+    def close(self, at_once: bool = False) -> None:
+        """End the worker processes, also one that evaluates a point if ``at_once``."""
+        self._stop(at_once)
 
     def evaluate(self, points: Sequence[Mapping[str, float]], arrived: Arrived = ignored) -> list[Outcome]:
         """Evaluate a batch.

@@ -5,18 +5,26 @@ from __future__ import annotations
 import contextlib
 import pickle
 import queue
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias, Union
 
 from calib.errors.errors import InputError
 from calib.execution import worker
+from calib.execution.cluster import ADDRESS, LOCAL, Cluster, ClusterEvaluator, Tell, warned
 from calib.execution.evaluate import Arrived, failed, ignored, unwrapped
 from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED, Outcome, directory_kept, error_line
 from calib.execution.tasks import one_thread
 from calib.execution.worker import Source
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 _Task = Future[Outcome | Exception]
+AnyExecutor: TypeAlias = Union[Executor, "Injected", "Client", str]
+"""What takes the place of own processes: an executor, a Dask client, or a cluster by name."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +33,8 @@ class Injected:
 
     Attributes
     ----------
-    executor : concurrent.futures.Executor
-        The caller owns it and shuts it down.
+    executor : concurrent.futures.Executor or Cluster
+        The caller owns an executor and shuts it down. A cluster keeps every limit and survives crashes.
     time_limit : float or None
         Seconds after which it ends a task, whose future then raises `TimeoutError`; None where it ends none.
     isolated : bool
@@ -38,15 +46,15 @@ class Injected:
         For an object that is not an executor, and for a limit that is not positive.
     """
 
-    executor: Executor
+    executor: Executor | Cluster
     time_limit: float | None = None
     isolated: bool = False
 
     def __post_init__(self) -> None:
-        if not isinstance(self.executor, Executor):
+        if not isinstance(self.executor, Executor | Cluster):
             raise InputError(
                 f"it is of type {type(self.executor).__name__}", place="executor",
-                remedy="give one of concurrent.futures, or the one that your cluster's client has",
+                remedy="give one of concurrent.futures, a Dask client, 'dask', or 'dask://HOST:PORT'",
             )  # fmt: skip
         if self.time_limit is not None and not self.time_limit > 0:
             raise InputError(
@@ -56,6 +64,8 @@ class Injected:
 
     def require(self, time_limit: float | None, isolated: bool = False) -> None:
         """InputError for a time limit or an isolation that the executor is not stated to support."""
+        if isinstance(self.executor, Cluster):
+            return
         own = self.time_limit
         if time_limit is not None and own != time_limit:
             does = "is not stated to end any" if own is None else f"ends them after {own:g} s"
@@ -71,9 +81,83 @@ class Injected:
             )
 
     @staticmethod
-    def of(given: Executor | Injected) -> Injected:
-        """The argument itself; a bare executor is wrapped as one without further guarantees."""
-        return given if isinstance(given, Injected) else Injected(given)
+    def of(given: AnyExecutor, workers: int | None = None, tell: Tell = warned) -> Injected:
+        """The argument itself; a bare executor is wrapped as one without further guarantees.
+
+        Parameters
+        ----------
+        given : Executor, Injected, distributed.Client or str
+            ``"dask"`` starts a cluster on this machine when it is first used, ``"dask://HOST:PORT"`` names a scheduler.
+        workers : int, optional
+            Of the cluster on this machine; one per core by default.
+        tell : callable
+            Receives what the user should know of a cluster at once, in one sentence.
+
+        Raises
+        ------
+        InputError
+            For anything else, and for a number of workers of what has its own.
+        """
+        if workers is not None and given != LOCAL:
+            raise InputError(
+                f"{workers} workers are requested, and an executor has its own", place="executor",
+                remedy="leave one of them out",
+            )  # fmt: skip
+        if isinstance(given, Injected):
+            return given
+        if isinstance(given, str):
+            if given != LOCAL and not ADDRESS.fullmatch(given):
+                raise InputError(
+                    f"{given!r:.60} names no cluster", place="executor",
+                    remedy=f"write '{LOCAL}' for this machine, or 'dask://HOST:PORT'",
+                )  # fmt: skip
+            return Injected(Cluster(given, workers, tell=tell))
+        cluster = Cluster.of_client(given, tell)
+        return Injected(given if cluster is None else cluster)
+
+    def evaluator(
+        self, source: Source, time_limit: float | None = None, usual_limit: float | None = None
+    ) -> ExecutorEvaluator | ClusterEvaluator:
+        """Evaluator of batches of points.
+
+        Parameters
+        ----------
+        source : callable
+            See `ExecutorEvaluator`.
+        time_limit : float, optional
+            Seconds after which a point has to be abandoned.
+        usual_limit : float, optional
+            The same where none has to be kept, for those who can.
+
+        Raises
+        ------
+        InputError
+            For a time limit that the executor is not stated to support.
+        """
+        if isinstance(self.executor, Cluster):
+            return self.executor.evaluator(source, time_limit or usual_limit, required=time_limit is not None)
+        return ExecutorEvaluator(source, self, time_limit)
+
+    @property
+    def at_once(self) -> int:
+        """Points that it evaluates at once, as far as is known: 1 for an executor."""
+        return max(1, self.executor.threads()) if isinstance(self.executor, Cluster) else 1
+
+    def close(self) -> None:
+        """Release a cluster; what the caller owns stays open."""
+        if isinstance(self.executor, Cluster):
+            self.executor.close()
+
+
+@contextmanager
+def injected(given: AnyExecutor | None, workers: int | None = None, tell: Tell = warned) -> Iterator[Injected | None]:
+    """As `Injected.of`, and released at the end unless the caller made it; None for none."""
+    found = None if given is None else Injected.of(given, workers, tell)
+    try:
+        yield found
+    finally:
+        if found is not None and found is not given:
+            found.close()
 
 
 class ExecutorEvaluator:
@@ -105,6 +189,8 @@ class ExecutorEvaluator:
     ):
         self._injected = Injected.of(executor)
         self._injected.require(time_limit, isolated)
+        assert isinstance(self._injected.executor, Executor)
+        self._executor = self._injected.executor
         self._sent = worker.Sent(source)
 
     @property
@@ -142,7 +228,7 @@ class ExecutorEvaluator:
             with one_thread(), directory_kept():
                 for k, values in enumerate(points):
                     try:
-                        future: _Task = self._injected.executor.submit(worker.work_anywhere, self._sent, dict(values))
+                        future: _Task = self._executor.submit(worker.work_anywhere, self._sent, dict(values))
                     except Exception as fault:  # a given executor raises what it likes: the point is a failed row
                         known(k, self._lost(values, fault))
                         continue

@@ -31,7 +31,7 @@ from calib.execution.outcome import WORKER_DIED, Function, Outcome, attempt, wor
 Source = Callable[[], Function]
 T = TypeVar("T")
 
-_THREAD_VARIABLES = (
+THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",
@@ -47,13 +47,17 @@ def environment(script: bool = True) -> Iterator[None]:
     ``script`` tells whether they need definitions of the running script. If not, they do not import it: without a
     guarded main part it would run again in every process.
     """
-    with contextlib.nullcontext() if script else _without_script():
+    with _starting, contextlib.nullcontext() if script else _without_script():
         yield from _inherited()
 
 
+_starting = threading.RLock()
+"""Threads of one process start others in turn: what these inherit belongs to the whole process."""
+
+
 def _inherited() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     mask = None
     if hasattr(signal, "pthread_sigmask"):
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, *interrupt.END_REQUESTS})
@@ -210,6 +214,11 @@ def pause(seconds: float) -> None:
         return
     with board.paused(_Worker.place):
         time.sleep(seconds)
+
+
+def available_cores() -> int:
+    """Number of processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
 # -- tasks of a given executor -----------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ from calib.study.measurement_settings import (
     TestSettings,
     WrongBelow,
 )
-from calib.study.solver_settings import SolverSettings
+from calib.study.solver_settings import ComputeSettings, SolverSettings
 
 _GRACE = 10.0
 """Seconds that a process has to end a solver that takes too long, and to tell what it said."""
@@ -284,6 +284,8 @@ class StudySettings(Section):
     """Responses over what is known of the fitted parameters."""
     explain: ExplainSettings = ExplainSettings()
     """Search for a missing effect."""
+    compute: ComputeSettings = ComputeSettings()
+    """Who evaluates."""
 
     @field_validator("tests")
     @classmethod

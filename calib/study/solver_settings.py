@@ -1,4 +1,4 @@
-"""Keys of ``[model]``: a solver that is started for every evaluation."""
+"""Keys of ``[model]``, a solver that is started for every evaluation, and of ``[compute]``, who evaluates."""
 
 from __future__ import annotations
 
@@ -8,6 +8,17 @@ from typing import Any, Literal
 from pydantic import Field, field_validator
 
 from calib.study.measurement_settings import Pair, PathText, Section
+
+EXECUTOR = r"^(processes|dask(://[^\s/]+:\d+)?)$"
+"""Who evaluates points, as a study names it."""
+
+
+class ComputeSettings(Section):
+    """``[compute]``: who evaluates the points of samples, searches and derivatives; results are the same."""
+
+    executor: str = Field(default="processes", pattern=EXECUTOR)
+    """``"processes"`` on this machine; ``"dask"``, a Dask cluster that is started on this machine, or
+    ``"dask://HOST:PORT"``, one that runs already, in a trusted network. ``--executor`` overrides it."""
 
 
 class SolverParameterSettings(Section):

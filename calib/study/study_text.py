@@ -21,6 +21,7 @@ from calib.errors.toml_places import Keys, Mark, keys_in_words, place_in
 from calib.results.former_names import KEYS, MOVED
 from calib.study.measurement_settings import LIBRARY, MODEL, RUNS
 from calib.study.settings import NAME, StudySettings
+from calib.study.solver_settings import EXECUTOR
 
 
 def read_settings(file: Path) -> StudySettings:
@@ -234,6 +235,7 @@ _PATTERNS: Mapping[str, tuple[str, str]] = {
     ),
     LIBRARY: ("names no function", 'write "file.py:function", "package.module:function" or "generic"'),
     NAME: ("is no name for files", "use letters, digits, - and _ only"),
+    EXECUTOR: ("names nobody who evaluates", 'write "processes", "dask" or "dask://HOST:PORT"'),
 }
 
 

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
+from calib.execution.cluster import ClusterEvaluator
 from calib.execution.evaluate import Evaluator
-from calib.execution.executor import Injected
+from calib.execution.executor import ExecutorEvaluator, Injected
 from calib.execution.outcome import failure
+from calib.execution.worker import Source
 from calib.experiment.test import ForwardProblem
 from calib.problem.effect import Effect
+from calib.study.several import AnyStudy
 from calib.study.study import EvaluationSource, LoadedStudy
 from calib.study.study_file import StudyFile
 
 Workers: TypeAlias = int | Injected | None
-"""Who evaluates points: a number of processes, None for one per core where that pays, or an injected executor."""
+"""Who evaluates points: a number of processes, None for one per core where that pays, an executor or a cluster."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +104,8 @@ def stated_time_limit(study: StudyFile) -> float | None:
     return given.time_limit if "time_limit" in given.model_fields_set else None
 
 
-def available_cores() -> int:
-    """Number of processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+def injected_evaluator(study: AnyStudy, source: Source, workers: Injected) -> ExecutorEvaluator | ClusterEvaluator:
+    """Evaluator of a study's points by an executor or a cluster; InputError where that cannot keep its time limit."""
+    if study.in_memory:
+        return workers.evaluator(source)
+    return workers.evaluator(source, stated_time_limit(study), study.settings.evaluation_limit)

@@ -6,14 +6,16 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 
-from calib.analyses.provenance.isolation import ChildFunction, Workers, available_cores, stated_time_limit
+from calib.analyses.provenance.isolation import ChildFunction, Workers, injected_evaluator
 from calib.analyses.provenance.recorded import Evaluated, ModesEvaluator, reevaluated, unrecorded
 from calib.errors.errors import InputError
 from calib.execution.ahead import points_shared
+from calib.execution.cluster import Cluster, ClusterEvaluator
 from calib.execution.evaluate import BatchEvaluator, Evaluator
 from calib.execution.executor import ExecutorEvaluator, Injected
 from calib.execution.tasks import are_shared, shared_by
 from calib.execution.team import Team
+from calib.execution.worker import available_cores
 from calib.experiment.test import ForwardProblem
 from calib.results.ledger import Ledger
 from calib.results.results import Results
@@ -142,10 +144,10 @@ def open_evaluator(
     bare = unrecorded(given)
     if study.in_memory:
         here = Evaluated(bare)
-        return ExecutorEvaluator(here, workers) if isinstance(workers, Injected) else Evaluator(here)
+        return injected_evaluator(study, here, workers) if isinstance(workers, Injected) else Evaluator(here)
     source = EvaluationSource.of(study, bare, basis)
     if isinstance(workers, Injected):
-        return _opened_for(given, ExecutorEvaluator(source, workers, stated_time_limit(study)))
+        return _opened_for(given, injected_evaluator(study, source, workers))
     chosen = workers
     if chosen is None:
         if seconds is None:
@@ -162,25 +164,27 @@ def tasks_shared(workers: Workers) -> Iterator[None]:
     """While this lasts, worker processes share the tasks of `each`; they are started when they pay off.
 
     Where they are shared already, that goes on, whatever ``workers`` is. An injected executor does not take them: each
-    task needs matrices and bases, which are large. Points of a user's function that are asked for together are shared
-    by either, see `calib.analyses.provenance.recorded.recorded`.
+    task needs matrices and bases, which are large. Beside a cluster, processes of this machine do. Points of a user's
+    function that are asked for together are shared by either, see `calib.analyses.provenance.recorded.recorded`.
     """
     with nullcontext() if workers == 1 else points_shared():
-        if isinstance(workers, Injected) or are_shared():
+        if are_shared() or (isinstance(workers, Injected) and not isinstance(workers.executor, Cluster)):
             yield
             return
-        team = Team(available_cores(), PATIENCE) if workers is None else Team(workers)
+        team = Team(workers) if isinstance(workers, int) else Team(available_cores(), PATIENCE)
         with team, shared_by(team):
             yield
 
 
 @contextmanager
-def _opened_for(problem: ForwardProblem, evaluator: Evaluator | ExecutorEvaluator) -> Iterator[BatchEvaluator]:
+def _opened_for(
+    problem: ForwardProblem, evaluator: Evaluator | ExecutorEvaluator | ClusterEvaluator
+) -> Iterator[BatchEvaluator]:
     with evaluator:
         yield _answering(problem, evaluator)
 
 
-def _answering(problem: ForwardProblem, evaluator: Evaluator | ExecutorEvaluator) -> BatchEvaluator:
+def _answering(problem: ForwardProblem, evaluator: BatchEvaluator) -> BatchEvaluator:
     """The evaluator of responses; for a function of modes it wraps the evaluator of its modes."""
     if problem.numbers_function is not None:
         return ModesEvaluator(problem, evaluator)

@@ -6,12 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
-from calib.analyses.provenance.isolation import ChildFunction, Workers, available_cores, evaluator_of, stated_time_limit
+from calib.analyses.provenance.isolation import ChildFunction, Workers, evaluator_of, injected_evaluator
 from calib.errors.errors import EvaluationError
 from calib.execution.ahead import ask, is_collecting
 from calib.execution.evaluate import Arrived, BatchEvaluator, Evaluator
-from calib.execution.executor import ExecutorEvaluator, Injected
+from calib.execution.executor import Injected
 from calib.execution.outcome import Function, Outcome, attempt, failure, point_key
+from calib.execution.worker import available_cores
 from calib.experiment.test import ForwardProblem
 from calib.results.fingerprint import digest_of
 from calib.results.ledger import Ledger
@@ -145,8 +146,8 @@ def _several(study: LoadedStudy, workers: Workers) -> BatchEvaluator | None:
     function = study.problem.user_function
     if isinstance(workers, Injected):
         if isinstance(function, ChildFunction):
-            return ExecutorEvaluator(function.evaluator.source, workers, stated_time_limit(study))
-        return ExecutorEvaluator(Evaluated(study.problem, numbers=True), workers)
+            return injected_evaluator(study, function.evaluator.source, workers)
+        return injected_evaluator(study, Evaluated(study.problem, numbers=True), workers)
     count = available_cores() if workers is None else workers
     if count == 1 or not isinstance(function, ChildFunction):
         return None
