@@ -153,7 +153,8 @@ class Client:
 
 
 def batch(client, given, told=None):
-    return _Batch(Cluster("dask", client=client, tell=(told or []).append), None, given, lambda outcome: None)
+    heard = [] if told is None else told
+    return _Batch(Cluster("dask", client=client, tell=heard.append), None, given, lambda outcome: None)
 
 
 @pytest.mark.parametrize(("seconds", "sizes"), [(None, [1] * 16), (0.2, [1] * 16), (0.02, [5] * 8), (1e-4, [20, 20])])

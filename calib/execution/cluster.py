@@ -8,7 +8,6 @@ import math
 import queue
 import re
 import sys
-import warnings
 import weakref
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -20,6 +19,7 @@ from calib.execution.cluster_worker import Answer, Packed, Parcel
 from calib.execution.evaluate import Arrived, failed, ignored
 from calib.execution.local_cluster import started
 from calib.execution.outcome import WORKER_DIED, Outcome, error_line
+from calib.execution.stage import Tell, warned
 from calib.execution.worker import Sent, Source, available_cores
 
 EXTRA = "pip install 'calib[cluster]'"
@@ -41,14 +41,6 @@ _CONNECT = 10.0
 """Seconds in which a scheduler answers."""
 _PATIENCE = 15.0
 """Seconds without a worker before that is told."""
-
-
-Tell = Callable[[str], None]
-
-
-def warned(sentence: str) -> None:
-    """A sentence as a warning."""
-    warnings.warn(sentence, stacklevel=2)
 
 
 class Cluster:

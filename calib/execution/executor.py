@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import pickle
 import queue
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import contextmanager
@@ -13,14 +14,16 @@ from typing import TYPE_CHECKING, TypeAlias, Union
 
 from calib.errors.errors import InputError
 from calib.execution import worker
-from calib.execution.cluster import ADDRESS, LOCAL, Cluster, ClusterEvaluator, Tell, warned
 from calib.execution.evaluate import Arrived, failed, ignored, unwrapped
 from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED, Outcome, directory_kept, error_line
+from calib.execution.stage import Tell, warned
 from calib.execution.tasks import one_thread
 from calib.execution.worker import Source
 
 if TYPE_CHECKING:
     from distributed import Client
+
+    from calib.execution.cluster import Cluster, ClusterEvaluator
 
 _Task = Future[Outcome | Exception]
 AnyExecutor: TypeAlias = Union[Executor, "Injected", "Client", str]
@@ -51,7 +54,7 @@ class Injected:
     isolated: bool = False
 
     def __post_init__(self) -> None:
-        if not isinstance(self.executor, Executor | Cluster):
+        if not (isinstance(self.executor, Executor) or self.cluster):
             raise InputError(
                 f"it is of type {type(self.executor).__name__}", place="executor",
                 remedy="give one of concurrent.futures, a Dask client, 'dask', or 'dask://HOST:PORT'",
@@ -62,9 +65,15 @@ class Injected:
                 remedy="state a positive number, or none",
             )  # fmt: skip
 
+    @property
+    def cluster(self) -> Cluster | None:
+        """The cluster; None for an executor."""
+        known = sys.modules.get("calib.execution.cluster")  # it is loaded for those who ask for one
+        return self.executor if known is not None and isinstance(self.executor, known.Cluster) else None
+
     def require(self, time_limit: float | None, isolated: bool = False) -> None:
         """InputError for a time limit or an isolation that the executor is not stated to support."""
-        if isinstance(self.executor, Cluster):
+        if self.cluster is not None:
             return
         own = self.time_limit
         if time_limit is not None and own != time_limit:
@@ -98,6 +107,8 @@ class Injected:
         InputError
             For anything else, and for a number of workers of what has its own.
         """
+        from calib.execution.cluster import ADDRESS, LOCAL, Cluster
+
         if workers is not None and given != LOCAL:
             raise InputError(
                 f"{workers} workers are requested, and an executor has its own", place="executor",
@@ -134,19 +145,19 @@ class Injected:
         InputError
             For a time limit that the executor is not stated to support.
         """
-        if isinstance(self.executor, Cluster):
-            return self.executor.evaluator(source, time_limit or usual_limit, required=time_limit is not None)
+        if self.cluster is not None:
+            return self.cluster.evaluator(source, time_limit or usual_limit, required=time_limit is not None)
         return ExecutorEvaluator(source, self, time_limit)
 
     @property
     def at_once(self) -> int:
         """Points that it evaluates at once, as far as is known: 1 for an executor."""
-        return max(1, self.executor.threads()) if isinstance(self.executor, Cluster) else 1
+        return 1 if self.cluster is None else max(1, self.cluster.threads())
 
     def close(self) -> None:
         """Release a cluster; what the caller owns stays open."""
-        if isinstance(self.executor, Cluster):
-            self.executor.close()
+        if self.cluster is not None:
+            self.cluster.close()
 
 
 @contextmanager

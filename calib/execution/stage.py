@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import warnings
+from collections.abc import Callable
 from typing import Protocol
 
 
@@ -39,3 +41,12 @@ def with_prefix(progress: Progress, name: str) -> Progress:
 
 def silent(stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
     """Nobody listens."""
+
+
+Tell = Callable[[str], None]
+"""Receives a sentence that the user should read at once."""
+
+
+def warned(sentence: str) -> None:
+    """A sentence as a warning."""
+    warnings.warn(sentence, stacklevel=2)

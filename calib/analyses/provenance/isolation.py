@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from calib.execution.cluster import ClusterEvaluator
 from calib.execution.evaluate import Evaluator
 from calib.execution.executor import ExecutorEvaluator, Injected
 from calib.execution.outcome import failure
@@ -16,6 +15,9 @@ from calib.problem.effect import Effect
 from calib.study.several import AnyStudy
 from calib.study.study import EvaluationSource, LoadedStudy
 from calib.study.study_file import StudyFile
+
+if TYPE_CHECKING:
+    from calib.execution.cluster import ClusterEvaluator
 
 Workers: TypeAlias = int | Injected | None
 """Who evaluates points: a number of processes, None for one per core where that pays, an executor or a cluster."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calib.analyses.provenance.isolation import ChildFunction, Workers, injected_evaluator
 from calib.analyses.provenance.recorded import Evaluated, ModesEvaluator, reevaluated, unrecorded
 from calib.errors.errors import InputError
 from calib.execution.ahead import points_shared
-from calib.execution.cluster import Cluster, ClusterEvaluator
 from calib.execution.evaluate import BatchEvaluator, Evaluator
 from calib.execution.executor import ExecutorEvaluator, Injected
 from calib.execution.tasks import are_shared, shared_by
@@ -22,6 +22,9 @@ from calib.results.results import Results
 from calib.results.written import LOG
 from calib.study.study import EvaluationSource, LoadedStudy
 from calib.study.study_file import StudyFile, shell_argument
+
+if TYPE_CHECKING:
+    from calib.execution.cluster import ClusterEvaluator
 
 QUICK = "quick"
 """Sub-folder of results made with ``--quick``."""
@@ -168,7 +171,7 @@ def tasks_shared(workers: Workers) -> Iterator[None]:
     function that are asked for together are shared by either, see `calib.analyses.provenance.recorded.recorded`.
     """
     with nullcontext() if workers == 1 else points_shared():
-        if are_shared() or (isinstance(workers, Injected) and not isinstance(workers.executor, Cluster)):
+        if are_shared() or (isinstance(workers, Injected) and workers.cluster is None):
             yield
             return
         team = Team(workers) if isinstance(workers, int) else Team(available_cores(), PATIENCE)
