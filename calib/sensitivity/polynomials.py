@@ -157,21 +157,27 @@ def fitted(kind: Kind, z: np.ndarray, y: np.ndarray, values: np.ndarray | None =
     terms = Terms.of(kind, range(z.shape[1]))
     values = terms.values(z) if values is None else values
     ones = np.ones((len(y), 1))
-    best, inputs = Polynomial(kind, terms.take([]), np.zeros(0), float(y.mean())), tuple[int, ...]()
+    best, inputs = of_inputs(kind, z, y, ()), tuple[int, ...]()
     for _ in range(PROGNOSIS.rounds):
         own = best.terms.values(z)
         kept, _ = _pursued(values, y, np.column_stack([ones, own]), significant=True)
         if set(more := _inputs(terms.take(kept))) <= set(inputs):
             break
         inputs = tuple(sorted({*inputs, *more}))
-        found = [
-            (*_pursued(one.values(z), y, ones, significant=False), one) for one in Terms.alternatives(kind, inputs)
-        ]
-        kept, _, some = min(found, key=lambda one: one[1])
-        own = some.take(kept).values(z)
-        weights = np.linalg.lstsq(np.column_stack([ones, own]), y, rcond=None)[0]
-        best = Polynomial(kind, some.take(kept), weights[1:], float(weights[0]))
+        best = of_inputs(kind, z, y, inputs)
     return best
+
+
+def of_inputs(kind: Kind, z: np.ndarray, y: np.ndarray, inputs: Sequence[int]) -> Polynomial:
+    """The polynomial of some inputs that is expected to predict best; without any term where there is no input."""
+    if not inputs:
+        return Polynomial(kind, Terms.of(kind, range(z.shape[1])).take([]), np.zeros(0), float(y.mean()))
+    ones = np.ones((len(y), 1))
+    found = [(*_pursued(one.values(z), y, ones, significant=False), one) for one in Terms.alternatives(kind, inputs)]
+    kept, _, some = min(found, key=lambda one: one[1])
+    own = some.take(kept).values(z)
+    weights = np.linalg.lstsq(np.column_stack([ones, own]), y, rcond=None)[0]
+    return Polynomial(kind, some.take(kept), weights[1:], float(weights[0]))
 
 
 def _inputs(terms: Terms) -> tuple[int, ...]:

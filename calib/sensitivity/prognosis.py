@@ -14,7 +14,7 @@ from calib.problem.sampling import sample
 from calib.problem.space import ParameterSpace
 from calib.sensitivity.gaussian_process import GaussianProcess, fitted_process, is_installed
 from calib.sensitivity.partial import table_arrays
-from calib.sensitivity.polynomials import KINDS, Kind, Polynomial, Terms, fitted
+from calib.sensitivity.polynomials import KINDS, Kind, Polynomial, Terms, fitted, of_inputs
 from calib.sensitivity.rules import PROGNOSIS
 from calib.sensitivity.spearman import same_rows
 
@@ -246,13 +246,28 @@ def _best(designs: _Designs, y: np.ndarray) -> _Tried:
         if best is None or tried.press(y) < (1.0 - PROGNOSIS.better) * best.press(y):
             best = tried
         if best.press(y) < 1e-12 * total:
-            return best
+            break
     assert best is not None
+    best = _stable(best, z, y)
     if _is_poor(best.press(y) / total, best.model) and _is_possible(len(y)):
         tried = _Tried(*fitted_process(z, y, best.model.inputs, folds))
         if tried.press(y) < (1.0 - PROGNOSIS.better) * best.press(y):
             best = tried
     return best
+
+
+def _stable(best: _Tried, z: np.ndarray, y: np.ndarray) -> _Tried:
+    """The candidate in the inputs that most folds have too (Meinshausen and Buehlmann 2010).
+
+    The rest that a polynomial leaves is smaller than its error, since its terms were chosen among many, so that a test
+    against that rest takes inputs which do nothing. Other folds seldom take the same ones.
+    """
+    model = best.model
+    if not isinstance(model, Polynomial):
+        return best
+    least = PROGNOSIS.stable * len(best.parts) - 1e-9
+    stable = [i for i in model.inputs if sum(i in part.inputs for part in best.parts) >= least]
+    return best if len(stable) == len(model.inputs) else replace(best, model=of_inputs(model.kind, z, y, stable))
 
 
 def _is_poor(missed: float, model: Model) -> bool:

@@ -58,6 +58,8 @@ class PrognosisRules:
         Largest bound on that norm.
     chance : float
         Probability with which a term of an input without influence is taken.
+    stable : float
+        Part of the folds that must have an input of the metamodel too.
     rounds : int
         Times at most that further inputs are looked for.
     terms_a_row : float
@@ -90,6 +92,7 @@ class PrognosisRules:
     q: float = 0.75
     degree: int = 14
     chance: float = 0.01
+    stable: float = 0.8
     rounds: int = 3
     terms_a_row: float = 0.5
     exact: float = 1e-20

@@ -10,7 +10,7 @@ from calib.errors.errors import InputError
 from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 from calib.sensitivity import gaussian_process
 from calib.sensitivity import prognosis as module
-from calib.sensitivity.polynomials import KINDS, Terms, fitted
+from calib.sensitivity.polynomials import KINDS, Terms, fitted, of_inputs
 from tests.sensitivity.known_functions import KNOWN, ishigami
 
 prognosis = module.prognosis
@@ -146,6 +146,28 @@ def test_rows_that_do_not_belong_together_are_refused():
 
 
 # -- candidates --------------------------------------------------------------------------------------------------------
+
+
+def test_an_input_that_few_folds_have_is_left_out():
+    z = np.random.default_rng(1).uniform(-1.0, 1.0, (60, 3))
+    y = z @ [1.0, 0.3, 0.1]
+    whole = of_inputs("linear", z, y, (0, 1, 2))
+    some = [(0, 1, 2), (0, 1, 2), (0, 1, 2), (0, 1), (0,)]  # the second has four of five folds, the third has three
+    parts = [of_inputs("linear", z, y, inputs) for inputs in some]
+    tried = module._Tried(whole, parts, y)
+    assert whole.inputs == (0, 1, 2)
+    kept = module._stable(tried, z, y)
+    assert kept.model.inputs == (0, 1) and kept.parts is tried.parts
+    np.testing.assert_allclose(kept.model(z), of_inputs("linear", z, y, (0, 1))(z))
+    assert module._stable(replace(tried, parts=[whole] * 5), z, y).model is whole
+    assert of_inputs("linear", z, y, ())(z).tolist() == [y.mean()] * 60
+
+
+@pytest.mark.slow
+def test_an_input_that_does_nothing_is_left_out_though_its_terms_are_significant():
+    known, found = metamodel("smooth g, 12 inputs", 0)
+    assert {f"x{i}" for i in np.flatnonzero(known.total > 0.01)} <= set(found.inputs)
+    assert not {f"x{i}" for i in np.flatnonzero(known.total == 0)} & set(found.inputs)
 
 
 def test_terms_are_orthonormal_over_uniform_inputs():
