@@ -65,6 +65,10 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
     ),
     **{name: _matrix("parameter") for name in ("partial", "sensitivity", "variance_share", "input_correlation")},
     "prognosis": _columns("response model", "cop lower upper error", blank="inputs"),
+    "refined": _columns(
+        "response", "cop error error_near cop_after error_after error_near_after", unique="response"
+    ),
+    "sensitivity_samples": {"text": [], "others_are_numbers": True},
     "morris": _columns("parameter response", "mu_star"),
     "sobol": _columns("parameter response", "ST"),
     # calibration
@@ -73,7 +77,7 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
     ),
     "parameter_space": _columns(
         "parameter", "value lower upper prior_sd", if_there="search_lower search_upper", flags="integer",
-        blank="unit description source distribution",
+        blank="unit description source distribution scale",
     ),
     "verdicts": _columns("parameter unit sentence", "value lower upper ratio std spread", flags="identified",
         if_there="low high",
@@ -91,6 +95,8 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
         "response", "fitted measured std q025 q975 least most outside", blank="unit sentence", unbounded="least most",
         unique="response",
     ),
+    "pareto": _columns("kind", "design first second objective", flags="knee lowest"),
+    "pareto_objectives": _columns("name of responses", "weight least most knee lowest least_squares", unique="name"),
     "points": _columns("case point", "objective sum_of_squares prior total", if_there="mean_error mean_mac"),
     "errors_by_case": _columns("case point what", "measured model error mac"),
     "considered": _columns("parameter adds_to words", "value std std_without std_with", flags="matters", blank="unit"),

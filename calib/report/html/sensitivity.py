@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,6 +18,9 @@ _MATRICES = {
     "sensitivity": "Spearman's rank correlation",
     "variance_share": "variance share (square root)",
 }
+
+MOST_NUMBERS = 20_000
+"""Numbers of samples that the page holds; of more samples evenly chosen ones are shown."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,49 @@ def matrices(results: StudyResults) -> list[Matrix]:
         first = first if found else values
         found.append(Matrix(name, label, _strongest(values, label), difference))
     return found
+
+
+def designs(results: StudyResults) -> dict[str, Any] | None:
+    """Samples over parallel axes, for ``parallel.js``; None without them.
+
+    Returns
+    -------
+    dict
+        ``axes``: of each ``name``, ``low``, ``high``, ``log`` and ``measured`` (None where it was not); ``rows``, the
+        samples with four significant digits; ``left_out``, how many are not among them.
+    """
+    samples, space = results.table("sensitivity_samples"), results.table("parameter_space")
+    if samples is None or space is None:
+        return None
+    looks, measured = space.set_index("parameter"), _measured(results)
+    known = samples.loc[:, samples.notna().any()].dropna()
+    shown = known.loc[:, known.nunique() > 1]
+    most = max(1, MOST_NUMBERS // max(1, shown.shape[1]))
+    if len(shown) > most:
+        shown = shown.iloc[np.linspace(0, len(shown) - 1, most).astype(int)]
+    if shown.shape[1] < 2:
+        return None
+    shown, axes = shown.map(lambda value: float(f"{value:.4g}")), []
+    for name in map(str, shown):
+        unit = str(looks["unit"].get(name, "")) if name in looks.index else ""
+        log = name in looks.index and looks["scale"].get(name) == "log"
+        axes.append({
+            "name": name if unit in ("", "-", "nan") else f"{name} ({unit})", "low": float(shown[name].min()),
+            "high": float(shown[name].max()), "log": bool(log), "measured": measured.get(name),
+        })  # fmt: skip
+    return {"axes": axes, "rows": shown.to_numpy(dtype=float).tolist(), "left_out": len(samples) - len(shown)}
+
+
+def _measured(results: StudyResults) -> dict[str, float]:
+    """Measured values by the name of the response."""
+    table = results.table("measured")
+    if table is None or results.kind == "frf":
+        return {}
+    if results.kind == "responses":
+        return dict(zip(table["response"], table["value"].astype(float), strict=True))
+    return {
+        f"natural_freq_{mode}": float(freq) for mode, freq in zip(table["mode"], table["natural_freq"], strict=True)
+    }
 
 
 def _difference(values: pd.DataFrame, label: str, of_first: pd.DataFrame) -> str:

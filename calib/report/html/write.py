@@ -48,8 +48,8 @@ OF_SEVERAL = (
     *("next", OF_TEST, "candidate_fits", "assumptions", "versions", "not_run"),
 )
 """Those of several tests together; each test has one."""
-VIEWER = "viewer"
-"""The figure that can be turned; the others are drawings."""
+VIEWER, PARALLEL = "viewer", "parallel"
+"""The figure that can be turned, and the one whose axes can be brushed; the others are drawings."""
 LONGEST = 12
 """Rows of the longest table that is shown unfolded."""
 ASKED = {
@@ -149,7 +149,7 @@ def pictures(results: StudyResults) -> list[str]:
     for own, name in outline(results):
         if own is results:
             section(name, own, Contents(numbers))
-    return [name for full in numbers.names if (name := full.removeprefix(results.prefix)) != VIEWER]
+    return [name for full in numbers.names if (name := full.removeprefix(results.prefix)) not in (VIEWER, PARALLEL)]
 
 
 @dataclass(frozen=True)
@@ -196,8 +196,9 @@ def page(results: StudyResults, progress: Progress = silent) -> str:
         return _address(own.folder / f"{table}.csv")
 
     found = sections(results, Contents(number, drawing, file))
-    turned = any(name.endswith(VIEWER) for name in number.names)
-    scripts = ("report.js", "three.min.js", "viewer.js") if turned else ("report.js",)
+    scripts = ["report.js"]
+    for figure, files in ((VIEWER, ("three.min.js", "viewer.js")), (PARALLEL, ("parallel.js",))):
+        scripts += files if any(name.endswith(figure) for name in number.names) else ()
     template = templates().get_template("page.html.j2")
     return template.render(
         results=results,

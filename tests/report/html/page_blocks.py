@@ -48,7 +48,7 @@ class Picture(Figure):
 
 
 class Viewer(Figure):
-    """The figure that can be turned."""
+    """A figure that a script draws: one that can be turned, or whose axes can be brushed."""
 
 
 class _Parser(HTMLParser):
@@ -64,7 +64,7 @@ class _Parser(HTMLParser):
         if tag == "details":
             self._summary = "folded"
         elif tag == "figure":
-            kind = Viewer if "viewer" in found.get("class", "") else Picture
+            kind = Viewer if found.get("class") in ("viewer", "parallel") else Picture
             self.blocks.append(kind(found["id"], self._summary))
             self._figure = True
         elif tag == "table":
