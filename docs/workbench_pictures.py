@@ -20,6 +20,7 @@ VIEWS = {
     "correlation": ("Correlation", ".shapes[data-drawn]"),
     "what_if": ("What if", ".shapes[data-drawn]"),
     "designs": ("Designs", "#table tbody tr"),
+    "measurement": ("Measurement", "#space canvas"),
     "parameters": ("Parameters", "figure[data-drawn=parameters] svg"),
 }
 """Name of the picture: that of the view, and what is there once it is drawn."""

@@ -27,6 +27,7 @@ from calib.workbench.designs import designs
 from calib.workbench.edits import Edits
 from calib.workbench.evaluators import Evaluators
 from calib.workbench.live import Live
+from calib.workbench.measurement import measurement
 from calib.workbench.missing import missing, versions
 from calib.workbench.overview import listed, overview
 from calib.workbench.parameters import parameters
@@ -75,7 +76,7 @@ class Workbench:
         read: dict[str, Callable[[Request], Any]] = {
             "": self._overview, "search": self._search, "missing": self._missing, "versions": self._versions,
             "scene": self._scene, "correlation": self._correlation, "parameters": self._parameters,
-            "what-if": self._what_if,
+            "what-if": self._what_if, "measurement": self._measurement,
         }  # fmt: skip
         change: dict[str, Callable[[Request, Mapping[str, Any]], Any]] = {
             "run": self._run, "stop": self._stop, "add": self._add, "edit": self._edit,
@@ -170,6 +171,11 @@ class Workbench:
         stated = sorted(own.settings.pairing.override)
         found = {"undo": self.edits.last(own), "test": results.test, "stated": stated}
         return {"correlation": correlation(results), **found}
+
+    def _measurement(self, request: Request) -> Any:
+        results, study = self._of_one(request), self._study(request)
+        own = StudyFile.read(study.file, results.test)
+        return {"measurement": measurement(results, own), "undo": self.edits.last(own), "test": results.test}
 
     def _parameters(self, request: Request) -> Any:
         return {"parameters": parameters(self.studies.results(*self._asked(request)))}

@@ -13,6 +13,7 @@ from calib.report.html import cells, effects, explanation
 from calib.report.html.answer import effects_in_model
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, flag, probability
+from calib.workbench.measurement import recommended
 from calib.workbench.studies import KnownStudy, Studies
 
 _IN_WORDS = {
@@ -53,7 +54,7 @@ def missing(results: StudyResults) -> dict[str, Any] | None:
         "shown": [] if why is None else list(dict.fromkeys(why["effect"])),
         "faults": [] if faults is None else _faults(faults),
         "faults_words": "" if faults is None else explanation.named_faults(faults),
-        "places": _places(results), "axes": results.axes, "measurements": _measurements(results),
+        "places": _places(results), "axes": results.axes, "measurements": recommended(results, _SHOWN),
     }  # fmt: skip
 
 
@@ -96,19 +97,6 @@ def _places(results: StudyResults) -> list[dict[str, Any]]:
         {"name": str(r["perturbation"]), "score": fixed(r["score"], 1, sign=True), "at": at[k]}
         for k, r in enumerate(first.to_dict("records"))
     ]
-
-
-def _measurements(results: StudyResults) -> list[dict[str, str]]:
-    """The recommended measurements, the best first."""
-    found = explanation.candidate_measurements(results)
-    if found is None:
-        return []
-    rows = found.of_named if len(found.of_named) else found.best
-    return [
-        {"what": str(r["measurement"]), "effect": str(r["effect"]), "gain": f"× {fixed(r['gain'], 2)}",
-         "range": f"{fixed(r['gain_low'], 2)} to {fixed(r['gain_high'], 2)}"}
-        for r in rows.head(_SHOWN).to_dict("records")
-    ]  # fmt: skip
 
 
 def versions(studies: Studies, study: KnownStudy, part: str) -> list[dict[str, Any]]:

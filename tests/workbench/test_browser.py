@@ -101,7 +101,16 @@ def test_views_are_reached_by_the_keyboard(tab, explained):
 def test_nothing_is_wider_than_the_window(tab, explained, wide, colours):
     page = tab(explained, wide, 900, colours)
     page.locator("#answer").wait_for()
-    for view in ("Overview", "Search", "Missing physics", "Correlation", "What if", "Designs", "Parameters"):
+    for view in (
+        "Overview",
+        "Search",
+        "Missing physics",
+        "Correlation",
+        "What if",
+        "Designs",
+        "Measurement",
+        "Parameters",
+    ):
         page.get_by_role("link", name=view, exact=True).click()
         page.wait_for_timeout(1500)
         assert page.evaluate(
@@ -200,6 +209,16 @@ def test_one_selection_of_designs_holds_in_all_pictures(tab, explained):
     assert f'begin_at = "design {number}"' in page.locator("#diff .plus").last.inner_text()
     page.get_by_title("Drop this filter").click()
     reached(page, lambda: kept()[0] == every)
+
+
+def test_the_measurement_shows_its_sensors_and_what_to_measure_next(tab, explained):
+    page = tab(explained)
+    page.get_by_role("link", name="Measurement", exact=True).click()
+    page.locator("#space canvas").wait_for()
+    assert page.locator("#next tbody tr").count() > 0
+    page.get_by_role("button", name="Hold out", exact=True).first.click()
+    page.locator("#make").wait_for()
+    assert "modes" in page.locator("#diff .plus").last.inner_text()
 
 
 def test_a_search_is_started_stopped_and_resumed(tab, tmp_path):

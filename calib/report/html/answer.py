@@ -10,7 +10,6 @@ from typing import Any
 
 import pandas as pd
 
-from calib.missing.explanation import NAMED
 from calib.report.answer import AnsweredPlace
 from calib.report.explanation_plan import read_place
 from calib.report.html.cells import flagged
@@ -18,6 +17,8 @@ from calib.report.html.effects import ranked_effects
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, magnitude_in_words, significant, with_unit
 
+_NAMED = ("effect", "indistinguishable", "two_effects", "several_effects")
+"""Verdicts that name an effect."""
 _EXTENDED = "_extended"
 """End of the name of an extended study."""
 _NEAR = 0.1
@@ -26,7 +27,7 @@ _NEAR = 0.1
 
 def names_something(results: StudyResults) -> bool:
     """Whether the verdict names an effect."""
-    return results.explanation.get("verdict") in (*NAMED, "indistinguishable")
+    return results.explanation.get("verdict") in _NAMED
 
 
 def place_in_words(results: StudyResults) -> str:

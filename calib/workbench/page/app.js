@@ -2,6 +2,7 @@
 import { ask, change, h, lasting, tell } from "./dom.js";
 import { Correlation } from "./correlation.js";
 import { Designs } from "./designs.js";
+import { Measurement } from "./measurement.js";
 import { Missing } from "./missing.js";
 import { Overview, StudyList } from "./overview.js";
 import { Parameters } from "./parameters.js";
@@ -10,7 +11,7 @@ import { WhatIf } from "./what_if.js";
 
 const VIEWS = [
   ["overview", "Overview", Overview], ["search", "Search", Search], ["missing", "Missing physics", Missing],
-  ["correlation", "Correlation", Correlation], ["what-if", "What if", WhatIf], ["designs", "Designs", Designs], ["parameters", "Parameters", Parameters],
+  ["correlation", "Correlation", Correlation], ["what-if", "What if", WhatIf], ["designs", "Designs", Designs], ["measurement", "Measurement", Measurement], ["parameters", "Parameters", Parameters],
 ];
 const SLOW = 250;  // milliseconds between two readings of the same view
 
