@@ -11,7 +11,8 @@ from calib.missing import recommendation, tables
 from calib.results.former_names import COLUMNS, KEYS, RECORD, TABLES
 from calib.results.results import Results
 from calib.results.table import read_table
-from calib.study.settings import CalibrationSettings, ExplainSettings, StudySettings
+from calib.study.search_settings import CalibrationSettings
+from calib.study.settings import ExplainSettings, StudySettings
 from calib.study.study_text import read_settings
 
 SECTIONS = {

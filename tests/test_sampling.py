@@ -82,6 +82,19 @@ def test_points_move_into_narrow_constraints_as_little_as_they_must():
     np.testing.assert_array_equal(Narrow.of(constrained(6.0, 8.0)).filled(points), points)
 
 
+def test_an_equality_of_integers_is_solved_by_one_that_leaves_the_others_integers():
+    counts = tuple(Parameter(name, 1.0, 0.0, 8.0, integer=True) for name in ("m", "n", "k"))
+    tied = ParameterSpace(counts, (LinearConstraint("plates", (("m", 3.0), ("n", 1.0), ("k", 2.0)), 12.0, 12.0),))
+    points = sample(tied, 200, 1).points
+    assert (points == np.round(points)).all() and (points @ [3.0, 1.0, 2.0] == 12.0).all()
+    assert Narrow.of(tied).pivots == (1,) and len(np.unique(points, axis=0)) > 12
+    beside = LinearConstraint("at least", (("m", 1.0), ("k", 1.0)), 1.0, np.inf)  # an open end changes nothing
+    both = ParameterSpace(counts, (beside, *tied.constraints))
+    assert Narrow.of(both).pivots == (1,) and (sample(both, 50, 1).points @ [3.0, 1.0, 2.0] == 12.0).all()
+    none = ParameterSpace(counts[:2], (LinearConstraint("pair", (("m", 2.0), ("n", 3.0)), 12.0, 12.0),))
+    assert Narrow.of(none).pivots == ()  # neither follows in integers: points are drawn and kept where they meet it
+
+
 def test_constraints_that_accept_next_to_nothing_are_named_with_their_rate():
     apart = constrained(6.0, 8.0)
     both = ParameterSpace(apart.parameters, (*apart.constraints, LinearConstraint("a", (("a", 1.0),), 2.99999, 5.0)))

@@ -11,7 +11,7 @@ import pandas as pd
 from calib.analyses.compare import ComparisonResult, write_comparison, write_model_modes
 from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.provenance.record import begin_analysis
-from calib.analyses.provenance.state import ADDED, INTERVALS, ROBUSTNESS
+from calib.analyses.provenance.state import ADDED, INTERVALS, PARETO, ROBUSTNESS
 from calib.analyses.uncertainty import accuracy_words
 from calib.inference.cases import CaseResult, convergence_table, parameters_table
 from calib.problem.joint import stacked
@@ -96,7 +96,7 @@ def write_calibration(study: LoadedStudy, results: Results, answer: Calibration,
     """Write all tables on one test and ``summary.json``."""
     begin_analysis(results, "calibrate")
     gone = ("considered", "unexplained_calibrated", "std_by_test", "modes", "data_errors", "responses")
-    results.remove(*(f"{name}.csv" for name in gone), *ADDED, *INTERVALS, *ROBUSTNESS)
+    results.remove(*(f"{name}.csv" for name in gone), *ADDED, *INTERVALS, *ROBUSTNESS, *PARETO)
     write_comparison(results, answer.best.answer, "after")
     for name, table in answer.tables.items():
         results.write_table(name, table)
@@ -118,7 +118,8 @@ def write_jointly(study: AnyStudy, results: Results, answer: JointCalibration, m
     """Write the parameters and the tables on all tests together; those on one test are in its own folder."""
     best = answer.any.best
     begin_analysis(results, "calibrate")
-    results.remove("considered.csv", "unexplained_calibrated.csv", "data_errors.csv", *INTERVALS, *ROBUSTNESS)
+    gone = ("considered.csv", "unexplained_calibrated.csv", "data_errors.csv")
+    results.remove(*gone, *INTERVALS, *ROBUSTNESS, *PARETO)
     for name, table in answer.any.tables.items():
         results.write_table(name, table)
     errors = {test: one.errors for test, one in answer.tests.items() if one.errors is not None}

@@ -16,6 +16,7 @@ from calib.analyses.case_starts import (
     Steps,
     evaluable,
     from_further_starts,
+    initial_population,
     known_starts,
     least_squares,
     until_agreed,
@@ -42,7 +43,6 @@ from calib.inference.rules import RULES
 from calib.inference.starts import Enough, UntilAgreed, never
 from calib.problem.joint import JointProblem
 from calib.problem.problem import Counts
-from calib.problem.sampling import sample
 from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.study.several import AnyStudy
@@ -135,7 +135,7 @@ class CaseFinder:
         explained = [] if self._only is None or home is None else [explained_fit(self.study, home)]
         return (*linear, *known_starts(self.study, self.ledger, *explained))
 
-    def _reductions(self, followed: bool = False) -> dict[str, Reduction]:
+    def reductions(self, followed: bool = False) -> dict[str, Reduction]:
         """The reduced bases of the tests whose models are large, by name of the test.
 
         Where least squares are ``followed``, those of modes grow where they lead.
@@ -165,7 +165,7 @@ class CaseFinder:
         if stated or combinations(self.study.search_space) > RULES.refits:
             yield from self.by_search(cases)
             return
-        reductions = self._reductions(followed=True)
+        reductions = self.reductions(followed=True)
         for case in cases:
             until, found = UntilAgreed(len(self.known) + 1), None
             fit = partial(self.refined, reductions, told=with_prefix(self.progress, case.name), enough=until)
@@ -188,16 +188,16 @@ class CaseFinder:
         """
         study, space = self.study, self.study.search_space
         settings, objective = genetic_settings(study, self.quick), objective_of(study)
-        reductions = self._reductions()
+        reductions = self.reductions()
         remaining = list(cases)
         while remaining:
             responses = Responses.of(study, {test: one.problem for test, one in reductions.items()})
             count = settings.population * settings.generations
-            with self._evaluator(responses, reductions, count) as evaluator, evaluable(study):
+            with self.evaluator(responses, reductions, count) as evaluator, evaluable(study):
                 while remaining:
                     case = remaining.pop(0)
                     told = with_prefix(self.progress, case.name)
-                    initial = sample(space, settings.population, case.seed).points
+                    initial = initial_population(study, self.ledger, settings.population, case.seed)
                     search = run_case(
                         case, space, objective, settings, evaluator, self.ledger, responses.fingerprint, initial,
                         progress=partial(told, "genetic search"), certify=self._certifier(reductions),
@@ -215,7 +215,7 @@ class CaseFinder:
                     if reductions is not before:
                         break  # the next cases work on the next version of the basis
 
-    def _evaluator(
+    def evaluator(
         self, responses: Responses, reductions: Mapping[str, Reduction], count: int
     ) -> AbstractContextManager[BatchEvaluator]:
         """Evaluator of a search: of one test in worker processes where that pays, of several in this one."""
@@ -228,7 +228,7 @@ class CaseFinder:
 
     def statistics_at(self, values: Mapping[str, float]) -> FitStatistics:
         """The fit statistics at given values, without a fit."""
-        near = near_of(self.study, self._reductions()) if self.study.held_sd else None
+        near = near_of(self.study, self.reductions()) if self.study.held_sd else None
         return statistics_at(self.exact, Terms.of(self.study), values, near)
 
     def mesh_doubt(self, found: FitStatistics) -> str:
@@ -251,7 +251,7 @@ class CaseFinder:
 
     def by_least_squares(self, cases: Sequence[Case]) -> Iterator[tuple[CaseFound, ...]]:
         """Least squares from several starting points of each case."""
-        reductions = self._reductions(followed=True)
+        reductions = self.reductions(followed=True)
         for case in cases:
             fit = partial(self.refined, reductions, told=with_prefix(self.progress, case.name))
             found = least_squares(case, self.study, self.known, self.quick, fit)

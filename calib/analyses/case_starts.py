@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,9 +21,11 @@ from calib.execution.outcome import as_cause
 from calib.inference.cases import Case, CaseResult
 from calib.inference.rules import RULES
 from calib.inference.starts import UntilLowestTwice
+from calib.measurement.files.csv_record import header_of
 from calib.problem.problem import Counts
 from calib.problem.sampling import sample
 from calib.results.ledger import Ledger
+from calib.results.table import TableRow, read_rows
 from calib.study.several import AnyStudy
 
 Starts: TypeAlias = Sequence[Mapping[str, float]]
@@ -40,20 +43,57 @@ def known_starts(study: AnyStudy, ledger: Ledger, *others: Mapping[str, float]) 
         Where the study begins at a design that the ledger does not have.
     """
     space, begin_at = study.search_space, study.settings.calibration.begin_at
-    named = _of_design(begin_at, ledger, Place(str(study.file))) if isinstance(begin_at, str) else begin_at
+    named = _of_design("begin_at", begin_at, ledger, Place(str(study.file))) if isinstance(begin_at, str) else begin_at
     given = {name: value for name, value in named.items() if name in space}
     return tuple(space.complete(start) for start in (given, *others) if start)
 
 
-def _of_design(begin_at: str, ledger: Ledger, place: Place) -> Mapping[str, float]:
+def _of_design(key: str, design: str, ledger: Ledger, place: Place) -> Mapping[str, float]:
     """Values of a design by its number, ``design 4711``."""
-    found = ledger.design(int(begin_at.split()[1]))
+    found = ledger.design(int(design.split()[1]))
     if found is None:
         raise InputError(
-            f"begin_at names {begin_at}, and no design has that number", place=place,
+            f"{key} names {design}, and no design has that number", place=place,
             remedy="choose one that 'calib designs STUDY' lists",
         )  # fmt: skip
     return found.values
+
+
+def initial_population(study: AnyStudy, ledger: Ledger, size: int, seed: int) -> np.ndarray:
+    """First individuals of a search, (size, n_free): those that the study states, then sampled ones.
+
+    Raises
+    ------
+    InputError
+        For a design that the ledger does not have, a value that is missing, outside the search limits or no integer
+        where it must be one, and more designs than individuals.
+    """
+    space, points = study.search_space, sample(study.search_space, size, seed).points
+    given, place = study.settings.calibration.start_population, Place(str(study.file)).of("start_population")
+    rows: list[tuple[Mapping[str, float], TableRow | None]] = []
+    if isinstance(given, str):
+        file = study.file.resolve().parent / given
+        columns = dict.fromkeys([*space.free_names, *header_of(file)[0]])
+        own = read_rows(file, list(columns))
+        rows = [({name: row.number(name) for name in space.free_names}, row) for row in own]
+    else:
+        for one in given:
+            named = _of_design("start_population", one, ledger, place) if isinstance(one, str) else one
+            rows.append((named, None))
+    if len(rows) > size:
+        remedy = f"name fewer, or set population = {len(rows)}"
+        raise InputError(f"{len(rows)} designs are named for {size} individuals", place=place, remedy=remedy)
+    for k, (values, row) in enumerate(rows):
+        for j, p in enumerate(space.free):
+            value = float(values.get(p.name, math.nan))
+            if not p.lower <= value <= p.upper or (p.integer and value != round(value)):
+                remedy = f"give {'an integer' if p.integer else 'a value'} from {p.lower:g} to {p.upper:g}"
+                if row is not None:
+                    raise row.error(p.name, f"it is {value:g}", remedy)
+                words = "missing" if math.isnan(value) else f"{value:g}"
+                raise InputError(f"{p.name} of design {k + 1} is {words}", place=place, remedy=remedy)
+            points[k, j] = value
+    return points
 
 
 def least_squares(

@@ -19,7 +19,7 @@ from calib.errors.place import Place
 from calib.problem.effect import Effect
 from calib.results.written import DRAFT, free_name, is_own_folder, note_folder
 from calib.study.loading import pick
-from calib.study.settings import CalibrationSettings
+from calib.study.search_settings import CalibrationSettings
 from calib.study.several import AnyStudy, load
 from calib.study.study_file import StudyFile
 

@@ -16,7 +16,7 @@ from calib.experiment.test import ForwardProblem
 from calib.inference.objective import FrequencyMacObjective, JointObjective, Objective, ResponseObjective
 from calib.problem.joint import of_test
 from calib.results.fingerprint import digest_of
-from calib.study.settings import CalibrationSettings
+from calib.study.search_settings import CalibrationSettings
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 

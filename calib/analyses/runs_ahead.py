@@ -9,6 +9,7 @@ from calib.analyses.provenance.places import QUICK_SAMPLES, QUICK_STARTS
 from calib.execution.executor import Injected
 from calib.execution.worker import available_cores
 from calib.results.ledger import Ledger
+from calib.study.search_settings import ParetoSettings
 from calib.study.several import AnyStudy
 
 _STEPS = 5
@@ -16,10 +17,17 @@ _STEPS = 5
 _AGREE = 6
 """Starts after which fits usually agree, where a study leaves their number to that."""
 
-Verb = Literal["sensitivity", "calibrate", "explain"]
+Verb = Literal["sensitivity", "calibrate", "explain", "pareto"]
 
 
-def runs_ahead(study: AnyStudy, ledger: Ledger, verb: Verb, workers: Workers = None, quick: bool = False) -> str:
+def runs_ahead(
+    study: AnyStudy,
+    ledger: Ledger,
+    verb: Verb,
+    workers: Workers = None,
+    quick: bool = False,
+    front: ParetoSettings | None = None,
+) -> str:
     """How often an analysis will start the solver of a study, and how long that takes; empty without a solver.
 
     Parameters
@@ -27,16 +35,18 @@ def runs_ahead(study: AnyStudy, ledger: Ledger, verb: Verb, workers: Workers = N
     study : Study
     ledger : Ledger
         A stored run tells how long one takes.
-    verb : {"sensitivity", "calibrate", "explain"}
+    verb : {"sensitivity", "calibrate", "explain", "pareto"}
     workers : int, Injected or None
         See `calib.analyses.provenance.places.open_evaluator`.
     quick : bool
+    front : ParetoSettings, optional
+        Those of ``"pareto"``.
     """
     settings = study.settings
     if settings.solver is None:
         return ""
     stored = next((s for one in study.studies if (s := ledger.stored(one.problem.ledger_key)) is not None), None)
-    runs, why = _runs(study, verb, quick)
+    runs, why = _runs(study, verb, quick, front)
     told = f"The solver, {settings.solver.command!r}, will be started about {runs} times: {why}."
     if stored is None:
         return f"{told} How long one takes is not known yet."
@@ -47,13 +57,16 @@ def runs_ahead(study: AnyStudy, ledger: Ledger, verb: Verb, workers: Workers = N
     return f"{told} One took {stored.seconds:.2g} s: {whole / size:.2g} {unit}{shared}, less what is stored."
 
 
-def _runs(study: AnyStudy, verb: Verb, quick: bool) -> tuple[int, str]:
+def _runs(study: AnyStudy, verb: Verb, quick: bool, front: ParetoSettings | None) -> tuple[int, str]:
     """Expected runs of a verb, and of what they are made."""
     settings, tests = study.settings, len(study.studies)
     calibration = settings.calibration
     if verb == "sensitivity":
         samples = QUICK_SAMPLES if quick else settings.sensitivity.samples
         return samples, f"{samples} samples"
+    if front is not None:
+        runs = tests * front.population * front.generations
+        return runs, f"{front.generations} generations of {front.population} at most"
     step = tests * (1 + 2 * len(study.search_space.free))
     fixed = calibration.method == "gauss-newton"
     starts = QUICK_STARTS if quick else calibration.starts if fixed else _AGREE

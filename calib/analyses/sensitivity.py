@@ -143,11 +143,16 @@ def sampled(
     return measured(space, points, outcomes, names, study.settings.listed, _of_runs(study, names))
 
 
-def _of_runs(study: AnyStudy, names: Sequence[str]) -> Prognosis | None:
-    """The metamodels behind a study's responses, where its model is a table of runs; None where it computes."""
+def runs_of(study: AnyStudy) -> Runs | None:
+    """The table of runs that is a study's model; None where its model computes."""
     models = [one.model for one in study.studies]
     runs = models[0].metamodels if len(models) == 1 and isinstance(models[0], FunctionModel) else None
-    if not isinstance(runs, Runs):
+    return runs if isinstance(runs, Runs) else None
+
+
+def _of_runs(study: AnyStudy, names: Sequence[str]) -> Prognosis | None:
+    """The metamodels behind a study's responses, where its model is a table of runs; None where it computes."""
+    if (runs := runs_of(study)) is None:
         return None
     return Prognosis(tuple(one for one in runs.prognosis.models if one.response in names), runs.prognosis.untried)
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from calib.errors.arguments import values
 from calib.errors.errors import InputError
 from calib.results.former_names import MOVED
-from calib.study.settings import CalibrationSettings, ExplainSettings, StudySettings
+from calib.study.search_settings import CalibrationSettings
+from calib.study.settings import ExplainSettings, StudySettings
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 DEFAULTS = StudySettings.model_construct(title="problem", model="")
 """Settings of a problem that comes from no study."""
@@ -31,6 +35,7 @@ class SearchKeys(TypedDict, total=False):
     sigma_start: float
     sigma_end: float
     begin_at: Mapping[str, float] | str
+    start_population: str | Sequence[Mapping[str, float]] | Sequence[str] | pd.DataFrame
 
 
 class CalibrationKeys(SearchKeys, total=False):
@@ -109,6 +114,8 @@ def calibration_settings(
         keys.setdefault("method", "gauss-newton")
     if keys.get("begin_at") is not None and not isinstance(keys["begin_at"], str):
         keys["begin_at"] = values(keys["begin_at"], f"{verb}, begin_at")
+    if hasattr(keys.get("start_population"), "to_dict"):
+        keys["start_population"] = keys["start_population"].to_dict("records")
     if cases is not None or seed is not None:
         keys["cases"] = _cases(settings.calibration, cases, seed, verb)
     calibration = with_keys(settings.calibration, verb, keys)
@@ -139,6 +146,22 @@ def robustness_settings(settings: StudySettings, keys: RobustnessKeys) -> StudyS
     given = {name: tuple(pair) for name, pair in keys.get("limits", {}).items()}
     every = {**keys, "limits": {**settings.robustness.limits, **given}}
     return settings.model_copy(update={"robustness": with_keys(settings.robustness, "robustness", every)})
+
+
+class ParetoKeys(TypedDict, total=False):
+    """Keys of ``[pareto]``."""
+
+    objectives: Mapping[str, Sequence[str]]
+    population: int | None
+    generations: int | None
+    seed: int | None
+
+
+def pareto_settings(settings: StudySettings, keys: ParetoKeys) -> StudySettings:
+    """Settings of a search for the front of two groups of responses."""
+    given = {name: (own,) if isinstance(own, str) else tuple(own) for name, own in keys.get("objectives", {}).items()}
+    every = {**keys, "objectives": given or None}
+    return settings.model_copy(update={"pareto": with_keys(settings.pareto, "pareto", every)})
 
 
 def _reduction(settings: StudySettings, reduction: bool | Mapping[str, Any] | None, verb: str) -> Any:

@@ -16,10 +16,17 @@ from calib.analyses.every_mode import errors_at
 from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.joint_responses import own_values
 from calib.analyses.provenance.places import tasks_shared
-from calib.api.arguments import ExplainKeys, RobustnessKeys, calibration_settings, robustness_settings
+from calib.api.arguments import (
+    ExplainKeys,
+    ParetoKeys,
+    RobustnessKeys,
+    calibration_settings,
+    pareto_settings,
+    robustness_settings,
+)
 from calib.api.display import Compared, Displayed, compared
 from calib.api.entries.entry import Entry
-from calib.api.intervals import FitIntervals, FitRobustness
+from calib.api.intervals import FitIntervals, FitPareto, FitRobustness
 from calib.api.pairs import ledger_or_memory, reporting
 from calib.api.protocols import Candidates, Finer, P
 from calib.api.search import Searched
@@ -276,6 +283,41 @@ class Fit(Displayed, Generic[P]):
             run = RobustnessRun(ledger, study.settings.robustness, posterior, progress=step)
             return FitRobustness(robustness_at(study, self.values, run))
 
+    def pareto(
+        self,
+        *,
+        reduction: bool | Mapping[str, Any] | None = None,
+        executor: AnyExecutor | None = None,
+        progress: bool = True,
+        **keys: Unpack[ParetoKeys],
+    ) -> FitPareto:
+        """Weigh two groups of responses against each other: the Pareto front by NSGA-II (Deb et al. 2002).
+
+        Parameters
+        ----------
+        reduction, executor, progress
+            As in `calib.Problem.calibrate`.
+        **keys
+            ``objectives``, two groups by name, each a list of responses in which ``*`` stands for any text, by default
+            frequencies against MAC; ``population`` (40), ``generations`` (50) and ``seed``.
+
+        Raises
+        ------
+        InputError
+            For groups that match no response or overlap.
+        """
+        from calib.analyses.pareto import ParetoRun, pareto_at
+
+        problem = self.problem
+        settings = calibration_settings(problem.settings, {}, None, None, reduction, "pareto")
+        study = problem.study(pareto_settings(settings, keys))
+        with (
+            injected(executor) as workers, reporting("pareto", progress) as step,
+            ledger_or_memory(problem.ledger) as ledger,
+        ):  # fmt: skip
+            run = ParetoRun(ledger, study.settings.pareto, workers=workers, progress=step)
+            return FitPareto(pareto_at(study, self.values, run))
+
     def figure(self, name: str, ax: Axes | None = None, *, test: str = "") -> Axes:
         """Draw one figure of the fit.
 
@@ -330,9 +372,13 @@ def calibrated_fit(
     ):  # fmt: skip
         found = run_calibration(study, CalibrationRun(ledger, workers=workers, progress=step))
     best = found.seen(study.studies[0].test).best
-    # What is stated of levels and of the mesh holds for what is asked of the fit, too.
+    # What is stated of levels, of the mesh and of weights holds for what is asked of the fit, too.
     held: Any = problem
-    held = replace(held, settings=problem.settings.model_copy(update={"explain": settings.explain}))
+    stated, own = settings.calibration, problem.settings.calibration
+    weights = {name: getattr(stated, name) for name in ("weight_freq", "weight_mac")}
+    changed = {name: weight for name, weight in weights.items() if weight != getattr(own, name)}
+    update = {"explain": settings.explain, "calibration": own.model_copy(update=changed)}
+    held = replace(held, settings=problem.settings.model_copy(update=update))
     return Fit(held, best.statistics, found)
 
 

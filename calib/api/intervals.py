@@ -11,9 +11,11 @@ from calib.api.entries.entry import Entry
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from calib.analyses.intervals import Intervals
+    from calib.analyses.pareto import Pareto
     from calib.analyses.robustness import Robustness
 
 
@@ -101,3 +103,46 @@ class FitRobustness(Displayed):
 
         with style():
             return robustness_figure(self.of.table, self.of.samples)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FitPareto(Displayed):
+    """Two groups of responses of a fit, weighed against each other.
+
+    Attributes
+    ----------
+    of : Pareto
+        All results: ``table``, ``front``, and ``objectives``, the two groups.
+    """
+
+    of: Pareto
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """On the search, the knee, the best design by the weights of the objective, and the fit."""
+        return self.of.sentences
+
+    @property
+    def lines(self) -> Mapping[str, str]:
+        """The answer by the labels of its lines, and where the rest is."""
+        return {**self.of.answer.labelled, "Evidence": ".sentences, .table, .of.objectives; .figure() draws"}
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row for each design of the front, then the fit; see `calib.analyses.pareto.Pareto`."""
+        return self.of.table
+
+    @property
+    def entries(self) -> Sequence[Entry]:
+        """What the command prints below the answer."""
+        from calib.api.entries.calibrated import pareto_entries
+
+        return pareto_entries(self.of)
+
+    def figure(self, ax: Axes | None = None) -> Axes:
+        """Draw the front."""
+        from calib.report.pareto import draw_pareto
+        from calib.report.style import style
+
+        with style():
+            return draw_pareto(self.of.table, self.of.objectives, ax)

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from calib.analyses.designs import Designs
     from calib.analyses.extend import Extension
     from calib.analyses.intervals import Intervals
+    from calib.analyses.pareto import Pareto
     from calib.analyses.propose import ProposalResult
+    from calib.analyses.refine import Refined
     from calib.analyses.robustness import Robustness
     from calib.analyses.screening import Screening
     from calib.analyses.sensitivity import Sensitivity
@@ -80,6 +82,12 @@ class Listener:
 
     def pushed(self, answer: Robustness, folder: Results) -> None:
         """Samples of the posterior were pushed through the model."""
+
+    def weighed(self, answer: Pareto, folder: Results) -> None:
+        """Two groups of responses were weighed against each other."""
+
+    def refined(self, answer: Refined, folder: Results) -> None:
+        """New runs were proposed or evaluated."""
 
     def explained(self, study: AnyStudy, answer: ExplanationResult, folder: Results) -> None:
         """An explanation is done."""

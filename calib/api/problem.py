@@ -242,10 +242,10 @@ class Problem:
         **keys
             As in ``study.toml``, with the same defaults: ``method`` (``"auto"``, ``"genetic"``, ``"gauss-newton"`` or
             ``"cmcf"``), ``starts`` (of ``"gauss-newton"``, which it asks for), ``refine``, ``begin_at``,
-            ``weight_freq``, ``weight_mac``, ``population``, ``generations``, ``crossover``, ``mutation``,
-            ``sigma_start``, ``sigma_end``, ``freq_kind``, and of ``[explain]`` ``alpha`` and ``mesh_sd`` (standard
-            deviation of the error of the mesh, over the change to that of ``finer``); see
-            `calib.study.settings.CalibrationSettings`.
+            ``start_population``, ``weight_freq``, ``weight_mac``, ``population``, ``generations``, ``crossover``,
+            ``mutation``, ``sigma_start``, ``sigma_end``, ``freq_kind``, and of ``[explain]`` ``alpha`` and ``mesh_sd``
+            (error of the mesh, over the change to that of ``finer``); see
+            `calib.study.search_settings.CalibrationSettings`.
 
         Raises
         ------

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import pandas as pd
 
+from calib.analyses.refine import Refined, refined
 from calib.analyses.screening import screened
 from calib.analyses.sensitivity import Sensitivity, sampled
 from calib.api.arguments import with_keys
@@ -16,8 +17,10 @@ from calib.api.display import Displayed
 from calib.api.entries.entry import Entry
 from calib.api.pairs import ledger_or_memory, reporting
 from calib.api.protocols import ProblemLike
+from calib.errors.arguments import integer
 from calib.errors.arguments import path as path_of
 from calib.execution.executor import AnyExecutor, injected
+from calib.results.ledger import Ledger
 from calib.sensitivity.prognosis import Prognosis
 from calib.study.several import AnyStudy
 
@@ -32,6 +35,8 @@ class Assessed(Displayed):
         All measures with their noise floors and samples; the latter of Morris' and Sobol's methods.
     study : LoadedStudy or JointStudy
         The models and tests that were sampled.
+    ledger : Ledger or None
+        That of the problem.
 
     Examples
     --------
@@ -49,6 +54,7 @@ class Assessed(Displayed):
 
     answer: Any
     study: AnyStudy
+    ledger: Ledger | None = None
 
     @property
     def samples(self) -> pd.DataFrame:
@@ -93,6 +99,18 @@ class Assessed(Displayed):
 
         return draw_metamodel(self.prognosis[response], self.samples, path_of(path, "path"), inputs)
 
+    def refine(self, runs: int = 20, *, seed: int = 1, executor: Any = None, progress: bool = True) -> MoreRuns:
+        """New runs where they help most, evaluated where the model computes; see `calib.analyses.refine.refined`.
+
+        ``seed`` is that of the candidates; the other arguments are as in `calib.Problem.sensitivity`.
+        """
+        count = integer(runs, 1, "runs")
+        with (
+            injected(executor) as workers, reporting("refine", progress) as step,
+            ledger_or_memory(self.ledger) as ledger,
+        ):  # fmt: skip
+            return MoreRuns(refined(self.study, self.answer, ledger, count, seed, workers, step))
+
     @property
     def table(self) -> pd.DataFrame:
         """One row per parameter: its largest measures, the responses they belong to, and whether it is selected."""
@@ -134,6 +152,41 @@ class Assessed(Displayed):
         return f"Assessed({len(self.table)} parameters, {len(self.selected)} selected; {self.answer.samples} samples)"
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class MoreRuns(Displayed):
+    """New runs where they help metamodels most.
+
+    Attributes
+    ----------
+    of : Refined
+        All results: ``runs``, and ``prognosis``, the metamodels with them.
+    """
+
+    of: Refined
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What was proposed or evaluated, and the errors of prediction near the measurement."""
+        return self.of.sentences
+
+    @property
+    def lines(self) -> Mapping[str, str]:
+        """The answer by the labels of its lines, and where the rest is."""
+        return {**self.of.answer.labelled, "Evidence": ".table, .of.runs, .of.prognosis"}
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row for each response; see `calib.analyses.refine.Refined`."""
+        return self.of.table
+
+    @property
+    def entries(self) -> Sequence[Entry]:
+        """What the command prints below the answer."""
+        from calib.api.entries.compared import refined_entries
+
+        return refined_entries(self.of)
+
+
 def assessed(
     problem: ProblemLike,
     method: Literal["ranks", "morris", "sobol"],
@@ -150,6 +203,6 @@ def assessed(
         ledger_or_memory(problem.ledger) as ledger,
     ):  # fmt: skip
         if method == "ranks":
-            return Assessed(sampled(study, ledger, workers, progress=step), study)
+            return Assessed(sampled(study, ledger, workers, progress=step), study, problem.ledger)
         found = screened(study, ledger, method, workers, ignore_constraints=ignore_constraints, progress=step)
         return Assessed(found, study)

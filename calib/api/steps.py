@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
@@ -16,15 +17,19 @@ if TYPE_CHECKING:
     from calib.analyses.compare import ComparisonResult
     from calib.analyses.designs import Designs
     from calib.analyses.intervals import Intervals
+    from calib.analyses.pareto import Pareto
+    from calib.analyses.refine import Refined
     from calib.analyses.robustness import Robustness
     from calib.analyses.screening import Screening
     from calib.analyses.sensitivity import Sensitivity
-    from calib.api.arguments import RobustnessKeys
+    from calib.api.arguments import ParetoKeys, RobustnessKeys
+    from calib.api.problem import Problem
     from calib.execution.stage import Progress
     from calib.missing.findings import ExplanationResult
     from calib.results.ledger import Ledger
     from calib.results.results import Results
     from calib.study.several import AnyStudy
+    from calib.study.study import LoadedStudy
 
 
 @contextmanager
@@ -66,6 +71,20 @@ def sampled(study: Any) -> Sensitivity:
         answer = sensitivity(loaded, study.folder, ledger, study.workers, study.quick, step)
     study.listener.sampled(loaded, answer, study.folder)
     return answer
+
+
+def refined(study: Any, runs: int, seed: int) -> Refined:
+    """New runs of the only test where they help the question most."""
+    from calib.analyses.refine import refine
+    from calib.analyses.runs_ahead import runs_ahead
+
+    loaded = study.one
+    study.listener.begins(loaded, "refine")
+    with opened_ledger(study, loaded) as ledger, study.listener.progress() as step:
+        study.listener.will_run(runs_ahead(loaded, ledger, "sensitivity", study.workers, study.quick))
+        found = refine(loaded, study.folder, ledger, runs, seed, study.workers, study.quick, step)
+    study.listener.refined(found, study.folder)
+    return found
 
 
 def screened(study: Any, method: Literal["morris", "sobol"], ignore_constraints: bool) -> Screening:
@@ -155,6 +174,20 @@ def pushed(study: Any, **keys: Unpack[RobustnessKeys]) -> Robustness:
     return found
 
 
+def weighed(study: Any, **keys: Unpack[ParetoKeys]) -> Pareto:
+    """The front of two groups of responses, beside the stored calibration."""
+    from calib.analyses.pareto import ParetoRun, pareto
+    from calib.analyses.runs_ahead import runs_ahead
+    from calib.api.arguments import pareto_settings
+
+    with _about_calibration(study, "pareto") as (loaded, homes, ledger, step):
+        settings = pareto_settings(loaded.settings, keys).pareto
+        study.listener.will_run(runs_ahead(loaded, ledger, "pareto", study.workers, study.quick, settings))
+        found = pareto(loaded, study.folder, ParetoRun(ledger, settings, homes, study.workers, study.quick, step))
+    study.listener.weighed(found, study.folder)
+    return found
+
+
 def repeated(study: Any) -> Repeated:
     """Failed points of the study, evaluated once more."""
     from calib.analyses.again import again
@@ -211,3 +244,20 @@ def explained(study: Any) -> ExplanationResult:
         answer = explain(stored, study.folder, step, homes, {one.one.test: one.folder for one in study.tests})
     study.listener.explained(loaded, answer, study.folder)
     return answer
+
+
+def in_memory(study: LoadedStudy) -> Problem:
+    """One test of a study as a problem in memory; parameters of its nuisances belong to the test."""
+    from calib.api.problem import Problem
+
+    space, settings = study.search_space, study.settings
+    if file := settings.calibration.start_file:
+        own_path = {"start_population": str(study.file.resolve().parent / file)}
+        settings = settings.model_copy(update={"calibration": settings.calibration.model_copy(update=own_path)})
+    own = {name: value for name, value in space.values.items() if name not in study.model.space}
+    model = replace(study.model, space=space.without(own))
+    finer = study.on_finer_mesh()
+    return Problem(
+        model, study.experiment, unselected=study.unselected, settings=settings, base=study.base,
+        held_sd=study.held_sd, finer={} if finer is None else {model.name: finer},
+    )  # fmt: skip

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 from calib.analyses.provenance import places
 from calib.analyses.provenance.isolation import stated_time_limit
 from calib.api import steps
-from calib.api.arguments import RobustnessKeys
+from calib.api.arguments import ParetoKeys, RobustnessKeys
 from calib.api.display import AnalysisResult, Compared, by_test
 from calib.api.listener import Listener, Showing
 from calib.api.problem import Problem
@@ -156,7 +156,7 @@ class Study:
     @property
     def problem(self) -> Problem:
         """The study as a `Problem` in memory, with its settings and the selected parameters free; nothing is stored."""
-        first, *others = map(_in_memory, self.loaded.studies)
+        first, *others = map(steps.in_memory, self.loaded.studies)
         return replace(first, beside=tuple(others))
 
     @property
@@ -211,6 +211,14 @@ class Study:
         words = prefixed({test: one.sentences for test, one in answers.items()})
         return AnalysisResult(words, table, self.folder.path, answers, printed)
 
+    def refine(self, runs: int = 20, *, seed: int = 1) -> AnalysisResult:
+        """New runs of the only test where they help most; see `calib.api.sensitivity.Assessed.refine`."""
+        from calib.api.entries.compared import refined_entries
+
+        found = steps.refined(self, integer(runs, 1, "runs"), seed)
+        self.draw()
+        return AnalysisResult(found.sentences, found.table, self.folder.path, found, tuple(refined_entries(found)))
+
     def calibrate(
         self,
         case: str | None = None,
@@ -249,6 +257,14 @@ class Study:
         found = steps.pushed(self, **keys)
         self.draw()
         return AnalysisResult(found.sentences, found.table, self.folder.path, found, tuple(robustness_entries(found)))
+
+    def pareto(self, **keys: Unpack[ParetoKeys]) -> AnalysisResult:
+        """The front of two groups of responses beside the stored calibration; see `calib.api.fit.Fit.pareto`."""
+        from calib.api.entries.calibrated import pareto_entries
+
+        found = steps.weighed(self, **keys)
+        self.draw()
+        return AnalysisResult(found.sentences, found.table, self.folder.path, found, tuple(pareto_entries(found)))
 
     def designs(self, best: int = 12, **keys: Unpack[DesignKeys]) -> AnalysisResult:
         """Every design that searches and samples of the study as it is have evaluated, ranked by the objective.
@@ -382,15 +398,3 @@ class Study:
         from calib.api.figures import draw
 
         draw(self.loaded, folder or self.folder, self.results, self.listener, report, workers=self.workers)
-
-
-def _in_memory(study: Loaded) -> Problem:
-    """One test of a study as a problem in memory; parameters of its nuisances belong to the test."""
-    space = study.search_space
-    own = {name: value for name, value in space.values.items() if name not in study.model.space}
-    model = replace(study.model, space=space.without(own))
-    finer = study.on_finer_mesh()
-    return Problem(
-        model, study.experiment, unselected=study.unselected, settings=study.settings, base=study.base,
-        held_sd=study.held_sd, finer={} if finer is None else {model.name: finer},
-    )  # fmt: skip

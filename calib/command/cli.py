@@ -39,6 +39,8 @@ from calib.command.options import (
     listed,
     possible,
 )  # fmt: skip
+from calib.command.pareto import pareto
+from calib.command.refine import refine
 from calib.command.robustness import robustness
 from calib.errors.errors import InputError
 from calib.execution import interrupt
@@ -155,6 +157,9 @@ def sensitivity(
         )
 
 
+app.command(short_help="New runs where they help the metamodels most.")(refine)
+
+
 @app.command(short_help="Fit the parameters, and compare before and after.")
 def calibrate(
     study: StudyPath,
@@ -205,6 +210,7 @@ def intervals(
 
 
 app.command(short_help="Responses over what is known of the fitted parameters.")(robustness)
+app.command(short_help="Weigh two groups of responses against each other.")(pareto)
 app.command(short_help="List evaluated designs, the best first.")(designs)
 app.command(short_help="Write the solver's deck with the calibrated values.")(deck)
 app.command("open", short_help="Open the live page of a study.")(open_page)

@@ -53,6 +53,14 @@ def limits_of(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
     return out
 
 
+def groups_named(texts: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Groups such as ``low=natural_freq_1*,mac_1*`` by name; InputError for another form."""
+    pairs = [text.partition("=") for text in texts]
+    if wrong := next((text for text, pair in zip(texts, pairs, strict=True) if not (pair[0] and listed(pair[2]))), ""):
+        raise InputError(f"{wrong!r:.40} names no group", place="--group", remedy="write it as its help shows")
+    return {name: listed(responses) for name, _, responses in pairs}
+
+
 StudyPath = Annotated[Path, typer.Argument(metavar="STUDY", callback=possible, help="Folder with a study.toml.")]
 ResultsPath = Annotated[
     Path, typer.Option("--results", metavar="DIR", callback=possible, help="Where <study>/ with the results goes.")

@@ -15,7 +15,9 @@ from calib.analyses.compare import ComparisonResult
 from calib.analyses.designs import Designs
 from calib.analyses.extend import Extension
 from calib.analyses.intervals import Intervals
+from calib.analyses.pareto import Pareto
 from calib.analyses.propose import ProposalResult
+from calib.analyses.refine import Refined
 from calib.analyses.robustness import Robustness
 from calib.analyses.screening import Screening
 from calib.analyses.sensitivity import Sensitivity
@@ -154,6 +156,12 @@ class _Printing(Listener):
 
     def pushed(self, answer: Robustness, folder: Results) -> None:
         self._answered(answer.answer, folder.path / "robustness.csv", calibrated.robustness_entries(answer))
+
+    def weighed(self, answer: Pareto, folder: Results) -> None:
+        self._answered(answer.answer, folder.path / "pareto.csv", calibrated.pareto_entries(answer))
+
+    def refined(self, answer: Refined, folder: Results) -> None:
+        self._answered(answer.answer, folder.path / "proposed_runs.csv", compared.refined_entries(answer))
 
     def explained(self, study: AnyStudy, answer: ExplanationResult, folder: Results) -> None:
         self._answered(

@@ -1,6 +1,6 @@
-"""Genetic algorithm with generational replacement and an elite, through an ask/tell interface.
+"""Genetic algorithm with generational replacement and an elite, or NSGA-II, through an ask/tell interface.
 
-The loop is pymoo's; the operators here are passed to it.
+The loop is pymoo's, and NSGA-II's selection and survival; the operators here are passed to it.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from pymoo.algorithms.moo.nsga2 import NSGA2, binary_tournament
 from pymoo.algorithms.soo.nonconvex.ga import GA, comp_by_cv_and_fitness
 from pymoo.core.duplicate import DuplicateElimination
 from pymoo.core.evaluator import Evaluator
@@ -90,6 +91,9 @@ class GeneticSearch:
     Infeasible individuals lose every tournament against feasible ones and are ranked among themselves by their
     violation (Deb 2000). Same settings, initial population, seed and misfits: same populations.
 
+    Of several objectives the search is NSGA-II (Deb et al. 2002): parents and children compete by the front to which
+    they belong, then by their distance along it. Crossover and mutation are the same, the elite is not used.
+
     Parameters
     ----------
     space : ParameterSpace
@@ -98,6 +102,8 @@ class GeneticSearch:
     initial : ndarray (population, n_free)
         First population.
     seed : int
+    objectives : int
+        Misfits of each individual.
 
     Raises
     ------
@@ -105,7 +111,9 @@ class GeneticSearch:
         When the initial population has another shape, leaves the limits, or has fractions in an integer parameter.
     """
 
-    def __init__(self, space: ParameterSpace, settings: GeneticSettings, initial: np.ndarray, seed: int):
+    def __init__(
+        self, space: ParameterSpace, settings: GeneticSettings, initial: np.ndarray, seed: int, objectives: int = 1
+    ):
         start = np.array(initial, dtype=float)
         expected = (settings.population, len(space.free))
         if start.shape != expected:
@@ -118,23 +126,23 @@ class GeneticSearch:
         self.settings = settings
         # Limits only: pymoo evaluates nothing here. Its individuals are coordinates along the scales.
         lower, upper = space.coordinates(space.lower), space.coordinates(space.upper)
-        self._problem = Problem(n_var=len(space.free), n_obj=1, n_ieq_constr=1, xl=lower, xu=upper)
+        self._problem = Problem(n_var=len(space.free), n_obj=objectives, n_ieq_constr=1, xl=lower, xu=upper)
         # A stream of its own: a sampler given the same seed would otherwise produce the same numbers.
         stream = np.random.SeedSequence(seed, spawn_key=(1,))
-        self._algorithm = GA(
-            pop_size=settings.population,
-            sampling=space.coordinates(start),
-            mating=_FilledMating(
-                TournamentSelection(func_comp=comp_by_cv_and_fitness),
-                UniformCrossover(prob=settings.crossover),
-                _ShrinkingGaussian(settings, space),
-                eliminate_duplicates=_AmongChildren(),
-                n_max_iterations=20,
-            ),
-            survival=_ChildrenAndElite(settings.elites),
-            # The initial population stays as it is given, with individuals that occur twice.
-            eliminate_duplicates=False,
+        one = objectives == 1
+        mating = _FilledMating(
+            TournamentSelection(func_comp=comp_by_cv_and_fitness if one else binary_tournament),
+            UniformCrossover(prob=settings.crossover),
+            _ShrinkingGaussian(settings, space),
+            eliminate_duplicates=_AmongChildren(),
+            n_max_iterations=20,
         )
+        # The initial population stays as it is given, with individuals that occur twice.
+        given = {"sampling": space.coordinates(start), "mating": mating, "eliminate_duplicates": False}
+        if one:
+            self._algorithm = GA(settings.population, survival=_ChildrenAndElite(settings.elites), **given)
+        else:
+            self._algorithm = NSGA2(settings.population, **given)
         self._algorithm.setup(self._problem, termination=("n_gen", settings.generations), seed=stream)
         self._asked: Population | None = None
 
@@ -161,7 +169,7 @@ class GeneticSearch:
 
         Parameters
         ----------
-        misfit : ndarray (population,)
+        misfit : ndarray (population,) or (population, objectives)
             Finite where the violation is 0; ignored elsewhere.
         violation : ndarray (population,)
             0 for a feasible individual, positive otherwise.
@@ -170,13 +178,13 @@ class GeneticSearch:
             raise RuntimeError("tell was called before ask")
         n = len(self._asked)
         misfit, violation = np.asarray(misfit, dtype=float), np.asarray(violation, dtype=float)
-        if misfit.shape != (n,) or violation.shape != (n,):
+        if misfit.size != n * self._problem.n_obj or len(misfit) != n or violation.shape != (n,):
             raise ValueError(f"misfit {misfit.shape} and violation {violation.shape} are not ({n},)")
-        feasible = violation == 0
+        misfit, feasible = misfit.reshape(n, -1), violation == 0
         if not (np.all(violation >= 0) and np.all(np.isfinite(misfit[feasible]))):
             raise ValueError("a violation is negative or NaN, or the misfit of a feasible individual is not finite")
         # NaN would tie at random in a tournament.
-        reported = StaticProblem(self._problem, F=np.where(feasible, misfit, np.inf)[:, None], G=violation[:, None])
+        reported = StaticProblem(self._problem, F=np.where(feasible[:, None], misfit, np.inf), G=violation[:, None])
         Evaluator().eval(reported, self._asked)
         self._algorithm.tell(infills=self._asked)
         self._asked = None

@@ -25,9 +25,26 @@ class Objective(Protocol):
         """Measured values whose relative errors are weighed, by name of the response."""
         ...
 
+    @property
+    def weights(self) -> Mapping[str, float]:
+        """Weight of each response in the misfit."""
+        ...
+
+    def terms(self, responses: Mapping[str, float]) -> dict[str, float]:
+        """Error of each response, 0 for agreement, as a fraction: the misfit is their weighted sum."""
+        ...
+
     def __call__(self, responses: Mapping[str, float]) -> float:
         """Misfit, 0 for full agreement; not finite when undefined."""
         ...
+
+
+def weighted(objective: Objective, responses: Mapping[str, float]) -> float:
+    """The misfit of some responses: the weighted sum of their errors."""
+    weights, total = objective.weights, 0.0
+    for name, error in objective.terms(responses).items():  # `sum` rounds otherwise from Python 3.12 on
+        total += weights[name] * error
+    return total
 
 
 def _response(responses: Mapping[str, float], name: str) -> float:
@@ -93,18 +110,28 @@ class FrequencyMacObjective:
         weight_mac = float(self.weight_mac) if self.use_mac else 0.0
         return f"frequency-mac a={float(self.weight_freq)!r} b={weight_mac!r} {freq}"
 
-    def __call__(self, responses: Mapping[str, float]) -> float:
-        """Misfit of named responses; InputError when one is missing."""
-        total = 0.0
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weight of each response in the misfit."""
+        each = {"natural_freq": self.weight_freq, **({"mac": self.weight_mac} if self.use_mac else {})}
+        return {f"{kind}_{mode}": weight for mode in self.modes for kind, weight in each.items()}
+
+    def terms(self, responses: Mapping[str, float]) -> dict[str, float]:
+        """Relative frequency error and MAC deficit of each mode; InputError when a response is missing."""
+        out = {}
         for mode in self.modes:
             measured = float(self.natural_freq[mode])
             model = _response(responses, f"natural_freq_{mode}")
             paired = not math.isnan(model)
-            total += self.weight_freq * (abs(model - measured) / measured if paired else 1.0)
+            out[f"natural_freq_{mode}"] = abs(model - measured) / measured if paired else 1.0
             if self.use_mac:
                 mac = _response(responses, f"mac_{mode}")
-                total += self.weight_mac * (abs(1.0 - mac) if paired and not math.isnan(mac) else 1.0)
-        return total
+                out[f"mac_{mode}"] = abs(1.0 - mac) if paired and not math.isnan(mac) else 1.0
+        return out
+
+    def __call__(self, responses: Mapping[str, float]) -> float:
+        """Misfit of named responses; InputError when one is missing."""
+        return weighted(self, responses)
 
     @property
     def targets(self) -> dict[str, float]:
@@ -146,13 +173,31 @@ class JointObjective:
         """Text that identifies the objective: it differs whenever the misfit of some responses could."""
         return "; ".join(f"{test}: {objective.identity}" for test, objective in self.objectives.items())
 
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weight of each response in the misfit, by joint name."""
+        return {f"{test}: {name}": v for test, one in self.objectives.items() for name, v in one.weights.items()}
+
+    def terms(self, responses: Mapping[str, float]) -> dict[str, float]:
+        """Error of each response of every test, by joint name; InputError when one is missing."""
+        return {
+            f"{test}: {name}": error
+            for test, one in self.objectives.items()
+            for name, error in one.terms(_of_test(test, responses)).items()
+        }
+
     def __call__(self, responses: Mapping[str, float]) -> float:
         """Misfit of named responses; InputError when one is missing."""
         total = 0.0
-        for test, objective in self.objectives.items():
-            label = f"{test}: "
-            total += objective({n.removeprefix(label): v for n, v in responses.items() if n.startswith(label)})
+        for test, one in self.objectives.items():
+            total += one(_of_test(test, responses))
         return total
+
+
+def _of_test(test: str, responses: Mapping[str, float]) -> dict[str, float]:
+    """The responses of one of several tests, by their own names."""
+    label = f"{test}: "
+    return {name.removeprefix(label): value for name, value in responses.items() if name.startswith(label)}
 
 
 @dataclass(frozen=True)
@@ -188,13 +233,22 @@ class ResponseObjective:
         """Text that identifies the objective: it differs whenever the misfit of some responses could."""
         return "responses " + ",".join(f"{name}={float(self.targets[name])!r}" for name in sorted(self.targets))
 
+    @property
+    def weights(self) -> dict[str, float]:
+        """1 for each response."""
+        return dict.fromkeys(self.targets, 1.0)
+
+    def terms(self, responses: Mapping[str, float]) -> dict[str, float]:
+        """Relative error of each response, infinite where it is NaN; InputError when one is missing."""
+        found = {name: _response(responses, name) for name in self.targets}
+        return {
+            name: math.inf if math.isnan(found[name]) else abs(found[name] - target) / abs(target)
+            for name, target in self.targets.items()
+        }
+
     def __call__(self, responses: Mapping[str, float]) -> float:
         """Misfit of named responses; InputError when one is missing."""
-        total = 0.0
-        for name, target in self.targets.items():
-            response = _response(responses, name)
-            total += math.inf if math.isnan(response) else abs(response - target) / abs(target)
-        return total
+        return weighted(self, responses)
 
     def errors(self, responses: Mapping[str, float]) -> pd.DataFrame:
         """What the misfit is of, response by response; columns as those of `FrequencyMacObjective.errors`.

@@ -58,6 +58,8 @@ class Narrow:
         The constraints themselves.
     pivots : tuple of int
         The parameter that follows from the others, by row: the one by which its sum changes most within the limits.
+    whole : tuple of int
+        Those of them that are integers.
     """
 
     rows: np.ndarray
@@ -66,10 +68,14 @@ class Narrow:
     upper: np.ndarray
     every: np.ndarray
     pivots: tuple[int, ...]
+    whole: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, space: ParameterSpace) -> Narrow:
-        """The narrow constraints of a space; those that depend on others, or on integers alone, are left out."""
+        """The narrow constraints of a space; left out are those that depend on others.
+
+        Of those on integers alone there remain equalities that some parameter solves in integers.
+        """
         weights, low, high = space.constraint_rows()
         span = space.upper - space.lower
         kept, pivots = list[int](), list[int]()
@@ -82,6 +88,9 @@ class Narrow:
             for j, pivot in enumerate(pivots):
                 own, mix = own - own[pivot] * rows[j], mix - own[pivot] * combined[j]
             size = np.where(space.integer, 0.0, np.abs(own) * span)
+            if not size.any() and low[k] == high[k]:  # of integers alone: those by which the others stay integers
+                used = mix != 0  # limits of others may be infinite
+                size = np.where(_divides(own, mix[used] @ low[used]), np.abs(own) * span, 0.0)
             pivot = int(np.argmax(size))
             if not size[pivot] > 1e-9 * reach:
                 continue
@@ -90,7 +99,8 @@ class Narrow:
             rows, combined = np.vstack([rows - across * own, own]), np.vstack([combined - across * mix, mix])
             kept.append(k)
             pivots.append(pivot)
-        return cls(rows, combined[:, kept], low[kept], high[kept], weights[kept], tuple(pivots))
+        return cls(rows, combined[:, kept], low[kept], high[kept], weights[kept], tuple(pivots),
+                   tuple(pivot for pivot in pivots if space.integer[pivot]))  # fmt: skip
 
     def filled(self, points: np.ndarray, share: np.ndarray | None = None) -> np.ndarray:
         """Points (n, n_free) moved into the narrow constraints along the pivots, which may leave their limits.
@@ -109,7 +119,15 @@ class Narrow:
         others[:, self.pivots] = 0.0
         moved = points.copy()
         moved[:, self.pivots] = sums @ self.combined.T - others @ self.rows.T
+        moved[:, self.whole] = np.round(moved[:, self.whole])
         return moved
+
+
+def _divides(row: np.ndarray, total: float) -> np.ndarray:
+    """Which coefficients (n,) divide all others and the total of an equality."""
+    used = np.abs(row) > 0
+    ratios = np.vstack([row[:, None] / np.where(used, row, 1.0), total / np.where(used, row, 1.0)])
+    return used & (np.abs(ratios - np.round(ratios)) < 1e-9).all(axis=0)
 
 
 def sample(space: ParameterSpace, count: int, seed: int | np.random.Generator, batch: int | None = None) -> Sample:

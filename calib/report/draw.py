@@ -23,6 +23,7 @@ from calib.report.model import face_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
 from calib.report.orthogonality import orthogonality_figure
 from calib.report.parameters import draw_parameters
+from calib.report.pareto import draw_pareto
 from calib.report.places import places_figure
 from calib.report.profiles import profiles_figure
 from calib.report.responses import draw_responses
@@ -254,6 +255,13 @@ def _calibration(folder: Folder) -> Iterator[Drawing]:
         drawn = read_results(folder / "robustness_samples.csv", [], others_are_numbers=True)
         caption = "robustness of the responses"
         yield Drawing("robustness", caption, bound(robustness_figure, known, drawn), ("robustness",))
+    path = folder / "pareto.csv"
+    if path.exists() and (folder / "pareto_objectives.csv").exists():
+        numbers = ["design", "first", "second", "objective"]
+        front = read_results(path, ["kind"], numbers, complete=numbers, flags=["knee", "lowest"])
+        both = read_results(folder / "pareto_objectives.csv", ["name", "of"], ["weight"], complete=["weight"])
+        names = ("pareto", "pareto_objectives")
+        yield Drawing("pareto", " against ".join(both["name"]), bound(draw_pareto, front, both), names)
     path = folder / "posterior_correlation.csv"
     if path.exists() and len(posterior := read_square(path, may_be_empty=True)) > 1:
         draw = bound(draw_correlation, posterior, threshold=STRONG, label=POSTERIOR, most_in_matrix=MOST_IN_MATRIX)

@@ -35,10 +35,13 @@ class Runs:
     space : ParameterSpace
         The inputs, between the smallest and the largest value of the runs.
     prognosis : Prognosis
+    points : DataFrame (n_runs, n_inputs)
+        The inputs of the runs.
     """
 
     space: ParameterSpace
     prognosis: Prognosis
+    points: pd.DataFrame
 
     def __call__(self, values: Mapping[str, float]) -> dict[str, float]:
         """Predicted responses; EvaluationError outside the runs, where metamodels do not hold."""
@@ -77,17 +80,18 @@ def require_within_runs(model: FunctionModel, space: ParameterSpace, place: Plac
 
 
 def read_runs(path: str | Path, inputs: Sequence[str], outputs: Sequence[str] = ()) -> FunctionModel:
-    r"""Read a table of runs, one row a run, as a model whose responses are predicted by metamodels.
+    r"""Read a table of runs, one row a run or one a response, as a model whose responses metamodels predict.
 
     Parameters
     ----------
     path : str or Path
-        CSV with one column for every input and output; a second line may hold the units. Empty cells of outputs are
-        those of failed runs.
+        CSV with one column for every input and output, or, one row for every run and response, with the columns
+        ``response`` and ``value`` beside the inputs, and ``run`` where runs have the same inputs. A second line may
+        hold the units. Empty cells of outputs are those of failed runs.
     inputs : sequence of str
         Columns that become parameters, free between their smallest and largest value, in the unit of the second line.
     outputs : sequence of str
-        Columns that become responses; by default all others.
+        Columns, or entries of ``response``, that become responses; by default all others.
 
     Returns
     -------
@@ -117,7 +121,9 @@ def read_runs(path: str | Path, inputs: Sequence[str], outputs: Sequence[str] = 
     path = path_of(path, "table of runs")
     named = [inputs] if isinstance(inputs, str) else list(inputs)
     header, _ = header_of(path)
-    wanted = [*named, *(outputs or [name for name in header if name not in named])]
+    is_long = {"response", "value"} <= {*header} - {*named, *outputs}
+    found = ["response", "value"] if is_long else list(outputs or [name for name in header if name not in named])
+    wanted = [*named, *found]
     rows = read_rows(path, [*wanted, *(name for name in header if name not in wanted)])
     units = _units(rows[0]) if rows else None
     rows = rows if units is None else rows[1:]
@@ -125,8 +131,11 @@ def read_runs(path: str | Path, inputs: Sequence[str], outputs: Sequence[str] = 
         raise InputError("it has no " + ("inputs" if not named else "outputs"), place=path,
                          remedy=f"name columns among {', '.join(header)}")  # fmt: skip
     points = pd.DataFrame([[row.number(name) for name in named] for row in rows], columns=named)
-    found = wanted[len(named) :]
-    values = pd.DataFrame([[_output(row, name) for name in found] for row in rows], columns=found)
+    if is_long:
+        points, values = _by_run(rows, points, outputs)
+        found = [str(name) for name in values]
+    else:
+        values = pd.DataFrame([[_output(row, name) for name in found] for row in rows], columns=found)
     known, least = (
         int(values.notna().any(axis=1).sum()),
         max(PROGNOSIS.rows_least, PROGNOSIS.runs_an_input * len(named)),
@@ -135,7 +144,7 @@ def read_runs(path: str | Path, inputs: Sequence[str], outputs: Sequence[str] = 
         words = f"{known} runs that did not fail are too few for {len(named)} inputs"
         raise InputError(words, place=path, remedy=f"add runs, {least} at least, or name fewer inputs")
     space = ParameterSpace(tuple(_parameter(path, name, points[name], (units or {}).get(name, "")) for name in named))
-    runs = Runs(space, prognosis(space, points, values))
+    runs = Runs(space, prognosis(space, points, values), points)
     # Which metamodels these are depends on what is installed: points that others predicted are not theirs.
     chosen = [(one.kind, one.inputs) for one in runs.prognosis.models]
     identity = digest_of("runs 1", named, found, points.to_numpy(), values.to_numpy(), PROGNOSIS, chosen)[:16]
@@ -148,6 +157,34 @@ def _units(row: TableRow) -> dict[str, str] | None:
     if any(number_of(cell, row.comma) is not None for cell in cells.values()) or not any(cells.values()):
         return None
     return {name: cell.strip("[]() ") for name, cell in cells.items()}
+
+
+def _by_run(
+    rows: Sequence[TableRow], points: pd.DataFrame, outputs: Sequence[str]
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Inputs and responses of each run, from a row for each run and response."""
+    first, found, given = dict[object, int](), dict[object, dict[str, float]](), list(map(tuple, points.to_numpy()))
+    for k, row in enumerate(rows):
+        run = row.cells.get("run") or given[k]
+        begun = first.setdefault(run, k)
+        for name, here, there in zip(points, given[k], given[begun], strict=True):
+            if here != there:
+                words = f"run {run} has {here:g} here and {there:g} in line {rows[begun].line}"
+                raise row.error(str(name), words, "give every run one value of each input")
+        responses = found.setdefault(run, {})
+        if not (response := row.cells["response"]):
+            continue  # a run that failed as a whole
+        if response in responses:
+            words = f"run {run} has {response} twice" if "run" in row.cells else f"these inputs have {response} twice"
+            raise row.error("response", words, "name the runs in a column 'run', or leave one out")
+        responses[response] = _output(row, "value")
+    known = list(dict.fromkeys(name for one in found.values() for name in one))
+    if missing := [name for name in outputs if name not in known]:
+        words, remedy = f"it has no response {missing[0]!r}", f"the responses are {', '.join(known)}"
+        raise InputError(words, place=rows[0].path, remedy=remedy)
+    return points.iloc[list(first.values())].reset_index(drop=True), pd.DataFrame(
+        list(found.values()), columns=list(outputs) or known, dtype=float
+    )
 
 
 def _output(row: TableRow, name: str) -> float:

@@ -15,9 +15,7 @@ from calib.errors.errors import InputError
 from calib.study.measurement_settings import (
     GENERIC,
     MODEL,
-    NAME,
     RUNS,
-    DesignName,
     HeldOutSettings,
     LibraryText,
     MeasurementSettings,
@@ -26,10 +24,10 @@ from calib.study.measurement_settings import (
     PathText,
     Section,
     Seed,
-    Share,
     TestSettings,
     WrongBelow,
 )
+from calib.study.search_settings import CalibrationSettings, ParetoSettings, ReductionSettings
 from calib.study.solver_settings import ComputeSettings, SolverSettings
 
 _GRACE = 10.0
@@ -113,15 +111,6 @@ class RobustnessSettings(Section):
         return limits
 
 
-class CaseSettings(Section):
-    """``[[calibration.cases]]``: one run of the search from its own initial population."""
-
-    name: str = Field(pattern=NAME, max_length=100)
-    """Label of the case."""
-    seed: Seed
-    """Seed of its initial population."""
-
-
 class RetrySettings(Section):
     """``retry``: a function of your own is called again where it fails for a reason that passes."""
 
@@ -140,71 +129,6 @@ class RetrySettings(Section):
         except re.error as fault:
             raise ValueError(f"the pattern is no regular expression ({fault})") from None
         return value
-
-
-class ReductionSettings(Section):
-    """``[reduction]``: fits and searches on a reduced basis; reported results are always solved at full order."""
-
-    use: bool = True
-    """Whether searches of large models use a reduced basis."""
-    tolerance: float = Field(default=1e-5, gt=0, lt=0.1)
-    """Relative error of an eigenvalue up to which the basis counts as trained; FRFs may be off by 0.05 standard
-    deviations."""
-    seed: Seed = 1
-    """Seed of the points that train the basis."""
-
-
-class CalibrationSettings(Section):
-    """``[calibration]``: genetic searches from independent populations, and least squares after them."""
-
-    method: Literal["auto", "genetic", "gauss-newton", "cmcf"] = "auto"
-    """Least squares from random starts until they agree, else a genetic search too, at once where integer parameters
-    have more than 25 combinations; genetic search followed by least squares; least squares alone from several starts;
-    or of FRFs the linear cross-model equations alone (Li and Hong 2012), with which least squares on FRFs begin too."""
-    refine: bool = True
-    """Whether least squares follow a search."""
-    starts: int = Field(default=6, ge=1, le=10_000)
-    """Starts of ``gauss-newton``; on FRFs more where the fit from these is rejected."""
-    time_limit: float = Field(default=3600.0, gt=0, le=1e7)
-    """Longest time of one evaluation of a function of your own, s."""
-    weight_freq: float = Field(default=1.0, ge=0, le=1e12)
-    """Weight of the frequency errors in the objective of the search."""
-    weight_mac: float = Field(default=1.0, ge=0, le=1e12)
-    """Weight of 1 - MAC in the objective of the search."""
-    population: int = Field(default=30, ge=4, le=100_000)
-    """Individuals of a generation."""
-    generations: int = Field(default=250, ge=2, le=1_000_000)
-    """Generations of a search."""
-    crossover: Share = 0.5
-    """Probability of crossover."""
-    mutation: Share = 0.15
-    """Probability that a parameter mutates."""
-    sigma_start: float = Field(default=0.10, gt=0, le=1)
-    """Standard deviation of a mutation in the first generation, over the range of the parameter."""
-    sigma_end: float = Field(default=0.01, gt=0, le=1)
-    """The same in the last generation."""
-    freq_kind: Literal["natural", "damped"] = "natural"
-    """Which frequencies the table and the figure of all measured modes hold: ``|lambda|/2pi``, as the mean errors and
-    the fit, or ``Im lambda/2pi``."""
-    begin_at: dict[str, float] | DesignName = Field(default_factory=dict)
-    """A further start of least squares, besides the end of each search: parameters in their own units, or an evaluated
-    design by its number, ``"design 4711"``."""
-    cases: tuple[CaseSettings, ...] = Field(default=(CaseSettings(name="C1", seed=1),), min_length=1)
-    """Independent searches; agreement between them is reported for each parameter."""
-
-    @property
-    def begin_values(self) -> dict[str, float]:
-        """Values of ``begin_at``; none for a design, whose values the ledger has."""
-        return {} if isinstance(self.begin_at, str) else self.begin_at
-
-    @field_validator("cases")
-    @classmethod
-    def _distinct(cls, cases: tuple[CaseSettings, ...]) -> tuple[CaseSettings, ...]:
-        names = [case.name for case in cases]
-        for k, name in enumerate(names):
-            if name in names[:k]:
-                raise WrongBelow(f"two cases are named {name!r}", k, "name")
-        return cases
 
 
 class ExplainSettings(Section):
@@ -282,6 +206,8 @@ class StudySettings(Section):
     """Calibration."""
     robustness: RobustnessSettings = RobustnessSettings()
     """Responses over what is known of the fitted parameters."""
+    pareto: ParetoSettings = ParetoSettings()
+    """Trade-off between two groups of responses."""
     explain: ExplainSettings = ExplainSettings()
     """Search for a missing effect."""
     compute: ComputeSettings = ComputeSettings()

@@ -227,7 +227,7 @@ class StudyFile:
         files = list(code)
         for data in settings.tests or (settings.measurement,):
             files += [*data.files, *data.shapes, *filter(None, [data.sensors, data.responses])]
-        files += settings.model_files
+        files += [*settings.model_files, *filter(None, [settings.calibration.start_file])]
         return {file: (folder / file).resolve() for file in files}
 
     @property

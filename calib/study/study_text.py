@@ -19,8 +19,8 @@ from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.errors.toml_places import Keys, Mark, keys_in_words, place_in
 from calib.results.former_names import KEYS, MOVED
-from calib.study.measurement_settings import LIBRARY, MODEL, RUNS
-from calib.study.settings import NAME, StudySettings
+from calib.study.measurement_settings import LIBRARY, MODEL, NAME, RUNS
+from calib.study.settings import StudySettings
 from calib.study.solver_settings import EXECUTOR
 
 
@@ -159,6 +159,8 @@ def _moved(data: dict[str, Any], own: Path, folder: Path) -> dict[str, Any]:
         for key, value in section.items():
             if key in _PATHS:
                 out[key] = leads(value)
+            elif key == "start_population" and isinstance(value, str):
+                out[key] = lead(value)
             elif key == "model" and isinstance(value, dict):
                 out[key] = {**value, **{k: leads(value[k]) for k in _OF_SOLVER if k in value}}
                 out[key] |= {k: command(value[k]) for k in ("command",) if k in value}
@@ -177,7 +179,7 @@ _OF_ONE_TEST = ("measurement", "held_out", "pairing")
 """Keys that describe the measurement of a study without ``[[tests]]``."""
 _PATHS = ("files", "shapes", "sensors", "responses", "depends_on", "decks", "deck_files", "study")
 _FUNCTIONS = ("model", "effects")
-_WITH_PATHS = ("measurement", "adopted")
+_WITH_PATHS = ("measurement", "adopted", "calibration")
 _OF_SOLVER = ("template", "files")
 """Keys that hold paths, functions in files, tables with such keys, and lists of paths under ``[model]``."""
 

@@ -16,7 +16,8 @@ from calib.api.arguments import CalibrationKeys, ExplainKeys
 from calib.command import cli
 from calib.command.example import write_example
 from calib.results.ledger import Ledger
-from calib.study.settings import CalibrationSettings, ExplainSettings
+from calib.study.search_settings import CalibrationSettings
+from calib.study.settings import ExplainSettings
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
 QUICK = ["five_mass_chain"]

@@ -266,3 +266,19 @@ def test_wrong_misfits_are_refused():
         with pytest.raises(ValueError):
             search.tell(misfit, violation)
     search.tell(np.zeros(4), np.ones(4))
+
+
+@pytest.mark.parametrize("kind", ["plain", "integers"])
+def test_equalities_hold_in_every_generation(kind):
+    """Of the sum of two parameters, beside a third that is free."""
+    pair = tuple(Parameter(name, 10.0, 1.0, 100.0, integer=kind == "integers") for name in "ab")
+    tied = ParameterSpace(
+        (*pair, Parameter("c", 0.5, 0.0, 1.0)), (LinearConstraint("sum", (("a", 1.0), ("b", 1.0)), 90.0, 90.0),)
+    )
+    settings = GeneticSettings(population=20, generations=8)
+    populations, _ = play(tied, settings, 1, lambda x: np.abs(x[:, 0] - 30.0), lambda x: scaled_violation(tied, x))
+    later = populations[1:].reshape(-1, 3)
+    met = tied.feasible(later)
+    assert met.mean() > 0.6 and len(np.unique(later[met], axis=0)) > 40  # others leave their limits
+    np.testing.assert_allclose(later[met][:, :2].sum(axis=1), 90.0, atol=1e-9)
+    assert np.abs(later[met][:, 0] - 30.0).min() < 3.0

@@ -196,3 +196,49 @@ def test_other_metamodels_of_the_same_runs_are_another_model(tmp_path, monkeypat
 
     monkeypatch.setattr(runs, "prognosis", other)
     assert read_runs(path, ["k", "m"]).fingerprint != one.fingerprint
+
+
+# -- one row for every run and response --------------------------------------------------------------------------------
+
+
+def long_table(found, run=True):
+    """The same runs, a row for each response; the second run has failed, the third has no mass."""
+    rows = ["run,k,m,response,value" if run else "k,m,response,value", ",kN/m,kg,," if run else "kN/m,kg,,"]
+    for k, row in enumerate(found.to_dict("records")):
+        head = f"R{k},{row['k']!r},{row['m']!r}" if run else f"{row['k']!r},{row['m']!r}"
+        if k == 1:
+            rows.append(f"{head},,")
+            continue
+        rows += [
+            f"{head},{name},{'' if (k, name) == (2, 'mass') else repr(row[name])}" for name in ("f1", "f2", "mass")
+        ]
+    return "\n".join(rows)
+
+
+@pytest.mark.parametrize("run", [True, False])
+def test_a_long_table_is_the_wide_one(tmp_path, run):
+    found = table(count=30)
+    wide = found.copy()
+    wide.loc[1, ["f1", "f2", "mass"]] = np.nan
+    wide.loc[2, "mass"] = np.nan
+    (tmp_path / "long.csv").write_text(long_table(found, run), encoding="utf-8")
+    mine, own = read_runs(tmp_path / "long.csv", ["k", "m"]), read_runs(written(tmp_path, wide), ["k", "m"])
+    pd.testing.assert_frame_equal(mine.metamodels.prognosis.table, own.metamodels.prognosis.table)
+    assert [(p.name, p.unit, p.lower) for p in mine.space] == [(p.name, p.unit, p.lower) for p in own.space]
+    assert mine.function(TRUE) == own.function(TRUE)
+    some = read_runs(tmp_path / "long.csv", ["k", "m"], outputs=["f2"])
+    assert list(some.function(TRUE)) == ["f2"]
+
+
+def test_contradictions_of_a_long_table_are_refused_with_their_line(tmp_path):
+    lines = long_table(table(count=25)).splitlines()
+    for line, words in (
+        ("R0,31.0,7.0,f3,1.0", "column k: run R0 has 31 here"),
+        (lines[2], "run R0 has f1 twice"),
+    ):
+        (tmp_path / "long.csv").write_text("\n".join([*lines, line]), encoding="utf-8")
+        with pytest.raises(calib.InputError, match=words):
+            read_runs(tmp_path / "long.csv", ["k", "m"])
+    (tmp_path / "long.csv").write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(calib.InputError, match=r"no response 'f9'.*f1, f2, mass"):
+        read_runs(tmp_path / "long.csv", ["k", "m"], outputs=["f9"])

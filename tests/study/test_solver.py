@@ -20,6 +20,7 @@ from calib.execution.process import run_command
 from calib.imports.deck import deck_of, in_columns
 from calib.results.fingerprint import FAILED_RUNS
 from calib.results.ledger import Ledger
+from calib.study.search_settings import ParetoSettings
 from calib.study.solver import solver_model
 from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile
@@ -339,6 +340,8 @@ def test_what_a_solver_will_be_started_for_is_told(tmp_path):
         assert "5 min" in runs_ahead(loaded, ledger, "calibrate", 1)
         assert "2.5 min with 2 at once" in runs_ahead(loaded, ledger, "explain", 2)
         assert "500 samples" in runs_ahead(loaded, ledger, "sensitivity", 1)
+        front = ParetoSettings(population=10, generations=7)
+        assert "about 70 times: 7 generations of 10" in runs_ahead(loaded, ledger, "pareto", 1, front=front)
 
 
 def _wait_for_end(pid):

@@ -56,6 +56,8 @@ INTERVALS = ("intervals.csv", "profiles.csv", "posterior_intervals.csv", f"{SAMP
 """Files of `calib.analyses.intervals`, removed with the calibration that they rest on."""
 ROBUSTNESS = ("robustness.csv", "robustness_samples.csv")
 """Files of `calib.analyses.robustness`, removed with the calibration or the samples that they rest on."""
+PARETO = ("pareto.csv", "pareto_objectives.csv")
+"""Files of `calib.analyses.pareto`, removed with the calibration beside which they stand."""
 PROPOSED = ("proposals.csv", "proposal_places.csv", "proposals.json")
 """Files of `calib.analyses.propose`, removed with the explanation that they rest on."""
 _MEASURES = ("sensitivity", "partial", "variance_share", "selection", "sensitivity_samples", "input_correlation",
@@ -73,6 +75,7 @@ WRITES: Mapping[str, tuple[str, ...]] = {
     "compare": (*RECORDED, *GEOMETRY, *_of_stages("before"), "sensor_check.csv", "node_partners.csv",
                 "undamped.csv"),
     "sensitivity": (*RECORDED, *(f"{name}.csv" for name in _MEASURES)),
+    "refine": (*RECORDED, "proposed_runs.csv", "refined.csv"),
     "sensitivity --method morris": (*RECORDED, "morris.csv"),
     "sensitivity --method sobol": (*RECORDED, "sobol.csv"),
     "calibrate": (
@@ -84,6 +87,7 @@ WRITES: Mapping[str, tuple[str, ...]] = {
     ),
     "intervals": (*RECORDED, *INTERVALS),
     "robustness": (*RECORDED, *ROBUSTNESS),
+    "pareto": (*RECORDED, *PARETO),
     "propose": (*RECORDED, *PROPOSED),
     "extend": (*RECORDED, *ADDED),
 }  # fmt: skip
@@ -161,7 +165,7 @@ def _measured(study: StudyFile, analysis: str) -> str:
     return _digest(own, measurement_digest(whole), tests)
 
 
-_TOGETHER = ("calibrate", "intervals", "robustness", "explain", "extend")
+_TOGETHER = ("calibrate", "intervals", "robustness", "pareto", "explain", "extend")
 """Analyses of all tests together."""
 
 
@@ -202,9 +206,11 @@ _OF_EXPLANATION = (*_OF_CALIBRATION, "explain", "effects")
 _STATED: Mapping[str, tuple[str, ...]] = {
     "compare": ("pairing",),
     "sensitivity": ("pairing", "sensitivity"),
+    "refine": ("pairing", "sensitivity"),
     "calibrate": _OF_CALIBRATION,
     "intervals": _OF_CALIBRATION,
     "robustness": (*_OF_CALIBRATION, "robustness"),
+    "pareto": (*_OF_CALIBRATION, "pareto"),
     "explain": _OF_EXPLANATION,
     "propose": _OF_EXPLANATION,
     "extend": _OF_EXPLANATION,
@@ -216,7 +222,10 @@ def _stated(study: StudyFile, analysis: str) -> dict[str, str]:
     """Digests of the entries of a study's file on its model, and on everything else that an analysis depends on."""
     given = study.settings.model_dump()
     parts = {"model": _MODEL, "settings": _STATED[_verb(analysis)]}
-    return {part: _digest(*(given[key] for key in keys)) for part, keys in parts.items()}
+    file = study.settings.calibration.start_file
+    content = [study.file_digests.get(file)] if file and "calibration" in parts["settings"] else []
+    beside = {"model": [], "settings": content}
+    return {part: _digest(*(given[key] for key in keys), *beside[part]) for part, keys in parts.items()}
 
 
 def _uses_effects(analysis: str) -> bool:
@@ -240,9 +249,11 @@ _FITTED = (*_COMPARED, "faults", "models", "limits", "inference", "missing", "an
 _USED: Mapping[str, tuple[str, ...]] = {
     "compare": (*_COMPARED, "analyses"),
     "sensitivity": (*_COMPARED, "sensitivity", "prognosis"),
+    "refine": (*_COMPARED, "sensitivity", "prognosis"),
     "calibrate": _FITTED,
     "intervals": _FITTED,
     "robustness": _FITTED,
+    "pareto": _FITTED,
     "explain": _FITTED,
     "propose": _FITTED,
     "extend": _FITTED,
@@ -282,9 +293,11 @@ def rules_of(analysis: str) -> dict[str, Any]:
 _MODULES: Mapping[str, tuple[str, ...]] = {
     "compare": ("calib.analyses.compare",),
     "sensitivity": ("calib.analyses.sensitivity", "calib.analyses.screening"),
+    "refine": ("calib.analyses.refine",),
     "calibrate": ("calib.analyses.calibrate",),
     "intervals": ("calib.analyses.intervals",),
     "robustness": ("calib.analyses.robustness",),
+    "pareto": ("calib.analyses.pareto",),
     "explain": ("calib.analyses.explain",),
     "propose": ("calib.analyses.propose",),
     "extend": ("calib.analyses.extend", "calib.analyses.added"),

@@ -11,6 +11,7 @@ from calib.analyses.added import WORDS
 from calib.analyses.calibration import Calibration, Fitted, JointCalibration
 from calib.analyses.case_found import FITTED, SEARCH
 from calib.analyses.intervals import Intervals
+from calib.analyses.pareto import FRONT, Pareto, in_words
 from calib.analyses.robustness import Robustness
 from calib.api.entries.compared import failed_entries, held_out, more_on_pairs, pair_entries
 from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
@@ -68,6 +69,32 @@ def robustness_entries(result: Robustness) -> list[Entry]:
     each = [Words(words, when="verbose") for words in result.sentences[: -len(result.notes)]]
     rest = [Words(words, when="always") for words in result.notes]
     return [Rows.of(title, heads, rows), *each, *rest]
+
+
+def pareto_entries(result: Pareto) -> list[Entry]:
+    """The ends of the front, its knee and the best by the weights, beside the fit; then what is to be said of them."""
+    objectives = result.objectives.to_dict("records")
+    front, rest = result.front, result.table[result.table["kind"] != FRONT]
+    ends = front.index.isin(front.index[[0, -1]])
+    rows = [
+        (
+            str(row["design"]), _mark(row, front), in_words(row["first"], objectives[0]["of"]),
+            in_words(row["second"], objectives[1]["of"]), f"{row['objective']:.5g}",
+        )
+        for part in (front[front["knee"] | front["lowest"] | ends], rest)
+        for row in part.to_dict("records")
+    ]  # fmt: skip
+    heads = ("design", "", *(f"{row['name']}, mean {row['of']}" for row in objectives), "objective")
+    title = f"The front of {' and '.join(row['name'] for row in objectives)}:"
+    return [Rows.of(title, heads, rows, left=("",)), *(Words(words, when="always") for words in result.sentences)]
+
+
+def _mark(row: Mapping[Any, Any], front: pd.DataFrame) -> str:
+    """What a design of the front is."""
+    if row["kind"] != FRONT:
+        return str(row["kind"])
+    ends = ["end"] * (row["first"] in (front["first"].min(), front["first"].max()))
+    return ", ".join([*["knee"] * row["knee"], *["lowest objective"] * row["lowest"], *ends])
 
 
 def _known(value: float, form: str) -> str:

@@ -10,6 +10,7 @@ import pandas as pd
 
 from calib.analyses.compare import ComparisonResult
 from calib.analyses.provenance.record import assumptions_table, check_repeats
+from calib.analyses.refine import Refined
 from calib.analyses.screening import Screening
 from calib.analyses.sensitivity import Sensitivity
 from calib.api.entries.entry import Entry, Rows, Warned, When, Words, count, decimals
@@ -158,6 +159,24 @@ def _samples(study: AnyStudy, result: Sensitivity) -> list[Entry]:
     if any(one.model.space.constraints for one in study.studies):
         out.append(Words("Constraints correlate the sampled parameters; Spearman's coefficients alone may mislead."))
     return out
+
+
+def refined_entries(result: Refined) -> list[Entry]:
+    """The new runs, and the errors of the metamodels with and without them."""
+    inputs = list(result.runs.columns[: result.runs.columns.get_loc("weight")])
+    runs = [tuple(f"{row[name]:.5g}" for name in [*inputs, "weight"]) for row in result.runs.to_dict("records")]
+    columns = [c for c in result.table.columns[1:] if not (result.proposed and c.endswith("_after"))]
+    errors = [
+        (str(row["response"]), *("" if pd.isna(row[c]) else f"{row[c]:.3g}" for c in columns))
+        for row in result.table.to_dict("records")
+    ]
+    words = {"cop": "CoP", "error": "error", "error_near": "error near the measurement"}
+    heads = [words[c.removesuffix("_after")] + ", with them" * c.endswith("_after") for c in columns]
+    return [
+        Rows.of("Proposed runs:" if result.proposed else "New runs:", (*inputs, "weight"), runs, left=inputs),
+        Rows.of("Metamodels:", ("response", *heads), errors),
+        *(Words(sentence) for sentence in result.sentences),
+    ]
 
 
 def _largest(inputs: list[str]) -> str:

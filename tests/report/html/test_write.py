@@ -178,7 +178,7 @@ def test_nothing_is_loaded_from_anywhere(everything, read, reader, painted):
     style = "".join(read.styles)
     assert "@import" not in style and "url(" not in style
     own = [content for kind, content in read.scripts if kind != "application/json"]
-    assert len(own) == 3
+    assert len(own) == 4
     for content in own:
         code = "".join(content).replace("http://www.w3.org/1999/xhtml", "")  # the name of a namespace
         assert not re.search(r"https?:|import\s*\(|fetch\(|eval\(|new (Function|Worker)\b", code)
