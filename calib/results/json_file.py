@@ -1,9 +1,8 @@
-"""JSON files that calib has written: what they may hold, and a strict reader that refuses a value of a wrong type."""
+"""Strict reader of JSON files that calib has written: a value of the wrong type is refused."""
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,17 +13,6 @@ from calib.results.cell import shortened
 ANY = None
 """Key that stands for every name that is not listed."""
 _WORDS = {str: "text", float: "a number", bool: "true or false"}
-
-
-def plain(value: Any) -> Any:
-    """Values as plain Python types, with None for numbers that are not finite: JSON has none."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(own) for key, own in value.items()}
-    if hasattr(value, "tolist"):  # arrays and numbers of NumPy
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [plain(own) for own in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def read_json(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import re
 import shutil
@@ -18,7 +19,6 @@ from calib.errors.errors import InputError
 from calib.execution.temporary import clear_abandoned
 from calib.results import written
 from calib.results.former_names import RECORD, TABLES
-from calib.results.json_file import plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -210,3 +210,14 @@ def _clear_drafts(folder: Path) -> None:
         with contextlib.suppress(OSError):
             if time.time() - draft.stat().st_mtime > _ABANDONED:
                 shutil.rmtree(draft) if draft.is_dir() else draft.unlink()
+
+
+def plain(value: Any) -> Any:
+    """Values as plain Python types, with None for numbers that are not finite: JSON has none."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(own) for key, own in value.items()}
+    if hasattr(value, "tolist"):  # arrays and numbers of NumPy
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(own) for own in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

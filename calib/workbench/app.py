@@ -20,7 +20,7 @@ from calib.execution.outcome import words_of
 from calib.execution.tasks import one_thread
 from calib.report.html import space
 from calib.report.html.study_results import StudyResults
-from calib.results.json_file import plain
+from calib.results.results import plain
 from calib.study.study_file import StudyFile
 from calib.workbench.correlation import correlation
 from calib.workbench.designs import designs

@@ -39,8 +39,7 @@ from calib.problem.parameter import Parameter
 from calib.report.html.space import MeshMotion
 from calib.report.mesh import read_mesh
 from calib.report.numbers import fixed, percent, significant
-from calib.results.json_file import plain
-from calib.results.results import Results
+from calib.results.results import Results, plain
 from calib.structure.reduction.reduced import ReducedModel
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy

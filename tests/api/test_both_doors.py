@@ -3,7 +3,6 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -121,7 +120,7 @@ def test_set_ups_are_suspected_from_both_doors(tmp_path):
 
 
 def test_every_key_that_steers_an_analysis_is_an_argument():
-    calibration, explain = get_type_hints(CalibrationKeys).keys(), get_type_hints(ExplainKeys).keys()
+    calibration, explain = CalibrationKeys.__annotations__.keys(), ExplainKeys.__annotations__.keys()
     assert set(CalibrationSettings.model_fields) == calibration - {"alpha", "mesh_sd"} | {"time_limit", "cases"}
     assert set(ExplainSettings.model_fields) == explain | {"finer_options"}
 

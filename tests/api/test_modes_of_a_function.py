@@ -329,6 +329,7 @@ def test_a_change_of_code_or_of_what_is_asked_changes_the_fingerprint():
         as_function(),
         calib.ModalFunctionModel("cantilever", space(), other, SENSORS, n_modes=14, damped=True),
         calib.ModalFunctionModel("cantilever", space(), bends, SENSORS, n_modes=12, damped=True),
-        calib.ModalFunctionModel("cantilever", space(), bends, SENSORS, n_modes=14, damped=True, step=1e-3),
     ]
-    assert len({m.fingerprint for m in makes}) == 4 and as_function().fingerprint == makes[0].fingerprint
+    assert len({m.fingerprint for m in makes}) == 3
+    finer = calib.ModalFunctionModel("cantilever", space(), bends, SENSORS, n_modes=14, damped=True, step=1e-3)
+    assert as_function().fingerprint == finer.fingerprint == makes[0].fingerprint  # of derivatives, not of the model

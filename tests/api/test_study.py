@@ -62,7 +62,7 @@ def test_what_is_shown_is_in_the_table(rig):
     assert all(f"{value:.3f}" in str(compared) for value in compared.table["natural_freq_model"])
     answer = calibrated.of.answer
     assert [line[10:] for line in str(calibrated).split("\n\n")[0].split("\n")] == [
-        *answer.plain.values(),
+        *answer.labelled.values(),
         str(calibrated.folder),
     ]
     assert "<table" in calibrated._repr_html_() and "\n" not in repr(calibrated) + repr(rig[0])
