@@ -29,7 +29,7 @@ def make_all(figures: Figures, request: FigureRequest, progress: Progress) -> di
         A table is damaged.
     """
     names = list(figures.plan)
-    task = _Task(figures.folder, figures.title, figures.synthetic, figures.prefix, request)
+    task = _Task(figures.folder, figures.title, figures.synthetic, figures.prefix, figures.axes, request)
     found = each(_make_one, task, names, lambda done: progress("drawing figures", done, len(names)))
     return dict(zip(names, found, strict=True))
 
@@ -42,11 +42,12 @@ class _Task:
     title: str
     synthetic: bool
     prefix: str
+    axes: str
     request: FigureRequest
 
     @cached_property
     def figures(self) -> Figures:
-        return Figures(self.folder, self.title, self.synthetic, self.prefix)
+        return Figures(self.folder, self.title, self.synthetic, self.prefix, self.axes)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "figures"}

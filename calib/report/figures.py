@@ -22,6 +22,7 @@ from calib.errors.errors import InputError
 from calib.execution.stage import Progress, silent
 from calib.report.draw import plan
 from calib.report.drawing import Drawing
+from calib.report.scene import upright
 from calib.report.style import (
     COLUMN,
     Format,
@@ -79,13 +80,16 @@ class Figures:
         Whether the measurement is synthetic; every file is then labelled so.
     prefix : str
         Beginning of the identifiers in a page that has the figures of several folders.
+    axes : str
+        What the axes of the structure mean, see `calib.report.scene.upright`.
     """
 
-    def __init__(self, folder: Path | CurrentFolder, title: str, synthetic: bool, prefix: str = ""):
+    def __init__(self, folder: Path | CurrentFolder, title: str, synthetic: bool, prefix: str = "", axes: str = ""):
         self.folder = folder if isinstance(folder, CurrentFolder) else CurrentFolder(Path(folder), frozenset())
         self.title = title
         self.synthetic = synthetic
         self.prefix = prefix
+        self.axes = axes
         self._figures: dict[str, Figure] = {}
         self._rendered: Mapping[str, RenderedFigure] = {}
         self._render_all: Callable[[], Mapping[str, RenderedFigure]] | None = None
@@ -115,7 +119,7 @@ class Figures:
         """
         if not identifier and (known := self._taken(name)) and known.svg:
             return known.svg
-        with style():
+        with style(), upright(self.axes):
             self._figures[name] = figure = self.plan[name].draw()
             take_dollars_literally(figure)
             return svg_text(figure, identifier or f"{self.prefix}{name}")
@@ -174,7 +178,7 @@ class Figures:
         """What a picture of the drawing shows and who draws it; empty where that is not known."""
         if not (own := drawing.key):
             return ""
-        parts = (own, self.title, drawing.caption, self.synthetic, width, _drawn_by())
+        parts = (own, self.title, drawing.caption, self.synthetic, width, self.axes, _drawn_by())
         return hashlib.sha256(repr(parts).encode()).hexdigest()
 
     def _content(self, drawing: Drawing, formats: Sequence[Format], width: Width) -> dict[Format, bytes]:
@@ -183,7 +187,7 @@ class Figures:
         if key and tuple(formats) == ("png",) and key_of(path) == key and is_own(path):
             return {}
         narrow = self._narrow(drawing) if width == "column" else None
-        with style():
+        with style(), upright(self.axes):
             figure = narrow or self._headed(self._page_wide(drawing), drawing.caption)
             return content(figure, drawing.name, formats, key)
 
@@ -193,7 +197,7 @@ class Figures:
 
     def _narrow(self, drawing: Drawing) -> Figure | None:
         """The figure in a column; None where that is not legible."""
-        with style(COLUMN):
+        with style(COLUMN), upright(self.axes):
             figure = self._headed(drawing.draw(), drawing.caption)
             wrap_labels(figure)
             return figure if figure.get_size_inches()[0] == COLUMN and is_legible(figure) else None

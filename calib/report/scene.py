@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from typing import cast
 
 import numpy as np
@@ -34,15 +36,28 @@ _POINTED = 13.0
 """Diameter in points of the area that shows words under the mouse."""
 _NEAR = 6
 """Decimals of coordinates, in metres, at which two places are one."""
+_z_up: ContextVar[bool] = ContextVar("z_up", default=False)
+
+
+@contextlib.contextmanager
+def upright(axes: str) -> Iterator[None]:
+    """Let what is drawn stand as its axes say: z points upwards where they name ``z up``, otherwise y does."""
+    before = _z_up.set("z up" in axes)
+    try:
+        yield
+    finally:
+        _z_up.reset(before)
 
 
 def plot_coordinates(points: np.ndarray) -> np.ndarray:
-    """Transform (x longitudinal, y up, z transverse) to the plot's (x, -z, y), also right-handed.
+    """Transform (x longitudinal, y up, z transverse) to the plot's (x, -z, y), also right-handed; see `upright`.
 
     Parameters
     ----------
     points : ndarray (..., 3)
     """
+    if _z_up.get():
+        return np.asarray(points)
     return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
 
 

@@ -15,7 +15,7 @@ from calib.report.html.study_results import STAGES, StudyResults
 from calib.report.mesh import FACE, MeshTables, motions, pieces, point_coordinates, read_mesh, thickness
 from calib.report.model import sensor_tips
 from calib.report.numbers import counted, fixed, flag
-from calib.report.scene import PLACE, motion_scale, plot_coordinates, view_directions
+from calib.report.scene import PLACE, motion_scale, plot_coordinates, upright, view_directions
 from calib.report.shapes import measured_motions
 from calib.report.style import BLACK, BLUE, MEASURED, REST, SKY, VERMILLION
 from calib.report.where import misfit_tips, sensor_rms
@@ -47,8 +47,10 @@ def scene(results: StudyResults) -> dict[str, Any] | None:
     layers, dots = [data for data, _ in made], [moved, *(points for _, points in made)]
     if not stages and not layers:
         return None
+    with upright(str(results.record.get("axes", ""))):
+        view = framed(np.concatenate([structure.points, *dots]))
     return {
-        "view": framed(np.concatenate([structure.points, *dots])),
+        "view": view,
         "colours": {"rest": REST, "model": BLUE, "measured": MEASURED, "axes": BLACK},
         "points": packed_numbers(structure.points),
         "lines": structure.lines.ravel().tolist(),
@@ -76,7 +78,8 @@ def framed(points: np.ndarray) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``centre``, the point in the middle of the view; ``eye``, the direction towards the viewer; ``size``, width and
+        ``centre``, the point in the middle of the view; ``eye``, the direction towards the viewer; ``up``, the
+        vertical; ``size``, width and
         height in metres, wide enough to turn about the vertical; ``radius`` of a ball about the centre that holds all.
     """
     right, up = view_directions() @ plot_coordinates(np.eye(3)).T
@@ -86,11 +89,13 @@ def framed(points: np.ndarray) -> dict[str, Any]:
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
     centre = centre + (middle - np.array([right, up]) @ centre) @ np.array([right, up])
     radius = float(np.linalg.norm(points - centre, axis=1).max()) or 1.0
-    around = 2 * float(np.linalg.norm((points - centre)[:, [0, 2]], axis=1).max())
+    vertical = plot_coordinates(np.eye(3))[:, 2]
+    around = 2 * float(np.linalg.norm((points - centre)[:, vertical == 0], axis=1).max())
     size = np.maximum([max(around, np.ptp(seen[:, 0])), np.ptp(seen[:, 1])], 1e-3 * radius)
     return {
         "centre": centre.tolist(),
         "eye": np.cross(right, up).tolist(),
+        "up": vertical.tolist(),
         "size": size.tolist(),
         "radius": radius,
     }

@@ -125,7 +125,7 @@ class StudyResults:
     @cached_property
     def figures(self) -> Figures:
         """The figures of the folder."""
-        return Figures(self.folder, self.title, self.synthetic, self.prefix)
+        return Figures(self.folder, self.title, self.synthetic, self.prefix, str(self.record.get("axes", "")))
 
     @property
     def added_effects(self) -> str:

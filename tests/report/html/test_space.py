@@ -9,7 +9,7 @@ import pytest
 
 from calib.report.html.space import framed, packed_numbers, scene
 from calib.report.html.study_results import StudyResults
-from calib.report.scene import plot_coordinates, view_directions
+from calib.report.scene import plot_coordinates, upright, view_directions
 from calib.report.where import sensor_rms
 
 PLACE, MOTION = ["x", "y", "z"], ["u", "v", "w"]
@@ -179,24 +179,30 @@ def test_without_any_data_there_is_no_viewer(folder):
 # -- the view ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("axes", ["", "x to the front, y to the left, z up"])
 @pytest.mark.parametrize("size", [(4.0, 2.0, 0.5), (0.0, 0.0, 6.0), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
-def test_the_view_holds_all_points_and_is_that_of_the_figures(size):
+def test_the_view_holds_all_points_and_is_that_of_the_figures(size, axes):
     points = np.array([[0.0, 0.0, 0.0], size]) + np.array([3.0, -1.0, 2.0])
-    view = framed(points)
-    eye, centre = np.array(view["eye"]), np.array(view["centre"])
-    np.testing.assert_allclose(view_directions() @ plot_coordinates(eye), 0.0, atol=1e-12)
-    assert eye[1] > 0 and np.linalg.norm(eye) == pytest.approx(1.0)  # from above
-    seen = plot_coordinates(points - centre) @ view_directions().T
+    with upright(axes):
+        view = framed(points)
+        eye, centre = np.array(view["eye"]), np.array(view["centre"])
+        np.testing.assert_allclose(view_directions() @ plot_coordinates(eye), 0.0, atol=1e-12)
+        seen = plot_coordinates(points - centre) @ view_directions().T
+    assert view["up"] == ([0.0, 0.0, 1.0] if axes else [0.0, 1.0, 0.0])
+    assert eye @ view["up"] > 0 and np.linalg.norm(eye) == pytest.approx(1.0)  # from above
     assert np.all(np.abs(seen) <= np.array(view["size"]) / 2 + 1e-12)
     assert np.all(np.linalg.norm(points - centre, axis=1) <= view["radius"] + 1e-12)
     assert min(view["size"]) > 0 and view["radius"] > 0
 
 
-def test_turned_about_the_vertical_everything_stays_in_the_width_of_the_view():
+@pytest.mark.parametrize(("axes", "other"), [("", 2), ("z up", 1)])
+def test_turned_about_the_vertical_everything_stays_in_the_width_of_the_view(axes, other):
     points = np.random.default_rng(2).uniform(-1.0, 1.0, (30, 3)) * [9.0, 1.0, 2.0] + [5.0, 0.0, -3.0]
-    view = framed(points)
+    with upright(axes):
+        view = framed(points)
     for angle in np.linspace(0.0, np.pi, 7):
-        across = (points - view["centre"]) @ [np.cos(angle), 0.0, np.sin(angle)]
+        around = np.eye(3)[0] * np.cos(angle) + np.eye(3)[other] * np.sin(angle)
+        across = (points - view["centre"]) @ around
         assert np.abs(across).max() <= view["size"][0] / 2 + 1e-12
 
 

@@ -261,8 +261,9 @@ class Stage {
     this.tip.className = "tip";
     this.tip.setAttribute("aria-live", "polite");
     place.append(this.tip);
-    const { centre, eye, radius } = content.view;
+    const { centre, eye, up, radius } = content.view;
     this.camera = new THREE.OrthographicCamera();
+    this.camera.up.set(...up);  // before the controls, which turn about it
     this.camera.position.set(...centre.map((x, k) => x + 4 * radius * eye[k]));
     Object.assign(this.camera, { near: 0.01 * radius, far: 8 * radius });
     this.controls = new THREE.OrbitControls(this.camera, this.canvas);
